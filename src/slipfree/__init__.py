@@ -1,0 +1,30 @@
+"""How a wheeled vehicle moves over uneven ground without slipping."""
+
+from slipfree.dae import Dae
+from slipfree.errors import DataError, ModelError, SlipfreeError, SolverError
+from slipfree.kinematics.follow import straight
+from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.solve.settle import settle
+from slipfree.solve.simulate import simulate
+from slipfree.terrain.analytic import Analytic
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.catalog import three_wheeler
+from slipfree.vehicle.chain import Vehicle
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Analytic",
+    "Dae",
+    "DataError",
+    "ModelError",
+    "SlipfreeError",
+    "SolverError",
+    "Trajectory",
+    "Vehicle",
+    "direct_kinematics",
+    "settle",
+    "simulate",
+    "straight",
+    "three_wheeler",
+]

@@ -1,0 +1,120 @@
+"""A certificate that a wheel touches the ground at one point only.
+
+Closure knows the ground at the contact point. Elsewhere the ground may still reach into the wheel
+- a rock beside it, a step ahead of it - and then the motion is not that of a rigid wheel. So the
+wheel's surface is compared with the ground all around its lower part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from slipfree.named import Array, Label
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.wheel import Wheel
+
+RIM = np.deg2rad(np.linspace(-120.0, 120.0, 81))  # around the wheel, from the contact
+TUBE = np.deg2rad(np.linspace(-90.0, 90.0, 13))  # across the tread, from the contact
+CHUNK = 256  # samples looked at together, for the sake of memory
+TOLERANCE = 1e-7  # penetration that counts as touching [m]
+NONE = 1.0  # clearance reported where the ground comes near at no second place [m]
+
+
+@dataclass(frozen=True, eq=False)
+class SecondTouch:
+    """Clearance between a wheel and the ground at the nearest place that is not its contact.
+
+    The clearance is vertical, over points 3 degrees apart around the tread and 15 degrees
+    across it, refined by a parabola at its local minima. It is a check, not an expression, since
+    the place moves by jumps.
+
+    Attributes
+    ----------
+    terrain : Terrain
+        The ground.
+    wheel : Wheel
+        The wheel.
+    pose : casadi Function
+        Centre, rotation (column by column) and contact point from ``x`` and ``z``, local.
+    """
+
+    terrain: Terrain
+    wheel: Wheel
+    pose: ca.Function
+
+    @property
+    def label(self) -> Label:
+        """Name, unit and words of the clearance."""
+        words = f"clearance of wheel {self.wheel.name} at the nearest place beside its contact"
+        return Label("clearance", "m", words, self.wheel.name)
+
+    def margin(self, x: Array, z: Array) -> Array:
+        """Return the clearances of states in columns, shape (n,). [m]"""
+        parts = range(0, x.shape[1], CHUNK)
+        return np.concatenate(
+            [self._nearest(x[:, k : k + CHUNK], z[:, k : k + CHUNK])[0] for k in parts]
+        )
+
+    def describe(self, x: Array, z: Array) -> str:
+        """Return where the wheel touches a second time, in map coordinates."""
+        spot = self._nearest(x[:, None], z[:, None])[1][0]
+        return (
+            f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m; "
+            "terrain.rolled(radius) gives the ground as the wheel feels it"
+        )
+
+    def _nearest(self, x: Array, z: Array) -> tuple[Array, Array]:
+        points = self._surface(x, z)
+        height = self.terrain.elevation(points[..., 0], points[..., 1])
+        gap = points[..., 2] - height
+        low = _second_minima(gap)
+        values = np.where(low, gap, NONE)
+        for k, i, j in zip(*np.nonzero(low & (gap < self.wheel.radius / 10)), strict=True):
+            values[k, i, j] = _vertex(gap[k], i, j)
+        flat = values.reshape(len(values), -1)
+        best = flat.argmin(axis=1)
+        rows = np.arange(len(values))
+        return flat[rows, best] + TOLERANCE, points.reshape(len(values), -1, 3)[rows, best]
+
+    def _surface(self, x: Array, z: Array) -> Array:
+        """Return points on the tread in map coordinates, shape (n, rim, tube, 3)."""
+        center, rotation, contact = (np.array(out) for out in self.pose.map(x.shape[1])(x, z))
+        tube = TUBE if self.wheel.r1 > 0 else np.zeros(1)
+        rotation = rotation.T.reshape(-1, 3, 3).transpose(0, 2, 1)
+        arm = np.einsum("nji,jn->ni", rotation, contact - center)
+        v_0 = np.arctan2(arm[:, 2], arm[:, 1])
+        u_0 = np.arctan2(np.hypot(arm[:, 1], arm[:, 2]) - self.wheel.r2, arm[:, 0])
+        v = v_0[:, None, None] + RIM[None, :, None]
+        u = np.clip(u_0[:, None, None] + tube[None, None, :], 0.0, np.pi)
+        rho = self.wheel.r2 + self.wheel.r1 * np.sin(u)
+        body = np.stack(
+            np.broadcast_arrays(self.wheel.r1 * np.cos(u), np.cos(v) * rho, np.sin(v) * rho), -1
+        )
+        world = np.einsum("nij,nrtj->nrti", rotation, body) + center.T[:, None, None, :]
+        return world + np.array(self.terrain.origin)
+
+
+def _second_minima(gap: Array) -> Array:
+    """Return where the gap is no larger than at all neighbours, but for the contact itself."""
+    rim, tube = gap.shape[1:]
+    padded = np.pad(gap, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
+    low = np.ones(gap.shape, dtype=bool)
+    for i in (0, 1, 2):
+        for j in (0, 1, 2):
+            low &= gap <= padded[:, i : i + rim, j : j + tube]
+    low[:, rim // 2 - 1 : rim // 2 + 2, max(tube // 2 - 1, 0) : tube // 2 + 2] = False
+    return low
+
+
+def _vertex(gap: Array, i: int, j: int) -> float:
+    """Return the minimum of the parabola through a local minimum and its neighbours."""
+    drop = 0.0
+    for line, k in ((gap[:, j], i), (gap[i, :], j)):
+        if 0 < k < line.size - 1:
+            slope = (line[k + 1] - line[k - 1]) / 2
+            bend = line[k + 1] - 2 * line[k] + line[k - 1]
+            drop += slope**2 / (2 * bend) if bend > 0 else 0.0
+    return float(gap[i, j] - drop)

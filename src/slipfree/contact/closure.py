@@ -1,0 +1,82 @@
+"""Contact of a torus wheel with the ground at position level.
+
+With the ground point ``G``, the ground's unit normal ``n``, the wheel's centre ``C`` and axle
+``a``, contact means ``G + r1 n + r2 e = C`` with ``e`` the unit vector of ``n - (n.a) a``: from
+the contact point up the normal to the tube's centre circle, then in the plane of the wheel to its
+centre. It holds for the torus, the disc (``r1 = 0``) and the sphere (``r2 = 0``) alike.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from slipfree.geometry.frame import Pose
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.wheel import Wheel
+
+
+class Touch(NamedTuple):
+    """Where and how a wheel touches the ground, in the terrain's local coordinates.
+
+    Attributes
+    ----------
+    point : SX, shape (3, 1)
+        Contact point ``G``. [m]
+    normal : SX, shape (3, 1)
+        Unit normal of the ground, upward. [1]
+    along, across : SX, shape (3, 1)
+        Unit tangents: forward, ``n x a / |n x a|``, and to the right. [1]
+    uprightness : SX, shape (1, 1)
+        ``|n x a|``: one for a wheel that stands on the ground, zero for one that lies flat. [1]
+    hessian : SX, shape (2, 2)
+        Second derivatives of the height. [1/m]
+    """
+
+    point: ca.SX
+    normal: ca.SX
+    along: ca.SX
+    across: ca.SX
+    uprightness: ca.SX
+    hessian: ca.SX
+
+
+def touch(terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX) -> Touch:
+    """Return the contact frame at a local ground point for a wheel with a given axle."""
+    height = terrain.height(x, y)
+    place = ca.vertcat(x, y)
+    gradient = ca.gradient(height, place)
+    normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
+    forward = ca.cross(normal, axle)
+    uprightness = ca.norm_2(forward)
+    along = forward / uprightness
+    hessian = ca.jacobian(gradient, place)
+    point = ca.vertcat(place, height)
+    return Touch(point, normal, along, ca.cross(along, normal), uprightness, hessian)
+
+
+def closure(wheel: Wheel, carrier: Pose, contact: Touch) -> ca.SX:
+    """Return ``G + r1 n + r2 e - C``, zero when the wheel touches the ground, shape (3, 1). [m]"""
+    axle, n = carrier.rotation[:, 0], contact.normal
+    e = (n - ca.dot(n, axle) * axle) / contact.uprightness
+    return contact.point + wheel.r1 * n + wheel.r2 * e - carrier.origin
+
+
+def relative_curvature(wheel: Wheel, contact: Touch) -> ca.SX:
+    """Return a measure that is positive where the contact is locally unique. [1/m]
+
+    The contact is unique nearby if the wheel's curvature exceeds the ground's in every
+    direction, that is, if Montana's relative curvature form is positive definite. Along the wheel
+    the torus has ``k = m / (r2 + r1 m)``, ``m`` its uprightness; across it ``1 / r1``. The form
+    is positive definite if ``1 + r1 K_ll`` and the Schur complement
+    ``k + K_tt - r1 K_tl^2 / (1 + r1 K_ll)`` are positive, with ``K`` the ground's form for the
+    upward normal, valleys negative. Written so, it holds for discs too. The smaller of the two is
+    returned, the first divided by the rolling radius.
+    """
+    second = contact.hessian * contact.normal[2]  # second fundamental form, in (x, y)
+    t, s = contact.along[:2], contact.across[:2]
+    k_tt, k_tl, k_ll = -t.T @ second @ t, -t.T @ second @ s, -s.T @ second @ s
+    k_wheel = contact.uprightness / (wheel.r2 + wheel.r1 * contact.uprightness)
+    across = 1 + wheel.r1 * k_ll
+    return ca.fmin(k_wheel + k_tt - wheel.r1 * k_tl**2 / across, across / wheel.radius)

@@ -1,0 +1,191 @@
+"""The one symbolic record that every model produces and every solver consumes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.named import Array, Label, leaves, pack, unpack
+from slipfree.trajectory import Trajectory
+
+X = TypeVar("X")
+Z = TypeVar("Z")
+Q = TypeVar("Q")
+U = TypeVar("U")
+Y = TypeVar("Y")
+
+
+class Limit(NamedTuple):
+    """``lower <= expression <= upper`` along every valid motion.
+
+    Attributes
+    ----------
+    label : Label
+        Name and unit; its words end the sentence "at t = 3 s ...".
+    expression : SX, shape (1, 1)
+        In the symbols of the model.
+    lower, upper : float
+        Bounds, in the label's unit.
+    """
+
+    label: Label
+    expression: ca.SX
+    lower: float
+    upper: float
+
+
+class Check(Protocol):
+    """A numeric condition on the samples of a motion that no expression can state."""
+
+    @property
+    def label(self) -> Label:
+        """Name, unit and words of the margin."""
+
+    def margin(self, x: Array, z: Array) -> Array:
+        """Return the margins, shape (n,), of states in columns; negative is a violation."""
+
+    def describe(self, x: Array, z: Array) -> str:
+        """Return what is wrong, and where, with one state of shapes (n_x,) and (n_z,)."""
+
+
+class Labels(NamedTuple):
+    """Labels of every unknown, in records shaped like those they name, and of every equation.
+
+    ``alg`` holds one tuple for each block of equations.
+    """
+
+    x: Any
+    z: Any
+    q: Any
+    u: Any
+    y: Any
+    alg: tuple[tuple[Label, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Dae(Generic[X, Z, Q, U, Y]):
+    """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
+
+    The algebraic equations come in blocks, one for each field of ``z``; a block determines its
+    field, given the fields before it. States and unknowns are in the model's local coordinates;
+    ``shift`` leads to the map's, which starts, outputs and trajectories use.
+
+    Attributes
+    ----------
+    t : SX, shape (1, 1)
+        Time. [s]
+    x, z, q, u : record of SX
+        Differential states, algebraic unknowns, quadratures and inputs.
+    ode, quad : SX, shape (n_x, 1) and (n_q, 1)
+        Rates of the states and of the quadratures.
+    alg : tuple of SX
+        Residuals, one block for each field of ``z``.
+    y : record of SX
+        Outputs; positions among them are in map coordinates.
+    labels : Labels
+        Names, units and words.
+    limits : tuple of Limit
+        What a valid motion keeps to.
+    checks : tuple of Check
+        The same, numerically.
+    guess : SX, shape (n_z, 1)
+        First guess of ``z`` from ``x``.
+    scale : ndarray, shape (n_z,)
+        Typical sizes of ``z``.
+    shift : tuple of two ndarrays, shapes (n_x,) and (n_z,)
+        Map minus local values.
+    """
+
+    t: ca.SX
+    x: X
+    z: Z
+    q: Q
+    u: U
+    ode: ca.SX
+    alg: tuple[ca.SX, ...]
+    quad: ca.SX
+    y: Y
+    labels: Labels
+    limits: tuple[Limit, ...]
+    checks: tuple[Check, ...]
+    guess: ca.SX
+    scale: Array
+    shift: tuple[Array, Array]
+
+    def __post_init__(self) -> None:
+        blocks: Any = self.z
+        sizes = [("ode", self.ode, self.x), ("quad", self.quad, self.q)]
+        sizes += [(f"alg[{i}]", b, blocks[i]) for i, b in enumerate(self.alg)]
+        for name, rows, record in sizes:
+            count = len(list(leaves(record)))
+            if rows.shape != (count, 1):
+                raise ModelError(f"{name} has shape {rows.shape}, its unknowns number {count}")
+        if len(self.alg) != len(blocks):
+            raise ModelError(f"{len(self.alg)} blocks of equations for {len(blocks)} of unknowns")
+        names = [label.full for label in leaves(tuple(self.labels[:5]))]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise ModelError(f"the model uses the name {min(twice)} twice: rename a coordinate")
+
+    def inputs(self, **values: Any) -> U:
+        """Return the record of inputs from values by name.
+
+        Parameters
+        ----------
+        **values : float, ndarray of shape (n - 1,) or SX
+            A constant; one value for each interval between samples; or an expression of the
+            model's symbols, such as a function of ``t`` or a feedback law.
+
+        Raises
+        ------
+        ModelError
+            If a name is missing or unknown.
+        """
+        names = [label.full for label in leaves(self.labels.u)]
+        _same_names("inputs", names, values)
+        return unpack(self.u, [values[name] for name in names])
+
+    def rows(self, record: str, run: Trajectory, index: int) -> Array:
+        """Return ``x``, ``z`` or ``q`` of one sample as a column in local coordinates."""
+        labels = leaves(getattr(self.labels, record))
+        values = [run[label.name if label.wheel is None else (label.name, label.wheel)][index]
+                  for label in labels]  # fmt: skip
+        shift = {"x": self.shift[0], "z": self.shift[1]}.get(record, np.zeros(len(values)))
+        return np.array(values) - shift
+
+    def start(self, **values: float) -> Array:
+        """Return ``x`` in local coordinates from map values by name; what is not named is zero.
+
+        Raises
+        ------
+        ModelError
+            If a name is unknown or a value is not finite.
+        """
+        names = [label.full for label in leaves(self.labels.x)]
+        _same_names("start", names, values, all_needed=False)
+        for name, value in values.items():
+            if not np.isfinite(value):
+                raise ModelError(f"start: {name} must be finite, found {value}")
+        return np.array([values.get(name, 0.0) for name in names]) - self.shift[0]
+
+    def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the symbols of ``x``, ``z`` and ``u`` as columns."""
+        return pack(self.x), pack(self.z), pack(self.u)
+
+
+def _same_names(
+    what: str, names: list[str], given: Iterable[str], *, all_needed: bool = True
+) -> None:
+    unknown = sorted(set(given) - set(names))
+    missing = [name for name in names if name not in set(given)] if all_needed else []
+    if unknown or missing:
+        raise ModelError(
+            f"{what}: expected {', '.join(names)}"
+            + (f"; not known: {', '.join(unknown)}" if unknown else "")
+            + (f"; missing: {', '.join(missing)}" if missing else "")
+        )

@@ -1,0 +1,108 @@
+"""Poses of frames, and the twists that follow from them by differentiation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class Twist(NamedTuple):
+    """Velocity of a frame's origin and angular velocity of the frame, both in fixed axes.
+
+    Attributes
+    ----------
+    v : SX, shape (3, 1)
+        Velocity of the origin. [m/s]
+    omega : SX, shape (3, 1)
+        Angular velocity. [rad/s]
+    """
+
+    v: ca.SX
+    omega: ca.SX
+
+
+class Pose(NamedTuple):
+    """Orientation and position of a frame, in fixed axes.
+
+    Attributes
+    ----------
+    rotation : SX, shape (3, 3)
+        Columns are the frame's axes. [1]
+    origin : SX, shape (3, 1)
+        Its origin. [m]
+    """
+
+    rotation: ca.SX
+    origin: ca.SX
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Return the pose of ``other``, which is given in this frame, in fixed axes."""
+        return Pose(self.rotation @ other.rotation, self.origin + self.rotation @ other.origin)
+
+    def twist(self, q: ca.SX, rates: ca.SX) -> Twist:
+        """Return the twist of a pose that depends on ``q`` when ``q`` changes at ``rates``."""
+        turning = ca.jtimes(self.rotation, q, rates) @ self.rotation.T
+        return Twist(ca.jtimes(self.origin, q, rates), ca.inv_skew(turning))
+
+
+def translation(x: ca.SX | float, y: ca.SX | float, z: ca.SX | float) -> Pose:
+    """Return the pose of a frame that is only displaced, by metres along the fixed axes."""
+    return Pose(ca.SX.eye(3), ca.SX(ca.vertcat(x, y, z)))
+
+
+def turn(axis: str, angle: ca.SX | float) -> Pose:
+    """Return the pose of a frame turned about a fixed axis.
+
+    Parameters
+    ----------
+    axis : {"x", "y", "z"}
+        The axis.
+    angle : SX or float
+        Right-handed angle. [rad]
+    """
+    k = ca.skew(ca.SX(ca.DM(AXES[axis])))
+    rotation = ca.sparsify(ca.SX.eye(3) + ca.sin(angle) * k + (1 - ca.cos(angle)) * (k @ k))
+    return Pose(ca.densify(rotation), ca.SX.zeros(3))
+
+
+def platform(
+    x: ca.SX, y: ca.SX, z: ca.SX, heading: ca.SX | float, roll: ca.SX | float, pitch: ca.SX | float
+) -> Pose:
+    """Return the pose of a platform: ``R = Rz(heading) Ry(roll) Rx(pitch)``.
+
+    The platform's axes are x right, y forward, z up. Heading counts counter-clockwise from the
+    fixed y axis; roll is positive with the right side down, pitch with the nose up. [m, rad]
+    """
+    place = translation(x, y, z)
+    return place @ turn("z", heading) @ turn("y", roll) @ turn("x", pitch)
+
+
+def quaternion(rotation: ca.SX) -> ca.SX:
+    """Return the unit quaternion ``(x, y, z, w)`` of a rotation, ``w >= 0``, shape (4, 1).
+
+    The largest of the four components is found first, so that no division loses digits.
+    """
+    r = rotation
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    rows = [
+        ca.vertcat(
+            1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]
+        ),
+        ca.vertcat(
+            r[0, 1] + r[1, 0], 1 + r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]
+        ),
+        ca.vertcat(
+            r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 + r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]
+        ),
+        ca.vertcat(r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + trace),
+    ]
+    best, size = rows[0], rows[0][0]
+    for index in (1, 2, 3):
+        larger = rows[index][index] > size
+        best = ca.if_else(larger, rows[index], best)
+        size = ca.fmax(size, rows[index][index])
+    q = best / ca.norm_2(best)
+    return q * ca.if_else(q[3] < 0, -1, 1)

@@ -1,0 +1,166 @@
+"""What every ground offers to the models, and the checked grid of heights behind a height map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.named import Array
+
+
+UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length
+RESAMPLE = {
+    "x": "x_even = np.linspace(x[0], x[-1], x.size); "
+    "z = scipy.interpolate.RectBivariateSpline(x, y, z)(x_even, y)",
+    "y": "y_even = np.linspace(y[0], y[-1], y.size); "
+    "z = scipy.interpolate.RectBivariateSpline(x, y, z)(x, y_even)",
+}
+FLIP = {"x": "x[::-1] and z[::-1, :]", "y": "y[::-1] and z[:, ::-1]"}
+
+
+class Terrain(Protocol):
+    """A ground given by its height.
+
+    1. *Map* coordinates are those of the user's data. *Local* coordinates are map coordinates
+       minus ``origin``; models use local ones, so that large map coordinates cost no digits.
+    2. ``height(x, y)`` is an SX expression of local coordinates, at least twice continuously
+       differentiable inside the domain, and continues smoothly for a margin outside.
+    3. ``elevation(x, y)`` is the same surface, numeric and vectorised, in map coordinates.
+    4. An instance is immutable and can be pickled.
+    """
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """Map coordinates of the local origin. [m]"""
+
+    @property
+    def domain(self) -> tuple[float, float, float, float]:
+        """``x_min, x_max, y_min, y_max`` in map coordinates; may be infinite. [m]"""
+
+    def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return the local height at a local point. [m]"""
+
+    def elevation(self, x: Array, y: Array) -> Array:
+        """Return the heights in map coordinates at map points of equal shape. [m]"""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Heights on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``.
+
+    Attributes
+    ----------
+    x, y : ndarray, shape (n_x,) and (n_y,)
+        Ascending axes, uniform to 1e-9 of their length, at least four nodes each. [m]
+    z : ndarray, shape (n_x, n_y)
+        Heights, all finite. [m]
+
+    Raises
+    ------
+    DataError
+        If an axis or the heights break one of these rules.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "z"):
+            array = getattr(self, name)
+            _check_type(name, array)
+            # A read-only view: the checks below stay true for the life of the grid.
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+        _check_axis("x", self.x)
+        _check_axis("y", self.y)
+        _check_heights(self.x, self.y, self.z)
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Distance between nodes along x and y. [m]"""
+        return (
+            float(np.ptp(self.x) / (self.x.size - 1)),
+            float(np.ptp(self.y) / (self.y.size - 1)),
+        )
+
+
+def _check_type(name: str, array: Array) -> None:
+    """Refuse what is not a plain array of doubles: nothing is converted behind the user's back."""
+    if not isinstance(array, np.ndarray):
+        found, remedy = type(array).__name__, f"np.asarray({name}, dtype=float)"
+    elif np.ma.isMaskedArray(array):
+        found, remedy = "a masked array", f"{name}.filled(...) with heights for the masked nodes"
+    elif array.dtype != np.float64:
+        found, remedy = f"an array of {array.dtype}", f"{name}.astype(float)"
+    else:
+        return
+    raise DataError(f"grid: {name} must be an array of float64, found {found}; pass {remedy}")
+
+
+def _check_axis(name: str, axis: Array) -> None:
+    """Refuse an axis that is not ascending, uniform and four nodes long."""
+    if axis.ndim != 1:
+        raise DataError(
+            f"grid: axis {name} must have one dimension, found shape {axis.shape}; "
+            "pass the axes, not the meshgrid"
+        )
+    if axis.size < 4:
+        raise DataError(
+            f"grid: axis {name} must have at least 4 nodes for a cubic spline, found {axis.size}"
+        )
+    if not np.isfinite(axis).all():
+        node = int(np.argmin(np.isfinite(axis)))
+        raise DataError(f"grid: axis {name} must be finite, found {name}[{node}] = {axis[node]}")
+    steps = np.diff(axis)
+    if (steps < 0).all():
+        raise DataError(
+            f"grid: axis {name} must ascend, found it descending from {axis[0]:.9g} to "
+            f"{axis[-1]:.9g}; flip axis and heights together: {FLIP[name]}"
+        )
+    if not (steps > 0).all():
+        node = int(np.argmin(steps > 0)) + 1
+        raise DataError(
+            f"grid: axis {name} must ascend, found {name}[{node - 1}] = {axis[node - 1]:.9g} "
+            f"followed by {name}[{node}] = {axis[node]:.9g}; sort it, and the heights with it"
+        )
+    _check_uniform(name, axis, steps)
+
+
+def _check_uniform(name: str, axis: Array, steps: Array) -> None:
+    """Refuse an ascending axis whose nodes are not evenly spaced."""
+    tolerance = UNIFORM * (axis[-1] - axis[0])
+    if np.abs(axis - np.linspace(axis[0], axis[-1], axis.size)).max() <= tolerance:
+        return
+    usual = float(np.median(steps))
+    off = np.abs(steps - usual)
+    # Steps may each be near enough and still add up to a drift: then the worst ones are named.
+    node = int(np.argmax(off > min(tolerance, 0.5 * off.max()))) + 1
+    raise DataError(
+        f"grid: axis {name} must be uniform to {UNIFORM:g} of its length, found a step of "
+        f"{steps[node - 1]:.12g} m before node {node} at {name} = {axis[node]:.12g} m where "
+        f"{usual:.12g} m is usual; resample: {RESAMPLE[name]}"
+    )
+
+
+def _check_heights(x: Array, y: Array, z: Array) -> None:
+    """Refuse heights that do not fit the axes or are not all finite."""
+    expected = (x.size, y.size)
+    if z.shape != expected:
+        hint = "; rows must run along x: pass z.T" if z.shape == expected[::-1] else ""
+        raise DataError(
+            f"grid: z must have the shape (x.size, y.size) = {expected}, found {z.shape}{hint}"
+        )
+    bad = ~np.isfinite(z)
+    if bad.any():
+        i, j = np.argwhere(bad)[0]
+        raise DataError(
+            f"grid: all heights must be finite, found {np.count_nonzero(bad)} that are not, the "
+            f"first z[{i}, {j}] = {z[i, j]} at x = {x[i]:.9g} m, y = {y[j]:.9g} m; fill the gaps "
+            "or cut the grid to its finite part"
+        )
