@@ -7,6 +7,8 @@ from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.analytic import Analytic
+from slipfree.terrain.base import Grid, Terrain
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalog import three_wheeler
 from slipfree.vehicle.chain import Vehicle
@@ -15,11 +17,14 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Analytic",
+    "Bicubic",
     "Dae",
     "DataError",
+    "Grid",
     "ModelError",
     "SlipfreeError",
     "SolverError",
+    "Terrain",
     "Trajectory",
     "Vehicle",
     "direct_kinematics",

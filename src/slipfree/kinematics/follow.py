@@ -68,9 +68,9 @@ def straight(
     forward = (-np.sin(heading_0), np.cos(heading_0))
     left_of_line = -(dae.x.x - x_0) * forward[1] + (dae.x.y - y_0) * forward[0]
     pace = speed / plan.wheelbase  # wheelbases a second
-    # with s in wheelbases, d'' = -2 d' - d: critically damped
+    # Offset d and distance in wheelbases: d' = sign e, d'' = steer = -2 d' - d, critically damped.
     error = np.sign(speed) * (dae.x.heading - heading_0) * 2 + left_of_line / plan.wheelbase
-    wanted = -np.sign(speed) * LARGEST_STEER * ca.tanh(error / LARGEST_STEER)
+    wanted = -LARGEST_STEER * ca.tanh(error / LARGEST_STEER)
     turning = pace * ca.tan(steer)
     if plan.tilts:
         tilt = sum(states[name] for name in plan.tilts) / len(plan.tilts)

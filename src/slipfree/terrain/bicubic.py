@@ -15,7 +15,7 @@ from slipfree.terrain.base import Grid
 
 ON_KNOT = 1e-10  # a point nearer to a knot than this, in cells, lies on it
 CHUNK = 8192  # points evaluated at once: the temporaries stay in the cache
-LARGE = 2**22  # coefficients above which the table is stored once, not four times
+LARGE = 2**22  # coefficients above which the look-up stores them once, not four times
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,12 @@ class Bicubic:
     -----
     CasADi's own spline nodes cannot be used: on a knot their third derivatives write beyond their
     memory, and their fourth derivatives do so everywhere (3.8.2). Here only the 16 spline
-    coefficients of a cell are looked up, in a table that is constant for differentiation, and the
-    rest is an SX polynomial. Its derivatives exist to any order.
+    coefficients of a cell are looked up, and the rest is an SX polynomial.
+
+    The coefficients are rounded to whole multiples of a unit, 2**-52 of the largest one or less,
+    so that ``floor`` returns them unchanged: its derivative is zero, and no derivative ever
+    enters the look-up. (A look-up with an empty Jacobian would do the same, but forward
+    differentiation of an SX graph leaves NaN or numbers of other variables in its place.)
 
     One instance must not be evaluated by two threads at once; give each its own unpickled copy.
     """
@@ -62,73 +66,72 @@ class Bicubic:
 
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the local height at a local point. [m]"""
-        a, b = self._cells(x, y)
-        i, j = (
-            ca.fmin(ca.fmax(ca.floor(position + ON_KNOT), 0), nodes - 2)
-            for position, nodes in zip((a, b), self.grid.z.shape, strict=True)
-        )
-        c = ca.reshape(self._gather(ca.vertcat(i, j)), 4, 4)
-        rows, columns = _basis(a - i), _basis(b - j)
-        # Two sums of four: half the operations of one sum of sixteen products.
-        return sum(
-            (
-                columns[n] * sum((rows[m] * c[m, n] for m in range(4)), start=ca.SX(0))
-                for n in range(4)
-            ),
-            start=ca.SX(0),
-        )
+        a, b = self._in_cells(x, y)
+        n_x, n_y = self.grid.z.shape
+        i = ca.fmin(ca.fmax(ca.floor(a + ON_KNOT), 0), n_x - 2)
+        j = ca.fmin(ca.fmax(ca.floor(b + ON_KNOT), 0), n_y - 2)
+        # Four sums of four, then one: half the operations of a sum of sixteen products.
+        c = ca.reshape(ca.floor(self._gather(ca.vertcat(i, j))), 4, 4)
+        lines = ca.mtimes(ca.horzcat(*_basis(a - i)), c)
+        return self._table[1] * ca.mtimes(lines, ca.vertcat(*_basis(b - j)))
 
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights in map coordinates at map points of equal shape. [m]"""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         x_0, y_0, z_0 = self.origin
-        heights = np.empty(x.size)
-        flat_x, flat_y = x.reshape(-1), y.reshape(-1)
+        flat_x, flat_y, heights = x.reshape(-1), y.reshape(-1), np.empty(x.size)
         for start in range(0, x.size, CHUNK):
             part = slice(start, start + CHUNK)
-            heights[part] = self._numeric(flat_x[part] - x_0, flat_y[part] - y_0)
+            heights[part] = self._local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
         return heights.reshape(x.shape) + z_0
 
-    def _cells(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def _in_cells(self, x: Any, y: Any) -> tuple[Any, Any]:
         """Return a local point counted in cells from the first node."""
         x_0, y_0, _ = self.origin
         h_x, h_y = self.grid.spacing
-        return (x - (self.grid.x[0] - x_0)) / h_x, (y - (self.grid.y[0] - y_0)) / h_y
+        return (x - (self.domain[0] - x_0)) / h_x, (y - (self.domain[2] - y_0)) / h_y
 
-    def _numeric(self, x: Array, y: Array) -> Array:
+    def _local_heights(self, x: Array, y: Array) -> Array:
         """Return the local heights at local points, shape (n,)."""
+        a, b = self._in_cells(x, y)
         n_x, n_y = self.grid.z.shape
-        a, b = self._cells(x, y)
-        # fmin and fmax put NaN into a valid cell; the polynomial then returns NaN.
+        # fmin and fmax put NaN into a valid cell, whose polynomial then returns NaN.
         i = np.fmin(np.fmax(np.floor(a + ON_KNOT), 0), n_x - 2)
         j = np.fmin(np.fmax(np.floor(b + ON_KNOT), 0), n_y - 2)
         rows, columns = _basis(a - i), _basis(b - j)
-        table = self._coefficients.reshape(-1)
-        first = i.astype(np.intp) * (n_y + 2) + j.astype(np.intp)
+        table, unit = self._table
+        width = table.shape[1]
+        first = i.astype(np.intp) * width + j.astype(np.intp)
         heights = np.zeros(x.size)
-        for m in range(4):
+        for m, row in enumerate(rows):
             line = np.zeros(x.size)
-            for n in range(4):
-                line += columns[n] * table[first + (m * (n_y + 2) + n)]
-            heights += rows[m] * line
-        return heights
+            for n, column in enumerate(columns):
+                line += column * table.reshape(-1).take(first + (m * width + n))
+            heights += row * line
+        return heights * unit
 
     @cached_property
-    def _coefficients(self) -> Array:
-        """Spline coefficients of the local heights over 36, shape (n_x + 2, n_y + 2)."""
+    def _table(self) -> tuple[Array, float]:
+        """Spline coefficients as whole numbers, shape (n_x + 2, n_y + 2), and their unit. [m]"""
         along_x = _solve_not_a_knot(self.grid.z - self.origin[2])
-        return np.ascontiguousarray(_solve_not_a_knot(along_x.T).T) / 36
+        coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
+        coefficients /= 36  # the bases are kept free of their factors 1/6
+        exponent = int(np.frexp(np.abs(coefficients).max())[1])
+        unit = float(np.ldexp(1.0, exponent - 52))
+        coefficients /= unit
+        return np.rint(coefficients, out=coefficients), unit
 
     @cached_property
     def _gather(self) -> ca.Function:
-        return _gather(self._coefficients, 4 if self._coefficients.size <= LARGE else 1)
+        table = self._table[0]
+        return _look_up(table, 4 if table.size <= LARGE else 1)
 
 
 def _basis(u: Any) -> tuple[Any, Any, Any, Any]:
     """Return the four uniform cubic B-splines of a cell at ``u`` in [0, 1], times six."""
     v = 1 - u
     first, last = v * v * v, u * u * u
-    second = 4 + 3 * (last - 2 * u * u)
+    second = 4 + 3 * (last - 2 * (u * u))
     return first, second, 6 - first - second - last, last
 
 
@@ -138,56 +141,48 @@ def _solve_not_a_knot(values: Array) -> Array:
     Parameters
     ----------
     values : ndarray, shape (n, m)
-        Values at n nodes, n >= 4.
+        Values at n >= 4 nodes, of m splines.
 
     Returns
     -------
     ndarray, shape (n + 2, m)
-        Of ``m`` splines whose third derivative is continuous at the second and the last but one
-        node.
+        Third derivatives are continuous at the second and at the last but one node.
     """
     n = values.shape[0]
-    bands = np.zeros((9, n + 2))  # bands[4 + i - j, j] is entry i, j of the matrix
-    bands[5, : n], bands[4, 1 : n + 1], bands[3, 2:] = 1 / 6, 4 / 6, 1 / 6
+    bands = np.zeros((9, n + 2))  # entry i, j of the matrix is bands[4 + i - j, j]
+    bands[5, :n], bands[4, 1:-1], bands[3, 2:] = 1 / 6, 4 / 6, 1 / 6
     # The third derivative is a third difference of coefficients; its jump a fourth.
-    for offset, weight in enumerate((1, -4, 6, -4, 1)):
-        bands[4 - offset, offset] = weight
-        bands[8 - offset, n - 3 + offset] = weight
+    for column, weight in enumerate((1, -4, 6, -4, 1)):
+        bands[4 - column, column] = weight
+        bands[8 - column, n - 3 + column] = weight
     right = np.zeros((n + 2, values.shape[1]))
     right[1:-1] = values
-    return np.asarray(solve_banded((4, 4), bands, right, overwrite_ab=True, overwrite_b=True))
+    solution: Array = solve_banded((4, 4), bands, right, overwrite_ab=True, overwrite_b=True)
+    return solution
 
 
-def _gather(coefficients: Array, run: int) -> ca.Function:
-    """Return the look-up of a cell's 16 coefficients, a constant for differentiation.
+def _look_up(table: Array, run: int) -> ca.Function:
+    """Return the function that finds the 16 entries of a table that belong to a cell.
 
     Parameters
     ----------
-    coefficients : ndarray, shape (n_x + 2, n_y + 2)
-        The table.
+    table : ndarray, shape (n_x + 2, n_y + 2)
+        The entries.
     run : {1, 4}
-        How many neighbours along x are stored together. Four make a cell take 4 look-ups instead
-        of 16, at four times the memory.
+        How many neighbours along x are stored together: 4 makes a cell cost 4 interpolations
+        instead of 16, and the table four times as large.
 
     Returns
     -------
     Function
-        ``[i, j] -> c``, shape (2, 1) to (16, 1), x fastest, of whole numbers. A linear
-        interpolant asked at its nodes returns the table's numbers unchanged.
+        From ``[i, j]``, whole numbers, to ``table[i : i + 4, j : j + 4]`` as a column, i fastest.
     """
-    runs = np.lib.stride_tricks.sliding_window_view(coefficients, run, axis=0)
-    nodes = [list(range(size)) for size in runs.shape[:2]]
-    values = runs.transpose(1, 0, 2).reshape(-1)
-    table = ca.interpolant("table", "linear", nodes, values, {"lookup_mode": ["exact", "exact"]})
-    cell, found = ca.MX.sym("cell", 2), ca.MX.sym("found", 16)
-    places = [ca.DM([m, n]) for n in range(4) for m in range(0, 4, run)]
-    names = (["i0", "out_o0"], ["jac_o0_i0"])
-    constant = ca.Function("jac_gather", [cell, found], [ca.MX(16, 2)], *names)
-    options = {
-        "never_inline": True,
-        "enable_forward": False,
-        "enable_reverse": False,
-        "jac_penalty": 0,
-        "custom_jacobian": constant,
-    }
-    return ca.Function("gather", [cell], [ca.vertcat(*map(table, (cell + p for p in places)))], options)
+    columns = np.ascontiguousarray(table.T)
+    runs = np.lib.stride_tricks.sliding_window_view(columns, run, axis=1)
+    axes = [list(range(runs.shape[1])), list(range(runs.shape[0]))]
+    # At its nodes a linear interpolant returns their values without rounding.
+    exact = {"lookup_mode": ["exact", "exact"]}
+    interpolant = ca.interpolant("table", "linear", axes, runs.reshape(-1), exact)
+    cell = ca.MX.sym("cell", 2)
+    parts = [interpolant(cell + ca.DM([m, n])) for n in range(4) for m in range(0, 4, run)]
+    return ca.Function("gather", [cell], [ca.vertcat(*parts)], {"never_inline": True})
