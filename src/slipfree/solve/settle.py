@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
@@ -41,7 +43,7 @@ def settle(
         left undetermined.
     """
     x = dae.start(**start)
-    loop = close(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
+    loop = _at_rest(dae)
     z = consistent(loop, 0.0, x, first_guess(dae, x, guess or {}), loop.u[:, 0])
     samples = Samples(np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), loop.u)
     samples, report = corrected(loop, samples)
@@ -52,12 +54,16 @@ def settle(
     return run
 
 
+@lru_cache(maxsize=8)
+def _at_rest(dae: Dae[Any, Any, Any, Any, Any]) -> Loop:
+    """Compile the model with zero inputs; kept, since many starts are often tried on one model."""
+    return close(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
+
+
 def first_guess(
     dae: Dae[Any, Any, Any, Any, Any], x: Array, given: Mapping[str, float]
 ) -> Array:
     """Return a first guess of ``z``, local, with what is given by name in map coordinates."""
-    import casadi as ca
-
     z = np.array(ca.Function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
     for name, value in given.items():
