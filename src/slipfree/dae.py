@@ -119,14 +119,14 @@ class Dae(Generic[X, Z, Q, U, Y]):
 
     def __post_init__(self) -> None:
         blocks: Any = self.z
+        if len(self.alg) != len(blocks):
+            raise ModelError(f"{len(self.alg)} blocks of equations for {len(blocks)} of unknowns")
         sizes = [("ode", self.ode, self.x), ("quad", self.quad, self.q)]
         sizes += [(f"alg[{i}]", b, blocks[i]) for i, b in enumerate(self.alg)]
         for name, rows, record in sizes:
             count = len(list(leaves(record)))
             if rows.shape != (count, 1):
                 raise ModelError(f"{name} has shape {rows.shape}, its unknowns number {count}")
-        if len(self.alg) != len(blocks):
-            raise ModelError(f"{len(self.alg)} blocks of equations for {len(blocks)} of unknowns")
         names = [label.full for label in leaves(tuple(self.labels[:5]))]
         twice = {name for name in names if names.count(name) > 1}
         if twice:

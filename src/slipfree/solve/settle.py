@@ -172,7 +172,7 @@ def limit_words(words: str, value: float, lower: float, upper: float, unit: str)
     else:
         allowed = f"at least {lower:g}" if np.isfinite(lower) else f"at most {upper:g}"
     unit = "" if unit == "1" else f" {unit.replace('m-1', '1/m')}"
-    return f"{words}: {value:.4g}, allowed {allowed}{unit}"
+    return f"{words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"
 
 
 def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int, Stop] | None:

@@ -162,7 +162,8 @@ def _call(
     }
     integrator = ca.integrator("motion", "idas", system, float(t[0]), t, options)
     try:
-        found = integrator(x0=at.x, z0=at.z, u=np.column_stack([u, u[:, -1:]]))
+        # one column for each output time, that of the interval which it ends
+        found = integrator(x0=at.x, z0=at.z, u=np.column_stack([u[:, :1], u]))
     except RuntimeError as error:
         if spy is not None and spy.interrupted:
             raise KeyboardInterrupt from None
@@ -232,5 +233,6 @@ def _cut(
         if found is None or found[0] == 0:
             break  # the crossing is within the integrator's tolerance of a sample
         (k, stop), run, samples = found, fine, finer
+    stop = stop._replace(t=float(run.t[k - 1]))
     tail = run.part(slice(k - 1, k), stop)
     return joined(kept, tail) if tail.t[0] > kept.t[-1] else replace(kept, stop=stop)

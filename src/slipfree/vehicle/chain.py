@@ -111,6 +111,10 @@ class Vehicle:
         unused = names - {joint.coordinate for joint in self.joints}
         if unused:
             raise ModelError(f"coordinate {min(unused)} moves no joint: remove it or use it")
+        if len(self.wheels) < 3:
+            raise ModelError(
+                f"a vehicle needs three wheels or more to stand, found {len(self.wheels)}"
+            )
         given, needed = len(self.of("suspension")), len(self.wheels) - 3
         if given != needed:
             have = ", ".join(c.name for c in self.of("suspension")) or "none"

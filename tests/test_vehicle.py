@@ -1,0 +1,160 @@
+"""Vehicles are checked when they are built; frames agree with textbook rotations."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
+from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+
+def numbers(expression):
+    return np.array(ca.evalf(ca.SX(expression)))
+
+
+def test_platform_is_heading_then_roll_then_pitch(rng):
+    heading, roll, pitch = rng.uniform(-1, 1, 3)
+    pose = platform(1.0, 2.0, 3.0, heading, roll, pitch)
+    expected = Rotation.from_euler("ZYX", [heading, roll, pitch]).as_matrix()
+    assert_allclose(numbers(pose.rotation), expected, atol=1e-15)
+    assert_allclose(numbers(pose.origin).ravel(), [1, 2, 3])
+
+
+def test_quaternion_of_random_rotations(rng):
+    for rotation in Rotation.random(50, rng=rng):
+        expected = rotation.as_quat(canonical=True)
+        assert_allclose(
+            numbers(quaternion(ca.SX(ca.DM(rotation.as_matrix())))).ravel(), expected, atol=1e-14
+        )
+
+
+def test_twist_is_the_composition_of_velocities(rng):
+    q, rates = ca.SX.sym("q", 3), ca.SX.sym("rates", 3)
+    wheel = translation(q[0], 0.0, 0.0) @ turn("z", q[1]) @ translation(0.5, 0.2, 0.0)
+    wheel = wheel @ turn("z", q[2])
+    twist = wheel.twist(q, rates)
+    now, speed = rng.normal(size=3), rng.normal(size=3)
+    v, omega, arm = (
+        np.array(a).ravel()
+        for a in ca.Function("f", [q, rates], [*twist, wheel.origin])(now, speed)
+    )
+    arm = arm - [now[0], 0, 0]
+    assert_allclose(omega, [0, 0, speed[1] + speed[2]], atol=1e-14)
+    assert_allclose(v, [speed[0] - speed[1] * arm[1], speed[1] * arm[0], 0], atol=1e-14)
+
+
+def test_three_wheeler_is_the_papers():
+    vehicle = three_wheeler()
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
+    places = np.array([numbers(pose.origin).ravel() for pose in poses])
+    assert_allclose(places, [[1, -0.5, 0], [-1, -0.5, 0], [0, 1, 0]])
+    assert {wheel.radius for wheel in vehicle.wheels} == {0.3}
+    assert_allclose(np.linalg.norm(places[0] - places[2]), np.sqrt(1 + 1.5**2))
+
+
+def test_a_positive_tilt_leans_the_top_of_a_wheel_to_the_right():
+    vehicle = three_wheeler()
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    values = {"tilt_right": ca.SX(0.1), "tilt_left": ca.SX(0), "steer": ca.SX(0.2)}
+    right, _, front = vehicle.carriers(rest, values)
+    assert numbers(right.rotation)[0, 2] > 0  # the wheel's up axis leans along x
+    assert_allclose(numbers(front.rotation)[:2, 1], [-np.sin(0.2), np.cos(0.2)])  # to the left
+
+
+def four_wheels(*, rock):
+    """A four-wheeler whose front axle rocks about its forward axis, or not."""
+    kind = "suspension" if rock else "passive"
+    origin, size = (0.0, 0.0, 0.0), (0.03, 0.12)
+    return Vehicle(
+        "four_wheeler",
+        (Coordinate("rock", kind, "front axle"), Coordinate("steer", "commanded", "steering")),
+        (
+            Joint("axle", "platform", "y", (0.0, 0.7, 0.0), "rock"),
+            Joint("right_knuckle", "axle", "z", (0.3, 0.0, 0.0), "steer"),
+            Joint("left_knuckle", "axle", "z", (-0.3, 0.0, 0.0), "steer"),
+        ),
+        (
+            Wheel("rear_right", "platform", (0.3, 0.0, 0.0), *size, driven=True),
+            Wheel("rear_left", "platform", (-0.3, 0.0, 0.0), *size, driven=True),
+            Wheel("front_right", "right_knuckle", origin, *size, driven=False),
+            Wheel("front_left", "left_knuckle", origin, *size, driven=False),
+        ),
+    )
+
+
+def test_a_vehicle_with_suspension_drives_and_slips_least():
+    """Four wheels on hills cannot all roll; slip is least, and all four keep touching."""
+    ground = Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
+    dae = direct_kinematics(four_wheels(rock=True), ground)
+    rates = dae.inputs(rear_right_rate=2.0, rear_left_rate=2.0, steer_rate=0.0)
+    run = simulate(dae, settle(dae, x=0.4, heading=0.2), rates, np.linspace(0, 10, 51))
+    assert run.stop is None
+    assert run["closure_residual"].max() < 1e-12
+    assert np.abs(run["rock"]).max() > 0.01
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    assert 1e-5 < slip.max() < 1e-2
+    gap = run["contact_z"] - ground.elevation(run["contact_x"], run["contact_y"])
+    assert np.abs(gap).max() < 1e-12
+
+
+def test_too_few_suspension_coordinates_are_counted():
+    with pytest.raises(ModelError, match="4 wheels need 1 suspension coordinates, found 0"):
+        four_wheels(rock=False)
+
+
+def changed(**parts):
+    return lambda: replace(three_wheeler(), **parts)
+
+
+VEHICLE = three_wheeler()
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda: three_wheeler(r1=-0.1), "wheel right: r1 must be a radius of zero or more"),
+        (lambda: three_wheeler(r1=0.0, r2=0.0), "r1 \\+ r2 must be positive"),
+        (lambda: three_wheeler(wheelbase=0.0), "wheelbase must be a positive length, found 0.0"),
+        (lambda: three_wheeler(half_track=-1.0), "half_track must be a positive length"),
+        (lambda: three_wheeler(tilt_stop=-0.1), "stops must ascend"),
+        (changed(wheels=VEHICLE.wheels[:2]), "three wheels or more to stand, found 2"),
+        (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels are called 'right'"),
+        (changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], coordinate="tilt_left"))),
+         "coordinate steer moves no joint"),
+        (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts are called 'fork'"),
+        (changed(joints=(replace(VEHICLE.joints[0], parent="boom"), *VEHICLE.joints[1:])),
+         "joint right_hub: its parent 'boom' is not known; known so far: platform"),
+        (changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"), *VEHICLE.wheels[1:])),
+         "wheel right: its parent 'hub' is not known"),
+        (changed(joints=(replace(VEHICLE.joints[0], coordinate="lean"), *VEHICLE.joints[1:])),
+         "its coordinate 'lean' is not known"),
+    ],
+)  # fmt: skip
+def test_faults_are_named(build, words):
+    with pytest.raises(ModelError, match=words):
+        build()
+
+
+def test_a_motion_that_no_contact_feels_is_named():
+    """A sphere that pivots about the vertical through its contact."""
+    origin = (0.0, 0.0, 0.0)
+    vehicle = Vehicle(
+        "with_free_pivot",
+        (Coordinate("pivot", "passive", "pivot of the ball wheel"),),
+        (Joint("fork", "platform", "z", (0.0, 1.0, 0.0), "pivot"),),
+        (
+            Wheel("right", "platform", (0.5, 0.0, 0.0), 0.0, 0.2, driven=True),
+            Wheel("left", "platform", (-0.5, 0.0, 0.0), 0.0, 0.2, driven=True),
+            Wheel("ball", "fork", origin, 0.2, 0.0, driven=False),
+        ),
+    )
+    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
+    with pytest.raises(ModelError, match=r"nothing determines pivot_rate \(rate of pivot of the"):
+        settle(dae)
