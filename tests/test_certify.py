@@ -3,9 +3,9 @@
 import casadi as ca
 import numpy as np
 import pytest
-from cases import hills
 from numpy.testing import assert_allclose
 
+from cases import hills
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
 
 RADIUS = 0.3

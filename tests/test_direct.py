@@ -3,9 +3,9 @@
 import casadi as ca
 import numpy as np
 import pytest
-from cases import PAPER_RATES, case1, drive, hills
 from numpy.testing import assert_allclose
 
+from cases import PAPER_RATES, case1, drive, hills
 from slipfree import Analytic, Bicubic, Grid, direct_kinematics, settle, three_wheeler
 
 MOTION = ("x", "y", "heading", "tilt_right", "tilt_left", "z", "roll", "pitch")
@@ -130,9 +130,7 @@ def test_mirror_image():
     rates = {"right_rate": 0.4, "left_rate": 0.5, "steer_rate": 0.0}
     run = drive(mirrored, T, tolerance=TOLERANCE, rates=rates, heading=-0.3)
     odd = {name: -still[name] for name in ("x", "heading", "roll")}
-    same_motion(
-        run, still, **odd, tilt_right=-still["tilt_left"], tilt_left=-still["tilt_right"]
-    )
+    same_motion(run, still, **odd, tilt_right=-still["tilt_left"], tilt_left=-still["tilt_right"])
 
 
 def test_twice_the_rates_take_half_the_time():

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 R = TypeVar("R")
 Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -111,12 +111,10 @@ def joined(first: Trajectory, second: Trajectory) -> Trajectory:
         name: Column(column.label, np.concatenate([column.values, second[name]]))
         for name, column in first.columns.items()
     }
-    return replace(
-        first, t=np.concatenate([first.t, second.t]), columns=columns, stop=second.stop
-    )
+    return replace(first, t=np.concatenate([first.t, second.t]), columns=columns, stop=second.stop)
 
 
 def path_length(run: Trajectory) -> float:
-    """Return the length of the platform's path over the samples. [m]"""
+    """Return the length of the platform's path over the samples. [m]."""
     steps = [np.diff(run[name]) for name in ("x", "y", "z")]
     return float(np.sqrt(sum(step**2 for step in steps)).sum())

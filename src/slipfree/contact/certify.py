@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from slipfree.named import Array, Label
+from slipfree.named import Array, Label, Mask
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.wheel import Wheel
 
@@ -52,7 +52,7 @@ class SecondTouch:
         return Label("clearance", "m", words, self.wheel.name)
 
     def margin(self, x: Array, z: Array) -> Array:
-        """Return the clearances of states in columns, shape (n,). [m]"""
+        """Return the clearances of states in columns, shape (n,). [m]."""
         parts = range(0, x.shape[1], CHUNK)
         return np.concatenate(
             [self._nearest(x[:, k : k + CHUNK], z[:, k : k + CHUNK])[0] for k in parts]
@@ -94,10 +94,10 @@ class SecondTouch:
             np.broadcast_arrays(self.wheel.r1 * np.cos(u), np.cos(v) * rho, np.sin(v) * rho), -1
         )
         world = np.einsum("nij,nrtj->nrti", rotation, body) + center.T[:, None, None, :]
-        return world + np.array(self.terrain.origin)
+        return np.asarray(world + np.array(self.terrain.origin))
 
 
-def _second_minima(gap: Array) -> Array:
+def _second_minima(gap: Array) -> Mask:
     """Return where the gap is no larger than at all neighbours, but for the contact itself."""
     rim, tube = gap.shape[1:]
     padded = np.pad(gap, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)

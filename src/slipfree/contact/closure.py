@@ -57,14 +57,14 @@ def touch(terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX) -> Touch:
 
 
 def closure(wheel: Wheel, carrier: Pose, contact: Touch) -> ca.SX:
-    """Return ``G + r1 n + r2 e - C``, zero when the wheel touches the ground, shape (3, 1). [m]"""
+    """Return ``G + r1 n + r2 e - C``, zero when the wheel touches the ground, shape (3, 1). [m]."""
     axle, n = carrier.rotation[:, 0], contact.normal
     e = (n - ca.dot(n, axle) * axle) / contact.uprightness
     return contact.point + wheel.r1 * n + wheel.r2 * e - carrier.origin
 
 
 def relative_curvature(wheel: Wheel, contact: Touch) -> ca.SX:
-    """Return a measure that is positive where the contact is locally unique. [1/m]
+    """Return a measure that is positive where the contact is locally unique. [1/m].
 
     The contact is unique nearby if the wheel's curvature exceeds the ground's in every
     direction, that is, if Montana's relative curvature form is positive definite. Along the wheel

@@ -1,0 +1,1 @@
+"""Poses of frames and their twists."""

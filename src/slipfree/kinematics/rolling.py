@@ -34,14 +34,14 @@ class Configuration(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Ground coordinates of a contact point, ``u_g`` and ``v_g``. [m]"""
+    """Ground coordinates of a contact point, ``u_g`` and ``v_g``. [m]."""
 
     x: Any
     y: Any
 
 
 class Dependent(NamedTuple):
-    """What the ground decides, given a configuration. [m, rad]"""
+    """What the ground decides, given a configuration. [m, rad]."""
 
     z: Any
     roll: Any
@@ -51,7 +51,7 @@ class Dependent(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Rates of all that is not commanded, and the multipliers of the contacts. [m/s, rad/s]
+    """Rates of all that is not commanded, and the multipliers of the contacts. [m/s, rad/s].
 
     ``passive`` are those of the passive coordinates, ``free`` those of the wheels without drive.
     """
@@ -76,14 +76,14 @@ class Algebraic(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Rates of the driven wheels and of the commanded coordinates, in their order. [rad/s]"""
+    """Rates of the driven wheels and of the commanded coordinates, in their order. [rad/s]."""
 
     wheels: tuple[Any, ...]
     joints: tuple[Any, ...]
 
 
 class Angles(NamedTuple):
-    """Quadratures: the angles through which the wheels have turned. [rad]"""
+    """Quadratures: the angles through which the wheels have turned. [rad]."""
 
     wheels: tuple[Any, ...]
 
@@ -151,7 +151,7 @@ def direct_kinematics(
         quad=ca.vertcat(*spins),
         y=_outputs(terrain, carriers, contacts, slips, spins, x, z),
         labels=labels,
-        limits=(*_stops(vehicle, x, z), *_contact_limits(vehicle, terrain, contacts, x, z)),
+        limits=(*_stops(vehicle, x, z), *_contact_limits(vehicle, terrain, contacts)),
         checks=tuple(
             SecondTouch(terrain, wheel, pose_of[index])
             for index, wheel in enumerate(vehicle.wheels)
@@ -237,9 +237,7 @@ def _stops(vehicle: Vehicle, x: Configuration, z: Algebraic) -> Iterator[Limit]:
     yield Limit(Label("upright", "1", words), upright, OVERTURNED, np.inf)
 
 
-def _contact_limits(
-    vehicle: Vehicle, terrain: Terrain, contacts: list[Touch], x: Configuration, z: Algebraic
-) -> Iterator[Limit]:
+def _contact_limits(vehicle: Vehicle, terrain: Terrain, contacts: list[Touch]) -> Iterator[Limit]:
     """Yield the limits of every wheel on the ground."""
     west, east, south, north = terrain.domain
     o_x, o_y, _ = terrain.origin
@@ -330,10 +328,15 @@ def _labels(vehicle: Vehicle) -> Labels:
         Label("z", "m", "height of the platform's centre"),
         roll, pitch, suspension, tuple(Contact(*pair) for pair in contacts),
     )  # fmt: skip
+    velocity = {
+        axis: Label(f"velocity_{axis}", "m s-1", f"velocity of the platform's centre along {axis}")
+        for axis in "xyz"
+    }
     rates = Rates(
-        *(Label(f"velocity_{axis}", "m s-1", f"velocity of the platform's centre along {axis}")
-          for axis in "xyz"),
-        *(turning(label.name, label.words) for label in (heading, roll, pitch)),
+        velocity["x"], velocity["y"], velocity["z"],
+        turning(heading.name, heading.words),
+        turning(roll.name, roll.words),
+        turning(pitch.name, pitch.words),
         tuple(turning(label.name, label.words) for label in suspension),
         tuple(turning(c.name, c.words) for c in vehicle.of("passive")),
         tuple(turning(name, f"the free wheel {name}") for name in free),

@@ -1,0 +1,1 @@
+"""Solvers: from a DAE to a trajectory."""

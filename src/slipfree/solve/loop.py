@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -79,29 +80,42 @@ def close(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) -> Loo
     ModelError
         If an array has another length, a number is not finite, or an expression contains inputs.
     """
-    x, z, u = dae.columns()
-    law, values = [], np.zeros((u.numel(), max(intervals, 1)))
+    u = dae.columns()[2]
+    law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))
     for index, (label, value) in enumerate(zip(leaves(dae.labels.u), leaves(inputs), strict=True)):
         if isinstance(value, ca.SX):
             if ca.depends_on(value, u):
                 raise ModelError(f"input {label.full}: a law cannot contain the inputs themselves")
-            law.append(value)
+            law[index] = value
         else:
             values[index] = _numbers(label, value, intervals)
-            law.append(u[index])
-    given, limits = ca.vertcat(ca.SX(0, 1), *law), [limit.expression for limit in dae.limits]
+    ruled = any(isinstance(value, ca.SX) for value in leaves(inputs))
+    return (_compiled(dae, law) if ruled else _open(dae))._replace(u=values)
+
+
+@lru_cache(maxsize=8)
+def _open(dae: Dae[Any, Any, Any, Any, Any]) -> Loop:
+    """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers."""
+    return _compiled(dae, list(leaves(dae.u)))
+
+
+def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX]) -> Loop:
+    x, z, u = dae.columns()
+    limits = [limit.expression for limit in dae.limits]
     expressions = [dae.ode, ca.vertcat(*dae.alg), dae.quad, pack(dae.y),
                    ca.vertcat(ca.SX(0, 1), *limits), u]  # fmt: skip
     symbols = [dae.t, x, z, u]
-    ode, alg, quad, y, bounds, inputs_ = ca.substitute(expressions, [u], [given])
+    ode, alg, quad, y, bounds, inputs = ca.substitute(
+        expressions, [u], [ca.vertcat(ca.SX(0, 1), *law)]
+    )
     jacobian = ca.jacobian(alg, z)
     return Loop(
         dae,
-        values,
+        np.zeros((u.numel(), 0)),
         ca.Function("core", symbols, [ode, alg, quad], {"jac_penalty": 0, "cse": True}),
         _blocks(dae, symbols, alg, jacobian),
-        ca.Function("newton", symbols, [alg, ca.densify(jacobian)], {"cse": True}),
-        ca.Function("outputs", symbols, [y, bounds, inputs_], {"cse": True}),
+        ca.Function("newton", symbols, [alg, ca.densify(jacobian)]),
+        ca.Function("outputs", symbols, [y, bounds, inputs]),
     )
 
 
@@ -129,8 +143,8 @@ def _blocks(
         blocks.append(
             Block(
                 span,
-                ca.Function("residual", symbols, [rows], {"cse": True}),
-                ca.Function("jacobian", symbols, [ca.densify(own)], {"cse": True}),
+                ca.Function("residual", symbols, [rows]),
+                ca.Function("jacobian", symbols, [ca.densify(own)]),
                 not any(ca.which_depends(rows, unknowns, 2)),
                 labels,
             )

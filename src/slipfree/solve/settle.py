@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -11,7 +10,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.named import Array, leaves, unpack
+from slipfree.named import Array, Mask, leaves, unpack
 from slipfree.solve.loop import Block, Loop, Samples, close, corrected, table
 from slipfree.trajectory import Stop, Trajectory
 
@@ -43,7 +42,7 @@ def settle(
         left undetermined.
     """
     x = dae.start(**start)
-    loop = _at_rest(dae)
+    loop = close(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
     z = consistent(loop, 0.0, x, first_guess(dae, x, guess or {}), loop.u[:, 0])
     samples = Samples(np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), loop.u)
     samples, report = corrected(loop, samples)
@@ -54,15 +53,7 @@ def settle(
     return run
 
 
-@lru_cache(maxsize=8)
-def _at_rest(dae: Dae[Any, Any, Any, Any, Any]) -> Loop:
-    """Compile the model with zero inputs; kept, since many starts are often tried on one model."""
-    return close(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
-
-
-def first_guess(
-    dae: Dae[Any, Any, Any, Any, Any], x: Array, given: Mapping[str, float]
-) -> Array:
+def first_guess(dae: Dae[Any, Any, Any, Any, Any], x: Array, given: Mapping[str, float]) -> Array:
     """Return a first guess of ``z``, local, with what is given by name in map coordinates."""
     z = np.array(ca.Function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
@@ -138,11 +129,11 @@ def _solve(loop: Loop, block: Block, point: tuple[Any, ...], *, check: bool) -> 
                 f"the model is singular here: nothing determines {weakest.full} ({weakest.words}), "
                 f"singular value {values[-1]:.1e} of {values[0]:.1e}"
             )
-    return np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0]
+    return np.asarray(np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
 
 
 def _unsettled(loop: Loop, block: Block, point: tuple[Any, ...], first: Array) -> str:
-    t, x, z, u = point
+    _, x, z, u = point
     residual = np.nan_to_num(np.abs(np.array(block.residual(*point)).ravel()), nan=np.inf)
     worst = block.labels[int(residual.argmax())]
     message = (
@@ -179,7 +170,7 @@ def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int,
     """Return the first sample that breaks a limit or fails a check, and the stop it means."""
     found: tuple[int, Stop] | None = None
 
-    def consider(bad: Array, name: str, words: Any) -> None:
+    def consider(bad: Mask, name: str, words: Any) -> None:
         nonlocal found
         if bad.any() and (found is None or int(bad.argmax()) < found[0]):
             k = int(bad.argmax())

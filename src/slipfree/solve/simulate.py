@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -193,7 +193,7 @@ def _reason(message: str) -> str:
     return message.strip().splitlines()[-1]
 
 
-class _Spy(ca.Callback):  # type: ignore[misc]  # casadi has no types
+class _Spy(ca.Callback):
     """A quadrature that is always zero and tells how far the integrator has come.
 
     IDAS evaluates quadratures once a step, outside Newton's method and the error test, so that
@@ -205,7 +205,7 @@ class _Spy(ca.Callback):  # type: ignore[misc]  # casadi has no types
         self.progress, self.interrupted = progress, False
         self.construct("spy", {})
 
-    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+    def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
         """Report the time; a keyboard interrupt ends the integration."""
         try:
             self.progress(float(arguments[0]))

@@ -1,0 +1,1 @@
+"""The ground: formulas, height maps, elevation models, synthetic terrain."""

@@ -70,15 +70,15 @@ class Analytic:
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        """The map's own origin. [m]"""
+        """The map's own origin [m]."""
         return (0.0, 0.0, 0.0)
 
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return the height at a point. [m]"""
+        """Return the height at a point [m]."""
         return ca.SX(self.function(x, y))
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return the heights at points of equal shape. [m]"""
+        """Return the heights at points of equal shape [m]."""
         x, y = np.broadcast_arrays(x, y)
         heights = self._numeric(x.reshape(1, -1), y.reshape(1, -1))
         return np.asarray(heights, dtype=np.float64).reshape(x.shape)

@@ -11,7 +11,6 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.named import Array
 
-
 UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length
 RESAMPLE = {
     "x": "x_even = np.linspace(x[0], x[-1], x.size); "
@@ -35,17 +34,17 @@ class Terrain(Protocol):
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        """Map coordinates of the local origin. [m]"""
+        """Map coordinates of the local origin [m]."""
 
     @property
     def domain(self) -> tuple[float, float, float, float]:
-        """``x_min, x_max, y_min, y_max`` in map coordinates; may be infinite. [m]"""
+        """``x_min, x_max, y_min, y_max`` in map coordinates; may be infinite [m]."""
 
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return the local height at a local point. [m]"""
+        """Return the local height at a local point [m]."""
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return the heights in map coordinates at map points of equal shape. [m]"""
+        """Return the heights in map coordinates at map points of equal shape [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +82,7 @@ class Grid:
 
     @property
     def spacing(self) -> tuple[float, float]:
-        """Distance between nodes along x and y. [m]"""
+        """Distance between nodes along x and y [m]."""
         return (
             float(np.ptp(self.x) / (self.x.size - 1)),
             float(np.ptp(self.y) / (self.y.size - 1)),

@@ -54,18 +54,18 @@ class Bicubic:
 
     @cached_property
     def origin(self) -> tuple[float, float, float]:
-        """Middle of the domain, and mean height. [m]"""
+        """Middle of the domain, and mean height [m]."""
         x_min, x_max, y_min, y_max = self.domain
         return 0.5 * (x_min + x_max), 0.5 * (y_min + y_max), float(self.grid.z.mean())
 
     @property
     def domain(self) -> tuple[float, float, float, float]:
-        """``x_min, x_max, y_min, y_max`` of the nodes. [m]"""
+        """``x_min, x_max, y_min, y_max`` of the nodes [m]."""
         x, y = self.grid.x, self.grid.y
         return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
 
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return the local height at a local point. [m]"""
+        """Return the local height at a local point [m]."""
         a, b = self._in_cells(x, y)
         n_x, n_y = self.grid.z.shape
         i = ca.fmin(ca.fmax(ca.floor(a + ON_KNOT), 0), n_x - 2)
@@ -73,10 +73,11 @@ class Bicubic:
         # Four sums of four, then one: half the operations of a sum of sixteen products.
         c = ca.reshape(ca.floor(self._gather(ca.vertcat(i, j))), 4, 4)
         lines = ca.mtimes(ca.horzcat(*_basis(a - i)), c)
-        return self._table[1] * ca.mtimes(lines, ca.vertcat(*_basis(b - j)))
+        height: ca.SX = self._table[1] * ca.mtimes(lines, ca.vertcat(*_basis(b - j)))
+        return height
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return the heights in map coordinates at map points of equal shape. [m]"""
+        """Return the heights in map coordinates at map points of equal shape [m]."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         x_0, y_0, z_0 = self.origin
         flat_x, flat_y, heights = x.reshape(-1), y.reshape(-1), np.empty(x.size)
@@ -112,7 +113,7 @@ class Bicubic:
 
     @cached_property
     def _table(self) -> tuple[Array, float]:
-        """Spline coefficients as whole numbers, shape (n_x + 2, n_y + 2), and their unit. [m]"""
+        """Spline coefficients as whole numbers, shape (n_x + 2, n_y + 2), and their unit [m]."""
         along_x = _solve_not_a_knot(self.grid.z - self.origin[2])
         coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
         coefficients /= 36  # the bases are kept free of their factors 1/6

@@ -1,0 +1,1 @@
+"""Vehicles: trees of joints with wheels."""

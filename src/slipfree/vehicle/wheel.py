@@ -48,5 +48,5 @@ class Wheel:
 
     @property
     def radius(self) -> float:
-        """Rolling radius ``r1 + r2``. [m]"""
+        """Rolling radius ``r1 + r2``. [m]."""
         return self.r1 + self.r2

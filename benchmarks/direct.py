@@ -1,0 +1,143 @@
+"""Direct kinematics on this package's terrain against CasADi's own spline node.
+
+``python benchmarks/direct.py`` drives the paper's three-wheeler 10 m straight over one surface,
+given on maps of 20 x 20, 200 x 200 and 2000 x 2000 nodes. Every row is a process of its own, so
+that its memory is its own. *ours*: ``Bicubic`` and what ``simulate`` gives to IDAS. *stock*: the
+same equations with ``casadi.interpolant('bspline')``, and IDAS with its default options. CPU time
+is that of the integrator call alone, the least of five; the error is that of the last
+configuration against *ours* at 1e-12. Ratios at equal error interpolate the work-precision lines.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from reference import heading
+
+from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
+from slipfree.solve.loop import close
+from slipfree.solve.settle import consistent
+
+SIZES = (20, 200, 2000)
+TOLERANCES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
+EXTENT = 20.0  # side of the map [m]
+DISTANCE, SPEED = 10.0, 0.5  # [m], [m/s]
+PATIENCE = 60  # seconds for a row
+
+
+class Stock:
+    """The terrain that CasADi offers: a fitted B-spline as one node of the graph."""
+
+    origin = (0.0, 0.0, 0.0)
+
+    def __init__(self, grid: Grid) -> None:
+        nodes = [list(grid.x), list(grid.y)]
+        spline = ca.interpolant("spline", "bspline", nodes, grid.z.ravel(order="F"))
+        place = ca.MX.sym("place", 2)
+        self.function = ca.Function("height", [place], [spline(place)], {"never_inline": True})
+        self.domain = (0.0, EXTENT, 0.0, EXTENT)
+        self.elevation = Bicubic(grid).elevation  # for the check of the start only
+
+    def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return the height as a call of the node. [m]."""
+        return self.function(ca.vertcat(x, y))
+
+
+def surface(nodes: int) -> Grid:
+    """Return hills with shorter waves on them, relief about 0.7 m, on a square map."""
+    axis = np.linspace(0, EXTENT, nodes)
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    z = 0.3 * np.sin(0.7 * x) * np.cos(0.5 * y) + 0.05 * np.sin(2.1 * x + 1.3 * y)
+    return Grid(axis, axis, z)
+
+
+def system_of(core: ca.Function, kind: str) -> dict[str, Any]:
+    """Return the DAE as IDAS gets it: ours wraps the core in MX, the stock way is all SX."""
+    if kind == "stock":
+        symbols = core.sx_in()
+    else:
+        symbols = [ca.MX.sym(name, core.size1_in(k)) for k, name in enumerate("txzu")]
+    ode, alg, _ = core(*symbols)
+    return dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
+
+
+def row(kind: str, nodes: int) -> dict[str, Any]:
+    """Build one terrain and model, drive, and return what it took."""
+    grid = surface(nodes)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begin = time.perf_counter()
+    terrain: Any = Bicubic(grid) if kind == "ours" else Stock(grid)
+    vehicle = three_wheeler()
+    dae = direct_kinematics(vehicle, terrain)
+    built = time.perf_counter() - begin
+    start = settle(dae, x=5.0, y=4.0, heading=-0.2)
+    loop = close(dae, straight(dae, vehicle, start, speed=SPEED), 100)
+    x = dae.rows("x", start, -1)
+    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), loop.u[:, 0])
+    system, t = system_of(loop.core, kind), np.linspace(0, DISTANCE / SPEED, 101)
+    runs = {}
+    for tolerance in (*TOLERANCES, 1e-12):
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6}
+        solver = ca.integrator("motion", "idas", system, 0.0, t, options)
+        times = []
+        for _ in range(5):
+            begin = time.process_time()
+            found = solver(x0=x, z0=z, u=loop.u[:, 0])
+            times.append(time.process_time() - begin)
+        counts = solver.stats()
+        end = (np.array(found["xf"])[:, -1] + dae.shift[0]).tolist()
+        runs[tolerance] = (min(times), counts["nsteps"], counts["nfevals"], end)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {"built": built, "peak": peak / 1024, "map": (peak - before) / 1024, "runs": runs}
+
+
+def ratio(ours: list[tuple[float, float]], stock: list[tuple[float, float]]) -> str:
+    """Return the range of stock over our CPU time at the errors that both reach."""
+    (error, cpu), (error_s, cpu_s) = (np.log(np.array(sorted(line))).T for line in (ours, stock))
+    low, high = max(error[0], error_s[0]), min(error[-1], error_s[-1])
+    at = np.linspace(low, high, 9)
+    ratios = np.exp(np.interp(at, error_s, cpu_s) - np.interp(at, error, cpu))
+    return f"{ratios.min():.1f} to {ratios.max():.1f} times, at errors {np.exp(low):.0e} to " \
+           f"{np.exp(high):.0e} m"  # fmt: skip
+
+
+def main() -> None:
+    """Print the table."""
+    heading()
+    print("map          terrain  build s  peak MB  tol    steps  residuals  ms CPU/m   error")
+    for nodes in SIZES:
+        lines, exact = {}, None
+        for kind in ("ours", "stock"):
+            command = [sys.executable, __file__, kind, str(nodes)]
+            try:
+                done = subprocess.run(command, capture_output=True, timeout=PATIENCE, check=True)
+            except subprocess.TimeoutExpired:
+                print(f"{nodes}^2{'':8} {kind:8} no result in {PATIENCE} s")
+                continue
+            found = json.loads(done.stdout)
+            runs = {float(key): value for key, value in found["runs"].items()}
+            exact = exact or runs[1e-12][3]
+            lines[kind] = []
+            for tolerance in TOLERANCES:
+                cpu, steps, residuals, end = runs[tolerance]
+                error = float(np.abs(np.subtract(end, exact)).max())
+                lines[kind].append((error, cpu))
+                print(f"{nodes:4}^2       {kind:8} {found['built']:7.2f} {found['peak']:8.0f}  "
+                      f"{tolerance:.0e} {steps:5} {residuals:10} {1e3 * cpu / DISTANCE:9.2f} "
+                      f"  {error:.1e}")  # fmt: skip
+        if len(lines) == 2:
+            print(f"{nodes:4}^2  stock takes {ratio(lines['ours'], lines['stock'])}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) == 3:
+        print(json.dumps(row(sys.argv[1], int(sys.argv[2]))))
+    else:
+        main()

@@ -1,0 +1,5 @@
+"""``python -m slipfree``."""
+
+from slipfree.cli import main
+
+main()

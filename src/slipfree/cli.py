@@ -1,0 +1,286 @@
+"""The command line: ``slipfree run | check | info``.
+
+Exit codes: 0 done; 1 stopped early, with what was reached saved; 2 bad input; 130 interrupted.
+What a command needs is imported inside it, so that ``slipfree --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import slipfree
+from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from slipfree.problem.read import Problem
+    from slipfree.problem.run import Outcome
+
+STOPPED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+REFRESH = 0.1  # between two updates of the progress bar [s]
+
+app = typer.Typer(
+    name="slipfree",
+    help="How a wheeled vehicle moves over uneven ground without slipping.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Replace a value of the problem, as in time.duration=3 or vehicle.r1=0.1; repeatable.",
+    ),
+]
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"slipfree {slipfree.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    _: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    file: File,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="OUT.nc",
+            help="Result file; default: the problem's [output] file, or its name with .nc, here.",
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="OUT.csv", help="Write the samples as a table as well.")
+    ] = None,
+    settings: Settings = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
+    ] = None,
+    draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
+) -> None:
+    """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
+    with _reported():
+        problem = _read(file, settings)
+        out = out or Path(_output(problem))
+        folder = (figures or out.with_name(f"{out.stem}_figures")) if draw else None
+        _check_places([out, csv], folder)
+        outcome = _solve(problem)
+        motion = outcome.trajectory
+        _save(motion, out, csv)
+        _print_outcome(outcome)
+        typer.echo(f"wrote {out}" + (f", {csv}" if csv else ""))
+        if folder is not None:
+            _draw(outcome, folder)
+        if motion.stop is not None:
+            typer.echo(
+                f"stopped early at t = {motion.stop.t:.6g} s: {motion.stop.words}; "
+                f"{out} holds the motion to there",
+                err=True,
+            )
+            raise typer.Exit(STOPPED)
+
+
+@app.command()
+def check(file: File, settings: Settings = None) -> None:
+    """Check a problem and stand the vehicle on its start, without solving."""
+    with _reported():
+        from slipfree.problem.run import build, ground_facts, vehicle_facts
+
+        problem = _read(file, settings)
+        setup = build(problem)
+        start, spec = setup.start, problem.spec
+        names = [*spec.start, "z", "pitch", "roll"]
+        pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in dict.fromkeys(names))
+        driven = f"driver {spec.driver.name}" if spec.driver else "inputs " + ", ".join(
+            spec.inputs or {}
+        )  # fmt: skip
+        facts = [
+            *ground_facts(setup.ground),
+            *vehicle_facts(setup.vehicle),
+            ("start", f"{pose} (m, rad)"),
+            ("smallest clearance", f"{start['clearance'].min():.4g} m"),
+            ("driven by", driven),
+            ("samples", f"{setup.t.size} to {setup.t[-1]:g} s"),
+        ]
+        _print(facts)
+        typer.echo("ok")
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    problem: Annotated[
+        bool, typer.Option("--problem", help="Print the problem file that led to it instead.")
+    ] = False,
+) -> None:
+    """Say what a result file holds."""
+    with _reported():
+        from slipfree.problem.summary import motion_facts, ranges
+        from slipfree.result_file import read
+
+        motion = read(file)
+        attributes = dict(motion.attributes)
+        text = attributes.pop("problem", None)
+        if problem:
+            if text is None:
+                raise DataError(f"{file}: holds no problem file: it was not written by run")
+            typer.echo(text, nl=False)
+            return
+        words = [(name.replace("_", " "), value) for name, value in attributes.items()]
+        _print(words + motion_facts(motion))
+        typer.echo()
+        _print(ranges(motion))
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    """Turn the errors of the package into a message and an exit code."""
+    try:
+        yield
+    except (DataError, ModelError) as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(BAD_INPUT) from error
+    except SlipfreeError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(STOPPED) from error
+    except KeyboardInterrupt as error:
+        typer.echo("interrupted", err=True)
+        raise typer.Exit(INTERRUPTED) from error
+
+
+def _read(file: Path, settings: list[str] | None) -> Problem:
+    from slipfree.problem.read import read
+
+    return read(file, settings or [])
+
+
+def _output(problem: Problem) -> str:
+    spec = problem.spec.output
+    return spec.file if spec else f"{problem.source.path.stem}.nc"
+
+
+def _check_places(files: list[Path | None], folder: Path | None) -> None:
+    """Refuse places that cannot be written to before anything is computed."""
+    for path in files:
+        if path is None:
+            continue
+        if path.is_dir():
+            raise DataError(f"{path}: expected the name of a file to write, found a folder")
+        if not path.parent.is_dir():
+            raise DataError(f"{path}: expected a folder {path.parent} to write to, found none")
+        if not os.access(path.parent, os.W_OK):
+            raise DataError(f"{path}: expected a folder {path.parent} that may be written to")
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"{folder}: expected a folder for figures, found that it cannot be made "
+                f"({error.strerror})"
+            ) from error
+
+
+def _solve(problem: Problem) -> Outcome:
+    """Return the outcome; show a bar meanwhile if somebody is looking."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from slipfree.problem.run import run as solve
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        # The call back is what lets Ctrl-C end the integration.
+        return solve(problem, lambda _: None)
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("solving", total=problem.spec.time.duration)
+        return solve(problem, _throttled(lambda t: bar.update(task, completed=t)))
+
+
+def _throttled(show: Callable[[float], None]) -> Callable[[float], None]:
+    """Return the same function, which does nothing if called again too soon."""
+    last = 0.0
+
+    def seldom(t: float) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last > REFRESH:
+            last = now
+            show(t)
+
+    return seldom
+
+
+def _save(motion: Trajectory, out: Path, csv: Path | None) -> None:
+    from slipfree.result_file import write, write_csv
+
+    write(out, motion)
+    if csv is not None:
+        write_csv(csv, motion)
+
+
+def _draw(outcome: Outcome, folder: Path) -> None:
+    from slipfree.show.plot import save_figures
+
+    paths = save_figures(outcome.trajectory, outcome.setup.ground.grid, folder)
+    typer.echo(f"drew {len(paths)} figures in {folder}")
+
+
+def _print_outcome(outcome: Outcome) -> None:
+    from slipfree.problem.run import ground_facts, vehicle_facts
+    from slipfree.problem.summary import motion_facts
+
+    setup = outcome.setup
+    _print(
+        ground_facts(setup.ground) + vehicle_facts(setup.vehicle) + motion_facts(outcome.trajectory)
+    )
+
+
+def _print(facts: list[tuple[str, str]]) -> None:
+    """Print names and values: a table on a terminal, plain lines elsewhere."""
+    if not sys.stdout.isatty():
+        width = max(len(name) for name, _ in facts)
+        for name, value in facts:
+            typer.echo(f"{name:{width}}  {value}")
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, value in facts:
+        table.add_row(Text(name), Text(value))
+    Console().print(table)

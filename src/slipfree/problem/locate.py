@@ -1,0 +1,157 @@
+"""Where in a TOML file, or on the command line, each value comes from."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from slipfree.errors import DataError
+
+Place = tuple[str | int, ...]
+
+PIECE = re.compile(
+    r'"""(?:\\.|[^\\])*?"{3,5}'  # strings; those of several lines first
+    r"|'''.*?'{3,5}"
+    r'|"(?:\\.|[^"\\\n])*"'
+    r"|'[^'\n]*'"
+    r"|\#[^\n]*"
+    r"|.",
+    re.DOTALL,
+)
+KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
+
+
+class ProblemError(DataError):
+    """A problem file cannot be used.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        One line for each fault: where it is, what was expected and what was found.
+    """
+
+    def __init__(self, *faults: str) -> None:
+        super().__init__("\n".join(faults))
+        self.faults = faults
+
+
+@dataclass(frozen=True)
+class Source:
+    """The text of a problem file, and where its values come from.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    text : str
+        All of it.
+    lines : mapping of tuple to int
+        Line of every key and table; elements of arrays of tables by number.
+    settings : mapping of tuple to str
+        What the command line replaced: place and ``key=value``.
+    """
+
+    path: Path
+    text: str
+    lines: Mapping[Place, int]
+    settings: Mapping[Place, str] = field(default_factory=dict)
+
+    def where(self, place: Place) -> str:
+        """Return ``file:line: key``, or ``--set key``, of a value or of the table it belongs in."""
+        key = spelled(place)
+        if (part := _longest(place, self.settings)) is not None:
+            return f"--set {spelled(part)}" + (f": {key}" if part != place else "")
+        line = f"{self.path}:{self._line(place)}"
+        return f"{line}: {key}" if key else line
+
+    def order(self, place: Place) -> int:
+        """Return the line of a value, for sorting; what the command line set comes last."""
+        if _longest(place, self.settings) is not None:
+            return self.text.count("\n") + 2
+        return self._line(place)
+
+    def _line(self, place: Place) -> int:
+        part = _longest(place, self.lines)
+        return 1 if part is None else self.lines[part]
+
+
+def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
+    """Return the longest part of a place, from its beginning, that is known."""
+    parts = (place[:end] for end in range(len(place), 0, -1))
+    return next((part for part in parts if part in known), None)
+
+
+def spelled(place: Place) -> str:
+    """Return a place as users write it, as in ``inputs.right_rate[2]``."""
+    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
+
+
+def key_path(text: str) -> tuple[str, ...]:
+    """Return the parts of a dotted key.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        If it is not a key.
+    """
+    node, parts = tomllib.loads(f"{text} = 0"), []
+    while isinstance(node, dict):
+        ((part, node),) = node.items()
+        parts.append(part)
+    return tuple(parts)
+
+
+def key_lines(text: str) -> dict[Place, int]:
+    """Return the line of every key and table of a valid TOML text.
+
+    Keys inside an inline table or an array have no entry: the key before them has.
+    """
+    found: dict[Place, int] = {}
+    counts: dict[Place, int] = {}
+    table: Place = ()
+    for line, statement in _statements(text):
+        opening = re.match(r"\s*(\[{0,2})", statement)
+        depth = len(opening[1]) if opening else 0
+        match = KEY.match(statement, opening.end() if opening else 0)
+        if match is None:
+            continue
+        key = key_path(match[1])
+        if depth:
+            table = _resolved(key[: len(key) - (depth == 2)], counts)
+            if depth == 2:
+                table = (*table, key[-1])
+                found.setdefault(table, line)
+                counts[table] = counts.get(table, -1) + 1
+                table = (*table, counts[table])
+        place = table if depth else (*table, *key)
+        for end in range(1, len(place) + 1):
+            found.setdefault(place[:end], line)
+    return found
+
+
+def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
+    """Return the place of a table, with the numbers of the elements it lies in."""
+    place: Place = ()
+    for part in key:
+        place = (*place, part)
+        if place in counts:
+            place = (*place, counts[place])
+    return place
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """Yield every statement with its line; one may reach over several lines."""
+    line, start, depth = 1, 1, 0
+    pieces: list[str] = []
+    for piece in PIECE.findall(text.replace("\r\n", "\n") + "\n"):
+        if piece == "\n" and depth == 0:
+            if statement := "".join(pieces).strip():
+                yield start, statement
+            pieces, start = [], line + 1
+        elif not piece.startswith("#"):
+            pieces.append(piece)
+            depth += (piece in "[{") - (piece in "]}")
+        line += piece.count("\n")

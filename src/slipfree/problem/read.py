@@ -1,0 +1,259 @@
+"""Problem files: from TOML to validated records, with all faults at once."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from slipfree.problem.locate import Place, ProblemError, Source, key_lines, key_path
+from slipfree.problem.schema import ALTERNATIVES, Direct
+
+MOST_SAMPLES = 1_000_000
+BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a --set value that may stand without quotes
+EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "string_type": "text in quotes",
+    "string_too_short": "text that is not empty",
+    "bool_type": "true or false",
+    "model_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "an array",
+    "finite_number": "a finite number",
+    "greater_than": "a number greater than {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number less than {lt:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "literal_error": "{expected}",
+    "too_long": "an array of {max_length}",
+}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A validated problem, and where each of its values comes from."""
+
+    spec: Direct
+    source: Source
+
+    @property
+    def folder(self) -> Path:
+        """The folder that relative names of input files start from."""
+        return self.source.path.parent
+
+
+class Fault(NamedTuple):
+    """One thing wrong with a problem file."""
+
+    place: Place
+    expected: str
+    found: str
+
+
+def read(path: str | Path, settings: Sequence[str] = ()) -> Problem:
+    """Return the problem in a TOML file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    settings : sequence of str
+        Values that replace those of the file, as ``key=value``: dotted keys, values in TOML or
+        bare words.
+
+    Raises
+    ------
+    ProblemError
+        If the file cannot be read, or for all that does not fit the schema, sorted by line.
+    """
+    path = Path(path)
+    text = _text(path)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ProblemError(_syntax(path, text, str(error))) from error
+    places = _replaced(data, settings)
+    source = Source(path, text, key_lines(text), places)
+    faults = [*_alternatives(data)]
+    try:
+        spec = Direct.model_validate(data)
+    except ValidationError as error:
+        faults += [_fault(dict(each)) for each in error.errors(include_url=False)]
+    else:
+        faults += _time(spec)
+        if not faults:
+            return Problem(spec, source)
+    raise problem_error(source, faults)
+
+
+def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
+    """Return the error that reports all faults, in the order of their lines."""
+    ordered = sorted(faults, key=lambda fault: source.order(fault.place))
+    return ProblemError(
+        *(f"{source.where(f.place)}: expected {f.expected}, found {f.found}" for f in ordered)
+    )
+
+
+def names(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
+    """Yield a fault for every given name that is not known, with the nearest that is."""
+    for name in given:
+        if name not in known:
+            yield _unknown((*place, name), known)
+
+
+def _text(path: Path) -> str:
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise ProblemError(
+            f"{path}: expected a problem file, found that it cannot be read ({error.strerror}); "
+            "check the name"
+        ) from error
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ProblemError(
+            f"{path}:{line}: expected text in UTF-8, found the byte {raw[error.start]:#04x}"
+        ) from error
+
+
+def _syntax(path: Path, text: str, message: str) -> str:
+    """Return tomllib's message with the line in front; before Python 3.14 only its text has it."""
+    found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if found is None:
+        last = len(text.splitlines()) or 1
+        return f"{path}:{last}: expected TOML, found an error at the end: {message}"
+    return f"{path}:{found[2]}: expected TOML, found an error in column {found[3]}: {found[1]}"
+
+
+def _replaced(data: dict[str, Any], settings: Sequence[str]) -> dict[Place, str]:
+    """Put settings into the data; return where."""
+    places: dict[Place, str] = {}
+    faults = []
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        try:
+            path = key_path(key)
+            if not equals:
+                raise ValueError
+            new = _put(data, path, _value(text))
+        except ValueError:
+            faults.append(
+                f"--set {key.strip()}: expected key=value with a TOML value or a bare word, and "
+                f"tables on the way to the key, found {setting!r}"
+            )
+        else:
+            places |= dict.fromkeys(new, setting)
+    if faults:
+        raise ProblemError(*faults)
+    return places
+
+
+def _value(text: str) -> Any:
+    try:
+        found = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        if BARE.fullmatch(text.strip()):
+            return text.strip()
+        raise
+    if len(found) > 1:
+        raise ValueError(text)
+    return found["value"]
+
+
+def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
+    """Put a value into nested tables; return its place and those of new tables on the way."""
+    places: list[Place] = [path]
+    *tables, last = path
+    for depth, name in enumerate(tables, start=1):
+        if name not in data:
+            places.append(path[:depth])
+        data = data.setdefault(name, {})
+        if not isinstance(data, dict):
+            raise ValueError(name)
+    data[last] = value
+    return places
+
+
+def _alternatives(data: dict[str, Any]) -> Iterator[Fault]:
+    """Yield a fault where a table has none, or several, of keys that exclude each other."""
+    for place, keys in ALTERNATIVES.items():
+        table: Any = data
+        for part in place:
+            table = table.get(part)
+        if not isinstance(table, Mapping):
+            continue
+        given = [key for key in keys if key in table]
+        expected = f"exactly one of {', '.join(keys)}"
+        if len(given) != 1:
+            yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
+
+
+def _time(spec: Direct) -> Iterator[Fault]:
+    time = spec.time
+    if time.step > time.duration:
+        yield Fault(
+            ("time", "step"), f"at most the duration, {time.duration:g} s", f"{time.step:g}"
+        )
+    elif time.duration / time.step > MOST_SAMPLES:
+        expected = f"a step that makes at most {MOST_SAMPLES} samples of {time.duration:g} s"
+        yield Fault(("time", "step"), expected, f"{time.step:g}")
+
+
+def _fault(error: dict[str, Any]) -> Fault:
+    """Return what pydantic found, in our words."""
+    place, kind = tuple(error["loc"]), error["type"]
+    found = "none" if kind == "missing" else _shown(error["input"])
+    if kind == "extra_forbidden":
+        model = _model(place[:-1])
+        return _unknown(place, list(model.model_fields))
+    if kind == "missing" and isinstance(place[-1], int):
+        return Fault(place, "a number", found)
+    if kind == "missing":
+        wanted = _model(place[:-1]).model_fields[place[-1]].annotation
+        table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
+        table |= str(wanted).startswith("dict")
+        return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
+    words = EXPECTED.get(kind)
+    return Fault(place, words.format(**error.get("ctx", {})) if words else error["msg"], found)
+
+
+def _unknown(place: Place, known: Sequence[str]) -> Fault:
+    name = str(place[-1])
+    nearest = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+    return Fault(place, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
+
+
+def _model(place: Place) -> type[BaseModel]:
+    """Return the record that describes a table."""
+    model: type[BaseModel] = Direct
+    for part in place:
+        annotation = model.model_fields[str(part)].annotation
+        kinds = [annotation, *get_args(annotation)]
+        model = next(k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel))
+    return model
+
+
+def _shown(value: Any) -> str:
+    """Return a value as TOML would have it, shortened."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return repr(value if len(value) < 40 else value[:37] + "...")
+    if isinstance(value, float | int):
+        return f"{value:.12g}" if isfinite(value) else str(value)
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_shown, value[:4]))}{', ...' * (len(value) > 4)}]"
+    return str(value)

@@ -1,0 +1,171 @@
+"""What a problem file may hold: types, ranges and units, as frozen records."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import inf
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
+from pydantic_core import PydanticCustomError
+
+Piecewise = tuple[tuple[float, float], ...]
+Length = Annotated[float, Field(gt=0)]
+Radius = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0)]
+# Arrays are read as tuples; what is in them stays strict.
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
+
+
+class Record(BaseModel):
+    """A table of a problem file: nothing converted, nothing unknown, nothing changed later."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < inf
+
+
+def _rate(value: Any) -> float | Piecewise:
+    """Return a constant, or times and values of a piecewise constant."""
+    if _is_number(value):
+        return float(value)
+    pairs = value if isinstance(value, list) else []
+    if not pairs or not all(
+        isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair)) for pair in pairs
+    ):
+        raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
+    times = [pair[0] for pair in pairs]
+    if times[0] != 0 or any(b <= a for a, b in pairwise(times)):
+        raise PydanticCustomError("expected", "[time, value] pairs whose times ascend from 0")
+    return tuple((float(t), float(rate)) for t, rate in pairs)
+
+
+Rate = Annotated[Any, PlainValidator(_rate)]
+
+
+class PowerLaw(Record):
+    """Roughness that falls with the wave number by a power, added to the ground."""
+
+    rms: Length
+    hurst: Annotated[float, Field(gt=0, le=1)]
+    longest: Length
+    shortest: Length
+    seed: Count
+
+
+class Craters(Record):
+    """Craters scattered over the ground."""
+
+    count: Count
+    diameters: Pair
+    seed: Count
+
+
+class Rocks(Record):
+    """Rocks scattered over the ground."""
+
+    count: Count
+    diameters: Pair
+    height_ratio: Length
+    seed: Count
+
+
+class Ramp(Record):
+    """A ramp along y."""
+
+    start: float
+    end: float
+    rise: float
+    smooth: bool = True
+
+
+class Synthetic(Record):
+    """A made ground: a level grid, and what is added to it in the order of these keys."""
+
+    x: Pair
+    y: Pair
+    spacing: Length
+    base: float = 0.0
+    ramp: Ramp | None = None
+    power_law: PowerLaw | None = None
+    craters: Craters | None = None
+    rocks: Rocks | None = None
+    placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = ()
+
+
+class Terrain(Record):
+    """The ground: a file, the sample that matplotlib ships, or a made one."""
+
+    file: str | None = None
+    sample: Literal["jacksboro"] | None = None
+    synthetic: Synthetic | None = None
+    scale: Length = 1.0
+    rolled: Length | None = None
+
+
+class Vehicle(Record):
+    """A vehicle of the catalogue and its dimensions; the defaults are the catalogue's."""
+
+    catalog: Literal["three_wheeler"]
+    half_track: Length | None = None
+    wheelbase: Length | None = None
+    r1: Radius | None = None
+    r2: Radius | None = None
+    tilt_stop: Length | None = None
+
+
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise PydanticCustomError("expected", "a speed other than zero")
+    return value
+
+
+class Driver(Record):
+    """A driving law."""
+
+    name: Literal["straight"]
+    speed: Annotated[float, AfterValidator(_not_zero)]
+
+
+class Time(Record):
+    """How long, and how often the motion is sampled."""
+
+    duration: Length
+    step: Length
+
+
+class Solver(Record):
+    """What is asked of the integrator."""
+
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-8
+
+
+class Output(Record):
+    """Where the result goes."""
+
+    file: Annotated[str, Field(min_length=1)]
+
+
+class Direct(Record):
+    """Direct kinematics: given rates, or a driving law; the motion is asked for."""
+
+    verb: Literal["direct"]
+    title: str | None = None
+    frame: Literal["paper", "rep103"] = "paper"
+    terrain: Terrain
+    vehicle: Vehicle
+    start: dict[str, float]
+    inputs: dict[str, Rate] | None = None
+    driver: Driver | None = None
+    time: Time
+    solver: Solver = Solver()
+    output: Output | None = None
+
+
+ALTERNATIVES: dict[tuple[str, ...], tuple[str, ...]] = {
+    (): ("inputs", "driver"),
+    ("terrain",): ("file", "sample", "synthetic"),
+}  # of each of these keys a table has exactly one

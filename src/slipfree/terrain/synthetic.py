@@ -1,0 +1,276 @@
+"""Grounds made by rule: natural roughness, craters, rocks and ramps, added to a grid.
+
+Every function takes a grid and returns a new one. Random ones take a seed; the same seed gives
+the same ground. Shapes and places do not depend on the spacing of the grid, so that a ground can
+be refined; only `power_law` scales its heights by a mean over the nodes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.named import Array
+from slipfree.terrain.base import Grid
+
+WAVES = 1000  # plane waves that make up a rough ground
+SIZE_EXPONENT = 2.0  # the number of craters, or rocks, above a diameter falls with its square
+
+
+class Rock(NamedTuple):
+    """A rock on the ground.
+
+    Attributes
+    ----------
+    x, y : float
+        Its centre. [m]
+    diameter : float
+        Of its circular foot. [m]
+    height : float
+        Of its top above the ground it lies on. [m]
+    """
+
+    x: float
+    y: float
+    diameter: float
+    height: float
+
+
+def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: float) -> Grid:
+    """Return a flat grid at height zero.
+
+    Parameters
+    ----------
+    x_range, y_range : tuple of 2 floats
+        First and last node, a whole number of spacings apart. [m]
+    spacing : float
+        Distance between nodes. [m]
+
+    Raises
+    ------
+    ModelError
+        If a range is empty or not a multiple of the spacing.
+    """
+    axes = []
+    for name, (first, last) in (("x", x_range), ("y", y_range)):
+        cells = (last - first) / spacing if spacing > 0 else math.nan
+        if not (cells > 0 and abs(cells - round(cells)) < 1e-6):
+            raise ModelError(
+                f"blank: {name}_range must be a whole number of spacings long, found "
+                f"{first:g} to {last:g} m at {spacing:g} m; move its end or change the spacing"
+            )
+        axes.append(np.linspace(first, last, round(cells) + 1))
+    return Grid(axes[0], axes[1], np.zeros((axes[0].size, axes[1].size)))
+
+
+def power_law(
+    grid: Grid, *, rms: float, hurst: float, longest: float, shortest: float, seed: int
+) -> Grid:
+    """Return the grid with self-affine roughness added.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground below.
+    rms : float
+        Root mean square of the added heights over the nodes, exactly; their mean is zero. [m]
+    hurst : float
+        Hurst exponent in (0, 1]; natural ground has 0.5 to 0.9. The two-dimensional power
+        spectral density falls as the wave number to the power ``-2 (hurst + 1)``. [1]
+    longest, shortest : float
+        Wavelengths between which there is roughness; ``shortest`` is at least twice the
+        spacing. [m]
+    seed : int
+        Of the random numbers.
+
+    Raises
+    ------
+    ModelError
+        If the grid cannot carry the wavelengths, or a number is out of its range.
+
+    Notes
+    -----
+    A sum of plane waves of random direction and phase, their wave numbers evenly spread in the
+    logarithm. Unlike a discrete Fourier transform it has no period, and its waves do not depend
+    on the grid.
+    """
+    finest = 2 * max(grid.spacing)
+    if not finest <= shortest < longest:
+        raise ModelError(
+            "power_law: expected twice the spacing <= shortest < longest, found "
+            f"{finest:g} m, {shortest:g} m, {longest:g} m; refine the grid or raise shortest"
+        )
+    if not (0 < hurst <= 1 and rms >= 0):
+        raise ModelError(
+            f"power_law: hurst must lie in (0, 1] and rms be at least 0, found {hurst}, {rms}"
+        )
+    rng = np.random.default_rng(seed)
+    octave = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
+    k = 2 * np.pi / longest * (longest / shortest) ** octave
+    direction, phase = rng.uniform(0, 2 * np.pi, (2, WAVES))
+    # Density k**(-2 H - 2) times the ring k dk, and dk = k d(log k): a power k**(-2 H) a wave.
+    amplitude = k**-hurst * np.exp(1j * phase)
+    along_x = np.exp(1j * np.outer(grid.x - grid.x[0], k * np.cos(direction)))
+    along_y = np.exp(1j * np.outer(k * np.sin(direction), grid.y - grid.y[0]))
+    rough = ((along_x * amplitude) @ along_y).real
+    rough -= rough.mean()
+    return Grid(grid.x, grid.y, grid.z + rough * (rms / math.sqrt(np.mean(rough**2))))
+
+
+def craters(grid: Grid, *, count: int, diameters: tuple[float, float], seed: int) -> Grid:
+    """Return the grid with fresh simple craters added.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground below.
+    count : int
+        How many; a larger count keeps those of a smaller one.
+    diameters : tuple of 2 floats
+        Smallest and largest, from rim crest to rim crest; between them the number above a
+        diameter falls with its square. [m]
+    seed : int
+        Of the random numbers.
+
+    Notes
+    -----
+    A crater of diameter D is 0.2 D deep from rim crest to floor, and its rim stands 0.04 D above
+    the ground around [1]_. The wall is a bowl of at most 32 degrees; crest and floor are round.
+
+    References
+    ----------
+    .. [1] R. J. Pike, "Size-dependence in the shape of fresh impact craters on the Moon", in
+       Impact and Explosion Cratering, 1977, pp. 489-509: depth 0.196 D**1.01, rim height
+       0.036 D**1.014, in kilometres.
+    """
+    z = grid.z.copy()
+    for x, y, diameter in _scatter(grid, count, diameters, seed):
+
+        def add(part: Array, s: Array, diameter: float = diameter) -> Array:
+            bowl = 0.04 - 0.2 * (1 - s**2) ** 2
+            rim = 0.04 * np.exp(-4 * (s - 1) ** 2)
+            return part + diameter * np.where(s < 1, bowl, rim)
+
+        # Three radii out the rim is down to 1e-7 of its height.
+        _stamp(grid, z, (x, y), diameter / 2, 3.0, add)
+    return Grid(grid.x, grid.y, z)
+
+
+def rocks(
+    grid: Grid, *, count: int, diameters: tuple[float, float], height_ratio: float, seed: int
+) -> Grid:
+    """Return the grid with rocks scattered over it.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground below.
+    count : int
+        How many; a larger count keeps those of a smaller one.
+    diameters : tuple of 2 floats
+        Smallest and largest; between them the number above a diameter falls with its square. [m]
+    height_ratio : float
+        Height over diameter. [1]
+    seed : int
+        Of the random numbers.
+    """
+    scattered = _scatter(grid, count, diameters, seed)
+    return place_rocks(grid, [Rock(x, y, d, height_ratio * d) for x, y, d in scattered])
+
+
+def place_rocks(grid: Grid, placed: Iterable[Rock]) -> Grid:
+    """Return the grid with rocks at given places.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground below.
+    placed : iterable of Rock
+        Each a cap like half an ellipsoid, but with a foot that runs out level, added to the
+        ground; where rocks overlap, the higher one counts.
+
+    Raises
+    ------
+    ModelError
+        If a rock has no size.
+    """
+    z = np.zeros_like(grid.z)
+    for rock in map(Rock._make, placed):
+        if not (rock.diameter > 0 and rock.height > 0):
+            raise ModelError(f"rocks: diameter and height must be positive, found {rock}")
+
+        def cover(part: Array, s: Array, height: float = rock.height) -> Array:
+            return np.maximum(part, height * np.where(s < 1, (1 - s**4) ** 2, 0))
+
+        _stamp(grid, z, (rock.x, rock.y), rock.diameter / 2, 1.0, cover)
+    return Grid(grid.x, grid.y, grid.z + z)
+
+
+def ramp(grid: Grid, *, start: float, end: float, rise: float, smooth: bool = True) -> Grid:
+    """Return the grid with a ramp along y added.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground below.
+    start, end : float
+        Where the ramp begins and ends, ``start < end``. [m]
+    rise : float
+        Height beyond ``end``; it is zero before ``start``. [m]
+    smooth : bool
+        True: slope and curvature are continuous, the steepest slope is 15/8 of the mean.
+        False: an even slope between two kinks.
+
+    Raises
+    ------
+    ModelError
+        If the ramp has no length.
+    """
+    if not start < end:
+        raise ModelError(f"ramp: expected start < end, found {start:g} m and {end:g} m")
+    t = np.clip((grid.y - start) / (end - start), 0, 1)
+    profile = t**3 * (10 + t * (6 * t - 15)) if smooth else t
+    return Grid(grid.x, grid.y, grid.z + rise * profile)
+
+
+def _scatter(
+    grid: Grid, count: int, diameters: tuple[float, float], seed: int
+) -> list[tuple[float, float, float]]:
+    """Return places, even over the grid, and diameters of `count` things."""
+    smallest, largest = diameters
+    if not (0 < smallest <= largest and count >= 0):
+        raise ModelError(
+            "scatter: expected count >= 0 and 0 < smallest <= largest diameter, found "
+            f"{count}, {smallest:g} m, {largest:g} m"
+        )
+    u = np.random.default_rng(seed).random((count, 3))
+    x = grid.x[0] + u[:, 0] * np.ptp(grid.x)
+    y = grid.y[0] + u[:, 1] * np.ptp(grid.y)
+    few = (smallest / largest) ** SIZE_EXPONENT  # share that would be larger than the largest
+    diameter = smallest * (1 - u[:, 2] * (1 - few)) ** (-1 / SIZE_EXPONENT)
+    return list(zip(x.tolist(), y.tolist(), diameter.tolist(), strict=True))
+
+
+def _stamp(
+    grid: Grid,
+    z: Array,
+    centre: tuple[float, float],
+    radius: float,
+    reach: float,
+    change: Callable[[Array, Array], Array],
+) -> None:
+    """Replace heights near a centre, in place.
+
+    ``change(heights, s)`` returns the new heights where ``s``, the distance from the centre in
+    radii, is ``reach`` at most in x and in y.
+    """
+    parts = [
+        slice(*np.searchsorted(axis, (c - reach * radius, c + reach * radius)).tolist())
+        for axis, c in zip((grid.x, grid.y), centre, strict=True)
+    ]
+    s = np.hypot((grid.x[parts[0], None] - centre[0]), (grid.y[parts[1]] - centre[1])) / radius
+    z[parts[0], parts[1]] = change(z[parts[0], parts[1]], s)

@@ -1,0 +1,135 @@
+"""The checked grid, and grounds given by a formula."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.interpolate import RectBivariateSpline
+
+from slipfree.errors import DataError, ModelError
+from slipfree.terrain.analytic import Analytic
+from slipfree.terrain.base import Grid
+
+X, Y = np.arange(5.0), 10 + 0.5 * np.arange(7)
+Z = np.add.outer(X, Y)
+
+
+def hills(x, y):
+    return 0.3 * ca.sin(x) * ca.cos(2 * y)
+
+
+def with_value(array, index, value):
+    changed = array.copy()
+    changed[index] = value
+    return changed
+
+
+def test_spacing():
+    assert Grid(X, Y, Z).spacing == (1.0, 0.5)
+
+
+def test_arrays_are_kept_but_read_only():
+    grid = Grid(X, Y, Z)
+    assert np.shares_memory(grid.z, Z)
+    assert Z.flags.writeable
+    with pytest.raises(ValueError, match="read-only"):
+        grid.z[0, 0] = 1.0
+
+
+def test_axis_far_from_zero_is_uniform():
+    x = 4.1e6 + 0.1 * np.arange(1000)
+    assert_allclose(Grid(x, Y, np.zeros((1000, 7))).spacing[0], 0.1, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "words"),
+    [
+        (list(X), Y, Z, r"x must be an array of float64, found list; pass np\.asarray"),
+        (X, Y, Z.astype(np.int16), r"z must be .* found an array of int16; pass z\.astype"),
+        (X, Y, np.ma.masked_less(Z, 11), r"found a masked array; pass z\.filled"),
+        (np.meshgrid(X, Y)[0], Y, Z, r"axis x must have one dimension.*\(7, 5\).*meshgrid"),
+        (X[:3], Y, Z[:3], "axis x must have at least 4 nodes .* found 3"),
+        (X, with_value(Y, 2, np.nan), Z, r"axis y must be finite, found y\[2\] = nan"),
+        (X[::-1], Y, Z, r"axis x .* from 4 to 0; flip .* x\[::-1\] and z\[::-1, :\]"),
+        (X, Y[::-1], Z, r"axis y must ascend.* flip .* y\[::-1\] and z\[:, ::-1\]"),
+        (X, with_value(Y, 3, 10.0), Z, r"found y\[2\] = 11 followed by y\[3\] = 10; sort it"),
+        (X, Y, Z.T, r"shape \(x.size, y.size\) = \(5, 7\), found \(7, 5\).* pass z\.T"),
+        (X, Y, Z[:, :4], r"= \(5, 7\), found \(5, 4\)$"),
+        (
+            X,
+            Y,
+            with_value(Z, (slice(2, 4), 3), np.nan),
+            r"found 2 that are not, the first z\[2, 3\] = nan at x = 2 m, y = 11\.5 m; fill",
+        ),
+    ],
+)
+def test_grid_refuses(x, y, z, words):
+    with pytest.raises(DataError, match=words):
+        Grid(x, y, z)
+
+
+def test_non_uniform_axis_is_named_with_its_remedy():
+    x = np.concatenate([np.arange(0, 8.0), np.arange(9.0, 14.0)])
+    z = np.add.outer(x, Y)
+    words = r"step of 2 m before node 8 at x = 9 m where 1 m is usual; resample: (x_even = .*)"
+    with pytest.raises(DataError, match=words) as caught:
+        Grid(x, Y, z)
+    # The remedy in the message is a statement that works.
+    remedy = str(caught.value).split("resample: ")[1]
+    names = {"np": np, "x": x, "y": Y, "z": z}
+    exec(
+        remedy.replace("scipy.interpolate.", ""),
+        {"RectBivariateSpline": RectBivariateSpline},
+        names,
+    )
+    assert_allclose(Grid(names["x_even"], Y, names["z"]).z, np.add.outer(names["x_even"], Y))
+
+
+def test_axis_that_drifts_is_not_uniform():
+    y = np.linspace(0, 1, 2000)
+    y = y + 1e-8 * np.sin(np.pi * y)
+    with pytest.raises(DataError, match="axis y must be uniform to 1e-09"):
+        Grid(X, y, np.zeros((5, 2000)))
+
+
+def test_analytic_height_and_elevation_agree():
+    ground = Analytic(hills)
+    x, y = np.random.default_rng(0).uniform(-3, 3, (2, 4, 5))
+    assert_allclose(ground.elevation(x, y), 0.3 * np.sin(x) * np.cos(2 * y), atol=1e-15)
+    assert ground.origin == (0, 0, 0)
+    assert ground.domain == (-math.inf, math.inf, -math.inf, math.inf)
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    slope = ca.Function("slope", [u, v], [ca.jacobian(ground.height(u, v), u)])
+    assert_allclose(float(slope(0.4, 0.7)), 0.3 * math.cos(0.4) * math.cos(1.4), rtol=1e-14)
+
+
+def test_analytic_constant():
+    ground = Analytic(lambda _x, _y: 2.0)
+    assert_allclose(ground.elevation(np.zeros((2, 3)), np.ones((2, 3))), np.full((2, 3), 2.0))
+
+
+def test_analytic_pickles():
+    ground = Analytic(hills, (-1, 1, -2, 2))
+    x = np.linspace(-1, 1, 5)
+    before = ground.elevation(x, x)
+    copy = pickle.loads(pickle.dumps(ground))
+    assert copy.domain == ground.domain
+    np.testing.assert_array_equal(copy.elevation(x, x), before)
+
+
+@pytest.mark.parametrize(
+    ("function", "domain", "words"),
+    [
+        (hills, (1, -1, 0, 1), "domain must be x_min < x_max"),
+        (lambda x, y: ca.vertcat(x, y), (0, 1, 0, 1), r"one height, found \(2, 1\)"),
+        (lambda x, _y: x + ca.SX.sym("mu"), (0, 1, 0, 1), r"x and y alone, found .*mu"),
+    ],
+)
+def test_analytic_refuses(function, domain, words):
+    with pytest.raises(ModelError, match=words):
+        Analytic(function, domain)
