@@ -129,7 +129,7 @@ def test_start_beyond_a_limit_is_refused():
         settle(dae, value=2.0)
 
 
-def test_failure_keeps_what_was_reached():
+def test_failure_keeps_what_was_reached(capfd):
     """X' = x^2 escapes to infinity at t = 1."""
     dae = model(lambda _t, x, _u: x**2)
     with pytest.raises(SolverError, match=r"integrator stopped at t = 0\.9\d* s") as failure:
@@ -138,6 +138,7 @@ def test_failure_keeps_what_was_reached():
     assert reached.stop.name == "solver"
     assert 0.9 < reached.t[-1] < 1
     assert_allclose(reached["value"], 1 / (1 - reached.t), rtol=1e-4)
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,8 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Replace a value of the problem, as in time.duration=3 or vehicle.r1=0.1; repeatable.",
+        help="Replace a value, as in time.duration=3, or take it out, as in terrain.rolled=; "
+        "repeatable.",
     ),
 ]
 
@@ -117,6 +118,7 @@ def check(file: File, settings: Settings = None) -> None:
     """Check a problem and stand the vehicle on its start, without solving."""
     with _reported():
         from slipfree.problem.run import build, ground_facts, vehicle_facts
+        from slipfree.problem.summary import certificate
 
         problem = _read(file, settings)
         setup = build(problem)
@@ -130,7 +132,7 @@ def check(file: File, settings: Settings = None) -> None:
             *ground_facts(setup.ground),
             *vehicle_facts(setup.vehicle),
             ("start", f"{pose} (m, rad)"),
-            ("smallest clearance", f"{start['clearance'].min():.4g} m"),
+            ("contact certificate", certificate(start)),
             ("driven by", driven),
             ("samples", f"{setup.t.size} to {setup.t[-1]:g} s"),
         ]

@@ -67,7 +67,7 @@ def read(path: str | Path, settings: Sequence[str] = ()) -> Problem:
         The file.
     settings : sequence of str
         Values that replace those of the file, as ``key=value``: dotted keys, values in TOML or
-        bare words.
+        bare words. ``key=`` with no value takes the key out.
 
     Raises
     ------
@@ -145,11 +145,11 @@ def _replaced(data: dict[str, Any], settings: Sequence[str]) -> dict[Place, str]
             path = key_path(key)
             if not equals:
                 raise ValueError
-            new = _put(data, path, _value(text))
+            new = _put(data, path, _value(text)) if text.strip() else _taken_out(data, path)
         except ValueError:
             faults.append(
-                f"--set {key.strip()}: expected key=value with a TOML value or a bare word, and "
-                f"tables on the way to the key, found {setting!r}"
+                f"--set {key.strip()}: expected key=value with a value in TOML or a bare word, or "
+                f"key= to take out a key that is there, found {setting!r}"
             )
         else:
             places |= dict.fromkeys(new, setting)
@@ -182,6 +182,16 @@ def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]
             raise ValueError(name)
     data[last] = value
     return places
+
+
+def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
+    """Remove a key of nested tables; return its place."""
+    for name in path[:-1]:
+        data = data.get(name, {})
+    if not isinstance(data, dict) or path[-1] not in data:
+        raise ValueError(path)
+    del data[path[-1]]
+    return [path]
 
 
 def _alternatives(data: dict[str, Any]) -> Iterator[Fault]:

@@ -23,13 +23,14 @@ from slipfree.solve.simulate import simulate
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.dem import jacksboro, read_grid
-from slipfree.terrain.rolled import Rolled, rolled
+from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalog import three_wheeler
 from slipfree.vehicle.chain import Vehicle
 
 CATALOG = {"three_wheeler": three_wheeler}
+MOST_NODES = 5e7  # of a ground made or refined here: 400 MB an array
 NEAR = 1e-9  # times closer than this part of the duration are one
 
 
@@ -182,11 +183,31 @@ def _ground(problem: Problem) -> Ground:
     if spec.scale != 1 and spec.sample is None:
         grid = Grid(spec.scale * grid.x, spec.scale * grid.y, spec.scale * grid.z)
     source += f" scaled by {spec.scale:g}" if spec.scale != 1 else ""
+    if spec.window is not None:
+        with _at(problem, ("terrain", "window")):
+            grid = _cut(grid, spec.window)
     if spec.rolled is None:
         return Ground(grid, source, None)
     with _at(problem, ("terrain", "rolled")):
+        _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
         felt = rolled(grid, spec.rolled)
     return Ground(felt.grid, source, felt)
+
+
+def _cut(grid: Grid, window: tuple[float, float, float, float]) -> Grid:
+    """Return the part of a grid whose nodes lie in a window."""
+    columns = (grid.x >= window[0]) & (grid.x <= window[1])
+    rows = (grid.y >= window[2]) & (grid.y <= window[3])
+    return Grid(grid.x[columns], grid.y[rows], np.ascontiguousarray(grid.z[columns][:, rows]))
+
+
+def _check_size(width: float, length: float, spacing: float) -> None:
+    nodes = width / spacing * length / spacing
+    if nodes > MOST_NODES:
+        raise ModelError(
+            f"expected a ground of at most {MOST_NODES:g} nodes, found {nodes:.2g} at a spacing "
+            f"of {spacing:g} m; cut the ground to a window or choose a larger spacing or radius"
+        )
 
 
 def _source(problem: Problem) -> tuple[Grid, str]:
@@ -203,6 +224,7 @@ def _source(problem: Problem) -> tuple[Grid, str]:
 
 
 def _synthetic(spec: schema.Synthetic) -> Grid:
+    _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing)
     grid = blank(spec.x, spec.y, spec.spacing)
     grid = Grid(grid.x, grid.y, grid.z + spec.base)
     for rule, values in (

@@ -15,6 +15,7 @@ Radius = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=0)]
 # Arrays are read as tuples; what is in them stays strict.
 Pair = Annotated[tuple[float, float], Field(strict=False)]
+Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
@@ -103,6 +104,7 @@ class Terrain(Record):
     sample: Literal["jacksboro"] | None = None
     synthetic: Synthetic | None = None
     scale: Length = 1.0
+    window: Window | None = None
     rolled: Length | None = None
 
 

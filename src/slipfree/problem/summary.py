@@ -66,20 +66,17 @@ def _trust(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
     yield "Newton step", f"{step:.2e} m at most, {step / tolerance:.3g} x the tolerance"
     yield "singular value", f"{run['singular_value'].min():.4g} at least"
+    yield "contact certificate", certificate(run)
+
+
+def certificate(run: Trajectory) -> str:
+    """Return whether every wheel touched the ground at one point only, and by what margin."""
     clearance, curvature = (run[name].min() for name in UNIQUE)
-    ended = run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE
-    room = "none near" if clearance >= NONE else f"{clearance:.4g} m away"
-    yield (
-        "contact certificate",
-        (
-            "clean up to the stop"
-            if ended
-            else "clean"
-            if min(clearance, curvature) >= 0
-            else "broken"
-        )
-        + f": second contact {room}, relative curvature {curvature:.4g} 1/m at least",
-    )
+    clean = "clean" if min(clearance, curvature) >= 0 else "broken"
+    if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
+        clean += " up to the stop"
+    room = "none near" if clearance >= NONE else f"{clearance:.4g} m away at least"
+    return f"{clean}: second contact {room}, relative curvature {curvature:.4g} 1/m at least"
 
 
 def _cost(run: Trajectory) -> Iterator[tuple[str, str]]:

@@ -23,7 +23,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from matplotlib.transforms import Bbox
-from mpl_toolkits.mplot3d.proj3d import proj_transform
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
@@ -116,8 +115,7 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
 def path(run: Trajectory, ax: Axes) -> Axes:
     """Draw the way of the platform's centre in plan: direction, start, end, and why it ended."""
     x, y = run["x"], run["y"]
-    halo = [withStroke(linewidth=2.4, foreground="white")]
-    ax.plot(x, y, color=PLATFORM, label="platform", path_effects=halo, zorder=3)
+    ax.plot(x, y, color=PLATFORM, label="platform", path_effects=_halo(2.4), zorder=3)
     for at, way in _directions(x, y, float(np.ptp(ax.get_xlim()))):
         ax.plot(*at, marker=(3, 0, way), ms=6, mfc=PLATFORM, mec="white", mew=0.6, zorder=4)
     marks: dict[str, Any] = {"ls": "none", "mec": "black", "ms": 5, "zorder": 5}
@@ -132,10 +130,9 @@ def path(run: Trajectory, ax: Axes) -> Axes:
 
 def tracks(run: Trajectory, ax: Axes) -> Axes:
     """Draw the tracks of the contact points in plan, one line a wheel."""
-    halo = [withStroke(linewidth=1.8, foreground="white")]
     for k, wheel in enumerate(run.wheels):
         u, v = run["contact_x", wheel], run["contact_y", wheel]
-        ax.plot(u, v, lw=1, label=f"contact {_words(wheel)}", path_effects=halo, **_look(k))
+        ax.plot(u, v, lw=1, label=f"contact {_words(wheel)}", path_effects=_halo(1.8), **_look(k))
     return ax
 
 
@@ -159,9 +156,7 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
         *np.meshgrid(x, y, indexing="ij"), z, **_colours(z), rcount=MESH, ccount=MESH,
         linewidth=0.12, edgecolor=(0, 0, 0, 0.3), zorder=1, clip_on=False,
     )  # fmt: skip
-    over: dict[str, Any] = {
-        "zorder": 3, "clip_on": False, "path_effects": [withStroke(linewidth=2.2, foreground="white")]
-    }  # fmt: skip
+    over: dict[str, Any] = {"zorder": 3, "clip_on": False, "path_effects": _halo(2.2)}
     for k, wheel in enumerate(run.wheels):
         at = [run[f"contact_{axis}", wheel] for axis in "xyz"]
         ax.plot(*at, label=f"contact {_words(wheel)}", **_look(k), **over)
@@ -172,7 +167,7 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
     ax.set_box_aspect((np.ptp(x), np.ptp(y), drawn))
     ax.set(xlim=window[:2], ylim=window[2:], zlim=(low, high))
     ax.view_init(elev=38, azim=-60)
-    times, starts = drawn / (high - low), (*window[::2], low)
+    times, starts = drawn / (high - low), (window[0], window[2], low)
     for axis, name, start in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", starts, strict=True):
         _place_axis(axis, name, start)
         axis.labelpad = 7
@@ -423,9 +418,9 @@ def _filled(figure: Figure, ax: Any) -> Figure:
 
 def _seen(ax: Any) -> Any:
     """Return what a view in three dimensions takes up, in pixels, without its empty frame."""
-    corners = np.array(list(product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim()))).T
-    u, v, _ = proj_transform(*corners, ax.get_proj())
-    points = ax.transData.transform(np.column_stack([u, v]))
+    corners = np.array(list(product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim(), (1.0,)))).T
+    u, v, _, w = ax.get_proj() @ corners
+    points = ax.transData.transform(np.column_stack([u / w, v / w]))
     labels = [axis.get_tightbbox() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
     return Bbox.union([Bbox([points.min(axis=0), points.max(axis=0)]), *labels])
 
@@ -513,6 +508,10 @@ def _look(k: int) -> dict[str, Any]:
     """Return colour and dashes of the k-th line."""
     dashes = DASHES[k // len(PALETTE) % len(DASHES)]
     return {"color": PALETTE[k % len(PALETTE)], "ls": dashes}
+
+
+def _halo(width: float) -> list[withStroke]:
+    return [withStroke(linewidth=width, foreground="white")]
 
 
 def _words(name: str) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr
 from dataclasses import replace
+from io import StringIO
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -163,7 +165,8 @@ def _call(
     integrator = ca.integrator("motion", "idas", system, float(t[0]), t, options)
     try:
         # one column for each output time, that of the interval which it ends
-        found = integrator(x0=at.x, z0=at.z, u=np.column_stack([u[:, :1], u]))
+        with redirect_stderr(StringIO()):  # IDAS repeats there what the exception says
+            found = integrator(x0=at.x, z0=at.z, u=np.column_stack([u[:, :1], u]))
     except RuntimeError as error:
         if spy is not None and spy.interrupted:
             raise KeyboardInterrupt from None
