@@ -159,6 +159,22 @@ def test_reported_frame_is_x_forward():
     assert_allclose(w * w + x * x + y * y + z * z, 1, atol=1e-14)
 
 
+def test_contact_coordinates_lead_back_to_the_contact_point():
+    """The torus at (u, v), carried by the wheel, is the contact point; psi turns the frames."""
+    r1, r2 = 0.05, 0.25
+    dae = direct_kinematics(three_wheeler(), Analytic(hills))
+    run = settle(dae, x=0.4, y=1.0, heading=0.6, tilt_right=0.2, tilt_left=-0.1, steer=0.3)
+    level = settle(direct_kinematics(three_wheeler(), Analytic(lambda x, _: 0 * x)))
+    assert_allclose(level["wheel_v"], 1.5 * np.pi, atol=1e-12)
+    assert_allclose(level["wheel_u"], np.pi / 2, atol=1e-12)
+    assert_allclose(np.cos(level["psi"]), -1, atol=1e-12)
+    for wheel in WHEELS:
+        u, v = run["wheel_u", wheel][0], run["wheel_v", wheel][0]
+        arm = [r1 * np.cos(u), *((r2 + r1 * np.sin(u)) * np.array([np.cos(v), np.sin(v)]))]
+        span = [run[f"contact_{a}", wheel][0] - run[f"center_{a}", wheel][0] for a in "xyz"]
+        assert_allclose(np.linalg.norm(arm), np.linalg.norm(span), atol=1e-13)
+
+
 def test_signs_of_pitch_and_roll():
     dae = direct_kinematics(three_wheeler(), Analytic(lambda _, y: 0.2 * y))
     assert settle(dae)["pitch"][0] == pytest.approx(np.arctan(0.2))

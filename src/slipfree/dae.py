@@ -99,6 +99,9 @@ class Dae(Generic[X, Z, Q, U, Y]):
         Typical sizes of ``z``.
     shift : tuple of two ndarrays, shapes (n_x,) and (n_z,)
         Map minus local values.
+    suppress_algebraic : bool
+        Whether the integrator's error test leaves out ``z``; for models whose ``z`` carries
+        stabilising terms that are noise to that test.
     """
 
     t: ca.SX
@@ -116,6 +119,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
     guess: ca.SX
     scale: Array
     shift: tuple[Array, Array]
+    suppress_algebraic: bool = False
 
     def __post_init__(self) -> None:
         blocks: Any = self.z

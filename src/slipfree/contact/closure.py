@@ -63,6 +63,22 @@ def closure(wheel: Wheel, carrier: Pose, contact: Touch) -> ca.SX:
     return contact.point + wheel.r1 * n + wheel.r2 * e - carrier.origin
 
 
+def wheel_coordinates(carrier: Pose, contact: Touch) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the contact coordinates ``u_w, v_w, psi`` of a wheel, in its carrier's frame. [rad].
+
+    ``u_w`` and ``v_w`` are the parameters of the torus (Chakraborty and Ghosal, eq. 1) where its
+    outward normal is the ground's downward one; ``v_w`` is 3 pi/2 for a wheel upright on level
+    ground. ``psi`` is the angle that takes the wheel's Gauss x axis to the ground's.
+    """
+    down = -carrier.rotation.T @ contact.normal
+    u = ca.atan2(ca.norm_2(down[1:]), down[0])
+    v = 1.5 * ca.pi + ca.atan2(down[1], -down[2])
+    x_w = carrier.rotation @ ca.vertcat(-ca.sin(u), ca.cos(v) * ca.cos(u), ca.sin(v) * ca.cos(u))
+    n = contact.normal
+    x_g = ca.vertcat(n[2], 0, -n[0]) / ca.sqrt(n[0] ** 2 + n[2] ** 2)  # along (1, 0, h_x)
+    return u, v, ca.atan2(-ca.dot(x_w, ca.cross(n, x_g)), ca.dot(x_w, x_g))
+
+
 def relative_curvature(wheel: Wheel, contact: Touch) -> ca.SX:
     """Return a measure that is positive where the contact is locally unique. [1/m].
 

@@ -9,7 +9,13 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.certify import SecondTouch
-from slipfree.contact.closure import Touch, closure, relative_curvature, touch
+from slipfree.contact.closure import (
+    Touch,
+    closure,
+    relative_curvature,
+    touch,
+    wheel_coordinates,
+)
 from slipfree.dae import Dae, Labels, Limit
 from slipfree.geometry.frame import Pose, platform, quaternion
 from slipfree.kinematics.slip import least_slip, slip_velocity
@@ -101,6 +107,9 @@ class Outputs(NamedTuple):
     slip_along: tuple[Any, ...]
     slip_across: tuple[Any, ...]
     wheel_rate: tuple[Any, ...]
+    wheel_u: tuple[Any, ...]
+    wheel_v: tuple[Any, ...]
+    psi: tuple[Any, ...]
     yaw: Any
     quaternion: tuple[Any, ...]
 
@@ -196,6 +205,9 @@ def _outputs(
 ) -> Outputs:
     o_x, o_y, o_z = terrain.origin
     base = platform(x.x, x.y, z.position.z, x.heading, z.position.roll, z.position.pitch).rotation
+    on_wheels = zip(*(wheel_coordinates(*each) for each in zip(carriers, contacts, strict=True)),
+                    strict=True)  # fmt: skip
+    wheel_u, wheel_v, psi = (tuple(values) for values in on_wheels)
     forward_left_up = ca.horzcat(base[:, 1], -base[:, 0], base[:, 2])
     return Outputs(
         contact_z=tuple(c.point[2] + o_z for c in contacts),
@@ -205,6 +217,9 @@ def _outputs(
         slip_along=tuple(ca.dot(c.along, s) for c, s in zip(contacts, slips, strict=True)),
         slip_across=tuple(ca.dot(c.across, s) for c, s in zip(contacts, slips, strict=True)),
         wheel_rate=tuple(spins),
+        wheel_u=wheel_u,
+        wheel_v=wheel_v,
+        psi=psi,
         yaw=ca.atan2(base[1, 1], base[0, 1]),
         quaternion=tuple(ca.vertsplit(quaternion(forward_left_up))),
     )
@@ -368,6 +383,11 @@ def _output_labels(each: Any) -> Outputs:
         each("slip_along", "m s-1", "slip along the wheel, negative when it spins"),
         each("slip_across", "m s-1", "slip across the wheel, to the right positive"),
         each("wheel_rate", "rad s-1", "rate of the wheel, forward positive"),
+        each(
+            "wheel_u", "rad", "contact coordinate u of the torus, pi/2 in the middle of the tread"
+        ),
+        each("wheel_v", "rad", "contact coordinate v of the torus in its carrier"),
+        each("psi", "rad", "angle that takes the wheel's Gauss x axis to the ground's"),
         Label("yaw", "rad", "angle of the forward axis from the x axis, counter-clockwise"),
         tuple(
             Label(f"quaternion_{axis}", "1", f"{axis} of the platform's quaternion (x forward)")

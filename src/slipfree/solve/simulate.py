@@ -159,6 +159,7 @@ def _call(
         "reltol": tolerance,
         "abstol": tolerance,
         "max_num_steps": 100_000,
+        "suppress_algebraic": dae.suppress_algebraic,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
