@@ -31,6 +31,9 @@ class Bicubic:
     ----------
     grid : Grid
         The nodes.
+    center : tuple of 2 floats or None
+        Map coordinates of the local origin, by default the middle of the domain. Near the motion,
+        it saves digits on a large map. [m]
 
     Notes
     -----
@@ -47,16 +50,18 @@ class Bicubic:
     """
 
     grid: Grid
+    center: tuple[float, float] | None = None
 
-    def __getstate__(self) -> dict[str, Grid]:
-        """Return the grid; an unpickled copy computes the same coefficients again."""
-        return {"grid": self.grid}
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields; an unpickled copy computes the same coefficients again."""
+        return {"grid": self.grid, "center": self.center}
 
     @cached_property
     def origin(self) -> tuple[float, float, float]:
-        """Middle of the domain, and mean height [m]."""
+        """Local origin in map coordinates: the centre, and the mean height [m]."""
         x_min, x_max, y_min, y_max = self.domain
-        return 0.5 * (x_min + x_max), 0.5 * (y_min + y_max), float(self.grid.z.mean())
+        x, y = self.center or (0.5 * (x_min + x_max), 0.5 * (y_min + y_max))
+        return x, y, float(self.grid.z.mean())
 
     @property
     def domain(self) -> tuple[float, float, float, float]:
