@@ -21,7 +21,7 @@ from slipfree.geometry.frame import Pose, platform, quaternion
 from slipfree.kinematics.slip import least_slip, slip_velocity
 from slipfree.named import Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.chain import Coordinate, Vehicle
 
 FLAT = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
 OVERTURNED = 0.1  # likewise for the platform's up axis and the horizontal
@@ -246,7 +246,12 @@ def _stops(vehicle: Vehicle, x: Configuration, z: Algebraic) -> Iterator[Limit]:
     for c in vehicle.coordinates:
         if np.isfinite(c.lower) or np.isfinite(c.upper):
             words = f"the stop of {c.name} ({c.words}) is reached"
-            yield Limit(Label(f"{c.name}_stop", "rad", words), values[c.name], c.lower, c.upper)
+            yield Limit(
+                Label(f"{c.name}_stop", vehicle.unit(c.name), words),
+                values[c.name],
+                c.lower,
+                c.upper,
+            )
     upright = ca.cos(z.position.roll) * ca.cos(z.position.pitch)
     words = "the platform is overturned (cosine of its inclination)"
     yield Limit(Label("upright", "1", words), upright, OVERTURNED, np.inf)
@@ -319,8 +324,12 @@ def _labels(vehicle: Vehicle) -> Labels:
     def angle(name: str, words: str) -> Label:
         return Label(name, "rad", words)
 
-    joints = {c.name: c for c in vehicle.coordinates}
-    suspension = tuple(angle(c.name, c.words) for c in vehicle.of("suspension"))
+    def coordinate(c: Coordinate) -> Label:
+        return Label(c.name, vehicle.unit(c.name), c.words)
+
+    def rate(c: Coordinate) -> Label:
+        return Label(f"{c.name}_rate", f"{vehicle.unit(c.name)} s-1", f"rate of {c.words}")
+
     free = [w.name for w in vehicle.wheels if not w.driven]
     driven = [w.name for w in vehicle.wheels if w.driven]
     heading, roll, pitch = (
@@ -332,7 +341,7 @@ def _labels(vehicle: Vehicle) -> Labels:
         Label("x", "m", "easting of the platform's centre"),
         Label("y", "m", "northing of the platform's centre"),
         heading,
-        tuple(angle(name, joints[name].words) for name in _kept(vehicle)),
+        tuple(coordinate(c) for c in vehicle.coordinates if c.kind != "suspension"),
     )
     contacts = zip(
         each("contact_x", "m", "easting of the contact point"),
@@ -341,7 +350,9 @@ def _labels(vehicle: Vehicle) -> Labels:
     )
     position = Dependent(
         Label("z", "m", "height of the platform's centre"),
-        roll, pitch, suspension, tuple(Contact(*pair) for pair in contacts),
+        roll, pitch,
+        tuple(coordinate(c) for c in vehicle.of("suspension")),
+        tuple(Contact(*pair) for pair in contacts),
     )  # fmt: skip
     velocity = {
         axis: Label(f"velocity_{axis}", "m s-1", f"velocity of the platform's centre along {axis}")
@@ -352,14 +363,14 @@ def _labels(vehicle: Vehicle) -> Labels:
         turning(heading.name, heading.words),
         turning(roll.name, roll.words),
         turning(pitch.name, pitch.words),
-        tuple(turning(label.name, label.words) for label in suspension),
-        tuple(turning(c.name, c.words) for c in vehicle.of("passive")),
+        tuple(rate(c) for c in vehicle.of("suspension")),
+        tuple(rate(c) for c in vehicle.of("passive")),
         tuple(turning(name, f"the free wheel {name}") for name in free),
         each("multiplier", "m s-1", "multiplier of the contact in the least-slip condition"),
     )  # fmt: skip
     u = Inputs(
         tuple(turning(name, f"the driven wheel {name}, forward positive") for name in driven),
-        tuple(turning(c.name, c.words) for c in vehicle.of("commanded")),
+        tuple(rate(c) for c in vehicle.of("commanded")),
     )
     q = Angles(each("wheel_angle", "rad", "angle through which the wheel has turned"))
     closures = tuple(

@@ -8,7 +8,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import solve_banded
 
 from slipfree.named import Array
 from slipfree.terrain.base import Grid
@@ -154,6 +153,8 @@ def _solve_not_a_knot(values: Array) -> Array:
     ndarray, shape (n + 2, m)
         Third derivatives are continuous at the second and at the last but one node.
     """
+    from scipy.linalg import solve_banded  # imported where a map is read: it takes 0.2 s
+
     n = values.shape[0]
     bands = np.zeros((9, n + 2))  # entry i, j of the matrix is bands[4 + i - j, j]
     bands[5, :n], bands[4, 1:-1], bands[3, 2:] = 1 / 6, 4 / 6, 1 / 6

@@ -9,7 +9,7 @@ from typing import Literal
 import casadi as ca
 
 from slipfree.errors import ModelError
-from slipfree.geometry.frame import Pose, translation, turn
+from slipfree.geometry.frame import AXES, Pose, translation, turn
 from slipfree.vehicle.wheel import Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
@@ -17,7 +17,7 @@ Kind = Literal["commanded", "passive", "suspension"]
 
 @dataclass(frozen=True)
 class Coordinate:
-    """An angle that one or more joints follow.
+    """An angle or a length that one or more joints follow.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Coordinate:
     words : str
         One line that says what it is.
     lower, upper : float
-        Stops. [rad]
+        Stops. [rad or m]
     """
 
     name: str
@@ -40,13 +40,13 @@ class Coordinate:
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ModelError(
-                f"coordinate {self.name}: stops must ascend, found {self.lower} to {self.upper} rad"
+                f"coordinate {self.name}: stops must ascend, found {self.lower} to {self.upper}"
             )
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A part that turns about an axis of its parent by the value of a coordinate.
+    """A part that turns about, or slides along, an axis of its parent.
 
     Attributes
     ----------
@@ -59,7 +59,9 @@ class Joint:
     at : tuple of 3 floats
         Origin of the part in the parent's frame. [m]
     coordinate : str
-        The coordinate whose value is the right-handed angle.
+        The coordinate whose value is the right-handed angle or the length.
+    motion : {"turn", "slide"}
+        Which of the two.
     """
 
     name: str
@@ -67,6 +69,14 @@ class Joint:
     axis: Literal["x", "y", "z"]
     at: tuple[float, float, float]
     coordinate: str
+    motion: Literal["turn", "slide"] = "turn"
+
+    def pose(self, value: ca.SX) -> Pose:
+        """Return the pose of the part in its parent's frame at a value of its coordinate."""
+        if self.motion == "turn":
+            return translation(*self.at) @ turn(self.axis, value)
+        x, y, z = (at + value * along for at, along in zip(self.at, AXES[self.axis], strict=True))
+        return translation(x, y, z)
 
 
 @dataclass(frozen=True)
@@ -108,6 +118,10 @@ class Vehicle:
             known.add(joint.name)
         for wheel in self.wheels:
             _found("wheel", wheel.name, "parent", wheel.parent, known)
+        turning = {j.coordinate for j in self.joints if j.motion == "turn"}
+        for joint in self.joints:
+            if joint.motion == "slide" and joint.coordinate in turning:
+                raise ModelError(f"coordinate {joint.coordinate} both turns and slides: use two")
         unused = names - {joint.coordinate for joint in self.joints}
         if unused:
             raise ModelError(f"coordinate {min(unused)} moves no joint: remove it or use it")
@@ -127,6 +141,11 @@ class Vehicle:
         """Return the coordinates of one kind, in order."""
         return tuple(c for c in self.coordinates if c.kind == kind)
 
+    def unit(self, name: str) -> Literal["rad", "m"]:
+        """Return the unit of a coordinate, as its joints use it."""
+        slides = any(j.coordinate == name and j.motion == "slide" for j in self.joints)
+        return "m" if slides else "rad"
+
     def carriers(self, platform: Pose, values: Mapping[str, ca.SX]) -> tuple[Pose, ...]:
         """Return the pose of every wheel's carrier, at the wheel's centre.
 
@@ -135,12 +154,11 @@ class Vehicle:
         platform : Pose
             Pose of the platform.
         values : mapping of str to SX
-            Value of every coordinate, by name. [rad]
+            Value of every coordinate, by name. [rad or m]
         """
         parts = {"platform": platform}
         for joint in self.joints:
-            hinge = translation(*joint.at) @ turn(joint.axis, values[joint.coordinate])
-            parts[joint.name] = parts[joint.parent] @ hinge
+            parts[joint.name] = parts[joint.parent] @ joint.pose(values[joint.coordinate])
         return tuple(parts[wheel.parent] @ translation(*wheel.at) for wheel in self.wheels)
 
 

@@ -1,0 +1,102 @@
+"""How exact direct kinematics is: the figures of the README, from one command.
+
+``python benchmarks/accuracy.py``
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from reference import heading
+from scipy.interpolate import NdBSpline, RectBivariateSpline
+
+from slipfree import Analytic, Bicubic, Grid, direct_kinematics, settle, simulate, three_wheeler
+
+DATA = Path(__file__).parent.parent / "tests" / "data"
+NAMES = ("x", "y", "heading", "tilt_right", "tilt_left", "z")
+RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
+
+
+def reference_motion() -> None:
+    """Compare with the motion of another program, good to 2e-10, at several tolerances."""
+    nodes = np.load(DATA / "case1.npz")
+    terrain = Bicubic(Grid(nodes["x"], nodes["y"], nodes["z"]))
+    case = json.loads((DATA / "case1.json").read_text())
+    expected = {name: np.array(case["state"].get(name, case.get(name))) for name in NAMES}
+    dae = direct_kinematics(three_wheeler(), terrain)
+    start, tolerances = settle(dae), 10.0 ** -np.arange(5, 13)
+    errors = []
+    for tolerance in tolerances:
+        run = simulate(dae, start, dae.inputs(**RATES), np.array(case["t"]), tolerance=tolerance)
+        errors.append(max(np.abs(run[name] - expected[name]).max() for name in NAMES))
+        print(
+            f"reference motion, tolerance {tolerance:.0e}: error {errors[-1]:.1e}, "
+            f"{run.statistics['steps']:.0f} steps, closure residual "
+            f"{run['closure_residual'].max():.1e} m, Newton step "
+            f"{run['newton_step'].max() / tolerance:.2g} x the tolerance"
+        )
+    slope = np.polyfit(np.log(tolerances[:-1]), np.log(errors[:-1]), 1)[0]
+    print(f"error against tolerance, 1e-5 to 1e-11: slope {slope:.2f}")
+
+
+def flat_ground() -> None:
+    """Compare with planar kinematics, in closed form."""
+    dae = direct_kinematics(three_wheeler(), Analytic(lambda x, _: 0 * x))
+    run = simulate(dae, settle(dae), dae.inputs(**RATES), np.array([0.0, 0.1]))
+    exact = {"velocity_x": 0.015, "velocity_y": 0.135, "heading_rate": 0.015}
+    exact |= {"tilt_right_rate": 0.075, "tilt_left_rate": 0.075, "front_rate": 0.45}
+    worst = max(abs(run[name][0] - value) for name, value in exact.items())
+    print(f"flat ground, rates 0.5, 0.4, 0 rad/s: largest error {worst:.1e}")
+
+
+def terrain() -> None:
+    """Compare the terrain's value and derivatives with SciPy's spline at random points."""
+    rng = np.random.default_rng(1)
+    x, y = np.linspace(0, 4, 41), np.linspace(-1, 2, 31)
+    z = rng.standard_normal((41, 31))
+    ground = Bicubic(Grid(x, y, z))
+    t_x, t_y, c = RectBivariateSpline(x, y, z, s=0).tck
+    exact = NdBSpline((t_x, t_y), c.reshape(41, 31), 3)
+    a, b = rng.uniform(0, 4, 10_000), rng.uniform(-1, 2, 10_000)
+    s = ca.SX.sym("s", 2)
+    expression, o = ground.height(s[0], s[1]), ground.origin
+    worst = []
+    for order in range(4):
+        for k in range(order + 1):
+            d = expression
+            for axis in [0] * (order - k) + [1] * k:
+                d = ca.gradient(d, s)[axis]
+            found = ca.Function("d", [s], [d]).map(a.size)(np.vstack([a - o[0], b - o[1]]))
+            want = exact(np.column_stack([a, b]), nu=(order - k, k))
+            want = want - (o[2] if order == 0 else 0)
+            worst.append(np.abs(np.array(found).ravel() - want).max() / np.abs(want).max())
+    print(f"terrain against SciPy, value to third derivatives: {max(worst):.1e} of the largest")
+
+
+def poor_starts() -> None:
+    """Settle from poor guesses and count where the wheels are."""
+
+    def hills(x: ca.SX, y: ca.SX) -> ca.SX:
+        return 0.15 * ca.sin(0.9 * x + 0.3) * ca.cos(0.7 * y) + 0.05 * ca.sin(1.7 * y + 0.2 * x)
+
+    rng, terrain = np.random.default_rng(2), Analytic(hills)
+    dae, right = direct_kinematics(three_wheeler(), terrain), 0
+    for _ in range(60):
+        good = settle(dae)
+        guess = {name: good[name][0] + rng.uniform(-0.4, 0.4) for name in ("roll", "pitch")}
+        guess["z"] = good["z"][0] + rng.uniform(-0.2, 0.2)
+        found = settle(dae, guess=guess)
+        above = found["center_z"] > terrain.elevation(found["center_x"], found["center_y"])
+        right += bool(above.all() and abs(found["z"][0] - good["z"][0]) < 1e-10)
+    print(f"poor starts (0.2 m, 0.4 rad) that settle to the right root: {right} of 60")
+
+
+if __name__ == "__main__":
+    heading()
+    reference_motion()
+    flat_ground()
+    terrain()
+    poor_starts()
