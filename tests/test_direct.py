@@ -6,7 +6,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cases import PAPER_RATES, case1, drive, hills
-from slipfree import Analytic, Bicubic, Grid, direct_kinematics, settle, three_wheeler
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    direct_kinematics,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
 
 MOTION = ("x", "y", "heading", "tilt_right", "tilt_left", "z", "roll", "pitch")
 PLACES = ("contact_x", "contact_y")
@@ -75,6 +85,18 @@ def test_rolls_without_slip(reference):
     run = drive(reference[0], T)
     assert np.abs(run["slip_along"]).max() < 1e-12
     assert np.abs(run["slip_across"]).max() < 1e-12
+
+
+def test_rolling_equals_least_slip_where_the_vehicle_can_roll():
+    vehicle, ground = three_wheeler(), Analytic(hills)
+    least = direct_kinematics(vehicle, ground)
+    rolling = direct_kinematics(vehicle, ground, slip="rolling")
+    runs = [
+        simulate(dae, settle(dae, heading=0.3), dae.inputs(**PAPER_RATES), T, tolerance=TOLERANCE)
+        for dae in (least, rolling)
+    ]
+    same_motion(runs[1], runs[0])
+    assert runs[1]["no_slip_residual"].max() < 1e-14
 
 
 def test_rates_are_the_derivatives_of_the_motion(reference):
@@ -184,8 +206,6 @@ def test_signs_of_pitch_and_roll():
 
 
 def test_straight_driver_keeps_its_line_and_its_wheels_up():
-    from slipfree import simulate, straight
-
     vehicle = three_wheeler()
     dae = direct_kinematics(vehicle, Analytic(hills))
     start = settle(dae, x=1.0, y=-2.0, heading=0.3)
@@ -198,8 +218,6 @@ def test_straight_driver_keeps_its_line_and_its_wheels_up():
 
 
 def test_straight_driver_names_what_it_needs():
-    from slipfree import ModelError, straight
-
     vehicle = three_wheeler()
     dae = direct_kinematics(vehicle, Analytic(hills))
     with pytest.raises(ModelError, match="speed must not be zero"):

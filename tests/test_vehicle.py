@@ -13,6 +13,8 @@ from slipfree.geometry.frame import Pose, platform, quaternion, translation, tur
 from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
+VEHICLE = three_wheeler()
+
 
 def numbers(expression):
     return np.array(ca.evalf(ca.SX(expression)))
@@ -104,6 +106,21 @@ def test_a_vehicle_with_suspension_drives_and_slips_least():
     assert np.abs(gap).max() < 1e-12
 
 
+def test_only_vehicles_with_enough_freedom_can_be_made_to_roll():
+    with pytest.raises(ModelError, match=r"5 conditions of no slip need as many .*, found 2"):
+        direct_kinematics(four_wheels(rock=True), Analytic(lambda x, _: 0 * x), slip="rolling")
+
+
+def test_a_sliding_joint_moves_its_part_along_its_axis():
+    axle = Joint("axle", "platform", "x", (0.1, 0.2, 0.3), "reach", "slide")
+    assert_allclose(numbers(axle.pose(ca.SX(0.5)).origin).ravel(), [0.6, 0.2, 0.3])
+    vehicle = replace(
+        VEHICLE, joints=(replace(VEHICLE.joints[0], motion="slide"), *VEHICLE.joints[1:])
+    )
+    assert vehicle.unit("tilt_right") == "m"
+    assert vehicle.unit("steer") == "rad"
+
+
 def test_too_few_suspension_coordinates_are_counted():
     with pytest.raises(ModelError, match="4 wheels need 1 suspension coordinates, found 0"):
         four_wheels(rock=False)
@@ -111,9 +128,6 @@ def test_too_few_suspension_coordinates_are_counted():
 
 def changed(**parts):
     return lambda: replace(three_wheeler(), **parts)
-
-
-VEHICLE = three_wheeler()
 
 
 @pytest.mark.parametrize(
@@ -128,6 +142,8 @@ VEHICLE = three_wheeler()
         (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels are called 'right'"),
         (changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], coordinate="tilt_left"))),
          "coordinate steer moves no joint"),
+        (changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
+         "coordinate steer both turns and slides"),
         (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts are called 'fork'"),
         (changed(joints=(replace(VEHICLE.joints[0], parent="boom"), *VEHICLE.joints[1:])),
          "joint right_hub: its parent 'boom' is not known; known so far: platform"),

@@ -7,6 +7,7 @@ What a command needs is imported inside it, so that ``slipfree --help`` answers 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -222,12 +223,44 @@ def _solve(problem: Problem) -> Outcome:
     from slipfree.problem.run import run as solve
 
     console = Console(stderr=True)
-    if not console.is_terminal:
-        # The call back is what lets Ctrl-C end the integration.
-        return solve(problem, lambda _: None)
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("solving", total=problem.spec.time.duration)
-        return solve(problem, _throttled(lambda t: bar.update(task, completed=t)))
+    with _interruptible() as poll:
+        if not console.is_terminal:
+            return solve(problem, lambda _: poll())
+        with Progress(console=console, transient=True) as bar:
+            task = bar.add_task("solving", total=problem.spec.time.duration)
+            show = _throttled(lambda t: bar.update(task, completed=t))
+
+            def progress(t: float) -> None:
+                poll()
+                show(t)
+
+            return solve(problem, progress)
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], None]]:
+    """Give a function that raises KeyboardInterrupt if Ctrl-C was pressed since.
+
+    An exception out of a signal handler gets lost when the integrator's own code is running.
+    Pressed a second time, Ctrl-C acts wherever the program is.
+    """
+    pressed = False
+
+    def remember(_signal: int, _frame: object) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+
+    def poll() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield poll
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _throttled(show: Callable[[float], None]) -> Callable[[float], None]:

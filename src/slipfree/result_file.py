@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # the attribute by which a result file is recognised
 STATISTICS = "statistics_"  # prefix of the solver's counts among the attributes
-TIME = {"units": "s", "long_name": "time since the start", "standard_name": "time", "axis": "T"}
+TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
 WHEELS = {"long_name": "name of the wheel", "_Encoding": "utf-8"}
 STOP = ("stop_name", "stop_time", "stop_words")
 ORDER = "quantities"  # the attribute with the order of the quantities, which netCDF does not keep

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -17,12 +17,14 @@ from slipfree.contact.closure import (
     wheel_coordinates,
 )
 from slipfree.dae import Dae, Labels, Limit
+from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, platform, quaternion
 from slipfree.kinematics.slip import least_slip, slip_velocity
 from slipfree.named import Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.chain import Coordinate, Vehicle
 
+SlipLaw = Literal["least", "rolling"]
 FLAT = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
 OVERTURNED = 0.1  # likewise for the platform's up axis and the horizontal
 
@@ -115,7 +117,7 @@ class Outputs(NamedTuple):
 
 
 def direct_kinematics(
-    vehicle: Vehicle, terrain: Terrain
+    vehicle: Vehicle, terrain: Terrain, *, slip: SlipLaw = "least"
 ) -> Dae[Configuration, Algebraic, Angles, Inputs, Outputs]:
     """Return the motion of a vehicle over a ground under given rates, with the least slip.
 
@@ -129,13 +131,21 @@ def direct_kinematics(
         The vehicle.
     terrain : Terrain
         The ground; contacts keep to its domain.
+    slip : {"least", "rolling"}
+        Least slip, for every vehicle; or none at all, for those whose passive joints and free
+        wheels are as many as the conditions, ``2 n_wheels - 3``.
 
     Returns
     -------
     Dae
         Inputs are the rates of the driven wheels and of the commanded coordinates.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle has too few or too many freedoms to roll without slip and that is asked.
     """
-    labels = _labels(vehicle)
+    labels = _labels(vehicle, slip)
     x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
     carriers = _carriers(vehicle, x, z.position)
     contacts = [
@@ -150,7 +160,10 @@ def direct_kinematics(
              for carrier, contact, spin in zip(carriers, contacts, spins, strict=True)]  # fmt: skip
     position = [closure(*each) for each in zip(vehicle.wheels, carriers, contacts, strict=True)]
     normals = [contact.normal for contact in contacts]
-    balance = least_slip(slips, normals, pack(z.rates[:-1]), pack(z.rates.multipliers))
+    if slip == "least":
+        balance = least_slip(slips, normals, pack(z.rates[:-1]), pack(z.rates.multipliers))
+    else:
+        balance = ca.vertcat(*slips)
     pose_of = _touch_function(x, z, carriers, contacts)
     scale, shift = _sizes(vehicle, terrain, labels)
     return Dae(
@@ -314,7 +327,7 @@ def _sizes(
     return scale, (shift[0], shift[1])
 
 
-def _labels(vehicle: Vehicle) -> Labels:
+def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
         return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
 
@@ -366,7 +379,8 @@ def _labels(vehicle: Vehicle) -> Labels:
         tuple(rate(c) for c in vehicle.of("suspension")),
         tuple(rate(c) for c in vehicle.of("passive")),
         tuple(turning(name, f"the free wheel {name}") for name in free),
-        each("multiplier", "m s-1", "multiplier of the contact in the least-slip condition"),
+        each("multiplier", "m s-1", "multiplier of the contact in the least-slip condition")
+        if slip == "least" else (),
     )  # fmt: skip
     u = Inputs(
         tuple(turning(name, f"the driven wheel {name}, forward positive") for name in driven),
@@ -378,11 +392,34 @@ def _labels(vehicle: Vehicle) -> Labels:
         for wheel in vehicle.wheels
         for axis in "xyz"
     )
-    balance = tuple(
-        Label("least_slip", "m s-1", f"least slip with respect to {label.full}")
-        for label in leaves(rates)
+    return Labels(
+        x,
+        Algebraic(position, rates),
+        q,
+        u,
+        _output_labels(each),
+        (closures, _balance_labels(vehicle, rates, slip)),
     )
-    return Labels(x, Algebraic(position, rates), q, u, _output_labels(each), (closures, balance))
+
+
+def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Label, ...]:
+    """Return the labels of the equations for the rates; refuse what cannot roll."""
+    if slip == "least":
+        return tuple(
+            Label("least_slip", "m s-1", f"least slip with respect to {label.full}")
+            for label in leaves(rates)
+        )
+    given, needed = len(rates.passive) + len(rates.free), 2 * len(vehicle.wheels) - 3
+    if given != needed:
+        raise ModelError(
+            f"{vehicle.name} cannot be made to roll: {needed} conditions of no slip need as many "
+            f"passive joints and free wheels, found {given}; use slip = 'least'"
+        )
+    return tuple(
+        Label("no_slip", "m s-1", f"{axis} component of the slip", wheel.name)
+        for wheel in vehicle.wheels
+        for axis in "xyz"
+    )
 
 
 def _output_labels(each: Any) -> Outputs:

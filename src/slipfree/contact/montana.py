@@ -1,0 +1,135 @@
+"""Contact of a torus wheel with the ground at rate level: Montana's contact equations [1]_.
+
+Five contact coordinates place a wheel that touches the ground: the contact point on the ground
+``u_g, v_g``, the same on the wheel ``u_w, v_w``, and the angle ``psi`` between the two Gauss
+frames. The equations say how they change when the wheel moves. They need the curvature of the
+tread, hence a tube of positive radius.
+
+References
+----------
+.. [1] D. J. Montana, "The kinematics of contact and grasp", Int. J. Robotics Research 7(3), 1988.
+.. [2] N. Chakraborty and A. Ghosal, "Kinematics of wheeled mobile robots on uneven terrain",
+       section 2.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from slipfree.geometry.frame import Pose
+from slipfree.geometry.surface import Forms, Patch, inverse, patch
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.wheel import Wheel
+
+
+class ContactCoordinates(NamedTuple):
+    """Where a wheel touches the ground, on both surfaces, and how it is turned.
+
+    ``x, y`` are the ground's coordinates ``u_g, v_g`` [m]; ``u, v`` those of the torus
+    ``u_w, v_w``; ``psi`` is the angle that takes the wheel's Gauss x axis to the ground's, about
+    the ground's normal [rad].
+    """
+
+    x: Any
+    y: Any
+    u: Any
+    v: Any
+    psi: Any
+
+
+class Pair(NamedTuple):
+    """A wheel and the ground at their common point.
+
+    Attributes
+    ----------
+    wheel, ground : Patch
+        The two surfaces, in the axes of the wheel and in fixed axes.
+    psi : SX, shape (1, 1)
+        Angle from the wheel's Gauss x axis to the ground's. [rad]
+    """
+
+    wheel: Patch
+    ground: Patch
+    psi: ca.SX
+
+    @property
+    def frame(self) -> ca.SX:
+        """The wheel's Gauss frame in fixed axes, shape (3, 3)."""
+        return self.ground.frame @ alignment(self.psi)
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the wheel: its Gauss frame lies upside down on the ground's."""
+        rotation = self.frame @ self.wheel.frame.T
+        return Pose(rotation, self.ground.point - rotation @ self.wheel.point)
+
+
+def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates) -> Pair:
+    """Return both surfaces at the contact point; local coordinates of the terrain."""
+    on_wheel, on_ground = ca.vertcat(at.u, at.v), ca.vertcat(at.x, at.y)
+    ground = ca.vertcat(on_ground, terrain.height(at.x, at.y))
+    return Pair(patch(torus(wheel, at.u, at.v), on_wheel), patch(ground, on_ground), at.psi)
+
+
+def torus(wheel: Wheel, u: ca.SX, v: ca.SX) -> ca.SX:
+    """Return a point of the tread in the wheel's axes, shape (3, 1) (eq. 1 of [2]_). [m].
+
+    The normal ``c_u x c_v`` points outward; ``u = pi/2`` is the middle of the tread and
+    ``v = 3 pi/2`` the lowest point of an upright wheel.
+    """
+    rho = wheel.r2 + wheel.r1 * ca.sin(u)
+    return ca.vertcat(wheel.r1 * ca.cos(u), ca.cos(v) * rho, ca.sin(v) * rho)
+
+
+def alignment(psi: ca.SX) -> ca.SX:
+    """Return the wheel's Gauss frame in the axes of the ground's, shape (3, 3); symmetric."""
+    c, s = ca.cos(psi), ca.sin(psi)
+    return ca.blockcat([[c, -s, 0], [-s, -c, 0], [0, 0, -1]])
+
+
+class ContactRates(NamedTuple):
+    """Time derivatives of the contact coordinates.
+
+    Attributes
+    ----------
+    wheel, ground : SX, shape (2, 1)
+        Of the parameters of the two surfaces. [1/s times their unit]
+    psi : SX, shape (1, 1)
+        Of the angle between the Gauss frames. [rad/s]
+    """
+
+    wheel: ca.SX
+    ground: ca.SX
+    psi: ca.SX
+
+
+def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.SX) -> ContactRates:
+    """Return how the contact point moves over both surfaces (eq. 2 of [2]_).
+
+    The forms are not those printed there: with ``K`` and ``T`` as printed, factors ``1/|c_u|``
+    and ``1/|c_v|`` are missing, and a diagonal ``M`` does not hold on a height map
+    (``test_montana.py``: ``test_printed_forms_fail``).
+
+    Parameters
+    ----------
+    wheel, ground : Forms
+        Forms of the two surfaces at the contact point.
+    psi : SX, shape (1, 1)
+        Angle from the wheel's Gauss x axis to the ground's. [rad]
+    v, omega : SX, shape (3, 1)
+        Velocity of the wheel's material contact point relative to the ground, and angular
+        velocity of the wheel, in the wheel's Gauss frame; ``v[2]`` is zero. [m/s, rad/s]
+    """
+    turn = alignment(psi)[:2, :2]
+    from_ground = turn @ ground.curvature @ turn
+    relative = inverse(wheel.curvature + from_ground)
+    rolling = ca.vertcat(-omega[1], omega[0])
+    arc_w = relative @ (rolling - from_ground @ v[:2])
+    arc_g = turn @ relative @ (rolling + wheel.curvature @ v[:2])
+    return ContactRates(
+        inverse(wheel.metric) @ arc_w,
+        inverse(ground.metric) @ arc_g,
+        omega[2] + wheel.torsion @ arc_w + ground.torsion @ arc_g,
+    )
