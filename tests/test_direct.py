@@ -10,11 +10,9 @@ from slipfree import (
     Analytic,
     Bicubic,
     Grid,
-    ModelError,
     direct_kinematics,
     settle,
     simulate,
-    straight,
     three_wheeler,
 )
 
@@ -203,25 +201,6 @@ def test_signs_of_pitch_and_roll():
     assert settle(dae, heading=np.pi / 2)["roll"][0] == pytest.approx(np.arctan(-0.2))
     east_is_low = direct_kinematics(three_wheeler(), Analytic(lambda x, _: -0.2 * x))
     assert settle(east_is_low)["roll"][0] == pytest.approx(np.arctan(0.2))
-
-
-def test_straight_driver_keeps_its_line_and_its_wheels_up():
-    vehicle = three_wheeler()
-    dae = direct_kinematics(vehicle, Analytic(hills))
-    start = settle(dae, x=1.0, y=-2.0, heading=0.3)
-    for speed in (0.5, -0.5):
-        run = simulate(dae, start, straight(dae, vehicle, start, speed=speed), T * 10)
-        off = -(run["x"] - 1.0) * np.cos(0.3) - (run["y"] + 2.0) * np.sin(0.3)
-        assert np.abs(off).max() < 0.06
-        assert max(np.abs(run[f"tilt_{side}"]).max() for side in ("right", "left")) < 0.03
-        assert np.hypot(run["x"][-1] - 1.0, run["y"][-1] + 2.0) > 28
-
-
-def test_straight_driver_names_what_it_needs():
-    vehicle = three_wheeler()
-    dae = direct_kinematics(vehicle, Analytic(hills))
-    with pytest.raises(ModelError, match="speed must not be zero"):
-        straight(dae, vehicle, settle(dae), speed=0.0)
 
 
 def test_analytic_and_spline_ground_agree():

@@ -2,7 +2,8 @@
 
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError, SlipfreeError, SolverError
-from slipfree.kinematics.follow import straight
+from slipfree.geometry.path import Path
+from slipfree.kinematics.follow import follow, straight
 from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
@@ -22,12 +23,14 @@ __all__ = [
     "DataError",
     "Grid",
     "ModelError",
+    "Path",
     "SlipfreeError",
     "SolverError",
     "Terrain",
     "Trajectory",
     "Vehicle",
     "direct_kinematics",
+    "follow",
     "settle",
     "simulate",
     "straight",

@@ -1,0 +1,117 @@
+"""A smooth curve in the plan, for vehicles to follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.named import Array
+
+NODES = 64  # of the arc-length table, for each way-point
+
+
+class Place(NamedTuple):
+    """A point of a path.
+
+    Attributes
+    ----------
+    x, y : SX or ndarray
+        Where it is, in map coordinates. [m]
+    heading : SX or ndarray
+        Direction of the path, counter-clockwise from +y. [rad]
+    curvature : SX or ndarray
+        Rate of the heading with arc length, left positive. [1/m]
+    """
+
+    x: ca.SX
+    y: ca.SX
+    heading: ca.SX
+    curvature: ca.SX
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The cubic spline through way-points, by its arc length; beyond its end it goes straight on.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, 2)
+        Way-points in map coordinates, two or more, no two neighbours alike. [m]
+
+    Raises
+    ------
+    ModelError
+        If the points are too few, coincide, or are not finite.
+    """
+
+    points: Array
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, dtype=float)
+        if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 2:
+            raise ModelError(
+                f"path: expected two or more points (x, y), found shape {points.shape}"
+            )
+        if not np.isfinite(points).all():
+            raise ModelError("path: way-points must be finite")
+        gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        if not (gaps > 0).all():
+            k = int(gaps.argmin())
+            raise ModelError(f"path: way-points {k + 1} and {k + 2} coincide at {points[k]}")
+        object.__setattr__(self, "points", points)
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return float(self._table[0][-1])
+
+    def at(self, s: Array) -> Place:
+        """Return the places at arc lengths, shape (n,). [m]."""
+        symbol = ca.SX.sym("s")
+        f = ca.Function("place", [symbol], list(self.symbolic(symbol)))
+        return Place(*(np.array(row).ravel() for row in f.map(np.size(s))(np.reshape(s, (1, -1)))))
+
+    def symbolic(self, s: ca.SX) -> Place:
+        """Return the place at an arc length as an expression; ``x, y`` in map coordinates. [m]."""
+        inside = ca.fmin(ca.fmax(s, 0), self.length)
+        x, y, heading, curvature = ca.vertsplit(self._spline(inside))
+        beyond = s - inside
+        on_path = ca.if_else(ca.fabs(beyond) > 0, 0, curvature)
+        x_0, y_0 = self.points[0]
+        return Place(
+            x_0 + x - beyond * ca.sin(heading), y_0 + y + beyond * ca.cos(heading), heading, on_path
+        )
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Arc length at even steps, and x, y (from the first point), heading, curvature there."""
+        from scipy.interpolate import CubicSpline  # imported where a path is used: it takes 0.2 s
+
+        chord = np.concatenate(
+            [[0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))]
+        )
+        local = self.points - self.points[0]
+        spline = CubicSpline(chord, local, bc_type="not-a-knot" if len(chord) > 3 else "natural")
+        fine = np.linspace(0, chord[-1], NODES * len(chord) * 4 + 1)
+        speed = np.linalg.norm(spline(fine, 1), axis=1)
+        middle = np.linalg.norm(spline((fine[1:] + fine[:-1]) / 2, 1), axis=1)
+        steps = np.diff(fine) * (speed[1:] + speed[:-1] + 4 * middle) / 6  # Simpson
+        length = np.concatenate([[0], np.cumsum(steps)])
+        s = np.linspace(0, length[-1], NODES * len(chord) + 1)
+        u = CubicSpline(length, fine)(s)
+        (x, y), (x_u, y_u), (x_uu, y_uu) = (spline(u, k).T for k in range(3))
+        heading = np.unwrap(np.arctan2(-x_u, y_u))
+        curvature = (x_u * y_uu - y_u * x_uu) / np.hypot(x_u, y_u) ** 3
+        return s, np.stack([x, y, heading, curvature])
+
+    @cached_property
+    def _spline(self) -> ca.Function:
+        s, rows = self._table
+        table = ca.interpolant("path", "bspline", [s.tolist()], rows.ravel(order="F"))
+        at = ca.MX.sym("s")
+        return ca.Function("path", [at], [table(at)], {"never_inline": True})
