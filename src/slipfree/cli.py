@@ -19,7 +19,7 @@ import typer
 
 import slipfree
 from slipfree.errors import DataError, ModelError, SlipfreeError
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Stop, Trajectory
 
 if TYPE_CHECKING:
     from slipfree.problem.read import Problem
@@ -106,11 +106,7 @@ def run(
         if folder is not None:
             _draw(outcome, folder)
         if motion.stop is not None:
-            typer.echo(
-                f"stopped early at t = {motion.stop.t:.6g} s: {motion.stop.words}; "
-                f"{out} holds the motion to there",
-                err=True,
-            )
+            _say_stopped(motion.stop, out)
             raise typer.Exit(STOPPED)
 
 
@@ -165,6 +161,13 @@ def info(
         _print(words + motion_facts(motion))
         typer.echo()
         _print(ranges(motion))
+
+
+def _say_stopped(stop: Stop, out: Path) -> None:
+    typer.echo(
+        f"stopped early at t = {stop.t:.6g} s: {stop.words}; {out} holds the motion to there",
+        err=True,
+    )
 
 
 @contextmanager

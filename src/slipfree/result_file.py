@@ -264,6 +264,12 @@ class _Reader:
             f"{self.path}: expected a result file of slipfree, found {found}; {remedy}"
         )
 
+    def number(self, attribute: str) -> float:
+        value = self.attributes[attribute]
+        if isinstance(value, str):
+            raise self.fault(f"the attribute {attribute} = {value!r}, not a number")
+        return value
+
     def _check_magic(self) -> None:
         head = self.data[:4]
         if head in (b"CDF\1", b"CDF\2"):
@@ -342,8 +348,8 @@ def _trajectory(file: _Reader) -> Trajectory:
     wheels = variables["wheel"].values if "wheel" in variables else np.empty((0, 4), "S1")
     stop = None
     if set(STOP) <= set(found):
-        name, t, words = (found[key] for key in STOP)
-        stop = Stop(str(name), float(t), str(words))
+        name, words = (str(found[key]) for key in (STOP[0], STOP[2]))
+        stop = Stop(name, file.number(STOP[1]), words)
     attributes = {
         name: str(value)
         for name, value in found.items()
@@ -352,13 +358,9 @@ def _trajectory(file: _Reader) -> Trajectory:
     return Trajectory(
         variables["time"].values.astype(np.float64),
         {name: _column(file, name) for name in order},
-        tuple(row.tobytes().rstrip(b"\0").decode() for row in wheels),
+        tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels),
         stop,
-        {
-            k.removeprefix(STATISTICS): float(v)
-            for k, v in found.items()
-            if k.startswith(STATISTICS)
-        },
+        {k.removeprefix(STATISTICS): file.number(k) for k in found if k.startswith(STATISTICS)},
         attributes,
     )
 

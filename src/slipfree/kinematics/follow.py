@@ -132,11 +132,11 @@ def _guidance(
 
 def _turning(plan: _Plan, states: dict[str, ca.SX], v: ca.SX) -> ca.SX:
     """Return the rate at which the steered wheels make the vehicle turn on a plane. [rad/s]."""
-    rates = []
+    total = ca.SX(0)
     for foot in plan.steered:
         slope = ca.tan(states[str(foot.steer)])
-        rates.append(v * slope / (foot.forward - foot.right * slope))
-    return sum(rates) / len(rates)
+        total += v * slope / (foot.forward - foot.right * slope)
+    return total / len(plan.steered)
 
 
 def _rate(foot: _Foot, v: ca.SX, turning: ca.SX, states: dict[str, ca.SX]) -> ca.SX:
@@ -186,7 +186,8 @@ def _plan(vehicle: Vehicle) -> _Plan:
 def _turned(vehicle: Vehicle, wheel: Wheel) -> dict[str, str]:
     """Return the coordinates that turn a wheel, by axis."""
     joints = {joint.name: joint for joint in vehicle.joints}
-    turned, part = {}, wheel.parent
+    turned: dict[str, str] = {}
+    part = wheel.parent
     while part in joints:
         joint = joints[part]
         if joint.motion == "turn":

@@ -34,6 +34,7 @@ from slipfree.kinematics.rolling import (
     Dependent,
     Inputs,
     Rates,
+    SlipLaw,
     _carriers,
     _contact_limits,
     _joint_rates,
@@ -125,20 +126,22 @@ class Rolling(NamedTuple):
 
 
 def montana_kinematics(
-    vehicle: Vehicle, terrain: Terrain, *, kappa: float = 10.0
+    vehicle: Vehicle, terrain: Terrain, *, slip: SlipLaw = "least", kappa: float = 10.0
 ) -> Dae[Assembly, Unknowns, Angles, Inputs, AssemblyOutputs]:
     """Return the same motion as ``direct_kinematics`` from contact equations at rate level.
 
     Its start is a sample of the closure model, settled or later: ``simulate`` finds all states
-    there by name. ``settle`` has nothing to solve for here, since the contacts are states.
+    there by name. ``settle`` has nothing to solve for here, since the contacts are states. A
+    vehicle that falls apart is a violated limit.
 
     Parameters
     ----------
     vehicle : Vehicle
         The vehicle; every wheel has a tube (``r1 > 0``).
     terrain : Terrain
-        The ground, three times continuously differentiable but for lines; contacts keep to its
-        domain.
+        The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
+    slip : {"least", "rolling"}
+        As in the closure model.
     kappa : float
         Rate at which drift decays. [1/s]
 
@@ -150,48 +153,44 @@ def montana_kinematics(
     Raises
     ------
     ModelError
-        If a wheel is a disc, or ``kappa`` is not a rate.
+        If a wheel is a disc, ``kappa`` is not a rate, or the slip law does not fit the vehicle.
     """
     _check(vehicle, kappa)
-    labels = _assembly_labels(vehicle)
+    labels = _assembly_labels(vehicle, slip)
     x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
-    like = _like_closure(x, z)
-    spins = _spins(vehicle, z.rates, u)
-    joint_rates = _joint_rates(vehicle, z.rates, u)
-    q = pack(x[:-1])
-    q_dot = ca.vertcat(*z.rates[:6], *joint_rates, *z.rates.suspension)
-    carriers = _carriers(vehicle, like[0], like[1].position)
-    rolls = [
-        _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa)
-        for wheel, at, carrier, spin in zip(
-            vehicle.wheels, x.contacts, carriers, spins, strict=True
-        )
-    ]
+    configuration, position = _place(x)
+    like, spins = (configuration, Algebraic(position, z.rates)), _spins(vehicle, z.rates, u)
+    q_dot = ca.vertcat(*z.rates[:6], *_joint_rates(vehicle, z.rates, u), *z.rates.suspension)
+    rolls = _rolls(vehicle, terrain, x, q_dot, spins, kappa)
     contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
     slips = [roll.slip for roll in rolls]
-    normals = [contact.normal for contact in contacts]
-    balance = least_slip(slips, normals, pack(z.rates[:-1]), pack(z.rates.multipliers))
+    if slip == "least":
+        normals = [contact.normal for contact in contacts]
+        balance = least_slip(slips, normals, pack(z.rates[:-1]), pack(z.rates.multipliers))
+    else:
+        balance = ca.vertcat(*slips)
     scale, shift = _sizes(vehicle, terrain, labels)
-    pose_of = _touch_function(x, z, poses, contacts)
-    shared = _outputs(terrain, poses, contacts, slips, spins, *like)
+    touching = _touch_function(x, z, poses, contacts)
     return Dae(
         t, x, z, symbols(labels.q), u,
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
         alg=(balance,),
         quad=ca.vertcat(*spins),
         y=AssemblyOutputs(
-            **_of_assembly(shared),
+            **_of_assembly(_outputs(terrain, poses, contacts, slips, spins, *like)),
             drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
             drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
         ),
         labels=labels,
         limits=(
+            *_assembled(vehicle, rolls),  # first: nothing else is meaningful for a wheel astray
             *_stops(vehicle, *like),
             *_contact_limits(vehicle, terrain, contacts),
-            *_assembled(vehicle, rolls),
         ),
-        checks=tuple(map(lambda wheel, pose: SecondTouch(terrain, wheel, pose),
-                         vehicle.wheels, pose_of)),
+        checks=tuple(
+            SecondTouch(terrain, wheel, pose)
+            for wheel, pose in zip(vehicle.wheels, touching, strict=True)
+        ),
         guess=ca.SX.zeros(balance.numel()),
         scale=scale,
         shift=shift,
@@ -210,10 +209,23 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
             )
 
 
-def _like_closure(x: Assembly, z: Unknowns) -> tuple[Configuration, Algebraic]:
-    """Return the states and unknowns in the records of the closure model."""
+def _place(x: Assembly) -> tuple[Configuration, Dependent]:
+    """Return the states of platform and joints in the records of the closure model."""
     position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
-    return Configuration(x.x, x.y, x.heading, x.joints), Algebraic(position, z.rates)
+    return Configuration(x.x, x.y, x.heading, x.joints), position
+
+
+def _rolls(
+    vehicle: Vehicle, terrain: Terrain, x: Assembly, q_dot: ca.SX, spins: list[ca.SX], kappa: float
+) -> list[Rolling]:
+    """Return how every wheel rolls; ``q_dot`` are the rates of all states but the contacts."""
+    carriers, q = _carriers(vehicle, *_place(x)), pack(x[:-1])
+    return [
+        _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa)
+        for wheel, at, carrier, spin in zip(
+            vehicle.wheels, x.contacts, carriers, spins, strict=True
+        )
+    ]
 
 
 def _rolling(
@@ -225,16 +237,15 @@ def _rolling(
     pose, frame = both.pose, both.frame
     contact = touch(terrain, at.x, at.y, pose.rotation[:, 0])
     displacement = pose.origin - carrier.origin
-    rotation = 0.5 * sum(
-        ca.cross(pose.rotation[:, k], carrier.rotation[:, k]) for k in range(3)
-    )  # sine of the angle times the axis
+    turn = carrier.rotation @ pose.rotation.T
+    rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis
     omega = twist.omega + kappa * rotation - spin * pose.rotation[:, 0]
     slip = twist.v - kappa * displacement + ca.cross(omega, contact.point - pose.origin)
     wheel_uv, ground_uv, psi = contact_rates(
         both.wheel.forms, both.ground.forms, at.psi, frame.T @ slip, frame.T @ omega
     )
-    # the wheel turns in its hub, to which u and v belong: v stays near 3 pi/2
-    rates = ContactCoordinates(*ca.vertsplit(ground_uv), wheel_uv[0], wheel_uv[1] - spin, psi)
+    # u and v belong to the hub, in which the wheel turns: v stays near 3 pi/2
+    rates = ContactCoordinates(ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin, psi)
     return Rolling(contact, pose, slip, rates, displacement, rotation)
 
 
@@ -248,24 +259,22 @@ def _assembled(vehicle: Vehicle, rolls: list[Rolling]) -> Iterator[Limit]:
     """Yield the limits on the drift."""
     for wheel, roll in zip(vehicle.wheels, rolls, strict=True):
         words = (
-            f"wheel {wheel.name} has left its place on the vehicle; take a smaller tolerance, and "
-            "a start from the closure model (drift in wheel radii or rad)"
+            f"wheel {wheel.name} is not in its place on the vehicle; start from the closure model "
+            "and take a smaller tolerance (drift in wheel radii or rad)"
         )
         drift = ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
         yield Limit(Label("assembly", "1", words, wheel.name), drift, -np.inf, LOOSE)
 
 
-def _assembly_labels(vehicle: Vehicle) -> Labels:
+def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     """Return the labels of the closure model, sorted into the records used here."""
 
     def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
         return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
 
-    x, z, q, u, y, (_, balance) = _labels(vehicle)
+    x, z, q, u, y, (_, balance) = _labels(vehicle, slip)
     place = z.position
-    contacts = zip(
-        *zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True
-    )
+    contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
     outputs = AssemblyOutputs(
         **_of_assembly(y),
         drift_position=each("drift_position", "m", "distance of the wheel from its place"),

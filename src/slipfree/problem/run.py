@@ -97,8 +97,8 @@ def build(problem: Problem) -> Setup:
     with _at(problem, ("vehicle",)):
         given = spec.vehicle.model_dump(exclude_none=True)
         vehicle = CATALOG[given.pop("catalog")](**given)
-    with _at(problem, ("terrain",)):
-        dae = direct_kinematics(vehicle, Bicubic(ground.grid))
+    center = spec.start.get("x", 0.0), spec.start.get("y", 0.0)
+    dae = direct_kinematics(vehicle, Bicubic(ground.grid, center))
     _check_names(problem, dae)
     values: dict[str, Any] = dict(spec.start)
     if spec.frame == "rep103" and "heading" in values:
