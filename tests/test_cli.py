@@ -149,7 +149,7 @@ def test_check() -> None:
     assert result.stdout.endswith("ok\n")
     assert "driver straight" in result.stdout
     assert "z 0.3" in result.stdout
-    assert "clean: second contact none near" in result.stdout
+    assert "clean: clearance beside the contacts" in result.stdout
 
 
 def test_info(folder: Path) -> None:

@@ -85,7 +85,7 @@ def test_formulations_agree_to_their_errors(ground):
     runs = both(GROUNDS[ground], T, tolerance=1e-9, **start)
     own = [gap(run, best) for run, best in zip(runs, fine, strict=True)]
     assert all(run.stop is None for run in (*runs, *fine))
-    assert gap(*fine) < 5e-9
+    assert gap(*fine) < 1e-9
     assert gap(*runs) < sum(own)
     assert gap(*runs) < 1e-6
     assert max(own) < 1e-6

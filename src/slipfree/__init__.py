@@ -13,8 +13,7 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalog import three_wheeler
 from slipfree.vehicle.chain import Vehicle
-
-__version__ = "0.1.0"
+from slipfree.version import __version__
 
 __all__ = [
     "Analytic",
@@ -29,6 +28,7 @@ __all__ = [
     "Terrain",
     "Trajectory",
     "Vehicle",
+    "__version__",
     "direct_kinematics",
     "follow",
     "settle",

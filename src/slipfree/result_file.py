@@ -13,7 +13,6 @@ import math
 import os
 import platform
 import struct
-import sys
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -27,6 +26,7 @@ from scipy.io import netcdf_file
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.named import Label
 from slipfree.trajectory import Column, Stop, Trajectory
+from slipfree.version import __version__
 
 if TYPE_CHECKING:
     import xarray
@@ -212,14 +212,12 @@ def _annotate(node: Any, attributes: Mapping[str, Attribute]) -> None:
 def _attributes(run: Trajectory) -> dict[str, Attribute]:
     """Return the global attributes of a result."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    # Not an import of the package, which would tie this module to all that it offers.
-    own = str(vars(sys.modules["slipfree"])["__version__"])
     found: dict[str, Attribute] = {
         "Conventions": CONVENTIONS,
         "title": "Motion of a wheeled vehicle over uneven ground",
         "date_created": now,
-        "history": f"{now} computed by slipfree {own}",
-        ORIGIN: own,
+        "history": f"{now} computed by slipfree {__version__}",
+        ORIGIN: __version__,
         "python_version": platform.python_version(),
         **{f"{name}_version": version(name) for name in ("casadi", "numpy", "scipy")},
         **run.attributes,

@@ -110,7 +110,7 @@ def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.S
 
     The forms are not those printed there: with ``K`` and ``T`` as printed, factors ``1/|c_u|``
     and ``1/|c_v|`` are missing, and a diagonal ``M`` does not hold on a height map
-    (``test_montana.py``: ``test_printed_forms_fail``).
+    (``test_surface.py``: ``test_printed_forms_fail``).
 
     Parameters
     ----------

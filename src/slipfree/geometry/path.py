@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -28,10 +28,10 @@ class Place(NamedTuple):
         Rate of the heading with arc length, left positive. [1/m]
     """
 
-    x: ca.SX
-    y: ca.SX
-    heading: ca.SX
-    curvature: ca.SX
+    x: Any
+    y: Any
+    heading: Any
+    curvature: Any
 
 
 @dataclass(frozen=True, eq=False)

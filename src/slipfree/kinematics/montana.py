@@ -164,11 +164,7 @@ def montana_kinematics(
     rolls = _rolls(vehicle, terrain, x, q_dot, spins, kappa)
     contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
     slips = [roll.slip for roll in rolls]
-    if slip == "least":
-        normals = [contact.normal for contact in contacts]
-        balance = least_slip(slips, normals, pack(z.rates[:-1]), pack(z.rates.multipliers))
-    else:
-        balance = ca.vertcat(*slips)
+    balance = _balance(slip, slips, contacts, z.rates)
     scale, shift = _sizes(vehicle, terrain, labels)
     touching = _touch_function(x, z, poses, contacts)
     return Dae(
@@ -247,6 +243,14 @@ def _rolling(
     # u and v belong to the hub, in which the wheel turns: v stays near 3 pi/2
     rates = ContactCoordinates(ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin, psi)
     return Rolling(contact, pose, slip, rates, displacement, rotation)
+
+
+def _balance(law: SlipLaw, slips: list[ca.SX], contacts: list[Touch], rates: Rates) -> ca.SX:
+    """Return the equations for the rates."""
+    if law == "rolling":
+        return ca.vertcat(*slips)
+    normals = [contact.normal for contact in contacts]
+    return least_slip(slips, normals, pack(rates[:-1]), pack(rates.multipliers))
 
 
 def _of_assembly(shared: Any) -> dict[str, Any]:

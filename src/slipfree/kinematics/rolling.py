@@ -158,7 +158,7 @@ def direct_kinematics(
     q_dot = pack((*z.rates[:2], z.rates.heading, joint_rates, z.rates.z, *z.rates[4:7]))
     slips = [slip_velocity(carrier, contact, q, q_dot, spin)
              for carrier, contact, spin in zip(carriers, contacts, spins, strict=True)]  # fmt: skip
-    position = [closure(*each) for each in zip(vehicle.wheels, carriers, contacts, strict=True)]
+    position = _closures(vehicle, x, z.position, carriers, contacts)
     normals = [contact.normal for contact in contacts]
     if slip == "least":
         balance = least_slip(slips, normals, pack(z.rates[:-1]), pack(z.rates.multipliers))
@@ -169,7 +169,7 @@ def direct_kinematics(
     return Dae(
         t, x, z, symbols(labels.q), u,
         ode=ca.vertcat(z.rates.x, z.rates.y, z.rates.heading, *joint_rates),
-        alg=(ca.vertcat(*position), balance),
+        alg=(position, balance),
         quad=ca.vertcat(*spins),
         y=_outputs(terrain, carriers, contacts, slips, spins, x, z),
         labels=labels,
@@ -194,6 +194,30 @@ def _carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[
     values = dict(zip(names, (*x.joints, *position.suspension), strict=True))
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     return vehicle.carriers(base, values)
+
+
+def _closures(
+    vehicle: Vehicle,
+    x: Configuration,
+    position: Dependent,
+    carriers: tuple[Pose, ...],
+    contacts: list[Touch],
+) -> ca.SX:
+    """Return the closures of all wheels, from the platform's centre.
+
+    Subtracted before anything is added to them, large coordinates cost no digits.
+    """
+    level = x._replace(x=ca.SX(0), y=ca.SX(0))
+    arms = [pose.origin for pose in _carriers(vehicle, level, position._replace(z=ca.SX(0)))]
+    center = ca.vertcat(x.x, x.y, position.z)
+    return ca.vertcat(
+        *(
+            closure(wheel, Pose(carrier.rotation, arm), each._replace(point=each.point - center))
+            for wheel, carrier, arm, each in zip(
+                vehicle.wheels, carriers, arms, contacts, strict=True
+            )
+        )
+    )
 
 
 def _spins(vehicle: Vehicle, rates: Rates, u: Inputs) -> list[ca.SX]:

@@ -75,8 +75,11 @@ def certificate(run: Trajectory) -> str:
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
         clean += " up to the stop"
-    room = "none near" if clearance >= NONE else f"{clearance:.4g} m away at least"
-    return f"{clean}: second contact {room}, relative curvature {curvature:.4g} 1/m at least"
+    room = "more than a metre" if clearance >= NONE else f"{clearance:.4g} m at least"
+    return (
+        f"{clean}: clearance beside the contacts {room}, relative curvature {curvature:.4g} 1/m "
+        "at least"
+    )
 
 
 def _cost(run: Trajectory) -> Iterator[tuple[str, str]]:

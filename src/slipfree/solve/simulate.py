@@ -234,8 +234,9 @@ def _cut(
         finer, report = corrected(loop, _integrate(loop, at, t, u, tolerance, None).samples)
         fine = table(loop, finer, report)
         found = first_violation(loop, fine, finer)
-        if found is None or found[0] == 0:
-            break  # the crossing is within the integrator's tolerance of a sample
+        if found is None or found[0] == 0:  # the crossing lies on a sample, within the tolerance
+            run, k = (fine, fine.t.size) if found is None else (run, k)
+            break
         (k, stop), run, samples = found, fine, finer
     stop = stop._replace(t=float(run.t[k - 1]))
     tail = run.part(slice(k - 1, k), stop)

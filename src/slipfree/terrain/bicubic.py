@@ -14,7 +14,7 @@ from slipfree.terrain.base import Grid
 
 ON_KNOT = 1e-10  # a point nearer to a knot than this, in cells, lies on it
 CHUNK = 8192  # points evaluated at once: the temporaries stay in the cache
-LARGE = 2**22  # coefficients above which the look-up stores them once, not four times
+LARGE = 2**21  # coefficients above which the look-up stores them once, not four times
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +71,11 @@ class Bicubic:
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the local height at a local point [m]."""
         a, b = self._in_cells(x, y)
-        n_x, n_y = self.grid.z.shape
-        i = ca.fmin(ca.fmax(ca.floor(a + ON_KNOT), 0), n_x - 2)
-        j = ca.fmin(ca.fmax(ca.floor(b + ON_KNOT), 0), n_y - 2)
+        (i_0, i_last), (j_0, j_last) = self._cells
+        i = ca.fmin(ca.fmax(ca.floor(a + ON_KNOT), -i_0), i_last - i_0)
+        j = ca.fmin(ca.fmax(ca.floor(b + ON_KNOT), -j_0), j_last - j_0)
         # Four sums of four, then one: half the operations of a sum of sixteen products.
-        c = ca.reshape(ca.floor(self._gather(ca.vertcat(i, j))), 4, 4)
+        c = ca.reshape(ca.floor(self._gather(ca.vertcat(i + i_0, j + j_0))), 4, 4)
         lines = ca.mtimes(ca.horzcat(*_basis(a - i)), c)
         height: ca.SX = self._table[1] * ca.mtimes(lines, ca.vertcat(*_basis(b - j)))
         return height
@@ -90,23 +90,37 @@ class Bicubic:
             heights[part] = self._local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
         return heights.reshape(x.shape) + z_0
 
+    @cached_property
+    def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Along x and y: the node nearest to the local origin, and the last cell."""
+        counts = []
+        for axis, at, h in zip((self.grid.x, self.grid.y), self.origin, self.grid.spacing,
+                               strict=False):  # fmt: skip
+            counts.append((int(np.clip(np.rint((at - axis[0]) / h), 0, axis.size - 1)),
+                           axis.size - 2))  # fmt: skip
+        return counts[0], counts[1]
+
     def _in_cells(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return a local point counted in cells from the first node."""
+        """Return a local point counted in cells from the node nearest to the local origin.
+
+        Counted from there, points near the origin keep their digits on a map of any size.
+        """
+        (i_0, _), (j_0, _) = self._cells
         x_0, y_0, _ = self.origin
         h_x, h_y = self.grid.spacing
-        return (x - (self.domain[0] - x_0)) / h_x, (y - (self.domain[2] - y_0)) / h_y
+        return (x - (self.grid.x[i_0] - x_0)) / h_x, (y - (self.grid.y[j_0] - y_0)) / h_y
 
     def _local_heights(self, x: Array, y: Array) -> Array:
         """Return the local heights at local points, shape (n,)."""
         a, b = self._in_cells(x, y)
-        n_x, n_y = self.grid.z.shape
+        (i_0, i_last), (j_0, j_last) = self._cells
         # fmin and fmax put NaN into a valid cell, whose polynomial then returns NaN.
-        i = np.fmin(np.fmax(np.floor(a + ON_KNOT), 0), n_x - 2)
-        j = np.fmin(np.fmax(np.floor(b + ON_KNOT), 0), n_y - 2)
+        i = np.fmin(np.fmax(np.floor(a + ON_KNOT), -i_0), i_last - i_0)
+        j = np.fmin(np.fmax(np.floor(b + ON_KNOT), -j_0), j_last - j_0)
         rows, columns = _basis(a - i), _basis(b - j)
         table, unit = self._table
         width = table.shape[1]
-        first = i.astype(np.intp) * width + j.astype(np.intp)
+        first = (i + i_0).astype(np.intp) * width + (j + j_0).astype(np.intp)
         heights = np.zeros(x.size)
         for m, row in enumerate(rows):
             line = np.zeros(x.size)
