@@ -70,6 +70,14 @@ def both(ground, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
     ]
 
 
+def displaced(run, **by):
+    """Return a motion with quantities changed by the amounts given."""
+    columns = dict(run.columns)
+    for name, amount in by.items():
+        columns[name] = columns[name]._replace(values=columns[name].values + amount)
+    return replace(run, columns=columns)
+
+
 def gap(first, second):
     """Return the largest difference of positions and angles."""
     return max(d.size for d in cross_check(first, second) if d.label.unit in ("m", "rad"))
@@ -170,9 +178,18 @@ def test_the_error_test_must_leave_out_the_rates():
     assert wasteful.statistics["steps"] > 3 * minute().statistics["steps"]
 
 
-def test_stabilisation_lessens_the_drift():
-    loose, held = minute(kappa=0.0, tolerance=1e-10), minute(tolerance=1e-10)
-    assert loose["drift_position"].max() > 3 * held["drift_position"].max()
+@pytest.mark.parametrize("kappa", [2.0, 10.0])
+def test_drift_decays_at_kappa(kappa):
+    """A vehicle put together a little wrong pulls itself right, in place and orientation."""
+    vehicle, ground = three_wheeler(), GROUNDS["hills"]
+    dae = montana_kinematics(vehicle, ground, kappa=kappa)
+    stand = displaced(settle(direct_kinematics(vehicle, ground), **START), x=3e-6, psi=1e-5)
+    t = np.linspace(0, 1, 11)
+    run = simulate(dae, stand, dae.inputs(**PAPER_RATES), t, tolerance=1e-11)
+    for name, size in (("drift_position", 1e-6), ("drift_rotation", 1e-5)):
+        assert run[name][0].min() > size / 2
+        decayed = run[name][0] * np.exp(-kappa * t[:, None])
+        assert_allclose(run[name], decayed, rtol=1e-3, atol=1e-9)
 
 
 # --- every wheel knows the platform ---------------------------------------------------------------
@@ -273,7 +290,7 @@ def test_twelve_invariants_hold_the_vehicle():
     assert_allclose(value.ravel(), [2, np.sqrt(3.25), np.sqrt(3.25), *np.zeros(9)], atol=1e-12)
     singular = np.linalg.svd(jacobian)[1]
     assert singular.size == 12
-    assert singular.min() > 0.02
+    assert singular.min() > 0.5
     assert np.linalg.matrix_rank(jacobian[:3]) == 3
 
 
@@ -338,10 +355,8 @@ def test_kappa_is_a_rate(kappa):
 def test_a_vehicle_in_pieces_is_refused():
     dae = montana_kinematics(three_wheeler(), GROUNDS["hills"])
     stand = settle(direct_kinematics(three_wheeler(), GROUNDS["hills"]))
-    columns = dict(stand.columns)
-    columns["x"] = columns["x"]._replace(values=columns["x"].values + 0.01)
     with pytest.raises(ModelError, match="start is not valid: wheel right is not in its place"):
-        simulate(dae, replace(stand, columns=columns), dae.inputs(**PAPER_RATES), T)
+        simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
 
 
 def test_there_is_nothing_to_settle():
@@ -358,16 +373,15 @@ def test_limits_are_watched_as_in_the_closure_model():
 
 def test_cross_check_finds_the_farthest_sample():
     run = drive(GROUNDS["hills"], T[:5])
-    columns = dict(run.columns)
-    moved = columns["psi"].values + 2 * np.pi
-    moved[3, 1] += 0.1
-    columns["psi"] = columns["psi"]._replace(values=moved)
-    table = cross_check(run, replace(run, columns=columns))
+    change = np.full((5, 3), 2 * np.pi)
+    change[3, 1] += 0.1
+    other = displaced(run, psi=change)
+    table = cross_check(run, other)
     worst = max(table, key=lambda row: row.size)
     assert (worst.label.full, worst.t) == ("psi[left]", T[3])
     assert worst.size == pytest.approx(0.1)
     assert all(row.size == 0 for row in table if row is not worst)
-    short = cross_check(run.part(slice(3)), replace(run, columns=columns))
+    short = cross_check(run.part(slice(3)), other)
     assert max(row.size for row in short) < 1e-14
 
 
