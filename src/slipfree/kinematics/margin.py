@@ -21,9 +21,10 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
+from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.named import Array, Label, leaves, pack
+from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
 
@@ -32,6 +33,7 @@ EULER = ("heading_rate", "roll_rate", "pitch_rate")
 OMEGA = ("omega_x", "omega_y", "omega_z")
 TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
 SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
+ROUNDING = 1e-14  # relative singular value that counts as zero
 Direct = Dae[Any, Any, Any, Any, Any]
 
 
@@ -44,8 +46,10 @@ class Rolling:
     names : tuple of str
         Names of all rates: velocities, ``omega_x`` to ``omega_z``, Euler rates, then suspension,
         passive joints, free wheels, driven wheels and commanded coordinates.
+    sizes : tuple of float
+        What turns them into velocities. [m, or 1]
     columns : SX, shape (3 n_wheels, n_names)
-        Derivatives of the slip with respect to them, scaled.
+        Derivatives of the slip with respect to the velocities that result.
     angles : SX, shape (3 n_wheels, n_commanded)
         Derivatives with respect to the commanded coordinates, the pose following them. [m/s/rad]
     angle_names : tuple of str
@@ -53,9 +57,25 @@ class Rolling:
     """
 
     names: tuple[str, ...]
+    sizes: tuple[float, ...]
     columns: ca.SX
     angles: ca.SX
     angle_names: tuple[str, ...]
+
+    def growth(self, given: Sequence[str]) -> ca.SX:
+        """Return at which rate a deviation of the steering grows while the given rates are kept.
+
+        The derivative of every commanded coordinate's rate in the coordinate itself; the largest
+        counts. It is the forward speed over the lever of the contact about the steering axis,
+        negative where the contact trails. [1/s]
+        """
+        matrix, unknown = self.matrix(given, "rate", ca.SX(1))
+        change = -ca.solve(matrix, self.angles)
+        largest = ca.SX(-np.inf)
+        for k, name in enumerate(self.angle_names):
+            size = self.sizes[self.names.index(f"{name}_rate")]
+            largest = ca.fmax(largest, change[unknown.index(f"{name}_rate"), k] / size)
+        return largest
 
     def matrix(self, given: Sequence[str], steering: str, speed: ca.SX) -> tuple[ca.SX, list[str]]:
         """Return the scaled matrix of the unknowns and their names."""
@@ -98,25 +118,27 @@ def rolling(vehicle: Vehicle, direct: Direct) -> Rolling:
         label.full
         for label in leaves((label_of.suspension, label_of.passive, label_of.free, direct.labels.u))
     ]
-    slip, closure = direct.alg[1], direct.alg[0]
-    a = ca.jacobian(slip, ca.vertcat(*platform, *others))
+    a = ca.jacobian(direct.alg[1], ca.vertcat(*platform, *others))
     extent, radius = _extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
     to_omega = ca.inv(omega(direct.x.heading, z.position.roll))
-    a_omega = a[:, 3:6] @ to_omega / extent
-    lengths = [1.0 if _slides(vehicle, name) else radius for name in names]
-    a_others = a[:, 6:] @ ca.diag(ca.DM([1 / length for length in lengths]))
-    commanded = [c.name for c in vehicle.of("commanded")]
-    kept = [c.name for c in vehicle.coordinates if c.kind != "suspension"]
-    angles = ca.vertcat(ca.SX(0, 1), *(direct.x.joints[kept.index(name)] for name in commanded))
-    position = pack(z.position)
-    follows = -ca.solve(ca.jacobian(closure, position), ca.jacobian(closure, angles))
-    b = ca.jacobian(slip, angles) + ca.jacobian(slip, position) @ follows
+    sizes = [1.0] * 3 + [extent] * 6 + [1.0 if _slides(vehicle, n) else radius for n in names]
+    columns = ca.horzcat(a[:, :3], a[:, 3:6] @ to_omega, a[:, 3:])
     return Rolling(
         (*VELOCITY, *OMEGA, *EULER, *names),
-        ca.horzcat(a[:, :3], a_omega, a[:, 3:6] / extent, a_others),
-        b,
-        tuple(commanded),
+        tuple(sizes),
+        columns @ ca.diag(ca.DM([1 / size for size in sizes])),
+        *_angles(vehicle, direct),
     )
+
+
+def _angles(vehicle: Vehicle, direct: Direct) -> tuple[ca.SX, tuple[str, ...]]:
+    """Return derivatives of the slip in the commanded coordinates, the pose following them."""
+    names = tuple(c.name for c in vehicle.of("commanded"))
+    kept = [c.name for c in vehicle.coordinates if c.kind != "suspension"]
+    angles = ca.vertcat(ca.SX(0, 1), *(direct.x.joints[kept.index(name)] for name in names))
+    closure, slip, position = *direct.alg, pack(direct.z.position)
+    follows = -ca.solve(ca.jacobian(closure, position), ca.jacobian(closure, angles))
+    return ca.jacobian(slip, angles) + ca.jacobian(slip, position) @ follows, names
 
 
 def _slides(vehicle: Vehicle, rate: str) -> bool:
@@ -144,7 +166,8 @@ class InverseMargin:
     reasons : mapping of str to str
         What it means that an unknown alone is not determined.
     matrix : casadi Function
-        ``(x, z, u) -> (matrix of the unknowns, columns of the given rates, slip)``.
+        ``(x, z, u) -> (matrix of the unknowns, columns of the given rates, derivative of the slip
+        in u, slip at u = 0)``.
     """
 
     least: float
@@ -180,11 +203,11 @@ class InverseMargin:
         With the angle unknown its column depends on the given rates; they follow from the rest,
         since the vehicle rolls.
         """
-        count, n_u = x.shape[1], len(self.given)
-        function = self.matrix.map(count)
-        _, columns, slip = _stacked(function(x, z, np.zeros((n_u, count))), count)
-        u = -np.linalg.pinv(columns) @ slip
-        matrix, columns, _ = _stacked(function(x, z, u[..., 0].T), count)
+        count = x.shape[1]
+        function, rest = self.matrix.map(count), np.zeros((len(self.given), count))
+        *_, effect, slip = _stacked(function(x, z, rest), count)
+        u = -np.linalg.pinv(effect) @ slip
+        matrix, columns, *_ = _stacked(function(x, z, u[..., 0].T), count)
         return matrix, columns
 
 
@@ -205,8 +228,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def inverse_margin(
-    vehicle: Vehicle, direct: Direct, model: tuple[Any, Any, Any], given: Sequence[str],
-    steering: str, least: float,
+    vehicle: Vehicle, direct: Direct, parts: Rolling, model: tuple[Any, Any, Any],
+    given: Sequence[str], steering: str, least: float,
 ) -> InverseMargin:  # fmt: skip
     """Return the check for an inverse model.
 
@@ -214,16 +237,75 @@ def inverse_margin(
     ----------
     vehicle, direct : Vehicle, Dae
         The vehicle, and its direct model with ``slip="rolling"``.
+    parts : Rolling
+        From `rolling`.
     model : tuple of records of SX
         ``x``, ``z`` and ``u`` of the inverse model, in symbols of the direct model.
     given, steering, least
         As in `inverse_kinematics`.
     """
-    parts, rates = rolling(vehicle, direct), direct.z.rates
+    rates = direct.z.rates
     speed = ca.sqrt(rates.x**2 + rates.y**2)
     matrix, unknown = parts.matrix(given, steering, speed)
     symbols = [pack(record) for record in model]
     columns = parts.columns[:, [parts.names.index(name) for name in given]]
-    slip = ca.jtimes(direct.alg[1], symbols[2], symbols[2])
-    function = ca.Function("matrix", symbols, [matrix, columns, slip])
-    return InverseMargin(least, tuple(given), tuple(unknown), _reasons(vehicle, steering), function)
+    effect = ca.jacobian(direct.alg[1], symbols[2])
+    expressions = [matrix, columns, effect, direct.alg[1] - effect @ symbols[2]]
+    if steering == "angle":
+        joints = pack(direct.u.joints)
+        expressions = ca.substitute(expressions, [joints], [ca.SX.zeros(joints.shape)])
+    function = ca.Function("matrix", symbols, expressions)
+    return InverseMargin(least, tuple(given), tuple(unknown), _reasons(vehicle), function)
+
+
+def _reasons(vehicle: Vehicle) -> dict[str, str]:
+    """Return what it means that the rate of a commanded coordinate is not determined."""
+    reasons = {}
+    for c in vehicle.of("commanded"):
+        moved: set[str] = set()
+        for joint in vehicle.joints:
+            if joint.coordinate == c.name or joint.parent in moved:
+                moved.add(joint.name)
+        wheels = [wheel.name for wheel in vehicle.wheels if wheel.parent in moved]
+        who = f"the contact of wheel {wheels[0]} lies" if len(wheels) == 1 else (
+            f"the contacts of wheels {_listed(wheels)} lie")  # fmt: skip
+        reasons[f"{c.name}_rate"] = f"{who} on the axis of {c.name}"
+    return reasons
+
+
+def conditions(
+    vehicle: Vehicle, terrain: Terrain, run: Trajectory, *, steering: str = "rate"
+) -> dict[tuple[str, ...], Array]:
+    """Return how well each of the 20 choices of three platform velocities determines the rest.
+
+    Parameters
+    ----------
+    vehicle, terrain : Vehicle, Terrain
+        What moves on what.
+    run : Trajectory
+        A motion of the vehicle there, direct or inverse; it must move if ``steering="angle"``.
+    steering : {"rate", "angle"}
+        What of the steering is unknown.
+
+    Returns
+    -------
+    dict
+        Condition numbers, shape (n,), one for each sample, by the names of the three; infinite
+        where the choice is singular.
+    """
+    direct = direct_kinematics(vehicle, terrain, slip="rolling")
+    parts, rates = rolling(vehicle, direct), direct.z.rates
+    speed = ca.sqrt(rates.x**2 + rates.y**2)
+    choices = list(combinations((*VELOCITY, *OMEGA), 3))
+    matrices = [parts.matrix(given, steering, speed)[0] for given in choices]
+    function = ca.Function("matrices", list(direct.columns()), matrices)
+    count = run.t.size
+    rows = [np.column_stack([direct.rows(record, run, k) for k in range(count)])
+            for record in "xzu"]  # fmt: skip
+    stacks = _stacked(function.map(count)(*rows), count)
+    values = [np.linalg.svd(stack, compute_uv=False) for stack in stacks]
+    floor = np.finfo(float).tiny
+    return {
+        given: np.where(v[:, -1] > ROUNDING * v[:, 0], v[:, 0] / np.fmax(v[:, -1], floor), np.inf)
+        for given, v in zip(choices, values, strict=True)
+    }
