@@ -286,7 +286,7 @@ def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     )
     states = Assembly(
         x.x, x.y, place.z, x.heading, place.roll, place.pitch, x.joints, place.suspension,
-        tuple(ContactCoordinates(*each) for each in contacts),
+        tuple(ContactCoordinates(*row) for row in contacts),
     )  # fmt: skip
     return Labels(states, Unknowns(z.rates), q, u, outputs, (balance,))
 

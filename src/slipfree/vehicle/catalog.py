@@ -3,41 +3,55 @@
 from __future__ import annotations
 
 from math import inf
+from typing import Literal, get_args
 
 from slipfree.errors import ModelError
 from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
+Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
+Ends = tuple[tuple[Coordinate, ...], tuple[Joint, ...]]
+HERE = (0.0, 0.0, 0.0)
+
 
 def three_wheeler(
     *,
+    axle: Axle = "tilting",
     half_track: float = 1.0,
     wheelbase: float = 1.5,
     r1: float = 0.05,
     r2: float = 0.25,
     tilt_stop: float = inf,
+    slide_stop: float = inf,
 ) -> Vehicle:
-    """Return the three-wheeler with passive lateral tilt of Chakraborty and Ghosal [1]_.
+    """Return the three-wheeler of Chakraborty and Ghosal [1]_, or one with another rear axle.
 
-    Two driven rear wheels that tilt freely about their forward axes, and one free front wheel
-    that is steered. The platform's centre lies on the centre line, a third of the wheelbase
-    ahead of the rear axle, at the height of the wheel centres. The defaults are the paper's.
+    Two rear wheels and one free front wheel that is steered. The platform's centre lies on the
+    centre line, a third of the wheelbase ahead of the rear axle, at the height of the wheel
+    centres. The defaults are the paper's vehicle; the other axles are those it compares with.
 
     Parameters
     ----------
+    axle : str
+        ``"tilting"``: both rear wheels are driven and tilt freely about their forward axes;
+        ``"sliding"``: both driven, each half of the axle slides freely;
+        ``"prismatic"``: both driven, the right half slides freely;
+        ``"prismatic_undriven"``: the same, with the right wheel free;
+        ``"actuated"``: both driven, the rate of the right half's sliding is an input;
+        ``"fixed"``: both driven, rigid.
     half_track : float
         Half the length of the rear axle, ``l_a``. [m]
     wheelbase : float
         Distance from the middle of the axle to the centre of the front wheel, ``l_s``. [m]
     r1, r2 : float
-        Radius of the wheels' tube and of the circle of tube centres. [m]
-    tilt_stop : float
-        Largest lateral tilt either way. [rad]
+        Radius of the wheels' tube, zero for discs, and of the circle of tube centres. [m]
+    tilt_stop, slide_stop : float
+        Largest lateral tilt, and largest sliding of half an axle, either way. [rad, m]
 
     Raises
     ------
     ModelError
-        If a length is not positive.
+        If a length is not positive or the axle is not known.
 
     References
     ----------
@@ -47,24 +61,76 @@ def three_wheeler(
     for key, length in (("half_track", half_track), ("wheelbase", wheelbase)):
         if not 0 < length < inf:
             raise ModelError(f"three_wheeler: {key} must be a positive length, found {length} m")
+    if axle not in get_args(Axle):
+        raise ModelError(
+            f"three_wheeler: axle must be one of {', '.join(get_args(Axle))}, found {axle!r}"
+        )
     rear, front = -wheelbase / 3, 2 * wheelbase / 3
-    origin = (0.0, 0.0, 0.0)
-    stops = (-tilt_stop, tilt_stop)
+    ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
+    coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
+    hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
+    steer = Coordinate("steer", "commanded", "steering angle of the front wheel, left positive")
     return Vehicle(
-        "three_wheeler",
-        coordinates=(
-            Coordinate("tilt_right", "passive", "lateral tilt of the right rear wheel", *stops),
-            Coordinate("tilt_left", "passive", "lateral tilt of the left rear wheel", *stops),
-            Coordinate("steer", "commanded", "steering angle of the front wheel, left positive"),
-        ),
-        joints=(
-            Joint("right_hub", "platform", "y", (half_track, rear, 0.0), "tilt_right"),
-            Joint("left_hub", "platform", "y", (-half_track, rear, 0.0), "tilt_left"),
-            Joint("fork", "platform", "z", (0.0, front, 0.0), "steer"),
-        ),
+        "three_wheeler" if axle == "tilting" else f"three_wheeler with {axle} axle",
+        coordinates=(*coordinates, steer),
+        joints=(*joints, Joint("fork", "platform", "z", (0.0, front, 0.0), "steer")),
         wheels=(
-            Wheel("right", "right_hub", origin, r1, r2, driven=True),
-            Wheel("left", "left_hub", origin, r1, r2, driven=True),
-            Wheel("front", "fork", origin, r1, r2, driven=False),
+            *(
+                Wheel(
+                    side,
+                    hubs.get(side, "platform"),
+                    HERE if side in hubs else at,
+                    r1,
+                    r2,
+                    driven=not (axle == "prismatic_undriven" and side == "right"),
+                )
+                for side, at in ends.items()
+            ),
+            Wheel("front", "fork", HERE, r1, r2, driven=False),
+        ),
+    )
+
+
+def _rear(
+    axle: Axle,
+    ends: dict[str, tuple[float, float, float]],
+    tilt_stop: float,
+    slide_stop: float,
+) -> Ends:
+    """Return the coordinates and joints of a rear axle with ends at the given places."""
+    if axle == "fixed":
+        return (), ()
+    if axle == "tilting":
+        return (
+            tuple(
+                Coordinate(
+                    f"tilt_{side}",
+                    "passive",
+                    f"lateral tilt of the {side} rear wheel",
+                    -tilt_stop,
+                    tilt_stop,
+                )
+                for side in ends
+            ),
+            tuple(
+                Joint(f"{side}_hub", "platform", "y", at, f"tilt_{side}")
+                for side, at in ends.items()
+            ),
+        )
+    sides = tuple(ends) if axle == "sliding" else ("right",)
+    return (
+        tuple(
+            Coordinate(
+                f"slide_{side}",
+                "commanded" if axle == "actuated" else "passive",
+                f"sliding of the {side} half of the axle to the right",
+                -slide_stop,
+                slide_stop,
+            )
+            for side in sides
+        ),
+        tuple(
+            Joint(f"{side}_half", "platform", "x", ends[side], f"slide_{side}", "slide")
+            for side in sides
         ),
     )
