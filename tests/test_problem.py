@@ -99,16 +99,16 @@ def test_lines_of_keys() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ('"direct"', '"plan"', "p.toml:1: verb: expected 'direct', found 'plan'"),
+        ('"direct"', '"plan"', "p.toml:1: verb: expected 'direct' for this command, found 'plan'"),
         ("spacing = 0.5", "spacing = -1", "p.toml:6: terrain.synthetic.spacing: expected a number "
          "greater than 0, found -1"),
         ("r1 = 0.05", "r1 = -0.05", "p.toml:11: vehicle.r1: expected a number of at least 0, "
          "found -0.05"),
-        ("r1 = 0.05", "r3 = 0.05", "p.toml:11: vehicle.r3: expected one of catalog, half_track, "
-         "wheelbase, r1, r2, tilt_stop, found the unknown key 'r3'"),
+        ("r1 = 0.05", "r3 = 0.05", "p.toml:11: vehicle.r3: expected one of catalog, axle, "
+         "half_track, wheelbase, r1, r2, tilt_stop, slide_stop, found the unknown key 'r3'"),
         ("r1 = 0.05", "wheel_base = 2", "p.toml:11: vehicle.wheel_base: expected one of catalog, "
-         "half_track, wheelbase, r1, r2, tilt_stop, found the unknown key 'wheel_base'; did you "
-         "mean 'wheelbase'?"),
+         "axle, half_track, wheelbase, r1, r2, tilt_stop, slide_stop, found the unknown key "
+         "'wheel_base'; did you mean 'wheelbase'?"),
         ("r1 = 0.05", 'r1 = "5 cm"', "p.toml:11: vehicle.r1: expected a number, found '5 cm'"),
         ("x = 0.1", "x = nan", "p.toml:14: start.x: expected a finite number, found nan"),
         ("x = 0.1", "x = true", "p.toml:14: start.x: expected a number, found true"),
@@ -245,7 +245,7 @@ def test_settings_that_do_not_fit(tmp_path: Path) -> None:
         "--set time: time.stp: expected one of duration, step, found the unknown key 'stp'; "
         "did you mean 'step'?",
         "--set foo: expected one of verb, title, frame, terrain, vehicle, start, inputs, driver, "
-        "time, solver, output, found the unknown key 'foo'",
+        "time, solver, output, formulation, slip, found the unknown key 'foo'",
     ]
 
 

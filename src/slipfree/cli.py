@@ -22,8 +22,10 @@ from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.trajectory import Stop, Trajectory
 
 if TYPE_CHECKING:
+    from slipfree.problem.compare import Drive
     from slipfree.problem.read import Problem
     from slipfree.problem.run import Outcome
+    from slipfree.problem.schema import Direct
 
 STOPPED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 REFRESH = 0.1  # between two updates of the progress bar [s]
@@ -91,6 +93,12 @@ def run(
         typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
     ] = None,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
+    cross_check: Annotated[
+        bool,
+        typer.Option(
+            "--cross-check", help="Solve in the other formulation of contact too, and compare."
+        ),
+    ] = False,
 ) -> None:
     """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
     with _reported():
@@ -103,6 +111,8 @@ def run(
         _save(motion, out, csv)
         _print_outcome(outcome)
         typer.echo(f"wrote {out}" + (f", {csv}" if csv else ""))
+        if cross_check:
+            _cross_check(problem, outcome)
         if folder is not None:
             _draw(outcome, folder)
         if motion.stop is not None:
@@ -114,7 +124,8 @@ def run(
 def check(file: File, settings: Settings = None) -> None:
     """Check a problem and stand the vehicle on its start, without solving."""
     with _reported():
-        from slipfree.problem.run import build, ground_facts, vehicle_facts
+        from slipfree.problem.ground import ground_facts
+        from slipfree.problem.run import build, vehicle_facts
         from slipfree.problem.summary import certificate
 
         problem = _read(file, settings)
@@ -135,6 +146,45 @@ def check(file: File, settings: Settings = None) -> None:
         ]
         _print(facts)
         typer.echo("ok")
+
+
+@app.command()
+def compare(file: File, settings: Settings = None) -> None:
+    """Compare vehicles on one ground: which can roll without slip, how much the others slip."""
+    with _reported():
+        from slipfree.problem.compare import compare as solve
+        from slipfree.problem.ground import ground_facts
+        from slipfree.problem.read import read_as
+        from slipfree.problem.schema import Compare
+
+        def tell(name: str) -> None:
+            if sys.stderr.isatty():
+                typer.echo(f"  {name}", err=True)
+
+        ground, rows = solve(read_as(Compare, file, settings or []), tell)
+        _print(ground_facts(ground))
+        width = max(len(row.name) for row in rows)
+        for words, drives in (
+            ("at the same rates", [row.same for row in rows]),
+            ("at the rates of the driving law", [row.fitting for row in rows]),
+        ):
+            typer.echo(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
+            head = f"{'rank':6}{'along':18}{'across':18}{'measured on the poses':27}"
+            typer.echo(f"{'':{width}}  {head}{'tilt [rad]':12}axle [m]")
+            for row, drive in zip(rows, drives, strict=True):
+                rank = f"{row.rank}/{row.conditions}"
+                typer.echo(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
+
+
+def _drive(drive: Drive) -> str:
+    slips = "".join(
+        f"{' '.join(f'{1e3 * value:.2f}' for value in values):18}"
+        for values in (drive.along, drive.across)
+    )
+    measured = " ".join(f"{1e3 * value:.1e}" for value in drive.measured)
+    axle = " to ".join(f"{value:.3f}" for value in drive.width)
+    stop = f", stopped at {drive.stop.t:.3g} s by {drive.stop.name}" if drive.stop else ""
+    return f"{slips}{measured:27}{drive.tilt:<12.3f}{axle}{stop}"
 
 
 @app.command()
@@ -186,13 +236,13 @@ def _reported() -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from error
 
 
-def _read(file: Path, settings: list[str] | None) -> Problem:
+def _read(file: Path, settings: list[str] | None) -> Problem[Direct]:
     from slipfree.problem.read import read
 
     return read(file, settings or [])
 
 
-def _output(problem: Problem) -> str:
+def _output(problem: Problem[Direct]) -> str:
     spec = problem.spec.output
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
@@ -218,7 +268,7 @@ def _check_places(files: list[Path | None], folder: Path | None) -> None:
             ) from error
 
 
-def _solve(problem: Problem) -> Outcome:
+def _solve(problem: Problem[Direct]) -> Outcome:
     """Return the outcome; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.progress import Progress
@@ -295,8 +345,26 @@ def _draw(outcome: Outcome, folder: Path) -> None:
     typer.echo(f"drew {len(paths)} figures in {folder}")
 
 
+def _cross_check(problem: Problem[Direct], outcome: Outcome) -> None:
+    """Print where the two formulations of contact differ, the largest differences first."""
+    from slipfree.problem.run import cross
+
+    other = "montana" if problem.spec.formulation == "closure" else "closure"
+    differences = sorted(cross(problem, outcome), key=lambda each: -each.size)
+    typer.echo(
+        f"largest differences from formulation = {other!r}, of {len(differences)} quantities:"
+    )
+    _print(
+        [
+            (f"  {each.label.full}", f"{each.size:.2e} {each.label.unit} at {each.t:g} s")
+            for each in differences[:8]
+        ]
+    )
+
+
 def _print_outcome(outcome: Outcome) -> None:
-    from slipfree.problem.run import ground_facts, vehicle_facts
+    from slipfree.problem.ground import ground_facts
+    from slipfree.problem.run import vehicle_facts
     from slipfree.problem.summary import motion_facts
 
     setup = outcome.setup

@@ -34,12 +34,13 @@ from slipfree.kinematics.rolling import (
 )
 from slipfree.named import Array, Label, leaves, pack, unpack
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Column, Trajectory
+from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
 
 Steering = Literal["rate", "angle"]
 PLANAR = ("velocity_x", "velocity_y", "heading_rate")
 LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates still count as determining
+ELSEWHERE = 1e-6  # distance of path and start that counts [m, rad]
 STANDING = 1e-6  # speed below which a steering angle has no effect [m/s]
 
 
@@ -368,38 +369,75 @@ def _moved(check: Check, direct: Any, dae: Any) -> Check:
     return _Moved(check, ca.Function("states", symbols, [pack(direct.x), z]))
 
 
-def steering_note(run: Trajectory) -> str:
-    """Return the warning that the steering of an inverse motion is unstable; empty if it is not.
+def along(
+    dae: Dae[Any, Any, Angles, Given, InverseOutputs], start: Trajectory,
+    x: Any, y: Any, heading: Any, *, t: Array | None = None, begin: float = 0.0,
+) -> Given:  # fmt: skip
+    """Return the inputs of an inverse model that lead along a path in time.
 
     Parameters
     ----------
-    run : Trajectory
-        From the inverse model with ``steering="rate"``, whole or what was reached.
+    dae : Dae
+        The inverse model, with the given rates velocity_x, velocity_y and heading_rate.
+    start : Trajectory
+        Its last sample is where the path must start.
+    x, y, heading : SX, or ndarray of shape (n,)
+        Place and heading of the platform's centre as expressions of ``dae.t``, or their values at
+        the times ``t``, through which a spline of degree five is laid. [m, rad]
+    t : ndarray, shape (n,), optional
+        Six or more ascending times of the values; beyond them the rates keep their last values. [s]
+    begin : float
+        Time at which the path starts, if it is not given by values. [s]
+
+    Raises
+    ------
+    ModelError
+        If the model has other inputs, the path depends on more than time or has too few or
+        unsuitable values, or it starts elsewhere than the start.
     """
-    growth = run["steering_growth"]
-    bad = growth > 0
-    if not bad.any():
-        return ""
-    first, worst = float(run.t[int(bad.argmax())]), int(np.nanargmax(growth))
-    return (
-        f"steering mode unstable from t = {first:.4g} s: errors of the steering grow at up to "
-        f"{growth[worst]:.3g} 1/s (t = {run.t[worst]:.4g} s), since the steered contact leads the "
-        "steering axis; take steering = 'angle', or a path"
-    )
+    names = tuple(label.full for label in leaves(dae.labels.u))
+    if set(names) != set(PLANAR):
+        raise ModelError(
+            f"path: the model must be given {', '.join(PLANAR)}, found {', '.join(names)}"
+        )
+    if t is not None:
+        begin = float(np.ravel(t)[0])
+    rates, wrong = {}, []
+    for name, rate, value in zip(("x", "y", "heading"), PLANAR, (x, y, heading), strict=True):
+        first, rates[rate] = _path_rate(name, value, dae.t, t, begin)
+        there = float(start[name][-1])
+        gap = first - there
+        if name == "heading":
+            gap = (gap + np.pi) % (2 * np.pi) - np.pi
+        if not abs(gap) < ELSEWHERE:
+            wrong.append(f"{name} = {first:.6g}, the vehicle stands at {there:.6g}")
+    if wrong:
+        raise ModelError(f"path: it starts elsewhere than the start: {'; '.join(wrong)}")
+    return dae.inputs(**rates)
 
 
-def steering_slip(run: Trajectory) -> Trajectory:
-    """Return an inverse motion with the rate of its steering angle and the slip that costs.
+def _path_rate(
+    name: str, value: Any, time: ca.SX, t: Array | None, begin: float
+) -> tuple[float, ca.SX]:
+    """Return one coordinate of a path at its beginning, and its rate."""
+    if isinstance(value, ca.SX):
+        if not all(ca.is_equal(symbol, time) for symbol in ca.symvar(value)):
+            raise ModelError(f"path: {name} may depend on the model's time alone, found {value}")
+        return float(ca.Function("first", [time], [value])(begin)), ca.jacobian(value, time)
+    from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 
-    Parameters
-    ----------
-    run : Trajectory
-        From the inverse model with ``steering="angle"``; the rate is the derivative of the cubic
-        spline through the samples.
-
-    Returns
-    -------
-    Trajectory
-        With ``steer_rate`` and ``steering_slip``, lever times rate, in addition.
-    """
-    raise NotImplementedError
+    t = np.asarray([] if t is None else t, dtype=float)
+    value = np.asarray(value, dtype=float)
+    if t.ndim != 1 or t.size < 6 or value.shape != t.shape:
+        raise ModelError(
+            f"path: {name} needs six or more values, one for each of the times t, found shape "
+            f"{value.shape} for {t.size} times"
+        )
+    if not (np.isfinite(value).all() and np.isfinite(t).all() and (np.diff(t) > 0).all()):
+        raise ModelError(f"path: values of {name} must be finite and their times ascend")
+    spline = make_interp_spline(t, value, k=5).derivative()
+    at = ca.MX.sym("t")
+    weights = spline.c[: spline.t.size - spline.k - 1].tolist()  # the rest is padding
+    rate = ca.Function.bspline(name, [spline.t.tolist()], weights, [spline.k], 1)
+    law = ca.Function(f"{name}_rate", [at], [rate(at)], {"never_inline": True})
+    return float(value[0]), law(ca.fmin(ca.fmax(time, t[0]), t[-1]))

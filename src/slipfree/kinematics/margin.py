@@ -13,7 +13,7 @@ of the platform for every 0.3 rad.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -25,14 +25,14 @@ from slipfree.geometry.frame import Pose
 from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.named import Array, Label, leaves, pack
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.chain import Vehicle
 
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 EULER = ("heading_rate", "roll_rate", "pitch_rate")
 OMEGA = ("omega_x", "omega_y", "omega_z")
 TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
-SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
+SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
 ROUNDING = 1e-14  # relative singular value that counts as zero
 Direct = Dae[Any, Any, Any, Any, Any]
 
@@ -184,14 +184,16 @@ class InverseMargin:
 
     def margin(self, x: Array, z: Array) -> Array:
         """Return the margins of states in columns, shape (n,)."""
-        return np.linalg.svd(self._matrices(x, z)[0], compute_uv=False)[:, -1] - self.least
+        values = np.linalg.svd(self._matrices(x, z)[0], compute_uv=False)
+        return np.asarray(values[:, -1] - self.least)
 
     def describe(self, x: Array, z: Array) -> str:
         """Return what is not determined by what, at one state."""
         matrix, columns = (part[0] for part in self._matrices(x[:, None], z[:, None]))
         left, values, right = np.linalg.svd(matrix)
         lost = _large(right[-1], self.unknown)
-        why = f": {self.reasons[lost[0]]}" if len(lost) == 1 and lost[0] in self.reasons else ""
+        alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < 2 * values[-1] + ROUNDING
+        why = f": {self.reasons[lost[0]]}" if alone and lost[0] in self.reasons else ""
         bound = _large(left[:, -1] @ columns, self.given)
         words = f"{_listed(self.given)} leave {_listed(lost)} undetermined{why}"
         depends = f"{_listed(bound)} cannot be chosen freely"
@@ -211,7 +213,7 @@ class InverseMargin:
         return matrix, columns
 
 
-def _stacked(parts: Sequence[ca.DM], count: int) -> list[Array]:
+def _stacked(parts: Any, count: int) -> list[Array]:
     """Return horizontally mapped outputs with the sample as first index."""
     arrays = [np.array(part) for part in parts]
     return [a.reshape(a.shape[0], count, -1).transpose(1, 0, 2) for a in arrays]
@@ -309,3 +311,52 @@ def conditions(
         given: np.where(v[:, -1] > ROUNDING * v[:, 0], v[:, 0] / np.fmax(v[:, -1], floor), np.inf)
         for given, v in zip(choices, values, strict=True)
     }
+
+
+def steering_note(run: Trajectory) -> str:
+    """Return the warning that the steering of an inverse motion is unstable; empty if it is not.
+
+    Parameters
+    ----------
+    run : Trajectory
+        From the inverse model with ``steering="rate"``, whole or what was reached.
+    """
+    growth = run["steering_growth"]
+    bad = growth > 0
+    if not bad.any():
+        return ""
+    first, worst = float(run.t[int(bad.argmax())]), int(np.nanargmax(growth))
+    return (
+        f"steering mode unstable from t = {first:.4g} s: errors of the steering grow at up to "
+        f"{growth[worst]:.3g} 1/s (t = {run.t[worst]:.4g} s), since the steered contact leads the "
+        "steering axis; take steering = 'angle', or a path"
+    )
+
+
+def steering_slip(run: Trajectory) -> Trajectory:
+    """Return an inverse motion with the rate of its steering angle and the slip that costs.
+
+    Parameters
+    ----------
+    run : Trajectory
+        From the inverse model with ``steering="angle"``; the rate is the derivative of the cubic
+        spline through the samples.
+
+    Returns
+    -------
+    Trajectory
+        With ``steer_rate`` and ``steering_slip``, lever times rate, in addition.
+    """
+    from scipy.interpolate import CubicSpline  # imported where it is used: it takes 0.2 s
+
+    lever = run["steering_lever"]
+    rate = np.zeros_like(lever)
+    if run.t.size > 1:
+        rate = CubicSpline(run.t, run["steer"])(run.t, 1)
+    found = (
+        (Label("steer_rate", "rad s-1", "rate of the steering angle"), rate),
+        (Label("steering_slip", "m s-1", "slip of the steered contact"), lever * np.abs(rate)),
+    )
+    return replace(
+        run, columns={**run.columns, **{label.name: Column(label, v) for label, v in found}}
+    )

@@ -9,12 +9,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, Generic, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from slipfree.problem.locate import Place, ProblemError, Source, key_lines, key_path
-from slipfree.problem.schema import ALTERNATIVES, Direct
+from slipfree.problem.schema import ALTERNATIVES, Compare, Direct
 
 MOST_SAMPLES = 1_000_000
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a --set value that may stand without quotes
@@ -37,11 +37,14 @@ EXPECTED = {
 }
 
 
+S = TypeVar("S", bound=Direct | Compare)
+
+
 @dataclass(frozen=True)
-class Problem:
+class Problem(Generic[S]):
     """A validated problem, and where each of its values comes from."""
 
-    spec: Direct
+    spec: S
     source: Source
 
     @property
@@ -58,11 +61,18 @@ class Fault(NamedTuple):
     found: str
 
 
-def read(path: str | Path, settings: Sequence[str] = ()) -> Problem:
+def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Direct]:
+    """Return the problem of direct kinematics in a TOML file; see `read_as`."""
+    return read_as(Direct, path, settings)
+
+
+def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> Problem[S]:
     """Return the problem in a TOML file.
 
     Parameters
     ----------
+    schema : type
+        What the file must hold, by its verb.
     path : str or Path
         The file.
     settings : sequence of str
@@ -82,11 +92,15 @@ def read(path: str | Path, settings: Sequence[str] = ()) -> Problem:
         raise ProblemError(_syntax(path, text, str(error))) from error
     places = _replaced(data, settings)
     source = Source(path, text, key_lines(text), places)
-    faults = [*_alternatives(data)]
+    (verb,) = get_args(schema.model_fields["verb"].annotation)
+    if data.get("verb", verb) != verb:
+        fault = Fault(("verb",), f"{verb!r} for this command", _shown(data["verb"]))
+        raise problem_error(source, [fault])
+    faults = [*_alternatives(schema, data)]
     try:
-        spec = Direct.model_validate(data)
+        spec: S = schema.model_validate(data)
     except ValidationError as error:
-        faults += [_fault(dict(each)) for each in error.errors(include_url=False)]
+        faults += [_fault(schema, dict(each)) for each in error.errors(include_url=False)]
     else:
         faults += _time(spec)
         if not faults:
@@ -194,9 +208,9 @@ def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
     return [path]
 
 
-def _alternatives(data: dict[str, Any]) -> Iterator[Fault]:
+def _alternatives(schema: type[S], data: dict[str, Any]) -> Iterator[Fault]:
     """Yield a fault where a table has none, or several, of keys that exclude each other."""
-    for place, keys in ALTERNATIVES.items():
+    for place, keys in ALTERNATIVES[schema].items():
         table: Any = data
         for part in place:
             table = table.get(part)
@@ -208,7 +222,7 @@ def _alternatives(data: dict[str, Any]) -> Iterator[Fault]:
             yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
 
 
-def _time(spec: Direct) -> Iterator[Fault]:
+def _time(spec: Direct | Compare) -> Iterator[Fault]:
     time = spec.time
     if time.step > time.duration:
         yield Fault(
@@ -219,17 +233,17 @@ def _time(spec: Direct) -> Iterator[Fault]:
         yield Fault(("time", "step"), expected, f"{time.step:g}")
 
 
-def _fault(error: dict[str, Any]) -> Fault:
+def _fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
     """Return what pydantic found, in our words."""
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else _shown(error["input"])
     if kind == "extra_forbidden":
-        model = _model(place[:-1])
+        model = _model(schema, place[:-1])
         return _unknown(place, list(model.model_fields))
     if kind == "missing" and isinstance(place[-1], int):
         return Fault(place, "a number", found)
     if kind == "missing":
-        wanted = _model(place[:-1]).model_fields[place[-1]].annotation
+        wanted = _model(schema, place[:-1]).model_fields[place[-1]].annotation
         table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
         table |= str(wanted).startswith("dict")
         return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
@@ -244,10 +258,12 @@ def _unknown(place: Place, known: Sequence[str]) -> Fault:
     return Fault(place, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
 
 
-def _model(place: Place) -> type[BaseModel]:
+def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
     """Return the record that describes a table."""
-    model: type[BaseModel] = Direct
+    model = schema
     for part in place:
+        if isinstance(part, int):
+            continue  # of an array of tables
         annotation = model.model_fields[str(part)].annotation
         kinds = [annotation, *get_args(annotation)]
         model = next(k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -11,45 +10,24 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError, SolverError
-from slipfree.kinematics.follow import straight
+from slipfree.geometry.path import Path
+from slipfree.kinematics.follow import follow, straight
+from slipfree.kinematics.montana import Difference, cross_check, montana_kinematics
 from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.named import Array, leaves
 from slipfree.problem import schema
-from slipfree.problem.locate import Place, ProblemError
-from slipfree.problem.read import Fault, Problem, names, problem_error
+from slipfree.problem.ground import Ground, at, build_ground, ground_facts
+from slipfree.problem.read import Fault, Problem, S, names, problem_error
 from slipfree.problem.summary import Facts
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
-from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.dem import jacksboro, read_grid
-from slipfree.terrain.rolled import NODES, Rolled, rolled
-from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalog import three_wheeler
 from slipfree.vehicle.chain import Vehicle
 
 CATALOG = {"three_wheeler": three_wheeler}
-MOST_NODES = 5e7  # of a ground made or refined here: 400 MB an array
 NEAR = 1e-9  # times closer than this part of the duration are one
-
-
-class Ground(NamedTuple):
-    """The ground of a problem.
-
-    Attributes
-    ----------
-    grid : Grid
-        As the wheels meet it.
-    source : str
-        Where it comes from, in words.
-    rolled : Rolled or None
-        What was changed for the wheels, if that was asked for.
-    """
-
-    grid: Grid
-    source: str
-    rolled: Rolled | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +61,7 @@ class Outcome(NamedTuple):
     setup: Setup
 
 
-def build(problem: Problem) -> Setup:
+def build(problem: Problem[schema.Direct]) -> Setup:
     """Return the model, the settled start and the inputs of a problem.
 
     Raises
@@ -93,29 +71,83 @@ def build(problem: Problem) -> Setup:
         the start.
     """
     spec = problem.spec
-    ground = _ground(problem)
-    with _at(problem, ("vehicle",)):
-        given = spec.vehicle.model_dump(exclude_none=True)
-        vehicle = CATALOG[given.pop("catalog")](**given)
-    center = spec.start.get("x", 0.0), spec.start.get("y", 0.0)
-    dae = direct_kinematics(vehicle, Bicubic(ground.grid, center))
-    _check_names(problem, dae)
-    values: dict[str, Any] = dict(spec.start)
-    if spec.frame == "rep103" and "heading" in values:
-        values["heading"] -= np.pi / 2  # from the x axis to the y axis
-    with _at(problem, ("start",)):
-        start = settle(dae, **values)
+    ground = build_ground(problem)
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(spec.vehicle)
+    terrain = Bicubic(ground.grid, (spec.start.get("x", 0.0), spec.start.get("y", 0.0)))
+    dae: Dae[Any, Any, Any, Any, Any]
+    with at(problem, ("slip",)):
+        dae = direct_kinematics(vehicle, terrain, slip=spec.slip)
+    check_names(problem, dae, spec.inputs)
+    start = build_start(problem, dae)
     t, rates = samples(spec.time, spec.inputs or {})
+    if spec.formulation == "montana":
+        with at(problem, ("formulation",)):
+            dae = montana_kinematics(vehicle, terrain, slip=spec.slip)
     if spec.driver is None:
-        with _at(problem, ("inputs",)):
+        with at(problem, ("inputs",)):
             inputs = dae.inputs(**rates)
     else:
-        with _at(problem, ("driver",)):
-            inputs = straight(dae, vehicle, start, speed=spec.driver.speed)
+        inputs = build_law(problem, dae, vehicle, start)
     return Setup(ground, vehicle, dae, start, inputs, t)
 
 
-def run(problem: Problem, progress: Callable[[float], None] | None = None) -> Outcome:
+def build_vehicle(spec: schema.Vehicle) -> Vehicle:
+    """Return a vehicle of the catalogue."""
+    given = spec.model_dump(exclude_none=True, exclude={"catalog", "name"})
+    return CATALOG[spec.catalog](**given)
+
+
+def build_start(problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any]) -> Trajectory:
+    """Return the vehicle at rest where the problem starts."""
+    values: dict[str, Any] = dict(problem.spec.start)
+    if getattr(problem.spec, "frame", "paper") == "rep103" and "heading" in values:
+        values["heading"] -= np.pi / 2  # from the x axis to the y axis
+    with at(problem, ("start",)):
+        return settle(dae, **values)
+
+
+def build_law(
+    problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any], vehicle: Vehicle, start: Trajectory
+) -> Any:
+    """Return the inputs of the driving law of a problem."""
+    driver = problem.spec.driver
+    with at(problem, ("driver",)):
+        if driver is None:
+            raise ModelError("expected a [driver]")
+        if (driver.path is None) == (driver.name == "follow"):
+            raise ModelError("driver: 'follow' needs a path, 'straight' takes none")
+        if driver.path is None:
+            return straight(dae, vehicle, start, speed=driver.speed)
+        by_name = isinstance(driver.path, str)
+        points = read_points(problem.folder / str(driver.path)) if by_name else driver.path
+        return follow(dae, vehicle, Path(np.array(points)), speed=driver.speed)
+
+
+def read_points(file: Any) -> Array:
+    """Return the way-points in a CSV file: x and y in two columns, one line of names allowed."""
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{file}: expected way-points as CSV, found no text file") from error
+    rows = []
+    for number, line in enumerate(text.splitlines(), 1):
+        cells = line.split(",")
+        try:
+            x, y = (float(cell) for cell in cells)
+        except ValueError as error:
+            if number == 1 or not line.strip():
+                continue
+            raise DataError(
+                f"{file}:{number}: expected two numbers x,y, found {line.strip()!r}"
+            ) from error
+        rows.append((x, y))
+    return np.array(rows).reshape(-1, 2)
+
+
+def run(
+    problem: Problem[schema.Direct], progress: Callable[[float], None] | None = None
+) -> Outcome:
     """Return the motion that a problem asks for.
 
     Parameters
@@ -134,7 +166,7 @@ def run(problem: Problem, progress: Callable[[float], None] | None = None) -> Ou
         trajectory.
     """
     setup, spec = build(problem), problem.spec
-    with _at(problem, ("start",)):
+    with at(problem, ("start",)):
         try:
             found = simulate(
                 setup.dae, setup.start, setup.inputs, setup.t,
@@ -145,6 +177,13 @@ def run(problem: Problem, progress: Callable[[float], None] | None = None) -> Ou
                 raise
             found = error.trajectory
     return Outcome(replace(found, attributes=_attributes(problem, setup)), setup)
+
+
+def cross(problem: Problem[schema.Direct], outcome: Outcome) -> tuple[Difference, ...]:
+    """Return where the same problem in the other formulation of contact ends up differently."""
+    other = "montana" if problem.spec.formulation == "closure" else "closure"
+    spec = problem.spec.model_copy(update={"formulation": other})
+    return cross_check(outcome.trajectory, run(replace(problem, spec=spec)).trajectory)
 
 
 def samples(
@@ -177,76 +216,16 @@ def samples(
     return t, {name: by_interval(value) for name, value in inputs.items()}
 
 
-def _ground(problem: Problem) -> Ground:
-    spec = problem.spec.terrain
-    grid, source = _source(problem)
-    if spec.scale != 1 and spec.sample is None:
-        grid = Grid(spec.scale * grid.x, spec.scale * grid.y, spec.scale * grid.z)
-    source += f" scaled by {spec.scale:g}" if spec.scale != 1 else ""
-    if spec.window is not None:
-        with _at(problem, ("terrain", "window")):
-            grid = _cut(grid, spec.window)
-    if spec.rolled is None:
-        return Ground(grid, source, None)
-    with _at(problem, ("terrain", "rolled")):
-        _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
-        felt = rolled(grid, spec.rolled)
-    return Ground(felt.grid, source, felt)
-
-
-def _cut(grid: Grid, window: tuple[float, float, float, float]) -> Grid:
-    """Return the part of a grid whose nodes lie in a window."""
-    columns = (grid.x >= window[0]) & (grid.x <= window[1])
-    rows = (grid.y >= window[2]) & (grid.y <= window[3])
-    return Grid(grid.x[columns], grid.y[rows], np.ascontiguousarray(grid.z[columns][:, rows]))
-
-
-def _check_size(width: float, length: float, spacing: float) -> None:
-    nodes = width / spacing * length / spacing
-    if nodes > MOST_NODES:
-        raise ModelError(
-            f"expected a ground of at most {MOST_NODES:g} nodes, found {nodes:.2g} at a spacing "
-            f"of {spacing:g} m; cut the ground to a window or choose a larger spacing or radius"
-        )
-
-
-def _source(problem: Problem) -> tuple[Grid, str]:
-    """Return the ground and what to call it."""
-    spec = problem.spec.terrain
-    if spec.file is not None:
-        with _at(problem, ("terrain", "file")):
-            return read_grid(problem.folder / spec.file), spec.file
-    if spec.synthetic is not None:
-        with _at(problem, ("terrain", "synthetic")):
-            return _synthetic(spec.synthetic), "synthetic"
-    with _at(problem, ("terrain", "sample")):
-        return jacksboro(spec.scale), "Jacksboro fault (sample of matplotlib)"
-
-
-def _synthetic(spec: schema.Synthetic) -> Grid:
-    _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing)
-    grid = blank(spec.x, spec.y, spec.spacing)
-    grid = Grid(grid.x, grid.y, grid.z + spec.base)
-    for rule, values in (
-        (ramp, spec.ramp),
-        (power_law, spec.power_law),
-        (craters, spec.craters),
-        (rocks, spec.rocks),
-    ):
-        if values is not None:
-            grid = rule(grid, **dict(values))
-    return place_rocks(grid, map(Rock._make, spec.placed_rocks))
-
-
-def _check_names(problem: Problem, dae: Dae[Any, Any, Any, Any, Any]) -> None:
+def check_names(
+    problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any], inputs: Iterable[str] | None
+) -> None:
     """Raise for all states and inputs of the problem that the model does not have, or lacks."""
-    spec = problem.spec
-    faults = [*names(("start",), spec.start, _names(dae.labels.x))]
-    if spec.inputs is not None:
+    faults = [*names(("start",), problem.spec.start, _names(dae.labels.x))]
+    if inputs is not None:
         known = _names(dae.labels.u)
-        faults += names(("inputs",), spec.inputs, known)
+        faults += names(("inputs",), inputs, known)
         faults += [
-            Fault(("inputs", name), "a rate", "none") for name in known if name not in spec.inputs
+            Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs
         ]
     if faults:
         raise problem_error(problem.source, faults)
@@ -256,18 +235,7 @@ def _names(labels: Iterable[Any]) -> list[str]:
     return [label.full for label in leaves(labels)]
 
 
-@contextmanager
-def _at(problem: Problem, place: Place) -> Iterator[None]:
-    """Say which line of the problem an error of the library concerns."""
-    try:
-        yield
-    except (ModelError, DataError) as error:
-        if isinstance(error, ProblemError):
-            raise
-        raise ProblemError(f"{problem.source.where(place)}: {error}") from error
-
-
-def _attributes(problem: Problem, setup: Setup) -> dict[str, str]:
+def _attributes(problem: Problem[schema.Direct], setup: Setup) -> dict[str, str]:
     """Return what a result must know about its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
@@ -279,22 +247,6 @@ def _attributes(problem: Problem, setup: Setup) -> dict[str, str]:
         **(settings if source.settings else {}),
         **{name.replace(" ", "_"): words for name, words in facts.items()},
     }
-
-
-def ground_facts(ground: Ground) -> Facts:
-    """Return what to tell about a ground."""
-    grid = ground.grid
-    (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing
-    facts = [
-        ("ground", ground.source),
-        ("ground size", f"{np.ptp(grid.x):g} x {np.ptp(grid.y):g} m, {n_x} x {n_y} nodes"),
-        ("ground cell", f"{h_x:.4g} x {h_y:.4g} m"),
-        ("ground height", f"{grid.z.min():.4g} to {grid.z.max():.4g} m"),
-    ]
-    if ground.rolled is not None:
-        change = f"at most {ground.rolled.largest:.3g} m, rms {ground.rolled.rms:.3g} m"
-        facts.append(("ground changed by rolled", change))
-    return facts
 
 
 def vehicle_facts(vehicle: Vehicle) -> Facts:

@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
 from pydantic_core import PydanticCustomError
 
+from slipfree.vehicle.catalog import Axle
+
 Piecewise = tuple[tuple[float, float], ...]
 Length = Annotated[float, Field(gt=0)]
 Radius = Annotated[float, Field(ge=0)]
@@ -112,11 +114,13 @@ class Vehicle(Record):
     """A vehicle of the catalogue and its dimensions; the defaults are the catalogue's."""
 
     catalog: Literal["three_wheeler"]
+    axle: Axle | None = None
     half_track: Length | None = None
     wheelbase: Length | None = None
     r1: Radius | None = None
     r2: Radius | None = None
     tilt_stop: Length | None = None
+    slide_stop: Length | None = None
 
 
 def _not_zero(value: float) -> float:
@@ -126,10 +130,11 @@ def _not_zero(value: float) -> float:
 
 
 class Driver(Record):
-    """A driving law."""
+    """A driving law: straight on from the start, or along a path of way-points."""
 
-    name: Literal["straight"]
+    name: Literal["straight", "follow"]
     speed: Annotated[float, AfterValidator(_not_zero)]
+    path: Annotated[tuple[Pair, ...], Field(strict=False)] | str | None = None
 
 
 class Time(Record):
@@ -165,9 +170,31 @@ class Direct(Record):
     time: Time
     solver: Solver = Solver()
     output: Output | None = None
+    formulation: Literal["closure", "montana"] = "closure"
+    slip: Literal["least", "rolling"] = "least"
 
 
-ALTERNATIVES: dict[tuple[str, ...], tuple[str, ...]] = {
-    (): ("inputs", "driver"),
-    ("terrain",): ("file", "sample", "synthetic"),
+class Compared(Vehicle):
+    """One of several vehicles, and what to call it."""
+
+    name: Annotated[str, Field(min_length=1)]
+
+
+class Compare(Record):
+    """Several vehicles on one ground: at the same rates, and at those of a driving law."""
+
+    verb: Literal["compare"]
+    title: str | None = None
+    terrain: Terrain
+    vehicles: Annotated[tuple[Compared, ...], Field(strict=False, min_length=1)]
+    start: dict[str, float]
+    inputs: dict[str, float]
+    driver: Driver
+    time: Time
+    solver: Solver = Solver()
+
+
+ALTERNATIVES: dict[type[Record], dict[tuple[str, ...], tuple[str, ...]]] = {
+    Direct: {(): ("inputs", "driver"), ("terrain",): ("file", "sample", "synthetic")},
+    Compare: {("terrain",): ("file", "sample", "synthetic")},
 }  # of each of these keys a table has exactly one

@@ -63,8 +63,12 @@ def _tilt(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 def _trust(run: Trajectory) -> Iterator[tuple[str, str]]:
     step, tolerance = run["newton_step"].max(), run.statistics["tolerance"]
-    yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
-    yield "Newton step", f"{step:.2e} m at most, {step / tolerance:.3g} x the tolerance"
+    if "drift_position" in run.columns:
+        drift, turned = (run[f"drift_{name}"].max() for name in ("position", "rotation"))
+        yield "drift of the assembly", f"{drift:.2e} m, {turned:.2e} rad at most"
+    else:
+        yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
+        yield "Newton step", f"{step:.2e} m at most, {step / tolerance:.3g} x the tolerance"
     yield "singular value", f"{run['singular_value'].min():.4g} at least"
     yield "contact certificate", certificate(run)
 

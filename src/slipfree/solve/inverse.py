@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -21,15 +22,18 @@ from numpy.polynomial import legendre
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
-from slipfree.named import Array, leaves, pack, unpack
+from slipfree.named import Array, Label, Mask, leaves, unpack
 from slipfree.solve.loop import Loop, Samples, close, table
-from slipfree.solve.settle import consistent, first_violation, settle
-from slipfree.solve.simulate import simulate
+from slipfree.solve.settle import first_violation, settle
+from slipfree.solve.simulate import _times, simulate
 from slipfree.trajectory import Stop, Trajectory
 
 Model = Dae[Any, Any, Any, Any, Any]
-NEWTON = 25  # steps at most on one element
+DEGREE = 12  # number of collocation points of an element
+MOST_ELEMENTS = 4096
+NEWTON = 20  # steps at most on one element
 CONVERGED = 1e-12  # residual of an element's equations
+WEAK = 1e-2  # relative singular value below which a rate stays out of the first guess
 
 
 class Basis(NamedTuple):
@@ -51,7 +55,15 @@ class Basis(NamedTuple):
 
     def values(self, at: Array, *, tied: bool) -> Array:
         """Return what leads from the nodal values to those at places of [0, 1]."""
-        return _lagrange(np.append(0.0, self.points) if tied else self.points, at)
+        nodes = np.append(0.0, self.points) if tied else self.points
+        return _lagrange(nodes, at)
+
+    def integrals(self, at: Array) -> Array:
+        """Return what leads from the values at the points to integrals from zero to places."""
+        nodes, weights = legendre.leggauss(len(self.points))
+        inner = _lagrange(self.points, np.outer(at, (1 + nodes) / 2).ravel())
+        means = weights / 2 @ inner.reshape(len(at), len(nodes), -1)
+        return np.asarray(at[:, None] * means, dtype=np.float64)
 
 
 def basis(degree: int) -> Basis:
@@ -76,14 +88,24 @@ def _derivative(nodes: Array) -> Array:
     """Return the derivatives of the Lagrange polynomials at their nodes, row by row."""
     gaps = nodes[:, None] - nodes + np.eye(len(nodes))
     weights = 1 / gaps.prod(axis=1)
-    matrix = weights / weights[:, None] / gaps
+    matrix: Array = weights / weights[:, None] / gaps
     np.fill_diagonal(matrix, 0.0)
     np.fill_diagonal(matrix, -matrix.sum(axis=1))
     return matrix
 
 
 class Element(NamedTuple):
-    """The motion over one element: times of its ends, start of its states, and nodal values."""
+    """The motion over one element.
+
+    Attributes
+    ----------
+    begin, end : float
+        Times of its ends. [s]
+    first : ndarray, shape (n_x,)
+        States at its beginning.
+    x, z : ndarray, shape (n_x, k) and (n_z, k)
+        States and unknowns at its points.
+    """
 
     begin: float
     end: float
@@ -100,56 +122,455 @@ class Scheme:
     ----------
     loop : Loop
         The DAE.
-    basis : Basis
-        The polynomials.
     sought : ndarray of bool, shape (n_x,)
         Which states.
+    basis : Basis
+        The polynomials.
     point : casadi Function
-        ``(t, x, z) -> (ode, alg, Jacobian of both in x and z)``, mapped over the points.
+        ``(t, x, z) -> (ode, alg, quad, Jacobian of ode and alg in x and z)``, at all points.
     """
 
     loop: Loop
+    sought: Mask
     basis: Basis
-    sought: Any
     point: ca.Function
 
-    def solve(self, element: Element) -> Element:
-        """Return the element whose equations hold, from a guess of it.
+    def march(self, t: Array, first: Array, z: Array) -> list[Element]:
+        """Return the motion over the elements between times, from a start and a guess of ``z``."""
+        elements: list[Element] = []
+        degree, x = len(self.basis.points), first
+        for begin, end in pairwise(t):
+            guess = Element(begin, end, first, *(np.repeat(v[:, None], degree, 1) for v in (x, z)))
+            elements.append(self._solved(guess))
+            first = x = elements[-1].x[:, -1]
+            z = elements[-1].z[:, -1]
+        return elements
 
-        Raises
-        ------
-        SolverError
-            If Newton's method does not converge.
-        """
-        x, z = element.x, element.z
+    def _solved(self, element: Element) -> Element:
+        """Return the element whose equations hold, from a guess of it, by Newton's method."""
+        size, n_x = np.inf, element.x.size
         for _ in range(NEWTON):
-            residual, jacobian = self._equations(element._replace(x=x, z=z))
+            residual, jacobian = self._equations(element)
             size = float(np.abs(residual).max())
-            if not np.isfinite(size):
+            if size < CONVERGED or not np.isfinite(size):
                 break
-            step = np.linalg.lstsq(jacobian, residual, rcond=1e-13)[0]
-            n_x, k = x.shape
-            x = x - step[: n_x * k].reshape(n_x, k)
-            z = z - step[n_x * k :].reshape(z.shape)
-            if size < CONVERGED:
-                return element._replace(x=x, z=z)
-        raise SolverError(f"no motion from t = {element.begin:.6g} to {element.end:.6g} s "
-            f"(residual {size:.1e})")
+            try:
+                step = np.linalg.solve(jacobian, residual)
+            except np.linalg.LinAlgError:
+                break
+            element = element._replace(
+                x=element.x - step[:n_x].reshape(element.x.shape),
+                z=element.z - step[n_x:].reshape(element.z.shape),
+            )
+        if not size < 1e3 * CONVERGED:
+            raise SolverError(
+                f"nothing moves along the path from t = {element.begin:.4g} to {element.end:.4g} s "
+                f"(residual {size:.1e}): it may stand still, or be too winding there"
+            )
+        return element
 
     def _equations(self, element: Element) -> tuple[Array, Array]:
-        n_x, k = element.x.shape
-        n_z, h = element.z.shape[0], element.end - element.begin
+        """Return residual and Jacobian; unknowns are ``x``, then ``z``, point by point."""
+        (n_x, k), n = element.x.shape, len(element.x) + len(element.z)
+        h, tied, free = element.end - element.begin, self.basis.tied, self.basis.free
         t = element.begin + h * self.basis.points
-        ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
-        jac = jac.reshape(n_x + n_z, k, n_x + n_z).transpose(1, 0, 2)
-        slope = element.x @ self.basis.tied[:, 1:].T + np.outer(element.first, self.basis.tied[:, 0])
-        slope[self.sought] = element.x[self.sought] @ self.basis.free.T
+        ode, alg, _, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
+        slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
+        slope[self.sought] = element.x[self.sought] @ free.T
         residual = np.concatenate([(slope - h * ode).ravel(), alg.ravel()])
-        whole = np.zeros(((n_x + n_z) * k,) * 2)
-        grid = whole.reshape(n_x + n_z, k, n_x + n_z, k)
-        for p in range(k):
-            grid[:n_x, p, :, p] = -h * jac[p, :n_x]
-            grid[n_x:, p, :, p] = jac[p, n_x:]
+        jac = jac.reshape(n, k, n)
+        jac[:n_x] *= -h
+        matrix = np.zeros((n, k, n, k))
+        matrix[:, np.arange(k), :, np.arange(k)] = jac.transpose(1, 0, 2)
         for i in range(n_x):
-            grid[i, :, i, :] += self.basis.free if self.sought[i] else self.basis.tied[:, 1:]
-        return residual, whole
+            matrix[i, :, i, :] += free if self.sought[i] else tied[:, 1:]
+        return residual, matrix.reshape(n * k, n * k)
+
+    def samples(self, elements: Sequence[Element], t: Array) -> Samples:
+        """Return the motion at times; the quadratures begin at zero."""
+        ends = np.array([element.end for element in elements])
+        which = np.minimum(np.searchsorted(ends, t), len(elements) - 1)
+        x, z = (np.zeros((len(v), t.size)) for v in (elements[0].x, elements[0].z))
+        q = np.zeros((self.loop.dae.quad.numel(), t.size))
+        total = np.zeros((len(q), 1))
+        for index, element in enumerate(elements):
+            h, here = element.end - element.begin, which == index
+            at = (t[here] - element.begin) / h
+            tied, free = self.basis.values(at, tied=True), self.basis.values(at, tied=False)
+            x[:, here] = np.column_stack([element.first, element.x]) @ tied.T
+            x[np.ix_(self.sought, here)] = element.x[self.sought] @ free.T
+            z[:, here] = element.z @ free.T
+            times = element.begin + h * self.basis.points
+            rates = h * np.array(self.point(times[None], element.x, element.z)[2])
+            q[:, here] = total + rates @ self.basis.integrals(at).T
+            total = total + rates @ self.basis.integrals(np.ones(1)).T
+        return Samples(t, x, z, q, np.repeat(self.loop.u[:, :1], t.size, axis=1))
+
+
+def scheme(loop: Loop, sought: Mask, degree: int) -> Scheme:
+    """Return the collocation of a DAE under laws at that many points an element."""
+    symbols = [ca.SX.sym(name, size) for name, size in
+               (("t", 1), ("x", loop.dae.ode.numel()), ("z", loop.dae.guess.numel()))]  # fmt: skip
+    ode, alg, quad = loop.core(*symbols, loop.u[:, 0])
+    jacobian = ca.jacobian(ca.vertcat(ode, alg), ca.vertcat(*symbols[1:]))
+    point = ca.Function("point", symbols, [ode, alg, quad, ca.densify(jacobian)], {"cse": True})
+    return Scheme(loop, sought, basis(degree), point.map(degree))
+
+
+class Drive(NamedTuple):
+    """A motion along a path, and its proof.
+
+    Attributes
+    ----------
+    run : Trajectory
+        The motion that was found.
+    inputs : record of SX
+        Inputs of the direct model, as functions of time, that make it.
+    replay : Trajectory
+        The direct model's motion under these inputs, integrated.
+    difference : dict of str to float
+        Largest difference between the two in every state of the direct model. [m, rad]
+    """
+
+    run: Trajectory
+    inputs: Any
+    replay: Trajectory
+    difference: dict[str, float]
+
+
+def drive(
+    inverse: Model, direct: Model, start: Trajectory, inputs: Any, t: Array, *,
+    sought: Sequence[str] = ("steer",), degree: int = DEGREE, tolerance: float = 1e-8,
+) -> Drive:  # fmt: skip
+    """Return the motion of an inverse model, some of whose states are found, and its replay.
+
+    Elements are shortened until two degrees agree on the sought states within the tolerance, or as
+    well as they ever do: on too short elements, what changes fast counts as smooth.
+
+    Parameters
+    ----------
+    inverse, direct : Dae
+        The model whose inputs are known, and the one whose inputs are wanted; the latter's inputs
+        and states are among the former's unknowns and states.
+    start : Trajectory
+        Its last sample is where the motion starts, but for the sought states.
+    inputs : record
+        From ``inverse.inputs(...)``: constants, or expressions of time.
+    t : ndarray, shape (n,)
+        Ascending times of the samples. [s]
+    sought : sequence of str
+        States without an initial value.
+    degree : int
+        Number of Radau points of an element, three or more.
+    tolerance : float
+        Of the sought states, and of the integrator in the replay. [m, rad]
+
+    Raises
+    ------
+    ModelError
+        If an argument is not usable, or the start is not valid.
+    SolverError
+        If there is no such motion.
+    """
+    t, names = _times(t), [label.full for label in leaves(inverse.labels.x)]
+    if not set(sought) <= set(names):
+        raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
+    if degree < 3:
+        raise ModelError(f"degree: expected three or more points, found {degree}")
+    clock, loop = time.process_time(), close(inverse, inputs, 0)
+    mask = np.array([name in sought for name in names])
+    best, elements, error = _finest(loop, mask, start, t, degree, tolerance)
+    samples, report = _standing(loop, best.samples(elements, t))
+    run = table(loop, samples, report)
+    fault = first_violation(loop, run, samples)
+    if fault is not None:
+        run = _ended(run, *fault)
+    run = replace(run, statistics={
+        "elements": float(len(elements)), "degree": float(degree), "sought_error": error,
+        "cpu_seconds": time.process_time() - clock,
+    })  # fmt: skip
+    laws = _laws(direct, inverse, best, elements)
+    return Drive(run, laws, *_replayed(direct, run, laws, tolerance))
+
+
+def _finest(
+    loop: Loop, sought: Mask, start: Trajectory, t: Array, degree: int, tolerance: float
+) -> tuple[Scheme, list[Element], float]:
+    """Return the motion on the elements on which two degrees agree best."""
+    x = loop.dae.rows("x", start, -1)
+    z = _guess(loop, float(t[0]), x, loop.dae.rows("z", start, -1))
+    pair = [scheme(loop, sought, n) for n in (degree, degree - 2)]
+    best: tuple[Scheme, list[Element], float] | None = None
+    failure, count, worse = SolverError("no motion was found"), 1, 0
+    while count <= MOST_ELEMENTS and worse < 2:
+        ends = np.linspace(t[0], t[-1], count + 1)
+        try:
+            found = [each.march(ends, x, z) for each in pair]
+        except SolverError as problem:
+            failure, count = problem, count + (count + 1) // 2
+            worse += best is not None
+            continue
+        values = [each.samples(part, t).x[sought] for each, part in zip(pair, found, strict=True)]
+        error = float(np.abs(values[0] - values[1]).max(initial=0.0))
+        if best is None or error < best[2]:
+            best, worse = (pair[0], found[0], error), 0
+        else:
+            worse += 1
+        if error < tolerance:
+            break
+        count += (count + 1) // 2
+    if best is None:
+        raise failure
+    return best
+
+
+def _guess(loop: Loop, t: float, x: Array, z: Array) -> Array:
+    """Return a first guess of ``z``: rates that need not be large are left at zero."""
+    for block in loop.blocks:
+        if block.linear:
+            z[block.span] = 0.0
+            point = (t, x, z, loop.u[:, 0])
+            jacobian, residual = np.array(block.jacobian(*point)), np.array(block.residual(*point))
+            z[block.span] = -np.linalg.lstsq(jacobian, residual.ravel(), rcond=WEAK)[0]
+    return z
+
+
+def _standing(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
+    """Return the samples after a Newton step on the first block, and what is left over."""
+    block, z = loop.blocks[0], samples.z.copy()
+    for k, t in enumerate(samples.t):
+        point = (t, samples.x[:, k], z[:, k], samples.u[:, k])
+        z[block.span, k] -= np.linalg.solve(
+            np.array(block.jacobian(*point)), np.array(block.residual(*point)).ravel()
+        )
+    found = loop.newton.map(samples.t.size)(samples.t[None], samples.x, z, samples.u)
+    left, jacobian = (np.array(part) for part in found)
+    blocks = jacobian.reshape(len(z), samples.t.size, len(z)).transpose(1, 0, 2)
+    report = {
+        "newton_step": np.abs(z - samples.z)[block.span].max(axis=0),
+        "singular_value": np.linalg.svd(blocks, compute_uv=False)[:, -1],
+    }
+    for each in loop.blocks:
+        report[f"{each.labels[0].name}_residual"] = np.abs(left[each.span]).max(axis=0)
+    return samples._replace(z=z), report
+
+
+def _ended(run: Trajectory, k: int, stop: Stop) -> Trajectory:
+    """Return the samples before the one that violates a limit."""
+    if k == 0:
+        raise ModelError(f"the start is not valid: {stop.words}")
+    return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))
+
+
+def _laws(direct: Model, inverse: Model, best: Scheme, elements: Sequence[Element]) -> Any:
+    """Return the direct model's inputs as splines through the values at all points."""
+    from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
+
+    names = [label.full for label in leaves(inverse.labels.z)]
+    asked = [label.full for label in leaves(direct.labels.u)]
+    missing = set(asked) - set(names)
+    if missing:
+        raise ModelError(f"the inverse model does not determine {', '.join(sorted(missing))}")
+    first, points = elements[0], best.basis.points
+    begins = best.basis.values(np.zeros(1), tied=False) @ first.z.T
+    t = np.concatenate([[first.begin], *(e.begin + (e.end - e.begin) * points for e in elements)])
+    values = np.concatenate([begins, *(e.z.T for e in elements)])
+    inside = ca.fmin(ca.fmax(direct.t, t[0]), t[-1])
+    columns = values[:, [names.index(name) for name in asked]]
+    spline = make_interp_spline(t, columns, k=5)
+    at = ca.MX.sym("t")
+    value = ca.Function.bspline(
+        "law", [spline.t.tolist()], spline.c.ravel().tolist(), [5], len(asked)
+    )
+    law = ca.Function("law", [at], [value(at)], {"never_inline": True})
+    return unpack(direct.u, ca.vertsplit(law(inside)))
+
+
+def _replayed(
+    direct: Model, run: Trajectory, laws: Any, tolerance: float
+) -> tuple[Trajectory, dict[str, float]]:
+    """Return the direct model's motion from the same start, and how far it is from the run."""
+    states = {label.full: float(run[label.name][0]) for label in leaves(direct.labels.x)}
+    replay = simulate(
+        direct, settle(direct, guess=None, **states), laws, run.t, tolerance=tolerance
+    )
+    n = replay.t.size if replay.stop is None else replay.t.size - 1
+    return replay, {name: float(np.abs(replay[name][:n] - run[name][:n]).max()) for name in states}
+
+
+def settle_contact(
+    dae: Model, wheel: str, *, contact_x: float, contact_y: float, **start: float
+) -> Trajectory:
+    """Return the vehicle standing with one wheel's contact at a given place.
+
+    The contact point of one wheel, the heading and the joints are chosen; nine closure equations
+    of a three-wheeler then determine place, height, roll and pitch of its platform and the other
+    two contact points.
+
+    Parameters
+    ----------
+    dae : Dae
+        A closure model: its states hold ``x`` and ``y``, its first unknowns the contact points.
+    wheel : str
+        Name of the wheel.
+    contact_x, contact_y : float
+        Contact point on the map. [m]
+    **start : float
+        Heading and joints by name; others are zero. [rad, m]
+
+    Raises
+    ------
+    ModelError
+        If the wheel or a name is unknown, or the vehicle cannot stand so.
+    """
+    known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
+    if wheel not in known:
+        names = ", ".join(sorted(filter(None, known))) or "none"
+        raise ModelError(
+            f"settle_contact: no contact of a wheel {wheel!r} is sought; known: {names}"
+        )
+    fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
+    if fixed:
+        raise ModelError(
+            f"settle_contact: {' and '.join(fixed)} follow from the contact; leave them out"
+        )
+    place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
+    found = settle(_exchanged(dae, list(place)), guess=None, **place, **start)
+    return _settled(dae, found)
+
+
+def _settled(dae: Model, found: Trajectory) -> Trajectory:
+    """Return the start of a model at what was found for its states and unknowns by name."""
+    states, unknowns = (
+        {label.full: _first(found, label) for label in leaves(record)}
+        for record in (dae.labels.x, dae.labels.z[0])
+    )
+    return settle(dae, guess=unknowns, **states)
+
+
+def _first(run: Trajectory, label: Label) -> float:
+    return float(run[label.name if label.wheel is None else (label.name, label.wheel)][0])
+
+
+def _exchanged(dae: Model, given: Sequence[str]) -> Model:
+    """Return the model with ``x`` and ``y`` among its unknowns, and a contact point known.
+
+    For starts only: checks and rates are those of the model as it was.
+    """
+    x, z = list(leaves(dae.x)), list(leaves(dae.z))
+    x_labels, z_labels = list(leaves(dae.labels.x)), list(leaves(dae.labels.z))
+    x_shift, z_shift = (part.copy() for part in dae.shift)
+    guess = ca.vertsplit(dae.guess)
+    contact = []
+    for axis, name in zip(("x", "y"), given, strict=True):
+        i = [label.full for label in x_labels].index(axis)
+        j = [label.full for label in z_labels].index(name)
+        x[i], z[j], x_labels[i], z_labels[j] = z[j], x[i], z_labels[j], x_labels[i]
+        x_shift[i], z_shift[j] = z_shift[j], x_shift[i]
+        contact.append((x[i], z[j], j))
+    platform = ca.vertcat(*(symbol for _, symbol, _ in contact))
+    # the first guess of a contact lies a fixed way from the platform's centre
+    offsets = ca.substitute([guess[j] for *_, j in contact], [platform], [ca.SX.zeros(2)])
+    places = [point - offset for (point, _, _), offset in zip(contact, offsets, strict=True)]
+    guess = ca.substitute(guess, [platform], [ca.vertcat(*places)])
+    for (_, _, j), place in zip(contact, places, strict=True):
+        guess[j] = place
+    return replace(
+        dae,
+        x=unpack(dae.x, x),
+        z=unpack(dae.z, z),
+        labels=dae.labels._replace(
+            x=unpack(dae.labels.x, x_labels), z=unpack(dae.labels.z, z_labels)
+        ),
+        guess=ca.vertcat(*guess),
+        shift=(x_shift, z_shift),
+        checks=(),
+    )
+
+
+def nearest(dae: Model, *, weights: Mapping[str, float] | None = None, **pose: float) -> Trajectory:
+    """Return the vehicle standing in the pose nearest to a given one.
+
+    The weighted sum of squared changes is least among all poses in which every wheel touches the
+    ground.
+
+    Parameters
+    ----------
+    dae : Dae
+        A closure model.
+    weights : mapping of str to float, optional
+        Weight of the change of a coordinate; one by default, so that a metre counts as a radian;
+        infinite to keep it. [1/m2, 1/rad2]
+    **pose : float
+        States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
+        ``pitch`` and joints. States that are not named count as zero; what else is not named is
+        free. [m, rad]
+
+    Returns
+    -------
+    Trajectory
+        One sample; its ``statistics`` hold ``change``, the root of the sum, and the change of
+        every coordinate that counts.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, a value is not finite, a weight negative, or the vehicle cannot
+        stand near there.
+    """
+    labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
+    names, n_x = [label.full for label in labels], dae.ode.numel()
+    weights = weights or {}
+    _check_pose(names, pose, weights)
+    asked = {**{label.full: 0.0 for label in leaves(dae.labels.x)}, **pose}
+    shift = np.concatenate(dae.shift)[: len(names)]
+    wish = np.array([asked.get(name, 0.0) for name in names]) - shift
+    weight = np.array([weights.get(name, 1.0) * (name in asked) for name in names])
+    guess = np.array(ca.Function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
+    first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
+    first[weight > 0] = wish[weight > 0]
+    found = _least_change(dae, first, wish, weight) + shift
+    values = dict(zip(names, found, strict=True))
+    run = settle(dae, guess={name: values[name] for name in names[n_x:]},
+                 **{name: values[name] for name in names[:n_x]})  # fmt: skip
+    change = {name: _first(run, label) - asked[name]
+              for name, label in zip(names, labels, strict=True) if name in asked}  # fmt: skip
+    total = sum(weights.get(name, 1.0) * size**2 for name, size in change.items()
+                if np.isfinite(weights.get(name, 1.0)))  # fmt: skip
+    statistics = {"change": float(np.sqrt(total))}
+    return replace(run, statistics=statistics | {f"change_{k}": v for k, v in change.items()})
+
+
+def _check_pose(
+    names: Sequence[str], pose: Mapping[str, float], weights: Mapping[str, float]
+) -> None:
+    for name in (*pose, *weights):
+        if name not in names:
+            raise ModelError(f"nearest: {name!r} is not known; known: {', '.join(names)}")
+    for name, value in pose.items():
+        if not np.isfinite(value):
+            raise ModelError(f"nearest: {name} must be finite, found {value}")
+    for name, weight in weights.items():
+        if not weight >= 0:
+            raise ModelError(f"nearest: the weight of {name} must not be negative, found {weight}")
+
+
+def _least_change(dae: Model, first: Array, wish: Array, weight: Array) -> Array:
+    """Return states and pose that satisfy the first equations with the least weighted change."""
+    unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
+    counts = np.isfinite(weight)
+    change = np.where(counts, weight, 0.0)
+    cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
+    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
+    problem = {"x": unknowns, "f": cost / 2, "g": dae.alg[0]}
+    options: dict[str, Any] = {"ipopt": quiet, "print_time": False, "error_on_fail": False}
+    solver = ca.nlpsol("nearest", "ipopt", problem, options)
+    bound = np.where(counts, np.inf, 0.0)
+    centre = np.where(counts, 0.0, wish)
+    found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
+    if not solver.stats()["success"]:
+        raise ModelError(
+            "nearest: the vehicle cannot stand near the given pose "
+            f"({solver.stats()['return_status']}); give one that is nearer to the ground"
+        )
+    return np.array(found["x"]).ravel()

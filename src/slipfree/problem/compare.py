@@ -1,0 +1,151 @@
+"""Several vehicles on one ground: which of them can roll without slip, and how the others slip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import SolverError
+from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.kinematics.slip import measured_slip
+from slipfree.named import Array, leaves
+from slipfree.problem import schema
+from slipfree.problem.ground import Ground, at, build_ground
+from slipfree.problem.read import Problem
+from slipfree.problem.run import build_law, build_start, build_vehicle, check_names, samples
+from slipfree.solve.loop import close
+from slipfree.solve.simulate import simulate
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Stop, Trajectory
+from slipfree.vehicle.chain import Vehicle
+
+RANK = 1e-9  # singular values below this part of the largest are zero
+
+
+class Drive(NamedTuple):
+    """One vehicle driven in one way.
+
+    Attributes
+    ----------
+    along, across, measured : ndarray, shape (n_wheels,)
+        Largest slip of every wheel: of the model, and measured on the poses alone. [m/s]
+    tilt : float
+        Largest passive tilt; zero if nothing tilts. [rad]
+    width : tuple of 2 floats
+        Least and largest distance between the first two wheels' centres. [m]
+    stop : Stop or None
+        Why it ended early, if it did.
+    """
+
+    along: Array
+    across: Array
+    measured: Array
+    tilt: float
+    width: tuple[float, float]
+    stop: Stop | None
+
+
+class Row(NamedTuple):
+    """One vehicle of a comparison.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    wheels : tuple of str
+        Its wheels, in the order of what belongs to them.
+    rank, conditions : int
+        Rank of the slip in the rates that are not given, and number of slip conditions; the
+        vehicle can roll without slip if they are equal.
+    same, fitting : Drive
+        At the rates that are the same for all, and at those of the driving law.
+    """
+
+    name: str
+    wheels: tuple[str, ...]
+    rank: int
+    conditions: int
+    same: Drive
+    fitting: Drive
+
+
+def compare(
+    problem: Problem[schema.Compare], progress: Callable[[str], None]
+) -> tuple[Ground, list[Row]]:
+    """Return the ground and a row for each vehicle; ``progress`` is told the next one's name.
+
+    Raises
+    ------
+    ProblemError
+        If the problem cannot be built.
+    """
+    ground, rows = build_ground(problem), []
+    start = problem.spec.start
+    terrain = Bicubic(ground.grid, (start.get("x", 0.0), start.get("y", 0.0)))
+    for index, spec in enumerate(problem.spec.vehicles):
+        progress(spec.name)
+        with at(problem, ("vehicles", index)):
+            vehicle = build_vehicle(spec)
+        rows.append(_row(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
+    return ground, rows
+
+
+def _row(
+    problem: Problem[schema.Compare],
+    name: str,
+    vehicle: Vehicle,
+    dae: Dae[Any, Any, Any, Any, Any],
+) -> Row:
+    spec, start = problem.spec, build_start(problem, dae)
+    known = [label.full for label in leaves(dae.labels.u)]
+    free = {f"{wheel.name}_rate" for wheel in vehicle.wheels if not wheel.driven}
+    given = {key: rate for key, rate in spec.inputs.items() if key not in free}
+    check_names(problem, dae, {**dict.fromkeys(known, 0.0), **given})
+    t, _ = samples(spec.time, {})
+    same = dae.inputs(**{key: given.get(key, 0.0) for key in known})
+    law = build_law(problem, dae, vehicle, start)
+    drives = [_drive(vehicle, dae, start, inputs, t, spec.solver.tolerance)
+              for inputs in (same, law)]  # fmt: skip
+    return Row(name, start.wheels, _rank(dae, start), 3 * len(vehicle.wheels), *drives)
+
+
+def _drive(
+    vehicle: Vehicle,
+    dae: Dae[Any, Any, Any, Any, Any],
+    start: Trajectory,
+    inputs: Any,
+    t: Array,
+    tolerance: float,
+) -> Drive:
+    try:
+        run = simulate(dae, start, inputs, t, tolerance=tolerance)
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        run = error.trajectory
+    even = run if run.stop is None else run.part(slice(-1))  # a stop lies between the samples
+    slip = np.linalg.norm(measured_slip(vehicle, even), axis=2)
+    tilts = [run[c.name] for c in vehicle.of("passive") if vehicle.unit(c.name) == "rad"]
+    gaps = [run[f"center_{axis}"][:, 0] - run[f"center_{axis}"][:, 1] for axis in "xyz"]
+    width = np.sqrt(sum(gap**2 for gap in gaps))
+    return Drive(
+        np.abs(run["slip_along"]).max(axis=0),
+        np.abs(run["slip_across"]).max(axis=0),
+        slip.max(axis=0),
+        max((float(np.abs(tilt).max()) for tilt in tilts), default=0.0),
+        (float(width.min()), float(width.max())),
+        run.stop,
+    )
+
+
+def _rank(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> int:
+    """Return the rank of the slip in the unknown rates: of ``A`` in ``A'A``, the model's block."""
+    loop = close(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
+    x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
+    block = np.array(loop.blocks[1].jacobian(0.0, x, z, loop.u[:, 0]))
+    rates = len(block) - len(start.wheels)
+    values = np.linalg.svd(block[:rates, :rates], compute_uv=False)
+    return int((values > RANK * values[0]).sum())
