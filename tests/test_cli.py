@@ -253,3 +253,47 @@ def test_progress_is_throttled(monkeypatch: pytest.MonkeyPatch) -> None:
     for t in range(10):
         show(t)
     assert shown == [0, 3, 6, 9]
+
+
+@pytest.mark.usefixtures("folder")
+def test_vehicle_counts_unknowns_and_equations() -> None:
+    result = _invoke("vehicle", "p.toml")
+    assert result.exit_code == 0
+    assert "right_hub: turns about y by tilt_right (passive)" in result.stdout
+    assert "3: right_rate, left_rate, steer_rate" in result.stdout
+    assert "9: z, roll, pitch, contact_x[right]" in result.stdout
+    assert "it can roll without slip" in result.stdout
+    fixed = _invoke("vehicle", "p.toml", "--set", "vehicle.axle=fixed")
+    assert "too few by 2: it slips the least it can" in fixed.stdout
+    halves = _invoke("vehicle", "p.toml", "--set", "vehicle.axle=sliding")
+    assert "right_half: slides along x by slide_right (passive)" in halves.stdout
+
+
+@pytest.mark.usefixtures("folder")
+def test_formulations_agree_at_the_shell() -> None:
+    result = _invoke("run", "p.toml", "--no-draw", "--cross-check", "--set", "time.duration=0.5")
+    assert result.exit_code == 0
+    assert "largest differences from formulation = 'montana'" in result.stdout
+    montana = _invoke("run", "p.toml", "--no-draw", "--set", "formulation=montana",
+                      "--set", "time.duration=0.5")  # fmt: skip
+    assert montana.exit_code == 0
+    assert "drift of the assembly" in montana.stdout
+
+
+def test_path_from_a_file(folder: Path) -> None:
+    law = ["--set", 'driver={name="follow", speed=0.2, file="way.csv"}']
+    (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0,1.0\n")
+    result = _invoke("check", "p.toml", *law)
+    assert result.exit_code == 0, result.stderr
+    (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0;1.0\n")
+    result = _invoke("check", "p.toml", *law)
+    assert result.exit_code == 2
+    assert "way.csv:3: expected two numbers x,y, found '0.0;1.0'" in result.stderr
+    for wrong, words in (
+        ('driver={name="follow", speed=0.2}', "'follow' needs either path"),
+        ('driver={name="follow", speed=0.2, file="no.csv"}', "found no text file"),
+        ('driver={name="straight", speed=0.2, file="way.csv"}', "'straight' takes no path"),
+    ):
+        result = _invoke("check", "p.toml", "--set", wrong)
+        assert result.exit_code == 2
+        assert words in result.stderr

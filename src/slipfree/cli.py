@@ -149,6 +149,18 @@ def check(file: File, settings: Settings = None) -> None:
 
 
 @app.command()
+def vehicle(file: File, settings: Settings = None) -> None:
+    """Describe the vehicle of a problem: parts, unknowns, equations, and whether it can roll."""
+    with _reported():
+        from slipfree.problem.describe import conditioning, counts, tree
+        from slipfree.problem.run import build
+
+        setup = build(_read(file, settings))
+        typer.echo("\n".join([setup.vehicle.name, *tree(setup.vehicle), ""]))
+        _print(counts(setup.vehicle, setup.model) + conditioning(setup.start))
+
+
+@app.command()
 def compare(file: File, settings: Settings = None) -> None:
     """Compare vehicles on one ground: which can roll without slip, how much the others slip."""
     with _reported():

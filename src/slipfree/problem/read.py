@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar, get_args
+from typing import Any, Generic, NamedTuple, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -98,7 +98,7 @@ def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> 
         raise problem_error(source, [fault])
     faults = [*_alternatives(schema, data)]
     try:
-        spec: S = schema.model_validate(data)
+        spec = cast(S, schema.model_validate(data))
     except ValidationError as error:
         faults += [_fault(schema, dict(each)) for each in error.errors(include_url=False)]
     else:

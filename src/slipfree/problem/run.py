@@ -36,8 +36,10 @@ class Setup:
 
     Attributes
     ----------
-    ground, vehicle, dae : Ground, Vehicle, Dae
-        The model.
+    ground, vehicle : Ground, Vehicle
+        What moves, and on what.
+    model, dae : Dae
+        The closure model, which settles the start, and what is integrated.
     start : Trajectory
         The vehicle at rest at its start.
     inputs : record
@@ -48,6 +50,7 @@ class Setup:
 
     ground: Ground
     vehicle: Vehicle
+    model: Dae[Any, Any, Any, Any, Any]
     dae: Dae[Any, Any, Any, Any, Any]
     start: Trajectory
     inputs: Any
@@ -77,7 +80,7 @@ def build(problem: Problem[schema.Direct]) -> Setup:
     terrain = Bicubic(ground.grid, (spec.start.get("x", 0.0), spec.start.get("y", 0.0)))
     dae: Dae[Any, Any, Any, Any, Any]
     with at(problem, ("slip",)):
-        dae = direct_kinematics(vehicle, terrain, slip=spec.slip)
+        model = dae = direct_kinematics(vehicle, terrain, slip=spec.slip)
     check_names(problem, dae, spec.inputs)
     start = build_start(problem, dae)
     t, rates = samples(spec.time, spec.inputs or {})
@@ -89,7 +92,7 @@ def build(problem: Problem[schema.Direct]) -> Setup:
             inputs = dae.inputs(**rates)
     else:
         inputs = build_law(problem, dae, vehicle, start)
-    return Setup(ground, vehicle, dae, start, inputs, t)
+    return Setup(ground, vehicle, model, dae, start, inputs, t)
 
 
 def build_vehicle(spec: schema.Vehicle) -> Vehicle:
@@ -115,16 +118,17 @@ def build_law(
     with at(problem, ("driver",)):
         if driver is None:
             raise ModelError("expected a [driver]")
-        if (driver.path is None) == (driver.name == "follow"):
-            raise ModelError("driver: 'follow' needs a path, 'straight' takes none")
-        if driver.path is None:
+        if driver.name == "straight":
+            if driver.path is not None or driver.file is not None:
+                raise ModelError("driver: 'straight' takes no path; use name = 'follow'")
             return straight(dae, vehicle, start, speed=driver.speed)
-        by_name = isinstance(driver.path, str)
-        points = read_points(problem.folder / str(driver.path)) if by_name else driver.path
+        if (driver.path is None) == (driver.file is None):
+            raise ModelError("driver: 'follow' needs either path, an array of [x, y], or file")
+        points = driver.path or read_points(problem.folder / str(driver.file))
         return follow(dae, vehicle, Path(np.array(points)), speed=driver.speed)
 
 
-def read_points(file: Any) -> Array:
+def read_points(file: Any) -> list[tuple[float, float]]:
     """Return the way-points in a CSV file: x and y in two columns, one line of names allowed."""
     try:
         text = file.read_text(encoding="utf-8-sig")
@@ -142,7 +146,7 @@ def read_points(file: Any) -> Array:
                 f"{file}:{number}: expected two numbers x,y, found {line.strip()!r}"
             ) from error
         rows.append((x, y))
-    return np.array(rows).reshape(-1, 2)
+    return rows
 
 
 def run(

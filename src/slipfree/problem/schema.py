@@ -134,7 +134,8 @@ class Driver(Record):
 
     name: Literal["straight", "follow"]
     speed: Annotated[float, AfterValidator(_not_zero)]
-    path: Annotated[tuple[Pair, ...], Field(strict=False)] | str | None = None
+    path: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
+    file: str | None = None
 
 
 class Time(Record):

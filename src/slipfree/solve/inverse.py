@@ -29,8 +29,9 @@ from slipfree.solve.simulate import _times, simulate
 from slipfree.trajectory import Stop, Trajectory
 
 Model = Dae[Any, Any, Any, Any, Any]
-DEGREE = 12  # number of collocation points of an element
+DEGREES = (8, 10, 12, 14)  # numbers of collocation points of an element that are tried
 MOST_ELEMENTS = 4096
+PATIENCE = 2  # numbers of elements tried in vain before the best counts as the best
 NEWTON = 20  # steps at most on one element
 CONVERGED = 1e-12  # residual of an element's equations
 WEAK = 1e-2  # relative singular value below which a rate stays out of the first guess
@@ -207,14 +208,16 @@ class Scheme:
         return Samples(t, x, z, q, np.repeat(self.loop.u[:, :1], t.size, axis=1))
 
 
-def scheme(loop: Loop, sought: Mask, degree: int) -> Scheme:
-    """Return the collocation of a DAE under laws at that many points an element."""
-    symbols = [ca.SX.sym(name, size) for name, size in
-               (("t", 1), ("x", loop.dae.ode.numel()), ("z", loop.dae.guess.numel()))]  # fmt: skip
+def schemes(loop: Loop, sought: Mask) -> list[Scheme]:
+    """Return the collocations of a DAE under laws at the numbers of points that are tried."""
+    symbols = [
+        ca.SX.sym(name, size)
+        for name, size in (("t", 1), ("x", loop.dae.ode.numel()), ("z", loop.dae.guess.numel()))
+    ]
     ode, alg, quad = loop.core(*symbols, loop.u[:, 0])
     jacobian = ca.jacobian(ca.vertcat(ode, alg), ca.vertcat(*symbols[1:]))
     point = ca.Function("point", symbols, [ode, alg, quad, ca.densify(jacobian)], {"cse": True})
-    return Scheme(loop, sought, basis(degree), point.map(degree))
+    return [Scheme(loop, sought, basis(degree), point.map(degree)) for degree in DEGREES]
 
 
 class Drive(NamedTuple):
@@ -240,12 +243,13 @@ class Drive(NamedTuple):
 
 def drive(
     inverse: Model, direct: Model, start: Trajectory, inputs: Any, t: Array, *,
-    sought: Sequence[str] = ("steer",), degree: int = DEGREE, tolerance: float = 1e-8,
+    sought: Sequence[str] = ("steer",), tolerance: float = 1e-8,
 ) -> Drive:  # fmt: skip
     """Return the motion of an inverse model, some of whose states are found, and its replay.
 
     Elements are shortened until two degrees agree on the sought states within the tolerance, or as
-    well as they ever do: on too short elements, what changes fast counts as smooth.
+    well as they ever do: on short elements of high degree, what changes fast counts as smooth, and
+    noise of the path is amplified.
 
     Parameters
     ----------
@@ -260,8 +264,6 @@ def drive(
         Ascending times of the samples. [s]
     sought : sequence of str
         States without an initial value.
-    degree : int
-        Number of Radau points of an element, three or more.
     tolerance : float
         Of the sought states, and of the integrator in the replay. [m, rad]
 
@@ -275,49 +277,51 @@ def drive(
     t, names = _times(t), [label.full for label in leaves(inverse.labels.x)]
     if not set(sought) <= set(names):
         raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
-    if degree < 3:
-        raise ModelError(f"degree: expected three or more points, found {degree}")
     clock, loop = time.process_time(), close(inverse, inputs, 0)
     mask = np.array([name in sought for name in names])
-    best, elements, error = _finest(loop, mask, start, t, degree, tolerance)
+    best, elements, error = _finest(loop, mask, start, t, tolerance)
     samples, report = _standing(loop, best.samples(elements, t))
     run = table(loop, samples, report)
     fault = first_violation(loop, run, samples)
     if fault is not None:
         run = _ended(run, *fault)
-    run = replace(run, statistics={
-        "elements": float(len(elements)), "degree": float(degree), "sought_error": error,
+    statistics = {
+        "elements": float(len(elements)),
+        "degree": float(len(best.basis.points)),
+        "sought_error": error,
         "cpu_seconds": time.process_time() - clock,
-    })  # fmt: skip
+    }
+    run = replace(run, statistics=statistics)
     laws = _laws(direct, inverse, best, elements)
     return Drive(run, laws, *_replayed(direct, run, laws, tolerance))
 
 
 def _finest(
-    loop: Loop, sought: Mask, start: Trajectory, t: Array, degree: int, tolerance: float
+    loop: Loop, sought: Mask, start: Trajectory, t: Array, tolerance: float
 ) -> tuple[Scheme, list[Element], float]:
-    """Return the motion on the elements on which two degrees agree best."""
+    """Return the motion on the elements on which two degrees agree best, and how well."""
     x = loop.dae.rows("x", start, -1)
     z = _guess(loop, float(t[0]), x, loop.dae.rows("z", start, -1))
-    pair = [scheme(loop, sought, n) for n in (degree, degree - 2)]
+    tried = schemes(loop, sought)
     best: tuple[Scheme, list[Element], float] | None = None
-    failure, count, worse = SolverError("no motion was found"), 1, 0
-    while count <= MOST_ELEMENTS and worse < 2:
-        ends = np.linspace(t[0], t[-1], count + 1)
-        try:
-            found = [each.march(ends, x, z) for each in pair]
-        except SolverError as problem:
-            failure, count = problem, count + (count + 1) // 2
-            worse += best is not None
-            continue
-        values = [each.samples(part, t).x[sought] for each, part in zip(pair, found, strict=True)]
-        error = float(np.abs(values[0] - values[1]).max(initial=0.0))
-        if best is None or error < best[2]:
-            best, worse = (pair[0], found[0], error), 0
-        else:
-            worse += 1
-        if error < tolerance:
-            break
+    failure, count, vain = SolverError("no motion was found"), 1, 0
+    while count <= MOST_ELEMENTS and vain < PATIENCE:
+        ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
+        former: Array | None = None
+        for each in tried:
+            try:
+                elements = each.march(ends, x, z)
+            except SolverError as problem:
+                failure, former = problem, None
+                continue
+            values = each.samples(elements, t).x[sought]
+            if former is not None:
+                error = float(np.abs(values - former).max(initial=0.0))
+                if best is None or error < best[2]:
+                    best, vain = (each, elements, error), 0
+                if error < tolerance:
+                    return best
+            former = values
         count += (count + 1) // 2
     if best is None:
         raise failure
