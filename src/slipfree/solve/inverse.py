@@ -33,7 +33,8 @@ DEGREES = (8, 10, 12, 14)  # numbers of collocation points of an element that ar
 MOST_ELEMENTS = 4096
 PATIENCE = 2  # numbers of elements tried in vain before the best counts as the best
 NEWTON = 20  # steps at most on one element
-CONVERGED = 1e-12  # residual of an element's equations
+CONVERGED = 1e-13  # residual of an element's equations
+ROUNDING = 1e-10  # the same, if it does not become less
 WEAK = 1e-2  # relative singular value below which a rate stays out of the first guess
 
 
@@ -152,8 +153,8 @@ class Scheme:
         size, n_x = np.inf, element.x.size
         for _ in range(NEWTON):
             residual, jacobian = self._equations(element)
-            size = float(np.abs(residual).max())
-            if size < CONVERGED or not np.isfinite(size):
+            former, size = size, float(np.abs(residual).max())
+            if not np.isfinite(size) or size < CONVERGED or former < min(2 * size, ROUNDING):
                 break
             try:
                 step = np.linalg.solve(jacobian, residual)
@@ -163,7 +164,7 @@ class Scheme:
                 x=element.x - step[:n_x].reshape(element.x.shape),
                 z=element.z - step[n_x:].reshape(element.z.shape),
             )
-        if not size < 1e3 * CONVERGED:
+        if not size < ROUNDING:
             raise SolverError(
                 f"nothing moves along the path from t = {element.begin:.4g} to {element.end:.4g} s "
                 f"(residual {size:.1e}): it may stand still, or be too winding there"
@@ -307,7 +308,7 @@ def _finest(
     failure, count, vain = SolverError("no motion was found"), 1, 0
     while count <= MOST_ELEMENTS and vain < PATIENCE:
         ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
-        former: Array | None = None
+        former: tuple[Scheme, list[Element], Array] | None = None
         for each in tried:
             try:
                 elements = each.march(ends, x, z)
@@ -316,12 +317,12 @@ def _finest(
                 continue
             values = each.samples(elements, t).x[sought]
             if former is not None:
-                error = float(np.abs(values - former).max(initial=0.0))
+                error = float(np.abs(values - former[2]).max(initial=0.0))
                 if best is None or error < best[2]:
-                    best, vain = (each, elements, error), 0
+                    best, vain = (former[0], former[1], error), 0  # it amplifies noise less
                 if error < tolerance:
                     return best
-            former = values
+            former = each, elements, values
         count += (count + 1) // 2
     if best is None:
         raise failure
