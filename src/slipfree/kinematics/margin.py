@@ -33,6 +33,7 @@ EULER = ("heading_rate", "roll_rate", "pitch_rate")
 OMEGA = ("omega_x", "omega_y", "omega_z")
 TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
 SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
+NEAR = 0.02  # lever of a contact on the axis, relative to the rolling radius
 ROUNDING = 1e-14  # relative singular value that counts as zero
 Direct = Dae[Any, Any, Any, Any, Any]
 
@@ -192,7 +193,7 @@ class InverseMargin:
         matrix, columns = (part[0] for part in self._matrices(x[:, None], z[:, None]))
         left, values, right = np.linalg.svd(matrix)
         lost = _large(right[-1], self.unknown)
-        alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < 2 * values[-1] + ROUNDING
+        alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < NEAR
         why = f": {self.reasons[lost[0]]}" if alone and lost[0] in self.reasons else ""
         bound = _large(left[:, -1] @ columns, self.given)
         words = f"{_listed(self.given)} leave {_listed(lost)} undetermined{why}"

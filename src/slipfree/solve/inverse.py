@@ -31,6 +31,7 @@ from slipfree.trajectory import Stop, Trajectory
 Model = Dae[Any, Any, Any, Any, Any]
 DEGREES = (8, 10, 12, 14)  # numbers of collocation points of an element that are tried
 MOST_ELEMENTS = 4096
+NOISY = 3.0  # growth of the difference of degrees that shows amplified noise
 PATIENCE = 2  # numbers of elements tried in vain before the best counts as the best
 NEWTON = 20  # steps at most on one element
 CONVERGED = 1e-13  # residual of an element's equations
@@ -166,7 +167,7 @@ class Scheme:
             )
         if not size < ROUNDING:
             raise SolverError(
-                f"nothing moves along the path from t = {element.begin:.4g} to {element.end:.4g} s "
+                f"no motion from t = {element.begin:.4g} to {element.end:.4g} s follows the path "
                 f"(residual {size:.1e}): it may stand still, or be too winding there"
             )
         return element
@@ -309,12 +310,13 @@ def _finest(
     while count <= MOST_ELEMENTS and vain < PATIENCE:
         ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
         former: tuple[Scheme, list[Element], Array] | None = None
+        least = np.inf
         for each in tried:
             try:
                 elements = each.march(ends, x, z)
             except SolverError as problem:
-                failure, former = problem, None
-                continue
+                failure = problem
+                break
             values = each.samples(elements, t).x[sought]
             if former is not None:
                 error = float(np.abs(values - former[2]).max(initial=0.0))
@@ -322,6 +324,9 @@ def _finest(
                     best, vain = (former[0], former[1], error), 0  # it amplifies noise less
                 if error < tolerance:
                     return best
+                if error > NOISY * least:
+                    break
+                least = error
             former = each, elements, values
         count += (count + 1) // 2
     if best is None:
