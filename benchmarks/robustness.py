@@ -15,9 +15,12 @@ import argparse
 import json
 import subprocess
 import sys
+import threading
 import time
+import traceback
 import warnings
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -27,48 +30,86 @@ import numpy as np
 from reference import heading
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from random_cases import Case, draw, outcome
+from random_cases import Case, Outcome, draw, outcome
 
 COUNT = 500
 WORKERS = 2
-PATIENCE = 60  # seconds for a case
+PATIENCE = 60.0  # for a case [s]
+ANSWER = "outcome: "  # what a line with an outcome begins with
 
 
 def one(case: Case) -> dict[str, Any]:
     """Return what becomes of a case, in this process; warnings are faults."""
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
-        found = outcome(case)
+        try:
+            found = outcome(case)
+        except Exception:
+            found = Outcome("exception", faults=[traceback.format_exc()[-1500:]])
     found.faults += [f"warning: {each.category.__name__}: {each.message}" for each in heard]
-    return asdict(found)
+    return {"seed": case.seed} | asdict(found)
 
 
-def apart(seed: int) -> dict[str, Any]:
-    """Return what becomes of a case in a process of its own."""
-    command = [sys.executable, __file__, "--seed", str(seed), "--json"]
-    begin = time.perf_counter()
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-    except subprocess.TimeoutExpired:
-        found = {"kind": "hang", "faults": [f"no end within {PATIENCE} s"]}
-    else:
-        found = _understood(done)
-    return {"seed": seed, "cause": "", "words": "", "measures": {}} | found | {
-        "wall": time.perf_counter() - begin
-    }  # fmt: skip
+def serve() -> None:
+    """Answer seeds, line by line, with outcomes."""
+    for seed in sys.stdin:
+        print(ANSWER + json.dumps(one(draw(int(seed)))), flush=True)
 
 
-def _understood(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
-    if done.returncode < 0:
-        return {"kind": "crash", "faults": [f"signal {-done.returncode}: {done.stderr[-300:]}"]}
-    if done.returncode:
-        return {"kind": "exception", "faults": [done.stderr[-1500:]]}
-    *printed, last = done.stdout.strip().splitlines()
-    found = json.loads(last)
-    said = "\n".join(printed) + done.stderr
-    if said.strip():
-        found["faults"].append(f"printed: {said.strip()[:300]}")
-    return dict(found)
+class Worker:
+    """A child process that solves case after case, and is replaced when one is the end of it."""
+
+    def __init__(self, patience: float) -> None:
+        self.patience, self.child = patience, None
+
+    def ask(self, seed: int) -> dict[str, Any]:
+        """Return what becomes of a case; a hang or a crash is an outcome too."""
+        if self.child is None:
+            command = [sys.executable, "-u", __file__, "--serve"]
+            pipe = subprocess.PIPE
+            self.child = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, text=True
+            )
+        child, said = self.child, []
+        timer = threading.Timer(self.patience, child.kill)
+        begin = time.perf_counter()
+        timer.start()
+        child.stdin.write(f"{seed}\n")
+        child.stdin.flush()
+        for line in child.stdout:
+            if line.startswith(ANSWER):
+                timer.cancel()
+                found = json.loads(line.removeprefix(ANSWER))
+                found["faults"] += [f"printed: {''.join(said)[:300]}"] if said else []
+                return found
+            said.append(line)
+        self.child = None
+        if time.perf_counter() - begin >= self.patience:
+            faults, kind = [f"no end within {self.patience:g} s"], "hang"
+        else:
+            faults, kind = [f"exit code {child.wait()}: {''.join(said)[-300:]}"], "crash"
+        return {"seed": seed} | asdict(Outcome(kind, faults=faults))
+
+    def close(self) -> None:
+        """End the child."""
+        if self.child is not None:
+            self.child.communicate("")
+
+
+def every(seeds: range, patience: float) -> Iterator[dict[str, Any]]:
+    """Yield what becomes of many cases, in the order of their seeds."""
+    mine, workers = threading.local(), []
+
+    def ask(seed: int) -> dict[str, Any]:
+        if not hasattr(mine, "worker"):
+            mine.worker = Worker(patience)
+            workers.append(mine.worker)
+        return mine.worker.ask(seed)
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        yield from pool.map(ask, seeds)
+    for worker in workers:
+        worker.close()
 
 
 def table(found: list[dict[str, Any]]) -> None:
@@ -100,23 +141,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, help="one case, told in full")
     parser.add_argument("--set", nargs="*", default=[], metavar="WORD=VALUE", help="change it")
-    parser.add_argument("--json", action="store_true", help="print only its outcome")
     parser.add_argument("--first", type=int, default=0, help="first seed of many")
     parser.add_argument("--count", type=int, default=COUNT, help="how many seeds")
+    parser.add_argument("--patience", type=float, default=PATIENCE, help="seconds for a case")
+    parser.add_argument("--lines", type=Path, help="file for the outcomes, one JSON line each")
+    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.seed is not None:
+    if given.serve:
+        serve()
+    elif given.seed is not None:
         as_drawn = draw(given.seed)
         pairs = (word.split("=", 1) for word in given.set)
         changes = {name: _like(getattr(as_drawn, name), value) for name, value in pairs}
         case = as_drawn._replace(**changes)
-        if not given.json:
-            print(case)
-        print(json.dumps(one(case), indent=None if given.json else 1))
-        return
-    heading()
-    seeds = range(given.first, given.first + given.count)
-    with ThreadPoolExecutor(WORKERS) as pool:
-        table(list(pool.map(apart, seeds)))
+        print(case, json.dumps(one(case), indent=1), sep="\n")
+    else:
+        heading()
+        found = []
+        for each in every(range(given.first, given.first + given.count), given.patience):
+            found.append(each)
+            if given.lines:
+                with given.lines.open("a") as file:
+                    file.write(json.dumps(each) + "\n")
+        table(found)
 
 
 def _like(value: Any, words: str) -> Any:

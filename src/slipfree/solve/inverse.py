@@ -369,6 +369,8 @@ def _ended(run: Trajectory, k: int, stop: Stop) -> Trajectory:
     """Return the samples before the one that violates a limit."""
     if k == 0:
         raise ModelError(f"the start is not valid: {stop.words}")
+    if k == 1:
+        raise ModelError(f"t: a motion needs two samples, and before the second {stop.words}")
     return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))
 
 
