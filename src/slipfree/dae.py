@@ -157,8 +157,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
     def rows(self, record: str, run: Trajectory, index: int) -> Array:
         """Return ``x``, ``z`` or ``q`` of one sample as a column in local coordinates."""
         labels = leaves(getattr(self.labels, record))
-        values = [run[label.name if label.wheel is None else (label.name, label.wheel)][index]
-                  for label in labels]  # fmt: skip
+        values = [run.of(label)[index] for label in labels]
         shift = {"x": self.shift[0], "z": self.shift[1]}.get(record, np.zeros(len(values)))
         return np.array(values) - shift
 

@@ -95,6 +95,10 @@ class Trajectory:
             raise ModelError(f"{quantity!r} has no wheel {wheel!r}; its wheels: {known}")
         return values[:, self.wheels.index(wheel)]
 
+    def of(self, label: Label) -> Array:
+        """Return the samples of what a label names, that of one wheel if it names one."""
+        return self[label.name] if label.wheel is None else self[label.name, label.wheel]
+
     def __iter__(self) -> Iterator[str]:
         """Yield the names of the quantities."""
         return iter(self.columns)
@@ -105,13 +109,14 @@ class Trajectory:
         return replace(self, t=self.t[span], columns=columns, stop=stop)
 
 
-def joined(first: Trajectory, second: Trajectory) -> Trajectory:
-    """Return two motions of one model as one; the second's reason to end counts."""
+def joined(*runs: Trajectory) -> Trajectory:
+    """Return motions of one model, one after the other, as one; the last one's end counts."""
     columns = {
-        name: Column(column.label, np.concatenate([column.values, second[name]]))
-        for name, column in first.columns.items()
+        name: Column(column.label, np.concatenate([run[name] for run in runs]))
+        for name, column in runs[0].columns.items()
     }
-    return replace(first, t=np.concatenate([first.t, second.t]), columns=columns, stop=second.stop)
+    t = np.concatenate([run.t for run in runs])
+    return replace(runs[0], t=t, columns=columns, stop=runs[-1].stop)
 
 
 def path_length(run: Trajectory) -> float:

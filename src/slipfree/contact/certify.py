@@ -17,7 +17,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.wheel import Wheel
 
 RIM = np.deg2rad(np.linspace(-120.0, 120.0, 81))  # around the wheel, from the contact
-TUBE = np.deg2rad(np.linspace(-90.0, 90.0, 13))  # across the tread, from the contact
+SPACING = np.deg2rad(3.0)  # of points on the tread, in rolling radii
 CHUNK = 256  # samples looked at together, for the sake of memory
 TOLERANCE = 1e-7  # penetration that counts as touching [m]
 NONE = 1.0  # clearance reported where the ground comes near at no second place [m]
@@ -27,8 +27,8 @@ NONE = 1.0  # clearance reported where the ground comes near at no second place 
 class SecondTouch:
     """Clearance between a wheel and the ground at the nearest place that is not its contact.
 
-    The clearance is vertical, over points 3 degrees apart around the tread and 15 degrees
-    across it, refined by a parabola at its local minima. It is a check, not an expression, since
+    The clearance is vertical, over points of the tread a twentieth of the rolling radius apart
+    either way, refined by a parabola at its local minima; narrower things may be missed. It is a check, not an expression, since
     the place moves by jumps.
 
     Attributes
@@ -71,7 +71,8 @@ class SecondTouch:
         height = self.terrain.elevation(points[..., 0], points[..., 1])
         gap = points[..., 2] - height
         low = _second_minima(gap)
-        values = np.where(low, gap, NONE)
+        # what lies in the ground counts wherever it is, also right beside the contact
+        values = np.where(low | (gap < -TOLERANCE), gap, NONE)
         for k, i, j in zip(*np.nonzero(low & (gap < self.wheel.radius / 10)), strict=True):
             values[k, i, j] = _vertex(gap[k], i, j)
         flat = values.reshape(len(values), -1)
@@ -82,7 +83,8 @@ class SecondTouch:
     def _surface(self, x: Array, z: Array) -> Array:
         """Return points on the tread in map coordinates, shape (n, rim, tube, 3)."""
         center, rotation, contact = (np.array(out) for out in self.pose.map(x.shape[1])(x, z))
-        tube = TUBE if self.wheel.r1 > 0 else np.zeros(1)
+        half = int(np.ceil(np.pi / 2 * self.wheel.r1 / (SPACING * self.wheel.radius)))
+        tube = np.linspace(-np.pi / 2, np.pi / 2, 2 * half + 1) if half else np.zeros(1)
         rotation = rotation.T.reshape(-1, 3, 3).transpose(0, 2, 1)
         arm = np.einsum("nji,jn->ni", rotation, contact - center)
         v_0 = np.arctan2(arm[:, 2], arm[:, 1])

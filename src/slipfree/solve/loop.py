@@ -84,9 +84,7 @@ def close(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) -> Loo
     law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))
     for index, (label, value) in enumerate(zip(leaves(dae.labels.u), leaves(inputs), strict=True)):
         if isinstance(value, ca.SX):
-            if ca.depends_on(value, u):
-                raise ModelError(f"input {label.full}: a law cannot contain the inputs themselves")
-            law[index] = value
+            law[index] = _checked(dae, label, value)
         else:
             values[index] = _numbers(label, value, intervals)
     ruled = any(isinstance(value, ca.SX) for value in leaves(inputs))
@@ -119,7 +117,21 @@ def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX]) -> Loop:
     )
 
 
+def _checked(dae: Dae[Any, Any, Any, Any, Any], label: Label, law: ca.SX) -> ca.SX:
+    x, z, u = dae.columns()
+    if law.shape != (1, 1):
+        raise ModelError(f"input {label.full}: expected a scalar expression, found {law.shape}")
+    if ca.depends_on(law, u):
+        raise ModelError(f"input {label.full}: a law cannot contain the inputs themselves")
+    free = ca.Function("law", [dae.t, x, z], [law], {"allow_free": True}).free_sx()
+    if free:
+        raise ModelError(f"input {label.full}: {free[0]} is not a symbol of the model")
+    return law
+
+
 def _numbers(label: Label, value: Any, intervals: int) -> Array:
+    if isinstance(value, ca.MX | str) or np.iscomplexobj(value):
+        raise ModelError(f"input {label.full}: expected real numbers or SX, found {value!r}")
     numbers = np.asarray(value, dtype=float)
     if numbers.ndim > 1 or (numbers.ndim == 1 and numbers.size != intervals):
         raise ModelError(

@@ -178,7 +178,7 @@ def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int,
 
     for limit in loop.dae.limits:
         label, lower, upper = limit.label, limit.lower, limit.upper
-        values = run[label.name if label.wheel is None else (label.name, label.wheel)]
+        values = run.of(label)
         consider(
             ~((values >= lower) & (values <= upper)),
             label.full,
@@ -188,7 +188,7 @@ def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int,
         )
     for check in loop.dae.checks:
         label = check.label
-        values = run[label.name if label.wheel is None else (label.name, label.wheel)]
+        values = run.of(label)
         consider(
             ~(values >= 0),
             label.full,

@@ -22,6 +22,9 @@ from slipfree.trajectory import Stop, Trajectory, joined
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time
 CROSSING = 1e-6  # to which a crossing is located [s]
+FINEST = 1e-14  # tolerance below which rounding rules
+STEPS = 20_000  # of the integrator between two samples
+CHUNK = 2000  # samples looked at together, for the sake of memory
 Progress = Callable[[float], None]
 
 
@@ -69,15 +72,15 @@ def simulate(
         If IDAS fails; ``trajectory`` holds what was reached.
     """
     t = _times(t)
-    if not 0 < tolerance < 1:
-        raise ModelError(f"tolerance: expected a number between 0 and 1, found {tolerance}")
+    if not FINEST <= tolerance < 1:
+        raise ModelError(
+            f"tolerance: expected a number from {FINEST:g} to below 1, found {tolerance}"
+        )
     loop = close(dae, inputs, t.size - 1)
     first = _state(loop, start, t[0])
     clock = time.process_time()
     march = _integrate(loop, first, t, loop.u, tolerance, progress)
-    samples, report = corrected(loop, march.samples)
-    run = table(loop, samples, report)
-    fault = first_violation(loop, run, samples)
+    run, samples, fault = _looked_at(loop, march.samples, progress)
     if fault is not None:
         run = _cut(loop, run, samples, fault, tolerance)
     statistics = march.statistics | {
@@ -120,28 +123,69 @@ class March(NamedTuple):
 
 
 def _integrate(
-    loop: Loop, first: Samples, t: Array, u: Array, tolerance: float, progress: Progress | None
+    loop: Loop,
+    first: Samples,
+    t: Array,
+    u: Array,
+    tolerance: float,
+    progress: Progress | None,
+    depth: int = 2,
 ) -> March:
     """Integrate in one call; if that fails, in windows, so that what was reached is kept.
 
-    After a failure the window is halved until a part succeeds, and the last part down to a
-    single interval; then the motion ends.
+    After a failure the window is halved until a part succeeds, down to a single interval; that
+    interval is then divided in the same way, ``depth`` times at most.
     """
     samples, counts, failure = first, dict.fromkeys(COUNTS, 0.0), ""
-    left, window = 0, t.size - 1
-    while left < t.size - 1 and window:
-        right = min(left + window, t.size - 1)
+    left, window, last = 0, t.size - 1, t.size - 1
+    while left < last and window:
+        right = min(left + window, last)
         at = Samples(*(part[..., -1:] for part in samples))
         try:
             part, cost = _call(loop, at, t[left : right + 1], u[:, left:right], tolerance, progress)
         except SolverError as error:
             failure, window = str(error), window // 2
             continue
-        samples = Samples(*(np.concatenate(pair, axis=-1)
-                            for pair in zip(samples.head(-1), part, strict=True)))  # fmt: skip
+        samples, left = _chained(samples, part), right
         counts = {name: counts[name] + cost[name] for name in counts}
-        left = right
-    return March(samples, counts, failure if left < t.size - 1 else "")
+    if left < last and depth:
+        at = Samples(*(part[..., -1:] for part in samples))
+        fine = np.linspace(t[left], t[left + 1], REFINED + 1)
+        rest = _integrate(
+            loop, at, fine, np.repeat(u[:, left : left + 1], REFINED, axis=1), tolerance, progress,
+            depth - 1,
+        )  # fmt: skip
+        samples = _chained(samples, rest.samples)
+        counts = {name: counts[name] + rest.statistics[name] for name in counts}
+    return March(samples, counts, failure if left < last else "")
+
+
+def _chained(first: Samples, second: Samples) -> Samples:
+    """Return samples and those that go on from their last one as one."""
+    pairs = zip(first.head(-1), second, strict=True)
+    return Samples(*(np.concatenate(pair, axis=-1) for pair in pairs))
+
+
+def _looked_at(
+    loop: Loop, samples: Samples, progress: Progress | None
+) -> tuple[Trajectory, Samples, tuple[int, Stop] | None]:
+    """Return the corrected samples up to the first that breaks a limit, and which one that is."""
+    runs: list[Trajectory] = []
+    parts: list[Samples] = []
+    fault = None
+    for left in range(0, samples.t.size, CHUNK):
+        part = Samples(*(row[..., left : left + CHUNK] for row in samples))
+        part, report = corrected(loop, part)
+        runs.append(table(loop, part, report))
+        parts.append(part)
+        found = first_violation(loop, runs[-1], part)
+        if progress is not None:
+            progress(float(part.t[-1]))
+        if found is not None:
+            fault = left + found[0], found[1]
+            break
+    rows = zip(*parts, strict=True)
+    return joined(*runs), Samples(*(np.concatenate(row, axis=-1) for row in rows)), fault
 
 
 def _call(
@@ -158,7 +202,7 @@ def _call(
     options = {
         "reltol": tolerance,
         "abstol": tolerance,
-        "max_num_steps": 100_000,
+        "max_num_steps": STEPS,
         "suppress_algebraic": dae.suppress_algebraic,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
@@ -169,8 +213,8 @@ def _call(
         with redirect_stderr(StringIO()):  # IDAS repeats there what the exception says
             found = integrator(x0=at.x, z0=at.z, u=np.column_stack([u[:, :1], u]))
     except RuntimeError as error:
-        if spy is not None and spy.interrupted:
-            raise KeyboardInterrupt from None
+        if spy is not None and spy.raised is not None:
+            raise spy.raised from None
         raise SolverError(_reason(str(error))) from error
     x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
     x[:, :1], z[:, :1] = at.x, at.z
@@ -190,6 +234,8 @@ def _reason(message: str) -> str:
         "IDA_LSOLVE_FAIL": "the Jacobian is singular",
         "IDA_REP_RES_ERR": "the equations have no finite value",
         "IDA_LINESEARCH_FAIL": "no consistent start was found",
+        "IDA_NO_RECOVERY": "no consistent start was found",
+        "IDA_ILL_INPUT": "the equations are not usable at the start",
     }
     for flag, meaning in words.items():
         if flag in message:
@@ -204,17 +250,19 @@ class _Spy(ca.Callback):
     looking on does not change the motion.
     """
 
+    raised: BaseException | None
+
     def __init__(self, progress: Progress) -> None:
         ca.Callback.__init__(self)
-        self.progress, self.interrupted = progress, False
+        self.progress, self.raised = progress, None
         self.construct("spy", {})
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
-        """Report the time; a keyboard interrupt ends the integration."""
+        """Report the time; what is raised there is kept, since it gets lost on its way."""
         try:
             self.progress(float(arguments[0]))
-        except KeyboardInterrupt:
-            self.interrupted = True
+        except BaseException as error:
+            self.raised = error
             raise
         return [ca.DM(0)]
 
@@ -231,9 +279,8 @@ def _cut(
         at = Samples(*(part[..., k - 1 : k] for part in samples))
         t = np.linspace(run.t[k - 1], run.t[k], REFINED + 1)
         u = np.repeat(samples.u[:, k - 1 : k], REFINED, axis=1)
-        finer, report = corrected(loop, _integrate(loop, at, t, u, tolerance, None).samples)
-        fine = table(loop, finer, report)
-        found = first_violation(loop, fine, finer)
+        march = _integrate(loop, at, t, u, tolerance, None, depth=0)
+        fine, finer, found = _looked_at(loop, march.samples, None)
         if found is None or found[0] == 0:  # the crossing lies on a sample, within the tolerance
             run, k = (fine, fine.t.size) if found is None else (run, k)
             break
