@@ -8,8 +8,9 @@ rolling, Montana's contact equations. Integrators: IDAS on the DAE as ``simulate
 with the algebraic unknowns the other way about in its error test, in if they are out and out if
 they are in; and CVODES on the differential equations that are left when the algebraic blocks are
 solved inside - rates by a linear solve, positions by Newton's method. ``simulate`` offers the
-first; the others say what would be gained. CPU time is that of the integrator's call alone, the least of a few; the
-error is the largest of any sample of pose and tilts, in m and rad, against closure at 1e-12.
+first; the others say what would be gained. CPU time is that of the integrator's call alone, the
+least of a few; the error is the largest of any sample of pose and tilts, in m and rad, against
+closure at 1e-12.
 """
 
 from __future__ import annotations

@@ -42,7 +42,9 @@ def test_clearance_agrees_with_a_brute_search():
 
 def test_second_touch_is_refused_with_its_place():
     dae = direct_kinematics(three_wheeler(), Analytic(bump(0.2, 0.06, 0.0, 1.25)))
-    with pytest.raises(ModelError, match=r"wheel front touches a second time at \(.*1\.[12]\d\d\) m"):
+    with pytest.raises(
+        ModelError, match=r"wheel front touches a second time at \(.*1\.[12]\d\d\) m"
+    ):
         settle(dae)
 
 

@@ -297,3 +297,29 @@ def test_path_from_a_file(folder: Path) -> None:
         result = _invoke("check", "p.toml", "--set", wrong)
         assert result.exit_code == 2
         assert words in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        (["-o", "p.toml"], "p.toml: expected a file of its own, found the problem file"),
+        (["-o", "a.nc", "--csv", "a.nc"], "a.nc: expected a file of its own, found another output"),
+        (["-o", "a.nc", "--figures", "p.toml"], "p.toml: expected a folder for figures"),
+    ],
+)
+def test_outputs_do_not_replace_inputs(folder: Path, places: list[str], words: str) -> None:
+    before = (folder / "p.toml").read_text()
+    result = _invoke("run", "p.toml", *places)
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert (folder / "p.toml").read_text() == before
+
+
+def test_info_of_a_start_alone(folder: Path) -> None:
+    dae = slipfree.direct_kinematics(
+        slipfree.three_wheeler(), slipfree.Analytic(lambda x, _: 0 * x)
+    )
+    result_file.write(folder / "start.nc", slipfree.settle(dae))
+    result = _invoke("info", "start.nc")
+    assert result.exit_code == 0
+    assert "not used" in result.stdout

@@ -295,7 +295,7 @@ def test_result_knows_its_problem(tmp_path: Path) -> None:
     assert motion.attributes["problem"] == VALID + "# Ü\n"
     assert motion.attributes["settings"] == "time.step=0.5"
     assert motion.attributes["title"] == "p"
-    assert motion.attributes["ground_height"] == "2 to 2 m"
+    assert motion.attributes["ground_height"] == "2.000 to 2.000 m"
 
 
 @pytest.mark.parametrize(
@@ -305,7 +305,7 @@ def test_result_knows_its_problem(tmp_path: Path) -> None:
          "tilt_left, steer, found the unknown key 'bogus'"),
         (["inputs.rigth_rate=1"], "--set inputs.rigth_rate: expected one of right_rate, left_rate, "
          "steer_rate, found the unknown key 'rigth_rate'; did you mean 'right_rate'?"),
-        (["start.x=50"], "p.toml:13: start: .*leaves the map, which reaches from -3 to 3 m"),
+        (["start.x=50"], "p.toml:13: start: .*leaves the map, which reaches from -3.00 to 3.00 m"),
         (["vehicle.r1=0", "vehicle.r2=0"], r"p.toml:9: vehicle: wheel right: r1 \+ r2 must be pos"),
         (["terrain.synthetic.x=[3, -3]"], "p.toml:3: terrain.synthetic: .*x_range"),
         (["terrain.synthetic.x=[0, 1]"], "p.toml:3: terrain.synthetic: .*at least 4 nodes"),

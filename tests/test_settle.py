@@ -67,6 +67,11 @@ def test_start_beyond_a_stop_is_refused():
         settle(dae, tilt_left=0.3)
 
 
+def test_a_wheel_upside_down_is_refused(on_hills):
+    with pytest.raises(ModelError, match=r"stop of tilt_right .* allowed -1.5 to 1.5 rad"):
+        settle(on_hills, tilt_right=3.2)
+
+
 def test_start_outside_the_map_is_refused():
     dae = direct_kinematics(three_wheeler(), Analytic(hills, (-5.0, 5.0, -5.0, 5.0)))
     words = r"wheel right leaves the map.*-0\.49\d*, allowed at least 0 m"
@@ -85,5 +90,5 @@ def test_start_over_a_pit_is_refused():
 def test_singular_model_names_the_motion():
     """A wheel lying flat leaves its place on the ground undetermined."""
     dae = direct_kinematics(three_wheeler(), Analytic(lambda x, _: 0 * x))
-    with pytest.raises(ModelError, match=r"singular|lies flat|cannot stand"):
+    with pytest.raises(ModelError, match=r"singular|lies flat|cannot stand|stop of tilt"):
         settle(dae, tilt_right=np.pi / 2, tilt_left=np.pi / 2)

@@ -239,7 +239,7 @@ def test_vehicle_leaves_the_map_at_the_edge():
     rates = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
     run = simulate(dae, settle(dae), rates, np.linspace(0, 20, 41))
     assert run.stop.name == "map_margin[front]"
-    assert "wheel front leaves the map, which reaches from -3 to 3 m in x" in run.stop.words
+    assert "wheel front leaves the map, which reaches from -3.00 to 3.00 m in x" in run.stop.words
     assert_allclose(run["contact_y", "front"][-1], 1.5, atol=1e-5)
     assert run.t[-1] == run.stop.t
 

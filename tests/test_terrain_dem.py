@@ -161,3 +161,16 @@ def test_jacksboro_scaled_keeps_slopes():
         np.diff(whole.z, axis=0) / whole.spacing[0],
         atol=1e-12,
     )
+
+
+def test_damaged_archives_are_refused(tmp_path):
+    path = tmp_path / "g.npz"
+    axis = np.arange(6.0)
+    np.savez_compressed(path, x=axis, y=axis, z=np.random.default_rng(0).normal(size=(6, 6)))
+    whole = path.read_bytes()
+    for at in range(40, len(whole), 7):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        try:
+            read_grid(path)
+        except DataError:
+            continue

@@ -146,3 +146,9 @@ def test_a_pit_is_bridged_and_a_peak_stays():
 def test_radius_must_be_positive(radius):
     with pytest.raises(ModelError, match="radius must be a positive number"):
         rolled(blank((0, 1), (0, 1), 0.1), radius)
+
+
+def test_a_ball_larger_than_the_ground_is_refused():
+    words = r"radius must be small against the ground, at most 0\.6667"
+    with pytest.raises(ModelError, match=words):
+        rolled(blank((0.0, 2.0), (0.0, 4.0), 0.1), 1e9)

@@ -105,7 +105,7 @@ def run(
         problem = _read(file, settings)
         out = out or Path(_output(problem))
         folder = (figures or out.with_name(f"{out.stem}_figures")) if draw else None
-        _check_places([out, csv], folder)
+        _check_places([out, csv], folder, problem)
         outcome = _solve(problem)
         motion = outcome.trajectory
         _save(motion, out, csv)
@@ -259,25 +259,33 @@ def _output(problem: Problem[Direct]) -> str:
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
-def _check_places(files: list[Path | None], folder: Path | None) -> None:
-    """Refuse places that cannot be written to before anything is computed."""
+def _check_places(files: list[Path | None], folder: Path | None, problem: Problem[Direct]) -> None:
+    """Refuse places that cannot be written to, or that are read, before anything is computed."""
+    spec = problem.spec
+    names = [spec.terrain.file, spec.driver.file if spec.driver else None]
+    taken = {problem.source.path.resolve(): "the problem file"}
+    taken |= {(problem.folder / name).resolve(): f"the input {name}" for name in names if name}
     for path in files:
         if path is None:
             continue
+        if path.resolve() in taken:
+            raise DataError(f"{path}: expected a file of its own, found {taken[path.resolve()]}")
+        taken[path.resolve()] = "another output"
         if path.is_dir():
             raise DataError(f"{path}: expected the name of a file to write, found a folder")
         if not path.parent.is_dir():
             raise DataError(f"{path}: expected a folder {path.parent} to write to, found none")
-        if not os.access(path.parent, os.W_OK):
-            raise DataError(f"{path}: expected a folder {path.parent} that may be written to")
+        _check_writable(path, path.parent)
     if folder is not None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise DataError(
-                f"{folder}: expected a folder for figures, found that it cannot be made "
-                f"({error.strerror})"
-            ) from error
+        if folder.exists() and not folder.is_dir():
+            raise DataError(f"{folder}: expected a folder for figures, found a file")
+        above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
+        _check_writable(folder, above)
+
+
+def _check_writable(path: Path, folder: Path) -> None:
+    if not os.access(folder, os.W_OK):
+        raise DataError(f"{path}: expected a folder {folder} that may be written to")
 
 
 def _solve(problem: Problem[Direct]) -> Outcome:

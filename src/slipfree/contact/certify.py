@@ -28,8 +28,8 @@ class SecondTouch:
     """Clearance between a wheel and the ground at the nearest place that is not its contact.
 
     The clearance is vertical, over points of the tread a twentieth of the rolling radius apart
-    either way, refined by a parabola at its local minima; narrower things may be missed. It is a check, not an expression, since
-    the place moves by jumps.
+    either way, refined by a parabola at its local minima; narrower things may be missed. It is a
+    check, not an expression, since the place moves by jumps.
 
     Attributes
     ----------

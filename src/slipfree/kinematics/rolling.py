@@ -306,8 +306,8 @@ def _contact_limits(vehicle: Vehicle, terrain: Terrain, contacts: list[Touch]) -
                 ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
             )
             words = (
-                f"wheel {wheel.name} leaves the map, which reaches from {west:g} to {east:g} m in "
-                f"x and from {south:g} to {north:g} m in y (distance to its edge)"
+                f"wheel {wheel.name} leaves the map, which reaches from {west:.2f} to {east:.2f} m "
+                f"in x and from {south:.2f} to {north:.2f} m in y (distance to its edge)"
             )
             yield Limit(Label("map_margin", "m", words, wheel.name), inside, 0.0, np.inf)
         words = f"wheel {wheel.name} lies flat on the ground (sine of axle to normal)"

@@ -120,7 +120,7 @@ def ground_facts(ground: Ground) -> Facts:
         ("ground", ground.source),
         ("ground size", f"{np.ptp(grid.x):g} x {np.ptp(grid.y):g} m, {n_x} x {n_y} nodes"),
         ("ground cell", f"{h_x:.4g} x {h_y:.4g} m"),
-        ("ground height", f"{grid.z.min():.4g} to {grid.z.max():.4g} m"),
+        ("ground height", f"{grid.z.min():.3f} to {grid.z.max():.3f} m"),
     ]
     if ground.rolled is not None:
         change = f"at most {ground.rolled.largest:.3g} m, rms {ground.rolled.rms:.3g} m"

@@ -33,7 +33,7 @@ def _way(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "duration", f"{duration:g} s, {run.t.size} samples"
     yield "path length", f"{path_length(run):.6g} m"
     yield "height along the path", f"{z.min():.4f} to {z.max():.4f} m"
-    place = ", ".join(f"{name} {run[name][-1]:.6g} m" for name in "xyz")
+    place = ", ".join(f"{name} {run[name][-1]:.3f} m" for name in "xyz")
     yield "end place", place
     angles = ", ".join(f"{name} {run[name][-1]:.6g} rad" for name in ("heading", "pitch", "roll"))
     yield "end attitude", f"{angles} (yaw from the x axis {run['yaw'][-1]:.6g} rad)"
@@ -62,13 +62,14 @@ def _tilt(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _trust(run: Trajectory) -> Iterator[tuple[str, str]]:
-    step, tolerance = run["newton_step"].max(), run.statistics["tolerance"]
     if "drift_position" in run.columns:
         drift, turned = (run[f"drift_{name}"].max() for name in ("position", "rotation"))
         yield "drift of the assembly", f"{drift:.2e} m, {turned:.2e} rad at most"
     else:
         yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
-        yield "Newton step", f"{step:.2e} m at most, {step / tolerance:.3g} x the tolerance"
+        step, tolerance = run["newton_step"].max(), run.statistics.get("tolerance")
+        of_it = f", {step / tolerance:.3g} x the tolerance" if tolerance else ""
+        yield "Newton step", f"{step:.2e} m at most{of_it}"
     yield "singular value", f"{run['singular_value'].min():.4g} at least"
     yield "contact certificate", certificate(run)
 
@@ -82,12 +83,21 @@ def certificate(run: Trajectory) -> str:
     room = "more than a metre" if clearance >= NONE else f"{clearance:.4g} m at least"
     return (
         f"{clean}: clearance beside the contacts {room}, relative curvature {curvature:.4g} 1/m "
-        "at least"
+        f"at least; looked at every {_apart(run):.3g} m or less"
     )
+
+
+def _apart(run: Trajectory) -> float:
+    """Return the largest distance between the platform's places at two samples [m]."""
+    steps = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
+    return float(steps.max(initial=0.0))
 
 
 def _cost(run: Trajectory) -> Iterator[tuple[str, str]]:
     counts = run.statistics
+    if "steps" not in counts:
+        yield "integrator", "not used"
+        return
     yield (
         "integrator",
         f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "

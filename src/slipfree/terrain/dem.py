@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +15,10 @@ from slipfree.named import Array
 from slipfree.terrain.base import Grid
 
 EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
+UNREADABLE = (  # what reading a damaged numpy archive raises
+    ValueError, EOFError, OSError, RuntimeError, NotImplementedError, MemoryError,
+    zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
 
 
 def read_grid(path: str | Path) -> Grid:
@@ -118,7 +123,7 @@ def _read_npz(path: Path) -> tuple[Array, Array, Array]:
                     f"{missing}; write it with np.savez(path, x=x, y=y, z=z)"
                 )
             arrays = {name: file[name] for name in ("x", "y", "z")}
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         if isinstance(error, DataError):
             raise
         raise DataError(

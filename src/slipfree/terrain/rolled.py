@@ -78,6 +78,12 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     """
     if not (math.isfinite(radius) and radius > 0):
         raise ModelError(f"rolled: radius must be a positive number of metres, found {radius}")
+    extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
+    if BALL * radius > extent / 2:
+        raise ModelError(
+            f"rolled: radius must be small against the ground, at most {extent / 2 / BALL:.4g} m "
+            f"on one of {extent:.4g} m, found {radius:g} m"
+        )
     x, y = (_refined(axis, radius / NODES) for axis in (grid.x, grid.y))
     old = Bicubic(grid).elevation(x[:, None], y[None, :])
     steps = (float(x[1] - x[0]), float(y[1] - y[0]))

@@ -12,6 +12,7 @@ from slipfree.vehicle.wheel import Wheel
 Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
 Ends = tuple[tuple[Coordinate, ...], tuple[Joint, ...]]
 HERE = (0.0, 0.0, 0.0)
+UPRIGHT = 1.5  # tilt beyond which a wheel lies on its side [rad]
 
 
 def three_wheeler(
@@ -21,7 +22,7 @@ def three_wheeler(
     wheelbase: float = 1.5,
     r1: float = 0.05,
     r2: float = 0.25,
-    tilt_stop: float = inf,
+    tilt_stop: float = UPRIGHT,
     slide_stop: float = inf,
 ) -> Vehicle:
     """Return the three-wheeler of Chakraborty and Ghosal [1]_, or one with another rear axle.
