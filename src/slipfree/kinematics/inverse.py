@@ -25,13 +25,8 @@ import numpy as np
 from slipfree.dae import Check, Dae, Labels, Limit
 from slipfree.errors import ModelError
 from slipfree.kinematics.margin import EULER, OMEGA, VELOCITY, inverse_margin, omega, rolling
-from slipfree.kinematics.rolling import (
-    Angles,
-    Configuration,
-    Dependent,
-    Outputs,
-    direct_kinematics,
-)
+from slipfree.kinematics.records import Angles, Configuration, Dependent, Outputs
+from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.named import Array, Label, leaves, pack, unpack
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory

@@ -27,7 +27,18 @@ from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.dae import Dae, Labels, Limit
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, Twist
-from slipfree.kinematics.rolling import (
+from slipfree.kinematics.model import (
+    balance,
+    carriers,
+    contact_limits,
+    joint_rates,
+    outputs,
+    sizes,
+    spins,
+    stops,
+    touch_function,
+)
+from slipfree.kinematics.records import (
     Algebraic,
     Angles,
     Configuration,
@@ -35,17 +46,8 @@ from slipfree.kinematics.rolling import (
     Inputs,
     Rates,
     SlipLaw,
-    _carriers,
-    _contact_limits,
-    _joint_rates,
-    _labels,
-    _outputs,
-    _sizes,
-    _spins,
-    _stops,
-    _touch_function,
+    labels_of,
 )
-from slipfree.kinematics.slip import least_slip
 from slipfree.named import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
@@ -159,35 +161,34 @@ def montana_kinematics(
     labels = _assembly_labels(vehicle, slip)
     x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
     configuration, position = _place(x)
-    like, spins = (configuration, Algebraic(position, z.rates)), _spins(vehicle, z.rates, u)
-    q_dot = ca.vertcat(*z.rates[:6], *_joint_rates(vehicle, z.rates, u), *z.rates.suspension)
-    rolls = _rolls(vehicle, terrain, x, q_dot, spins, kappa)
+    like, turning = (configuration, Algebraic(position, z.rates)), spins(vehicle, z.rates, u)
+    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(vehicle, z.rates, u), *z.rates.suspension)
+    rolls = _rolls(vehicle, terrain, x, q_dot, turning, kappa)
     contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
     slips = [roll.slip for roll in rolls]
-    balance = _balance(slip, slips, contacts, z.rates)
-    scale, shift = _sizes(vehicle, terrain, labels)
-    touching = _touch_function(x, z, poses, contacts)
+    scale, shift = sizes(vehicle, terrain, labels)
+    touching = touch_function(x, z, poses, contacts)
     return Dae(
         t, x, z, symbols(labels.q), u,
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
-        alg=(balance,),
-        quad=ca.vertcat(*spins),
+        alg=(balance(slip, slips, contacts, z.rates),),
+        quad=ca.vertcat(*turning),
         y=AssemblyOutputs(
-            **_of_assembly(_outputs(terrain, poses, contacts, slips, spins, *like)),
+            **_of_assembly(outputs(terrain, poses, contacts, slips, turning, *like)),
             drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
             drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
         ),
         labels=labels,
         limits=(
             *_assembled(vehicle, rolls),  # first: nothing else is meaningful for a wheel astray
-            *_stops(vehicle, *like),
-            *_contact_limits(vehicle, terrain, contacts),
+            *stops(vehicle, *like),
+            *contact_limits(vehicle, terrain, contacts),
         ),
         checks=tuple(
             SecondTouch(terrain, wheel, pose)
             for wheel, pose in zip(vehicle.wheels, touching, strict=True)
         ),
-        guess=ca.SX.zeros(balance.numel()),
+        guess=ca.SX.zeros(pack(z).numel()),
         scale=scale,
         shift=shift,
         suppress_algebraic=True,
@@ -212,15 +213,18 @@ def _place(x: Assembly) -> tuple[Configuration, Dependent]:
 
 
 def _rolls(
-    vehicle: Vehicle, terrain: Terrain, x: Assembly, q_dot: ca.SX, spins: list[ca.SX], kappa: float
+    vehicle: Vehicle,
+    terrain: Terrain,
+    x: Assembly,
+    q_dot: ca.SX,
+    turning: list[ca.SX],
+    kappa: float,
 ) -> list[Rolling]:
     """Return how every wheel rolls; ``q_dot`` are the rates of all states but the contacts."""
-    carriers, q = _carriers(vehicle, *_place(x)), pack(x[:-1])
+    chain, q = carriers(vehicle, *_place(x)), pack(x[:-1])
     return [
         _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa)
-        for wheel, at, carrier, spin in zip(
-            vehicle.wheels, x.contacts, carriers, spins, strict=True
-        )
+        for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True)
     ]
 
 
@@ -243,14 +247,6 @@ def _rolling(
     # u and v belong to the hub, in which the wheel turns: v stays near 3 pi/2
     rates = ContactCoordinates(ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin, psi)
     return Rolling(contact, pose, slip, rates, displacement, rotation)
-
-
-def _balance(law: SlipLaw, slips: list[ca.SX], contacts: list[Touch], rates: Rates) -> ca.SX:
-    """Return the equations for the rates."""
-    if law == "rolling":
-        return ca.vertcat(*slips)
-    normals = [contact.normal for contact in contacts]
-    return least_slip(slips, normals, pack(rates[:-1]), pack(rates.multipliers))
 
 
 def _of_assembly(shared: Any) -> dict[str, Any]:
@@ -276,10 +272,10 @@ def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
         return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
 
-    x, z, q, u, y, (_, balance) = _labels(vehicle, slip)
+    x, z, q, u, y, (_, equations) = labels_of(vehicle, slip)
     place = z.position
     contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
-    outputs = AssemblyOutputs(
+    sampled = AssemblyOutputs(
         **_of_assembly(y),
         drift_position=each("drift_position", "m", "distance of the wheel from its place"),
         drift_rotation=each("drift_rotation", "rad", "angle of the wheel from its orientation"),
@@ -288,7 +284,7 @@ def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
         x.x, x.y, place.z, x.heading, place.roll, place.pitch, x.joints, place.suspension,
         tuple(ContactCoordinates(*row) for row in contacts),
     )  # fmt: skip
-    return Labels(states, Unknowns(z.rates), q, u, outputs, (balance,))
+    return Labels(states, Unknowns(z.rates), q, u, sampled, (equations,))
 
 
 class Difference(NamedTuple):

@@ -9,12 +9,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar, cast, get_args
+from typing import Any, Generic, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from slipfree.problem.locate import Place, ProblemError, Source, key_lines, key_path
-from slipfree.problem.schema import ALTERNATIVES, Compare, Direct
+from slipfree.problem.schema import ALTERNATIVES, Compare, Direct, Inverse, Motion, Task
 
 MOST_SAMPLES = 1_000_000
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a --set value that may stand without quotes
@@ -37,7 +37,8 @@ EXPECTED = {
 }
 
 
-S = TypeVar("S", bound=Direct | Compare)
+COMMANDS: dict[str, tuple[type[Task], ...]] = {"run": (Direct, Inverse), "compare": (Compare,)}
+S = TypeVar("S", bound=Task)
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,9 @@ class Fault(NamedTuple):
     found: str
 
 
-def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Direct]:
-    """Return the problem of direct kinematics in a TOML file; see `read_as`."""
-    return read_as(Direct, path, settings)
+def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion]:
+    """Return the problem of direct or inverse kinematics in a TOML file; see `read_as`."""
+    return _read((Direct, Inverse), path, settings)
 
 
 def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> Problem[S]:
@@ -84,6 +85,13 @@ def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> 
     ProblemError
         If the file cannot be read, or for all that does not fit the schema, sorted by line.
     """
+    return _read((schema,), path, settings)
+
+
+def _read(
+    schemas: Sequence[type[S]], path: str | Path, settings: Sequence[str]
+) -> Problem[S]:
+    """Return the problem in a TOML file, by the schema that its verb names."""
     path = Path(path)
     text = _text(path)
     try:
@@ -92,20 +100,40 @@ def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> 
         raise ProblemError(_syntax(path, text, str(error))) from error
     places = _replaced(data, settings)
     source = Source(path, text, key_lines(text), places)
-    (verb,) = get_args(schema.model_fields["verb"].annotation)
-    if data.get("verb", verb) != verb:
-        fault = Fault(("verb",), f"{verb!r} for this command", _shown(data["verb"]))
-        raise problem_error(source, [fault])
+    schema = _by_verb(schemas, data, source)
     faults = [*_alternatives(schema, data)]
     try:
-        spec = cast(S, schema.model_validate(data))
+        spec = schema.model_validate(data)
     except ValidationError as error:
         faults += [_fault(schema, dict(each)) for each in error.errors(include_url=False)]
     else:
-        faults += _time(spec)
+        faults += [*_time(spec), *_path(spec)]
         if not faults:
             return Problem(spec, source)
     raise problem_error(source, faults)
+
+
+def _by_verb(schemas: Sequence[type[S]], data: Mapping[str, Any], source: Source) -> type[S]:
+    """Return the schema of the verb, the first if there is none; refuse one of another command."""
+    verbs = {_verb(schema): schema for schema in schemas}
+    if "verb" not in data:
+        return schemas[0]
+    for verb, schema in verbs.items():
+        if data["verb"] == verb:
+            return schema
+    hint = next(
+        (f"; use slipfree {command} {source.path}"
+         for command, others in COMMANDS.items()
+         if data["verb"] in [_verb(other) for other in others]),
+        "",
+    )  # fmt: skip
+    expected = f"{' or '.join(map(repr, verbs))} for this command"
+    raise problem_error(source, [Fault(("verb",), expected, _shown(data["verb"]) + hint)])
+
+
+def _verb(schema: type[Task]) -> str:
+    (verb,) = get_args(schema.model_fields["verb"].annotation)
+    return str(verb)
 
 
 def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
@@ -208,7 +236,7 @@ def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
     return [path]
 
 
-def _alternatives(schema: type[S], data: dict[str, Any]) -> Iterator[Fault]:
+def _alternatives(schema: type[Task], data: dict[str, Any]) -> Iterator[Fault]:
     """Yield a fault where a table has none, or several, of keys that exclude each other."""
     for place, keys in ALTERNATIVES[schema].items():
         table: Any = data
@@ -222,7 +250,22 @@ def _alternatives(schema: type[S], data: dict[str, Any]) -> Iterator[Fault]:
             yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
 
 
-def _time(spec: Direct | Compare) -> Iterator[Fault]:
+def _path(spec: Task) -> Iterator[Fault]:
+    """Yield the faults of a path: columns beside a file, missing, or not as long as the times."""
+    path = spec.path if isinstance(spec, Inverse) else None
+    if path is None:
+        return
+    times = path.t or ()
+    for name in ("x", "y", "heading"):
+        place, column = ("path", name), getattr(path, name)
+        if path.file is not None and column is not None:
+            yield Fault(place, "no array beside a file", _shown(list(column)))
+        elif path.file is None and len(column or ()) != len(times):
+            expected = f"an array of {len(times)} numbers, one for each of t"
+            yield Fault(place, expected, f"{len(column)}" if column is not None else "none")
+
+
+def _time(spec: Task) -> Iterator[Fault]:
     time = spec.time
     if time.step > time.duration:
         yield Fault(

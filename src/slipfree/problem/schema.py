@@ -17,6 +17,7 @@ Radius = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=0)]
 # Arrays are read as tuples; what is in them stays strict.
 Pair = Annotated[tuple[float, float], Field(strict=False)]
+Column = Annotated[tuple[float, ...], Field(strict=False)]
 Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
@@ -157,22 +158,52 @@ class Output(Record):
     file: Annotated[str, Field(min_length=1)]
 
 
-class Direct(Record):
+class Task(Record):
+    """What every problem has: a ground, a start on it, and a time."""
+
+    verb: str
+    title: str | None = None
+    terrain: Terrain
+    start: dict[str, float]
+    time: Time
+    solver: Solver = Solver()
+
+
+class Motion(Task):
+    """What every problem has that asks for the motion of one vehicle."""
+
+    frame: Literal["paper", "rep103"] = "paper"
+    vehicle: Vehicle
+    output: Output | None = None
+
+
+class Direct(Motion):
     """Direct kinematics: given rates, or a driving law; the motion is asked for."""
 
     verb: Literal["direct"]
-    title: str | None = None
-    frame: Literal["paper", "rep103"] = "paper"
-    terrain: Terrain
-    vehicle: Vehicle
-    start: dict[str, float]
     inputs: dict[str, Rate] | None = None
     driver: Driver | None = None
-    time: Time
-    solver: Solver = Solver()
-    output: Output | None = None
     formulation: Literal["closure", "montana"] = "closure"
     slip: Literal["least", "rolling"] = "least"
+
+
+class Path(Record):
+    """A path in time: place and heading of the platform's centre, here or in a file."""
+
+    t: Column | None = None
+    x: Column | None = None
+    y: Column | None = None
+    heading: Column | None = None
+    file: str | None = None
+
+
+class Inverse(Motion):
+    """Inverse kinematics: given rates of the platform, or its path; wheel rates are asked for."""
+
+    verb: Literal["inverse"]
+    given: dict[str, float] | None = None
+    path: Path | None = None
+    steering: Literal["rate", "angle"] = "angle"
 
 
 class Compared(Vehicle):
@@ -181,21 +212,18 @@ class Compared(Vehicle):
     name: Annotated[str, Field(min_length=1)]
 
 
-class Compare(Record):
+class Compare(Task):
     """Several vehicles on one ground: at the same rates, and at those of a driving law."""
 
     verb: Literal["compare"]
-    title: str | None = None
-    terrain: Terrain
     vehicles: Annotated[tuple[Compared, ...], Field(strict=False, min_length=1)]
-    start: dict[str, float]
     inputs: dict[str, float]
     driver: Driver
-    time: Time
-    solver: Solver = Solver()
 
 
-ALTERNATIVES: dict[type[Record], dict[tuple[str, ...], tuple[str, ...]]] = {
-    Direct: {(): ("inputs", "driver"), ("terrain",): ("file", "sample", "synthetic")},
-    Compare: {("terrain",): ("file", "sample", "synthetic")},
+GROUNDS = ("file", "sample", "synthetic")
+ALTERNATIVES: dict[type[Task], dict[tuple[str, ...], tuple[str, ...]]] = {
+    Direct: {(): ("inputs", "driver"), ("terrain",): GROUNDS},
+    Inverse: {(): ("given", "path"), ("terrain",): GROUNDS, ("path",): ("t", "file")},
+    Compare: {("terrain",): GROUNDS},
 }  # of each of these keys a table has exactly one

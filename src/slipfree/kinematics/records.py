@@ -1,0 +1,235 @@
+"""Records of a vehicle's motion - states, unknowns, inputs, outputs - and their labels."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+from slipfree.dae import Labels
+from slipfree.errors import ModelError
+from slipfree.named import Label, leaves
+from slipfree.vehicle.chain import Coordinate, Vehicle
+
+SlipLaw = Literal["least", "rolling"]
+HEADING = Label("heading", "rad", "counter-clockwise angle of the forward axis from the y axis")
+ROLL = Label("roll", "rad", "angle about the forward axis, right side down positive")
+PITCH = Label("pitch", "rad", "angle about the right axis, nose up positive")
+
+
+class Configuration(NamedTuple):
+    """Differential states: place, heading, and the joints that do not yield to the ground.
+
+    ``joints`` are the commanded and the passive coordinates in the vehicle's order. [m, rad]
+    """
+
+    x: Any
+    y: Any
+    heading: Any
+    joints: tuple[Any, ...]
+
+
+class Contact(NamedTuple):
+    """Ground coordinates of a contact point, ``u_g`` and ``v_g``. [m]."""
+
+    x: Any
+    y: Any
+
+
+class Dependent(NamedTuple):
+    """What the ground decides, given a configuration. [m, rad]."""
+
+    z: Any
+    roll: Any
+    pitch: Any
+    suspension: tuple[Any, ...]
+    contacts: tuple[Contact, ...]
+
+
+class Rates(NamedTuple):
+    """Rates of all that is not commanded, and the multipliers of the contacts. [m/s, rad/s].
+
+    ``passive`` are those of the passive coordinates, ``free`` those of the wheels without drive.
+    """
+
+    x: Any
+    y: Any
+    z: Any
+    heading: Any
+    roll: Any
+    pitch: Any
+    suspension: tuple[Any, ...]
+    passive: tuple[Any, ...]
+    free: tuple[Any, ...]
+    multipliers: tuple[Any, ...]
+
+
+class Algebraic(NamedTuple):
+    """Algebraic unknowns in the two blocks that determine them."""
+
+    position: Dependent
+    rates: Rates
+
+
+class Inputs(NamedTuple):
+    """Rates of the driven wheels and of the commanded coordinates, in their order. [rad/s]."""
+
+    wheels: tuple[Any, ...]
+    joints: tuple[Any, ...]
+
+
+class Angles(NamedTuple):
+    """Quadratures: the angles through which the wheels have turned. [rad]."""
+
+    wheels: tuple[Any, ...]
+
+
+class Outputs(NamedTuple):
+    """What else is sampled along a motion; positions in map coordinates.
+
+    ``quaternion`` (x, y, z, w) and ``yaw`` are those of the platform with x forward, y left, z up.
+    """
+
+    contact_z: tuple[Any, ...]
+    center_x: tuple[Any, ...]
+    center_y: tuple[Any, ...]
+    center_z: tuple[Any, ...]
+    slip_along: tuple[Any, ...]
+    slip_across: tuple[Any, ...]
+    wheel_rate: tuple[Any, ...]
+    wheel_u: tuple[Any, ...]
+    wheel_v: tuple[Any, ...]
+    psi: tuple[Any, ...]
+    yaw: Any
+    quaternion: tuple[Any, ...]
+
+
+def kept(vehicle: Vehicle) -> tuple[str, ...]:
+    """Return the names of the coordinates that are differential states."""
+    return tuple(c.name for c in vehicle.coordinates if c.kind != "suspension")
+
+
+def labels_of(vehicle: Vehicle, slip: SlipLaw) -> Labels:
+    """Return names, units and words of all unknowns and equations of the closure model.
+
+    Raises
+    ------
+    ModelError
+        If ``slip`` is rolling and the vehicle has too few or too many freedoms for it.
+    """
+    rates = _rate_labels(vehicle, slip)
+    x = Configuration(
+        Label("x", "m", "easting of the platform's centre"),
+        Label("y", "m", "northing of the platform's centre"),
+        HEADING,
+        tuple(_coordinate(vehicle, c) for c in vehicle.coordinates if c.kind != "suspension"),
+    )
+    contacts = zip(
+        _each(vehicle, "contact_x", "m", "easting of the contact point"),
+        _each(vehicle, "contact_y", "m", "northing of the contact point"),
+        strict=True,
+    )
+    position = Dependent(
+        Label("z", "m", "height of the platform's centre"),
+        ROLL,
+        PITCH,
+        tuple(_coordinate(vehicle, c) for c in vehicle.of("suspension")),
+        tuple(Contact(*pair) for pair in contacts),
+    )
+    driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
+    u = Inputs(
+        tuple(_turning(name, f"the driven wheel {name}, forward positive") for name in driven),
+        tuple(_rate(vehicle, c) for c in vehicle.of("commanded")),
+    )
+    words = "angle through which the wheel has turned"
+    q = Angles(_each(vehicle, "wheel_angle", "rad", words))
+    closures = _components(vehicle, "closure", "m", "contact condition")
+    balance = _balance_labels(vehicle, rates, slip)
+    y = _output_labels(vehicle)
+    return Labels(x, Algebraic(position, rates), q, u, y, (closures, balance))
+
+
+def _each(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
+    return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
+
+
+def _components(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
+    return tuple(
+        Label(name, unit, f"{axis} component of the {words}", wheel.name)
+        for wheel in vehicle.wheels
+        for axis in "xyz"
+    )
+
+
+def _turning(name: str, words: str) -> Label:
+    return Label(f"{name}_rate", "rad s-1", f"rate of {words}")
+
+
+def _coordinate(vehicle: Vehicle, c: Coordinate) -> Label:
+    return Label(c.name, vehicle.unit(c.name), c.words)
+
+
+def _rate(vehicle: Vehicle, c: Coordinate) -> Label:
+    return Label(f"{c.name}_rate", f"{vehicle.unit(c.name)} s-1", f"rate of {c.words}")
+
+
+def _rate_labels(vehicle: Vehicle, slip: SlipLaw) -> Rates:
+    velocity = [
+        Label(f"velocity_{axis}", "m s-1", f"velocity of the platform's centre along {axis}")
+        for axis in "xyz"
+    ]
+    angles = [_turning(label.name, label.words) for label in (HEADING, ROLL, PITCH)]
+    free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
+    words = "multiplier of the contact in the least-slip condition"
+    multipliers = _each(vehicle, "multiplier", "m s-1", words) if slip == "least" else ()
+    return Rates(
+        velocity[0],
+        velocity[1],
+        velocity[2],
+        angles[0],
+        angles[1],
+        angles[2],
+        tuple(_rate(vehicle, c) for c in vehicle.of("suspension")),
+        tuple(_rate(vehicle, c) for c in vehicle.of("passive")),
+        tuple(_turning(name, f"the free wheel {name}") for name in free),
+        multipliers,
+    )
+
+
+def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Label, ...]:
+    """Return the labels of the equations for the rates; refuse what cannot roll."""
+    if slip == "least":
+        return tuple(
+            Label("least_slip", "m s-1", f"least slip with respect to {label.full}")
+            for label in leaves(rates)
+        )
+    given, needed = len(rates.passive) + len(rates.free), 2 * len(vehicle.wheels) - 3
+    if given != needed:
+        raise ModelError(
+            f"{vehicle.name} cannot be made to roll: {needed} conditions of no slip need as many "
+            f"passive joints and free wheels, found {given}; use slip = 'least'"
+        )
+    return _components(vehicle, "no_slip", "m s-1", "slip")
+
+
+def _output_labels(vehicle: Vehicle) -> Outputs:
+    def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
+        return _each(vehicle, name, unit, words)
+
+    return Outputs(
+        each("contact_z", "m", "height of the contact point"),
+        each("center_x", "m", "easting of the wheel's centre"),
+        each("center_y", "m", "northing of the wheel's centre"),
+        each("center_z", "m", "height of the wheel's centre"),
+        each("slip_along", "m s-1", "slip along the wheel, negative when it spins"),
+        each("slip_across", "m s-1", "slip across the wheel, to the right positive"),
+        each("wheel_rate", "rad s-1", "rate of the wheel, forward positive"),
+        each(
+            "wheel_u", "rad", "contact coordinate u of the torus, pi/2 in the middle of the tread"
+        ),
+        each("wheel_v", "rad", "contact coordinate v of the torus in its carrier"),
+        each("psi", "rad", "angle that takes the wheel's Gauss x axis to the ground's"),
+        Label("yaw", "rad", "angle of the forward axis from the x axis, counter-clockwise"),
+        tuple(
+            Label(f"quaternion_{axis}", "1", f"{axis} of the platform's quaternion (x forward)")
+            for axis in "xyzw"
+        ),
+    )
