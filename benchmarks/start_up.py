@@ -27,6 +27,12 @@ if __name__ == "__main__":
     heading()
     for name, arguments in COMMANDS.items():
         print(f"{name:28} {least(lambda a=arguments: call(a), 5):.2f} s")
-    code = f"import slipfree, sys; print(*(m for m in {HEAVY} if m in sys.modules))"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    print(f"'import slipfree' loads of {', '.join(HEAVY)}: {found.stdout.strip() or 'none'}")
+    for words in ("import slipfree", "slipfree --help"):
+        told = "" if words == "import slipfree" else "; from slipfree.cli import app; "
+        told += "" if not told else "app(['--help'], standalone_mode=False)"
+        code = (
+            f"import slipfree, sys{told}; print('\\n', *(m for m in {HEAVY} if m in sys.modules))"
+        )
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        loaded = found.stdout.strip().splitlines()[-1].strip() if found.stdout.strip() else ""
+        print(f"{words!r} loads of {', '.join(HEAVY)}: {loaded or 'none'}")

@@ -23,7 +23,7 @@ COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time
 CROSSING = 1e-6  # to which a crossing is located [s]
 FINEST = 1e-14  # tolerance below which rounding rules
-STEPS = 20_000  # of the integrator between two samples
+STEPS = 10_000  # of the integrator between two samples
 CHUNK = 2000  # samples looked at together, for the sake of memory
 Progress = Callable[[float], None]
 
