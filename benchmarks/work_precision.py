@@ -233,11 +233,11 @@ def plot(found: dict[str, Any], file: Path) -> None:
         cost = {key: at_equal_error(points) for key, points in lines.items() if points}
         best = min((key for key in cost if np.isfinite(cost[key])), key=lambda key: cost[key])
         gain = cost["closure least", "idas"] / cost[best]
-        panel.set(
-            xlabel="CPU time per metre [ms/m]",
-            ylabel="largest error [m, rad]",
-            title=f"{name}: at {EQUAL:.0e}, {' '.join(best)} is {gain:.1f} x as fast\n"
+        panel.set(xlabel="CPU time per metre [ms/m]", ylabel="largest error [m, rad]")
+        panel.set_title(
+            f"{name}: at {EQUAL:.0e}, {' '.join(best)} is {gain:.1f} x as fast\n"
             "as closure least idas, the default",
+            fontsize=9,
         )
         panel.grid(visible=True, which="major", alpha=0.3)
     panels[0].legend(fontsize=7)

@@ -23,7 +23,7 @@ from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (97, 0)], dtype=float)
+WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
 FLAT = Analytic(lambda x, _: 0 * x)
 
 
