@@ -10,8 +10,9 @@ import pytest
 
 from slipfree.errors import DataError
 from slipfree.problem.locate import ProblemError, key_lines
+from slipfree.problem.parts import samples
 from slipfree.problem.read import read
-from slipfree.problem.run import build, run, samples
+from slipfree.problem.run import build, run
 from slipfree.problem.schema import Direct, Time
 
 VALID = """\
@@ -99,7 +100,8 @@ def test_lines_of_keys() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ('"direct"', '"plan"', "p.toml:1: verb: expected 'direct' for this command, found 'plan'"),
+        ('"direct"', '"plan"', "p.toml:1: verb: expected 'direct' or 'inverse' for this "
+         "command, found 'plan'"),
         ("spacing = 0.5", "spacing = -1", "p.toml:6: terrain.synthetic.spacing: expected a number "
          "greater than 0, found -1"),
         ("r1 = 0.05", "r1 = -0.05", "p.toml:11: vehicle.r1: expected a number of at least 0, "
@@ -157,8 +159,8 @@ def test_all_faults_at_once_in_order(tmp_path: Path) -> None:
         "p.toml:11: vehicle.rr",
         "p.toml:22: time.step",
         "p.toml:24: time.stepp",
-        "--set frame",
         "--set time.duration",
+        "--set frame",
     ]
 
 
@@ -240,12 +242,12 @@ def test_bad_settings(setting: str, tmp_path: Path) -> None:
 
 def test_settings_that_do_not_fit(tmp_path: Path) -> None:
     assert _faults(tmp_path, VALID, "vehicle.r1=-1", "foo.bar=1", "time={duration=1, stp=1}") == [
-        "--set vehicle.r1: expected a number of at least 0, found -1",
         "--set time: time.step: expected a value, found none",
         "--set time: time.stp: expected one of duration, step, found the unknown key 'stp'; "
         "did you mean 'step'?",
-        "--set foo: expected one of verb, title, frame, terrain, vehicle, start, inputs, driver, "
-        "time, solver, output, formulation, slip, found the unknown key 'foo'",
+        "--set vehicle.r1: expected a number of at least 0, found -1",
+        "--set foo: expected one of verb, title, terrain, start, time, solver, frame, vehicle, "
+        "output, inputs, driver, formulation, slip, found the unknown key 'foo'",
     ]
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slipfree.problem.compare import Drive
     from slipfree.problem.read import Problem
     from slipfree.problem.run import Outcome
-    from slipfree.problem.schema import Direct
+    from slipfree.problem.schema import Motion
 
 STOPPED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 REFRESH = 0.1  # between two updates of the progress bar [s]
@@ -102,10 +102,14 @@ def run(
 ) -> None:
     """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
     with _reported():
+        from slipfree.problem.run import check_cross
+
         problem = _read(file, settings)
         out = out or Path(_output(problem))
         folder = (figures or out.with_name(f"{out.stem}_figures")) if draw else None
         _check_places([out, csv], folder, problem)
+        if cross_check:
+            check_cross(problem)
         outcome = _solve(problem)
         motion = outcome.trajectory
         _save(motion, out, csv)
@@ -124,8 +128,7 @@ def run(
 def check(file: File, settings: Settings = None) -> None:
     """Check a problem and stand the vehicle on its start, without solving."""
     with _reported():
-        from slipfree.problem.ground import ground_facts
-        from slipfree.problem.run import build, vehicle_facts
+        from slipfree.problem.run import build, setup_facts
         from slipfree.problem.summary import certificate
 
         problem = _read(file, settings)
@@ -133,15 +136,10 @@ def check(file: File, settings: Settings = None) -> None:
         start, spec = setup.start, problem.spec
         names = [*spec.start, "z", "pitch", "roll"]
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in dict.fromkeys(names))
-        driven = f"driver {spec.driver.name}" if spec.driver else "inputs " + ", ".join(
-            spec.inputs or {}
-        )  # fmt: skip
         facts = [
-            *ground_facts(setup.ground),
-            *vehicle_facts(setup.vehicle),
+            *setup_facts(setup),
             ("start", f"{pose} (m, rad)"),
             ("contact certificate", certificate(start)),
-            ("driven by", driven),
             ("samples", f"{setup.t.size} to {setup.t[-1]:g} s"),
         ]
         _print(facts)
@@ -248,21 +246,22 @@ def _reported() -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from error
 
 
-def _read(file: Path, settings: list[str] | None) -> Problem[Direct]:
+def _read(file: Path, settings: list[str] | None) -> Problem[Motion]:
     from slipfree.problem.read import read
 
     return read(file, settings or [])
 
 
-def _output(problem: Problem[Direct]) -> str:
+def _output(problem: Problem[Motion]) -> str:
     spec = problem.spec.output
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
-def _check_places(files: list[Path | None], folder: Path | None, problem: Problem[Direct]) -> None:
+def _check_places(files: list[Path | None], folder: Path | None, problem: Problem[Motion]) -> None:
     """Refuse places that cannot be written to, or that are read, before anything is computed."""
     spec = problem.spec
-    names = [spec.terrain.file, spec.driver.file if spec.driver else None]
+    tables = (spec.terrain, getattr(spec, "driver", None), getattr(spec, "path", None))
+    names = [table.file for table in tables if table is not None]
     taken = {problem.source.path.resolve(): "the problem file"}
     taken |= {(problem.folder / name).resolve(): f"the input {name}" for name in names if name}
     for path in files:
@@ -288,7 +287,7 @@ def _check_writable(path: Path, folder: Path) -> None:
         raise DataError(f"{path}: expected a folder {folder} that may be written to")
 
 
-def _solve(problem: Problem[Direct]) -> Outcome:
+def _solve(problem: Problem[Motion]) -> Outcome:
     """Return the outcome; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.progress import Progress
@@ -365,11 +364,11 @@ def _draw(outcome: Outcome, folder: Path) -> None:
     typer.echo(f"drew {len(paths)} figures in {folder}")
 
 
-def _cross_check(problem: Problem[Direct], outcome: Outcome) -> None:
+def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
     """Print where the two formulations of contact differ, the largest differences first."""
-    from slipfree.problem.run import cross
+    from slipfree.problem.run import check_cross, cross, other_formulation
 
-    other = "montana" if problem.spec.formulation == "closure" else "closure"
+    other = other_formulation(check_cross(problem))
     differences = sorted(cross(problem, outcome), key=lambda each: -each.size)
     typer.echo(
         f"largest differences from formulation = {other!r}, of {len(differences)} quantities:"
@@ -383,14 +382,14 @@ def _cross_check(problem: Problem[Direct], outcome: Outcome) -> None:
 
 
 def _print_outcome(outcome: Outcome) -> None:
-    from slipfree.problem.ground import ground_facts
-    from slipfree.problem.run import vehicle_facts
-    from slipfree.problem.summary import motion_facts
+    from slipfree.problem.run import setup_facts
+    from slipfree.problem.summary import motion_facts, steering_warning
 
-    setup = outcome.setup
-    _print(
-        ground_facts(setup.ground) + vehicle_facts(setup.vehicle) + motion_facts(outcome.trajectory)
-    )
+    motion = outcome.trajectory
+    _print(setup_facts(outcome.setup) + motion_facts(motion))
+    warning = steering_warning(motion)
+    if warning and not (motion.stop and warning in motion.stop.words):
+        typer.echo(f"warning: {warning}", err=True)
 
 
 def _print(facts: list[tuple[str, str]]) -> None:

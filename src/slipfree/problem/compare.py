@@ -13,12 +13,12 @@ from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.kinematics.slip import measured_slip
 from slipfree.named import Array, leaves
 from slipfree.problem import schema
+from slipfree.problem.direct import build_law
 from slipfree.problem.ground import Ground, at, build_ground
+from slipfree.problem.parts import build_start, build_terrain, build_vehicle, check_names, samples
 from slipfree.problem.read import Problem
-from slipfree.problem.run import build_law, build_start, build_vehicle, check_names, samples
 from slipfree.solve.loop import close
 from slipfree.solve.simulate import simulate
-from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Stop, Trajectory
 from slipfree.vehicle.chain import Vehicle
 
@@ -83,8 +83,7 @@ def compare(
         If the problem cannot be built.
     """
     ground, rows = build_ground(problem), []
-    start = problem.spec.start
-    terrain = Bicubic(ground.grid, (start.get("x", 0.0), start.get("y", 0.0)))
+    terrain = build_terrain(problem, ground)
     for index, spec in enumerate(problem.spec.vehicles):
         progress(spec.name)
         with at(problem, ("vehicles", index)):
@@ -106,7 +105,7 @@ def _row(
     check_names(problem, dae, {**dict.fromkeys(known, 0.0), **given})
     t, _ = samples(spec.time, {})
     same = dae.inputs(**{key: given.get(key, 0.0) for key in known})
-    law = build_law(problem, dae, vehicle, start)
+    law = build_law(problem, spec.driver, dae, vehicle, start)
     drives = [_drive(vehicle, dae, start, inputs, t, spec.solver.tolerance)
               for inputs in (same, law)]  # fmt: skip
     return Row(name, start.wheels, _rank(dae, start), 3 * len(vehicle.wheels), *drives)

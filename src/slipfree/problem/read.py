@@ -88,9 +88,7 @@ def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> 
     return _read((schema,), path, settings)
 
 
-def _read(
-    schemas: Sequence[type[S]], path: str | Path, settings: Sequence[str]
-) -> Problem[S]:
+def _read(schemas: Sequence[type[S]], path: str | Path, settings: Sequence[str]) -> Problem[S]:
     """Return the problem in a TOML file, by the schema that its verb names."""
     path = Path(path)
     text = _text(path)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from slipfree.contact.certify import NONE
+from slipfree.kinematics.margin import steering_note
 from slipfree.trajectory import Trajectory, path_length
 
 UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
@@ -15,7 +16,9 @@ Facts = list[tuple[str, str]]
 
 def motion_facts(run: Trajectory) -> Facts:
     """Return name and value of what matters about a motion, ready to print."""
-    return [*_way(run), *_slip(run), *_tilt(run), *_trust(run), *_cost(run)]
+    return [
+        *_way(run), *_inverse(run), *_slip(run), *_tilt(run), *_trust(run), *_cost(run), *_end(run)
+    ]  # fmt: skip
 
 
 def ranges(run: Trajectory) -> Facts:
@@ -37,6 +40,36 @@ def _way(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "end place", place
     angles = ", ".join(f"{name} {run[name][-1]:.6g} rad" for name in ("heading", "pitch", "roll"))
     yield "end attitude", f"{angles} (yaw from the x axis {run['yaw'][-1]:.6g} rad)"
+
+
+def steering_warning(run: Trajectory) -> str:
+    """Return the warning that the steering was integrated and is unstable; empty if not so."""
+    if "steering_growth" not in run.columns or "elements" in run.statistics:
+        return ""
+    return steering_note(run)
+
+
+def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield what an inverse motion was sought for, and how well it is determined."""
+    if "inverse_margin" not in run.columns:
+        return
+    for wheel in run.wheels:
+        if (name := f"{wheel}_rate") in run.columns:
+            first, last = run[name][[0, -1]]
+            yield f"rate of wheel {wheel}", f"{first:.6g} at the start, {last:.6g} rad/s at the end"
+    for name in ("steer", "steer_rate"):
+        if name in run.columns:
+            low, high, unit = run[name].min(), run[name].max(), run.columns[name].label.unit
+            words = "steering angle" if unit == "rad" else "steering rate"
+            yield words, f"{low:.6g} to {high:.6g} {unit.replace(' s-1', '/s')}"
+    margin = run["inverse_margin"]
+    worst = int(margin.argmin())
+    words = run.columns["inverse_margin"].label.words
+    yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
+    if "steering_slip" in run.columns:
+        yield "steering slip", f"{run['steering_slip'].max():.2e} m/s at most: lever times rate"
+    if warning := steering_warning(run):
+        yield "warning", warning
 
 
 def _slip(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -68,6 +101,8 @@ def _trust(run: Trajectory) -> Iterator[tuple[str, str]]:
     else:
         yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
         step, tolerance = run["newton_step"].max(), run.statistics.get("tolerance")
+        if "elements" in run.statistics:
+            tolerance = None  # which was asked of the steering
         of_it = f", {step / tolerance:.3g} x the tolerance" if tolerance else ""
         yield "Newton step", f"{step:.2e} m at most{of_it}"
     yield "singular value", f"{run['singular_value'].min():.4g} at least"
@@ -95,15 +130,38 @@ def _apart(run: Trajectory) -> float:
 
 def _cost(run: Trajectory) -> Iterator[tuple[str, str]]:
     counts = run.statistics
-    if "steps" not in counts:
+    if "elements" in counts:
+        yield from _collocated(run)
+    elif "steps" not in counts:
         yield "integrator", "not used"
-        return
-    yield (
-        "integrator",
-        f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "
-        f"{counts['cpu_seconds']:.3g} s CPU, tolerance {counts['tolerance']:g}",
-    )
-    if run.stop is None:
-        yield "end", "reached the time asked for"
     else:
+        yield (
+            "integrator",
+            f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "
+            f"{counts['cpu_seconds']:.3g} s CPU, tolerance {counts['tolerance']:g}",
+        )
+
+
+def _collocated(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield what the search along a path cost, and how far its replay is from it."""
+    counts = run.statistics
+    yield (
+        "collocation",
+        f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
+        f"{counts['cpu_seconds']:.3g} s CPU, steering to {counts['sought_error']:.1e} rad",
+    )
+    gaps = {name.removeprefix("replay_"): size for name, size in counts.items()
+            if name.startswith("replay_")}  # fmt: skip
+    listed = ", ".join(
+        f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps.items()
+    )
+    yield "replay by the direct model", f"differs by at most {listed}"
+    if "replay_stopped" in run.attributes:
+        yield "replay stopped early", run.attributes["replay_stopped"]
+
+
+def _end(run: Trajectory) -> Iterator[tuple[str, str]]:
+    if run.stop is not None:
         yield "stopped early", f"at {run.stop.t:.6g} s by {run.stop.name}: {run.stop.words}"
+    elif {"steps", "elements"} & set(run.statistics):
+        yield "end", "reached the time asked for"

@@ -1,0 +1,212 @@
+"""Inverse kinematics: how well three rates determine the rest, how long a motion runs, round trips.
+
+``python benchmarks/inverse.py`` prints three things: the condition numbers of all choices of three
+platform velocities, with the steering rate or the steering angle unknown, on flat ground and over
+a seeded set of poses on hills; how long the paper's inverse input runs until a rear wheel tilts by
+0.35 rad, on four grounds; and how well the rates of direct runs come back from their motion alone.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from itertools import combinations
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from reference import heading
+
+from slipfree import (
+    Analytic,
+    ModelError,
+    SolverError,
+    Trajectory,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
+from slipfree.kinematics.inverse import PLANAR, along, inverse_kinematics
+from slipfree.kinematics.margin import EULER, VELOCITY, conditions, steering_note
+from slipfree.solve.inverse import drive
+from slipfree.solve.loop import Samples, close, table
+from slipfree.solve.settle import consistent
+
+SEED, POSES = 20261121, 150
+PAPER_MOTION = {"velocity_x": 0.01255, "velocity_y": 0.12865, "heading_rate": 0.0159}
+TILT = 0.35  # [rad]
+DETERMINED = 1e-3  # margin from which on rates must come back
+WHEEL_RATES = ("right_rate", "left_rate", "steer_rate")
+Height = Callable[[Any, Any], Any]
+
+
+def hills(x: Any, y: Any) -> Any:
+    """Return smooth hills. [m]."""
+    return 0.15 * ca.sin(0.9 * x + 0.3) * ca.cos(0.7 * y) + 0.05 * ca.sin(1.7 * y + 0.2 * x)
+
+
+def rough(x: Any, y: Any) -> Any:
+    """Return the hills with ripples. [m]."""
+    return hills(x, y) + 0.03 * ca.sin(3.1 * x + 2.3 * y + 0.7) + 0.02 * ca.cos(4.3 * x - 2.9 * y)
+
+
+GROUNDS: dict[str, Height] = {
+    "hills": hills,
+    "hills / 3": lambda x, y: hills(x, y) / 3,
+    "flat": lambda x, _: 0 * x,
+    "mirrored hills": lambda x, y: -hills(x, y),
+}
+
+
+def moving(dae: Any, poses: list[dict[str, float]]) -> Trajectory:
+    """Return one sample for each pose where the vehicle can stand, with equal rear rates."""
+    loop, x, z = close(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0), [], []
+    for pose in poses:
+        try:
+            begin = settle(dae, **pose)
+        except ModelError:
+            continue  # a second touch
+        x.append(dae.rows("x", begin, 0))
+        z.append(consistent(loop, 0.0, x[-1], dae.rows("z", begin, 0), loop.u[:, 0]))
+    n = len(x)
+    u = np.repeat(loop.u[:, :1], n, axis=1)
+    samples = Samples(
+        np.arange(float(n)), np.column_stack(x), np.column_stack(z), np.zeros((3, n)), u
+    )
+    return table(loop, samples, {})
+
+
+def condition_table() -> None:
+    """Print the condition numbers of all choices, on flat ground and on hills."""
+    rng = np.random.default_rng(SEED)
+    names = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
+    poses = [dict(zip(names, rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4], strict=True))
+             for _ in range(POSES)]  # fmt: skip
+    found: dict[str, Any] = {}
+    for ground, height, where in (("flat", GROUNDS["flat"], [{}]), ("hills", rough, poses)):
+        terrain = Analytic(height)
+        run = moving(direct_kinematics(three_wheeler(), terrain, slip="rolling"), where)
+        for steering in ("rate", "angle"):
+            by_choice = conditions(three_wheeler(), terrain, run, steering=steering)
+            found[f"{ground}, {steering}"] = by_choice
+    count = next(iter(found["hills, rate"].values())).size
+    print(f"\ncondition numbers; on rough hills over {count} poses: median, 90 %, largest")
+    print(f"{'':36}{'steering rate unknown':^39}{'steering angle unknown':^39}")
+    print(f"{'given':36}" + 2 * f"{'flat':>9}{'median':>10}{'90 %':>10}{'largest':>10}")
+    for given in found["flat, rate"]:
+        cells = [
+            number
+            for steering in ("rate", "angle")
+            for number in (
+                found[f"flat, {steering}"][given][0],
+                *np.quantile(found[f"hills, {steering}"][given], [0.5, 0.9, 1.0], method="nearest"),
+            )
+        ]
+        row = "".join(
+            f"{'singular' if np.isinf(cell) else f'{cell:.3g}':>{9 if k % 4 == 0 else 10}}"
+            for k, cell in enumerate(cells)
+        )
+        print(f"{', '.join(given):36}{row}")
+
+
+def until_the_tilt(height: Height, steering: Any) -> str:
+    """Return when, or why not, the paper's inverse input tilts a wheel by that much."""
+    vehicle, terrain = three_wheeler(tilt_stop=TILT), Analytic(height)
+    dae = inverse_kinematics(vehicle, terrain, steering=steering)
+    begin = settle(direct_kinematics(vehicle, terrain))
+    note = ""
+    try:
+        run = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 8, 161))
+    except ModelError as error:
+        return "no start: " + str(error).partition("(")[0]
+    except SolverError as error:
+        if error.trajectory is None:
+            return f"no motion: {error}"
+        run = error.trajectory
+    if steering == "rate":
+        note = "; " + steering_note(run).partition(":")[0] if steering_note(run) else ""
+    if run.stop is None:
+        return f"no tilt of {TILT} rad in {run.t[-1]:g} s{note}"
+    tilted = run.stop.name.startswith("tilt")
+    return f"{'' if tilted else 'ended by ' + run.stop.name + ' at '}{run.stop.t:.3f} s{note}"
+
+
+def tilt_table() -> None:
+    """Print how long the paper's inverse input runs."""
+    given = ", ".join(f"{name} {value}" for name, value in PAPER_MOTION.items())
+    print(f"\n{given}: time at which a rear wheel tilts by {TILT} rad")
+    for name, height in GROUNDS.items():
+        for steering in ("rate", "angle"):
+            print(f"{name:16}steering {steering:8}{until_the_tilt(height, steering)}")
+    print(f"{'the paper':16}{'':17}not printed; runs to the end of its figures")
+
+
+def direct_run(t: Any, tolerance: float, **start: float) -> tuple[Any, Trajectory, Trajectory]:
+    """Return model, start and motion of a drive with smoothly changing rates on the hills."""
+    dae = direct_kinematics(three_wheeler(), Analytic(hills), slip="rolling")
+    right = 0.45 + 0.05 * ca.sin(0.5 * dae.t)
+    left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
+    rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))
+    begin = settle(dae, **start)
+    return dae, begin, simulate(dae, begin, rates, t, tolerance=tolerance)
+
+
+def pointwise() -> None:
+    """Print how well rates come back from recorded states, for every choice of Euler rates."""
+    _, _, run = direct_run(np.linspace(0, 6, 7), 1e-10, x=0.3, heading=0.2)
+    worst, returned, left_out = 0.0, 0, 0
+    for given in combinations((*VELOCITY, *EULER), 3):
+        dae = inverse_kinematics(three_wheeler(), Analytic(hills), given=given, least_margin=0.0)
+        for k in range(run.t.size):
+            loop = close(dae, dae.inputs(**{name: run[name][k] for name in given}), 0)
+            x, z = dae.rows("x", run, k), dae.rows("z", run, k)
+            if dae.checks[-1].margin(x[:, None], z[:, None])[0] < DETERMINED:
+                left_out += 1
+                continue
+            back = consistent(loop, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), loop.u[:, 0])
+            worst, returned = max(worst, float(np.abs(back - z).max())), returned + 1
+    print(f"{'pointwise':28}{worst:.1e} m/s, rad/s: {returned} of all choices at states whose "
+          f"margin exceeds {DETERMINED:g}, {left_out} below it left out")  # fmt: skip
+
+
+def in_time() -> None:
+    """Print how well rates come back, integrated and along a path that crosses the axis."""
+    for words, start, sought in (
+        ("in time, steering stable", {"x": 0.3, "heading": 0.2}, False),
+        ("along a path that crosses", {"x": 1.0, "y": 0.5}, True),
+    ):
+        t = np.linspace(0, 8, 161)
+        direct, begin, run = direct_run(t, 1e-13 if sought else 1e-11, **start)
+        least = {"least_margin": 0.0} if sought else {}
+        dae = inverse_kinematics(three_wheeler(), Analytic(hills), given=PLANAR, **least)
+        inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
+        replay = ""
+        if sought:
+            found = drive(dae, direct, begin, inputs, t)
+            back = found.run
+            replay = f", replay within {max(found.difference.values()):.1e} m, rad"
+        else:
+            back = simulate(dae, begin, inputs, t, tolerance=1e-10)
+        error = max(float(np.abs(back[name] - run[name]).max()) for name in WHEEL_RATES)
+        growth = back["steering_growth"]
+        print(f"{words:28}{error:.1e} rad/s over {t[-1]:g} s; steering growth "
+              f"{growth.min():.3g} to {growth.max():.3g} 1/s{replay}")  # fmt: skip
+
+
+def main() -> None:
+    """Print everything."""
+    warnings.simplefilter("error")
+    heading()
+    clock = time.perf_counter()
+    condition_table()
+    tilt_table()
+    print("\nlargest error of the rates that come back from a direct run")
+    pointwise()
+    in_time()
+    print(f"\n{time.perf_counter() - clock:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""From a problem of direct kinematics to a model, a start and inputs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.geometry.path import Path
+from slipfree.kinematics.follow import follow, straight
+from slipfree.kinematics.montana import montana_kinematics
+from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.problem import schema
+from slipfree.problem.ground import at, build_ground
+from slipfree.problem.parts import (
+    Setup,
+    build_start,
+    build_terrain,
+    build_vehicle,
+    check_names,
+    read_columns,
+    samples,
+)
+from slipfree.problem.read import Problem, S
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.chain import Vehicle
+
+
+def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
+    """Return the model, the settled start and the inputs of a problem."""
+    ground = build_ground(problem)
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(spec.vehicle)
+    terrain = build_terrain(problem, ground)
+    dae: Dae[Any, Any, Any, Any, Any]
+    with at(problem, ("slip",)):
+        model = dae = direct_kinematics(vehicle, terrain, slip=spec.slip)
+    check_names(problem, dae, spec.inputs)
+    start = build_start(problem, dae)
+    t, rates = samples(spec.time, spec.inputs or {})
+    if spec.formulation == "montana":
+        with at(problem, ("formulation",)):
+            dae = montana_kinematics(vehicle, terrain, slip=spec.slip)
+    if spec.driver is None:
+        driven = "inputs " + ", ".join(spec.inputs or {})
+        with at(problem, ("inputs",)):
+            inputs = dae.inputs(**rates)
+    else:
+        driven = f"driver {spec.driver.name}"
+        inputs = build_law(problem, spec.driver, dae, vehicle, start)
+    return Setup(ground, vehicle, model, dae, start, inputs, t, driven)
+
+
+def build_law(
+    problem: Problem[S],
+    driver: schema.Driver,
+    dae: Dae[Any, Any, Any, Any, Any],
+    vehicle: Vehicle,
+    start: Trajectory,
+) -> Any:
+    """Return the inputs of the driving law of a problem."""
+    with at(problem, ("driver",)):
+        if driver.name == "straight":
+            if driver.path is not None or driver.file is not None:
+                raise ModelError("driver: 'straight' takes no path; use name = 'follow'")
+            return straight(dae, vehicle, start, speed=driver.speed)
+        if (driver.path is None) == (driver.file is None):
+            raise ModelError("driver: 'follow' needs either path, an array of [x, y], or file")
+        points = driver.path or read_columns(problem.folder / str(driver.file), "xy")
+        return follow(dae, vehicle, Path(np.array(points)), speed=driver.speed)

@@ -1,0 +1,192 @@
+"""From a problem of inverse kinematics to a model, a start and inputs, and along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError, SolverError
+from slipfree.kinematics.inverse import LEAST_MARGIN, PLANAR, along, inverse_kinematics
+from slipfree.kinematics.margin import EULER, OMEGA, VELOCITY, steering_note, steering_slip
+from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.named import Array
+from slipfree.problem import schema
+from slipfree.problem.ground import at, build_ground
+from slipfree.problem.parts import (
+    Setup,
+    build_start,
+    build_terrain,
+    build_vehicle,
+    check_names,
+    read_columns,
+    samples,
+    turned,
+)
+from slipfree.problem.read import Fault, Problem, S, names, problem_error
+from slipfree.solve.inverse import drive
+from slipfree.solve.loop import Samples, close, corrected, table
+from slipfree.solve.settle import consistent, first_violation
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.chain import Vehicle
+
+KNOWN = (*VELOCITY, *OMEGA, *EULER)
+COLUMNS = ("t", "x", "y", "heading")
+LEAST_POINTS = 6  # way-points of a spline of degree five
+SLOW = 0.1  # speed from which a motion is sought whose velocity is not given [m/s]
+Model = Dae[Any, Any, Any, Any, Any]
+
+
+def is_sought(spec: schema.Motion) -> bool:
+    """Return whether the steering is sought along a path, so that nothing is integrated."""
+    return isinstance(spec, schema.Inverse) and spec.path is not None and spec.steering == "angle"
+
+
+def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
+    """Return the models, the start and the inputs of a problem."""
+    given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
+    faults = [*_given(given)]
+    if faults:
+        raise problem_error(problem.source, faults)
+    ground, points = build_ground(problem), _points(problem, spec)
+    sought = is_sought(spec)
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(spec.vehicle)
+        terrain = build_terrain(problem, ground)
+        direct = direct_kinematics(vehicle, terrain, slip="rolling")
+        dae = inverse_kinematics(
+            vehicle, terrain, given=tuple(given),
+            steering="rate" if points is not None else spec.steering,
+            least_margin=0.0 if sought else LEAST_MARGIN,
+        )  # fmt: skip
+    check_names(problem, direct, None)
+    start = build_start(problem, direct)
+    with at(problem, ("given",) if points is None else ("path",)):
+        if points is None:
+            inputs = dae.inputs(**given)
+            start = moving(direct, start, _ahead(direct, vehicle, start, given))
+        else:
+            t, x, y, heading = points
+            inputs = along(dae, start, x, y, heading, t=t)
+        if not sought:
+            start = moving(dae, start, inputs)
+    driven = _words(spec, points)
+    return Setup(ground, vehicle, direct, dae, start, inputs, samples(spec.time, {})[0], driven)
+
+
+def _given(given: dict[str, float]) -> Iterator[Fault]:
+    """Yield what keeps rates from being three that may be given together."""
+    unknown = [*names(("given",), given, KNOWN)]
+    yield from unknown
+    if len(given) != 3:
+        listed = f": {', '.join(given)}" if given else ""
+        yield Fault(("given",), "three rates of the platform", f"{len(given)}{listed}")
+    angular = [name for name in given if name in (*OMEGA, *EULER)]
+    if set(angular) & set(OMEGA) and set(angular) & set(EULER):
+        expected = f"some of {', '.join(OMEGA)} or some of {', '.join(EULER)}, not of both"
+        yield Fault(("given",), expected, ", ".join(angular))
+
+
+def _words(spec: schema.Inverse, points: Array | None) -> str:
+    """Return what drives the vehicle."""
+    steering = f"the steering {spec.steering} is unknown"
+    if points is not None:
+        return f"path of {points.shape[1]} way-points in {points[0, -1]:g} s; {steering}"
+    rates = ", ".join(
+        f"{name} {value:g} {'m/s' if name in VELOCITY else 'rad/s'}"
+        for name, value in (spec.given or {}).items()
+    )
+    return f"{rates}; {steering}"
+
+
+def _points(problem: Problem[S], spec: schema.Inverse) -> Array | None:
+    """Return times, places and headings of the way-points, shape (4, n), if there is a path."""
+    path = spec.path
+    if path is None:
+        return None
+    place = ("path", "t" if path.file is None else "file")
+    if path.file is None:
+        points = np.array([path.t, path.x, path.y, path.heading], dtype=float)
+    else:
+        with at(problem, place):
+            rows = read_columns(problem.folder / path.file, COLUMNS)
+        points = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
+    if faults := [*_times(points[0], place, spec.time.duration)]:
+        raise problem_error(problem.source, faults)
+    points[3] += turned(problem)
+    return points
+
+
+def _times(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
+    """Yield what is wrong with the times of a path."""
+    if t.size < LEAST_POINTS:
+        yield Fault(place, f"{LEAST_POINTS} or more way-points", str(t.size))
+    elif t[0] != 0 or not (np.diff(t) > 0).all():
+        yield Fault(place, "times that ascend from 0", ", ".join(f"{each:g}" for each in t[:4]))
+    elif t[-1] < duration:
+        expected = f"at most the time of the last way-point, {t[-1]:g} s"
+        yield Fault(("time", "duration"), expected, f"{duration:g}")
+
+
+def _ahead(direct: Model, vehicle: Vehicle, start: Trajectory, given: dict[str, float]) -> Any:
+    """Return inputs of the direct model that move the vehicle about as it is given."""
+    heading, speed = float(start["heading"][-1]), SLOW
+    if "velocity_x" in given and "velocity_y" in given:
+        speed = given["velocity_y"] * np.cos(heading) - given["velocity_x"] * np.sin(heading)
+    rates = {f"{w.name}_rate": speed / w.radius for w in vehicle.wheels if w.driven}
+    commanded = {f"{c.name}_rate": 0.0 for c in vehicle.of("commanded")}
+    return direct.inputs(**rates, **commanded)
+
+
+def moving(dae: Model, start: Trajectory, inputs: Any) -> Trajectory:
+    """Return a start with the unknowns that its inputs lead to.
+
+    Raises
+    ------
+    ModelError
+        If they do not determine them, or a limit is violated.
+    """
+    loop = close(dae, inputs, 0)
+    x, u = dae.rows("x", start, -1), loop.u[:, :1]
+    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u[:, 0])
+    still = np.zeros((dae.quad.numel(), 1))
+    found, report = corrected(loop, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
+    run = table(loop, found, report)
+    fault = first_violation(loop, run, found)
+    if fault is not None:
+        raise ModelError(f"the start is not valid: {fault[1].words}")
+    return run
+
+
+def drive_along(
+    setup: Setup, tolerance: float, progress: Callable[[float], None] | None
+) -> Trajectory:
+    """Return the motion along a path, with how far the direct model's replay is from it."""
+    sought = [c.name for c in setup.vehicle.of("commanded")]
+    try:
+        found = drive(setup.dae, setup.model, setup.start, setup.inputs, setup.t,
+                      sought=sought, tolerance=tolerance)  # fmt: skip
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        raise SolverError(f"the replay by the direct model failed: {error}") from error
+    if progress is not None:
+        progress(float(found.run.t[-1]))
+    gaps = {f"replay_{name}": size for name, size in found.difference.items()}
+    stop = found.replay.stop
+    early = {} if stop is None else {"replay_stopped": f"at {stop.t:.6g} s: {stop.words}"}
+    statistics = {**found.run.statistics, "tolerance": tolerance, **gaps}
+    return replace(found.run, statistics=statistics, attributes=early)
+
+
+def finished(run: Trajectory) -> Trajectory:
+    """Return a motion with the slip of its steering, or the reason why the steering failed."""
+    if "steering_lever" in run.columns:
+        return steering_slip(run)
+    if run.stop is None or run.stop.name != "solver" or "steering_growth" not in run.columns:
+        return run
+    words = "; ".join(filter(None, [run.stop.words, steering_note(run)]))
+    return replace(run, stop=run.stop._replace(words=words))
