@@ -163,7 +163,7 @@ def test_headings_of_a_path_are_in_the_frame_of_the_problem() -> None:
 @pytest.mark.usefixtures("folder")
 def test_a_tilt_stop_ends_the_motion() -> None:
     for file, words in (("p.toml", []), ("path.toml", _set("time.duration=3"))):
-        result = _invoke("run", file, "--no-draw", *words, *_set("vehicle.tilt_stop=0.01", RIDGES))
+        result = _invoke("run", file, "--no-draw", *words, *_set("vehicle.tilt_stop=0.004", RIDGES))
         assert result.exit_code == 1, result.output
         assert "stopped early at t = " in result.stderr
         assert "the stop of tilt_" in result.stderr
@@ -171,16 +171,24 @@ def test_a_tilt_stop_ends_the_motion() -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_steering_by_rate_tells_that_it_is_unstable() -> None:
-    down = "terrain.synthetic.ramp={start=-3.0, end=4.0, rise=-2.0}"
-    settings = _set("steering=rate", down, "time.duration=0.05", "time.step=0.01")
-    result = _invoke("run", "p.toml", "--no-draw", *settings)
-    if result.exit_code == 0:
-        assert "growth" not in result.stderr
+def test_steering_by_rate_warns_where_it_is_unstable() -> None:
+    settings = _set("steering=rate", "time.duration=0.03", "time.step=0.01")
+    result = _invoke("run", str(PROBLEMS / "paper_inverse.toml"), "--no-draw", *settings)
+    assert result.exit_code == 0, result.output
+    assert result.stderr.startswith("warning: steering mode unstable from t = 0 s: errors of the")
+    assert "warning  " in result.stdout
     assert "steering rate  " in result.stdout
-    growth = result_file.read("p.nc")["steering_growth"].max()
-    assert ("warning: steering mode unstable from t = " in result.stderr) == (growth > 0)
-    assert ("warning  " in result.stdout) == (growth > 0)
+    assert "warning  " in _invoke("info", "paper_inverse.nc").stdout
+    assert "steering mode" not in _invoke("run", "p.toml", "--no-draw").output
+
+
+@pytest.mark.usefixtures("folder")
+def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
+    down = "terrain.synthetic.placed_rocks=[[0.0, 1.6, 2.4, 0.15]]"
+    settings = _set("steering=rate", "time.duration=0.3", down)
+    result = _invoke("run", "p.toml", "--no-draw", *settings)
+    assert (result.exit_code, result.stderr) == (0, ""), result.output
+    assert result_file.read("p.nc")["steering_growth"].max() < 0
 
 
 @pytest.mark.usefixtures("folder")
@@ -199,9 +207,9 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     assert result.exit_code == 1
     (line,) = result.stderr.splitlines()
     assert "gave up; steering mode unstable from t = 0 s: errors of the steering grow" in line
-    assert result_file.read("q.nc").stop == motion.stop._replace(
-        name="solver", words=result_file.read("q.nc").stop.words
-    )
+    stop = result_file.read("q.nc").stop
+    assert stop is not None
+    assert (stop.name, stop.t) == ("solver", motion.stop.t)
 
 
 @pytest.mark.usefixtures("folder")
@@ -234,7 +242,8 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
          "omega_z or some of heading_rate, roll_rate, pitch_rate, not of both, found heading_rate, "
          "omega_x"),
         (["given.velocity_x=[[0, 1]]"], "--set given.velocity_x: expected a number, found"),
-        (["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"], "--set given: "),
+        (["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"], "given: the "
+         "model is singular here: nothing determines steer (steering angle"),
         (["path.file=way.csv"], "expected exactly one of given, path, found given and path"),
         (["given="], "p.toml:1: expected exactly one of given, path, found none"),
         (["steering=torque"], "--set steering: expected 'rate' or 'angle', found 'torque'"),
@@ -258,7 +267,7 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["path.y="], "path.toml:14: path.y: expected an array of 6 numbers, one for each of t, "
+        (["path.y="], "--set path.y: expected an array of 6 numbers, one for each of t, "
          "found none"),
         (["path.y=[0, 1]"], "--set path.y: expected an array of 6 numbers, one for each of t, "
          "found 2"),
@@ -273,6 +282,7 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
          "more way-points, found 5"),
         (["start.x=0.5"], "path.toml:14: path: path: it starts elsewhere than the start: x = 0, "
          "the vehicle stands at 0.5"),
+        (["steering=rate"], "path.toml:14: path: the model is singular here: nothing determines"),
         (["path.bend=1"], "--set path.bend: expected one of t, x, y, heading, file, found"),
     ],
 )  # fmt: skip
@@ -328,11 +338,11 @@ def test_the_shipped_problems_run() -> None:
     assert given.stop is not None
     assert given.stop.name == "tilt_right_stop"
     assert_allclose(given.stop.t, 4.33, atol=0.02)
-    path = run(read(PROBLEMS / "path_inverse.toml", ["time.duration=3.0", "time.step=0.5"]))
+    path = run(read(PROBLEMS / "path_inverse.toml", ["time.duration=3.0"]))
     motion = path.trajectory
     assert motion.stop is None
     assert motion.t[-1] == 3.0
-    assert_allclose(motion["steering_growth"].max() > 0, True)
+    assert motion["steering_growth"].max() > 0  # integrating it would be unstable
     assert max(v for k, v in motion.statistics.items() if k.startswith("replay_")) < 1e-3
 
 

@@ -16,7 +16,7 @@ from slipfree.named import Array, Label, Mask
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.wheel import Wheel
 
-RIM = np.deg2rad(np.linspace(-120.0, 120.0, 81))  # around the wheel, from the contact
+RIM = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # around the wheel, from the contact
 SPACING = np.deg2rad(3.0)  # of points on the tread, in rolling radii
 CHUNK = 256  # samples looked at together, for the sake of memory
 TOLERANCE = 1e-7  # penetration that counts as touching [m]

@@ -18,6 +18,7 @@ from slipfree.vehicle.wheel import Wheel
 
 LARGEST_STEER = 0.5  # steering angle that the law asks for at most [rad]
 STEER_GAIN = 4.0  # rate of the steering per base length driven
+SLOW = 0.1  # part of the speed below which the steering no longer follows the turning wanted
 TILT_GAIN = 2.0  # decay of the mean tilt per base length driven
 
 
@@ -97,7 +98,10 @@ def follow(dae: Dae[Any, Any, Any, Any, Any], vehicle: Vehicle, path: Path, *, s
     if plan.steered:
         turning = _turning(plan, states, v)
         for foot in plan.steered:
-            angle = ca.atan(foot.forward * wanted / (v + foot.right * wanted))
+            way = v + foot.right * wanted
+            # the slope wanted / way, but smooth where the way changes its sign
+            slope = foot.forward * wanted * way / (way**2 + (SLOW * speed) ** 2)
+            angle = ca.atan(slope)
             angle = LARGEST_STEER * ca.tanh(angle / LARGEST_STEER)
             rates[foot.steer] = STEER_GAIN * pace * (angle - states[str(foot.steer)])
     tilts = [states[foot.tilt] for foot in plan.feet if foot.tilt]
@@ -123,9 +127,9 @@ def _guidance(
     along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
     # the centre moves to the left of the vehicle's heading, by its distance from the turning axis
     turned = dae.x.heading - direction + ca.atan(plan.ahead * curvature)
-    error = ca.atan2(ca.sin(turned), ca.cos(turned))
-    v = speed * ca.cos(error) - abs(speed) / base * along
-    # left' = v error, error' = turning - v curvature: critically damped over a base length
+    v = speed * ca.cos(turned) - abs(speed) / base * along
+    # left' = v sin, turned' = turning - v curvature: critically damped over a base length
+    error = ca.sin(turned)  # smooth, where an angle would jump
     turning = speed * curvature - (2 * abs(speed) * error + speed * left / base) / base
     return v, turning
 

@@ -13,6 +13,9 @@ from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves, pack
 from slipfree.trajectory import Column, Trajectory
 
+CORRECTIONS = 3  # Newton steps on a sample at most
+ENOUGH = 1e-6  # a step below this leaves an error of its square
+
 
 class Block(NamedTuple):
     """One block of algebraic equations, as Newton's method uses it.
@@ -53,6 +56,8 @@ class Loop(NamedTuple):
         ``(t, x, z, u) -> (alg, its Jacobian in z)``.
     outputs : casadi Function
         ``(t, x, z, u) -> (outputs, limits, inputs)``.
+    margin : casadi Function
+        ``(t, x, z, u) ->`` least distance to a limit, negative beyond one.
     """
 
     dae: Dae[Any, Any, Any, Any, Any]
@@ -61,6 +66,7 @@ class Loop(NamedTuple):
     blocks: tuple[Block, ...]
     newton: ca.Function
     outputs: ca.Function
+    margin: ca.Function
 
 
 def close(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) -> Loop:
@@ -114,7 +120,18 @@ def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX]) -> Loop:
         _blocks(dae, symbols, alg, jacobian),
         ca.Function("newton", symbols, [alg, ca.densify(jacobian)]),
         ca.Function("outputs", symbols, [y, bounds, inputs]),
+        ca.Function("margin", symbols, [_least(dae, bounds)]),
     )
+
+
+def _least(dae: Dae[Any, Any, Any, Any, Any], bounds: ca.SX) -> ca.SX:
+    least = ca.SX(np.inf)
+    for limit, value in zip(dae.limits, ca.vertsplit(bounds) if dae.limits else [], strict=True):
+        if np.isfinite(limit.lower):
+            least = ca.fmin(least, value - limit.lower)
+        if np.isfinite(limit.upper):
+            least = ca.fmin(least, limit.upper - value)
+    return least
 
 
 def _checked(dae: Dae[Any, Any, Any, Any, Any], label: Label, law: ca.SX) -> ca.SX:
@@ -188,11 +205,12 @@ class Samples(NamedTuple):
 
 
 def corrected(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples after one Newton step on ``z``, and what that step says.
+    """Return the samples after a Newton step on ``z``, and what that step says.
 
     The integrator's interpolation leaves the algebraic equations satisfied to its tolerance only;
-    the step is as large as that error. With it come the residual after it, block by block, and
-    the smallest singular value of the Jacobian, the distance to a singular configuration.
+    the step is as large as that error. Where it is large, another one follows. With it come the
+    residual after it, block by block, and the smallest singular value of the Jacobian, the
+    distance to a singular configuration.
     """
     count = samples.t.size
     newton = loop.newton.map(count)
@@ -202,13 +220,17 @@ def corrected(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
         alg, jac = (np.array(out) for out in newton(samples.t[None], samples.x, z, samples.u))
         return alg, jac.reshape(n_z, count, n_z).transpose(1, 0, 2)
 
-    alg, jac = evaluate(samples.z)
-    step = np.linalg.solve(jac, alg.T[..., None])[..., 0].T
-    z = samples.z - step
+    z = samples.z
+    sizes: list[Array] = []
+    while not sizes or (sizes[-1].max() > ENOUGH and len(sizes) < CORRECTIONS):
+        alg, jac = evaluate(z)
+        step = np.linalg.solve(jac, alg.T[..., None])[..., 0].T
+        z = z - step
+        sizes.append(np.abs(step))
     left, jac = evaluate(z)
     first = loop.blocks[0].span
     report = {
-        "newton_step": np.abs(step[first]).max(axis=0),
+        "newton_step": sizes[0][first].max(axis=0),
         "singular_value": np.linalg.svd(jac, compute_uv=False)[:, -1],
     }
     for block in loop.blocks:

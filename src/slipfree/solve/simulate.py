@@ -23,6 +23,7 @@ COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time
 CROSSING = 1e-6  # to which a crossing is located [s]
 FINEST = 1e-14  # tolerance below which rounding rules
+BEYOND = 1e-6  # in a limit's unit; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
 CHUNK = 2000  # samples looked at together, for the sake of memory
 Progress = Callable[[float], None]
@@ -79,10 +80,18 @@ def simulate(
     loop = close(dae, inputs, t.size - 1)
     first = _state(loop, start, t[0])
     clock = time.process_time()
-    march = _integrate(loop, first, t, loop.u, tolerance, progress)
+    task = _Task(loop, tolerance, progress, guarded=True)
+    march = _integrate(task, first, t, loop.u)
     run, samples, fault = _looked_at(loop, march.samples, progress)
+    if march.beyond and fault is None:  # a limit was only grazed: go on without looking
+        at, left = Samples(*(row[..., -1:] for row in samples)), t > samples.t[-1]
+        if left.any():
+            rest = np.append(samples.t[-1], t[left])
+            more = _integrate(task._replace(guarded=False), at, rest, loop.u[:, 1 - rest.size :])
+            march = more._replace(samples=_chained(samples, more.samples))
+            run, samples, fault = _looked_at(loop, march.samples, progress)
     if fault is not None:
-        run = _cut(loop, run, samples, fault, tolerance)
+        run = _cut(task, run, samples, fault)
     statistics = march.statistics | {
         "tolerance": tolerance,
         "cpu_seconds": time.process_time() - clock,
@@ -115,49 +124,71 @@ def _state(loop: Loop, start: Trajectory, t: float) -> Samples:
 
 
 class March(NamedTuple):
-    """What the integrator reached, what it cost, and why it stopped, if it did."""
+    """What the integrator reached, what it cost, and why it stopped, if it did.
+
+    ``beyond`` says that it stopped since a step had gone beyond a limit.
+    """
 
     samples: Samples
     statistics: dict[str, float]
     failure: str
+    beyond: bool = False
 
 
-def _integrate(
-    loop: Loop,
-    first: Samples,
-    t: Array,
-    u: Array,
-    tolerance: float,
-    progress: Progress | None,
-    depth: int = 2,
-) -> March:
+class _BeyondError(Exception):
+    """A step of the integrator went beyond a limit of the model."""
+
+    def __init__(self, t: float) -> None:
+        super().__init__(t)
+        self.t = t
+
+
+class _Task(NamedTuple):
+    """How to integrate: what does not change from call to call."""
+
+    loop: Loop
+    tolerance: float
+    progress: Progress | None
+    guarded: bool
+
+
+def _integrate(task: _Task, first: Samples, t: Array, u: Array, depth: int = 2) -> March:
     """Integrate in one call; if that fails, in windows, so that what was reached is kept.
 
     After a failure the window is halved until a part succeeds, down to a single interval; that
-    interval is then divided in the same way, ``depth`` times at most.
+    interval is then divided in the same way, ``depth`` times at most. A call that goes beyond a
+    limit is made again up to there, and is the last.
     """
     samples, counts, failure = first, dict.fromkeys(COUNTS, 0.0), ""
     left, window, last = 0, t.size - 1, t.size - 1
     while left < last and window:
         right = min(left + window, last)
         at = Samples(*(part[..., -1:] for part in samples))
+        span = t[left : right + 1]
         try:
-            part, cost = _call(loop, at, t[left : right + 1], u[:, left:right], tolerance, progress)
+            part, cost = _call(task, at, span, u[:, left:right])
+        except _BeyondError as end:
+            span = np.append(span[span < end.t], end.t)
+            if span.size > 1:
+                part, cost = _call(task._replace(guarded=False), at, span,
+                                   u[:, left : left + span.size - 1])  # fmt: skip
+                samples = _chained(samples, part)
+                counts = {name: counts[name] + cost[name] for name in counts}
+            return March(samples, counts, "", beyond=True)
         except SolverError as error:
             failure, window = str(error), window // 2
             continue
         samples, left = _chained(samples, part), right
         counts = {name: counts[name] + cost[name] for name in counts}
+    beyond = False
     if left < last and depth:
         at = Samples(*(part[..., -1:] for part in samples))
         fine = np.linspace(t[left], t[left + 1], REFINED + 1)
-        rest = _integrate(
-            loop, at, fine, np.repeat(u[:, left : left + 1], REFINED, axis=1), tolerance, progress,
-            depth - 1,
-        )  # fmt: skip
-        samples = _chained(samples, rest.samples)
+        given = np.repeat(u[:, left : left + 1], REFINED, axis=1)
+        rest = _integrate(task, at, fine, given, depth - 1)
+        samples, beyond = _chained(samples, rest.samples), rest.beyond
         counts = {name: counts[name] + rest.statistics[name] for name in counts}
-    return March(samples, counts, failure if left < last else "")
+    return March(samples, counts, failure if left < last and not beyond else "", beyond)
 
 
 def _chained(first: Samples, second: Samples) -> Samples:
@@ -188,20 +219,17 @@ def _looked_at(
     return joined(*runs), Samples(*(np.concatenate(row, axis=-1) for row in rows)), fault
 
 
-def _call(
-    loop: Loop, at: Samples, t: Array, u: Array, tolerance: float, progress: Progress | None
-) -> tuple[Samples, dict[str, float]]:
+def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[str, float]]:
     """Integrate over all of ``t`` in one call, or raise."""
-    dae, spy = loop.dae, _Spy(progress) if progress else None
+    loop, dae, spy = task.loop, task.loop.dae, _Spy(task)
     sizes = [dae.ode.numel(), sum(b.numel() for b in dae.alg), loop.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", sizes, strict=True))]
     ode, alg, quad = loop.core(*symbols)
-    if spy is not None:
-        quad = ca.vertcat(quad, spy(symbols[0]))
+    quad = ca.vertcat(quad, spy(ca.vertcat(symbols[0], loop.margin(*symbols))))
     system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg, "quad": quad}
     options = {
-        "reltol": tolerance,
-        "abstol": tolerance,
+        "reltol": task.tolerance,
+        "abstol": task.tolerance,
         "max_num_steps": STEPS,
         "suppress_algebraic": dae.suppress_algebraic,
         "show_eval_warnings": False,
@@ -213,7 +241,7 @@ def _call(
         with redirect_stderr(StringIO()):  # IDAS repeats there what the exception says
             found = integrator(x0=at.x, z0=at.z, u=np.column_stack([u[:, :1], u]))
     except RuntimeError as error:
-        if spy is not None and spy.raised is not None:
+        if spy.raised is not None:
             raise spy.raised from None
         raise SolverError(_reason(str(error))) from error
     x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
@@ -244,7 +272,7 @@ def _reason(message: str) -> str:
 
 
 class _Spy(ca.Callback):
-    """A quadrature that is always zero and tells how far the integrator has come.
+    """A quadrature that is always zero and looks on: it tells the time and stops beyond limits.
 
     IDAS evaluates quadratures once a step, outside Newton's method and the error test, so that
     looking on does not change the motion.
@@ -252,35 +280,41 @@ class _Spy(ca.Callback):
 
     raised: BaseException | None
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, task: _Task) -> None:
         ca.Callback.__init__(self)
-        self.progress, self.raised = progress, None
+        self.task, self.raised = task, None
         self.construct("spy", {})
 
+    def get_sparsity_in(self, _index: int) -> ca.Sparsity:
+        """Return the shape of the argument: time, and least distance to a limit."""
+        return ca.Sparsity.dense(2, 1)
+
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
-        """Report the time; what is raised there is kept, since it gets lost on its way."""
+        """Look at a step; what is raised here is kept, since it gets lost on its way."""
+        t, margin = arguments[0].nonzeros()
         try:
-            self.progress(float(arguments[0]))
+            if self.task.progress is not None:
+                self.task.progress(t)
+            if self.task.guarded and not margin >= -BEYOND:
+                raise _BeyondError(t)
         except BaseException as error:
             self.raised = error
             raise
         return [ca.DM(0)]
 
 
-def _cut(
-    loop: Loop, run: Trajectory, samples: Samples, fault: tuple[int, Stop], tolerance: float
-) -> Trajectory:
+def _cut(task: _Task, run: Trajectory, samples: Samples, fault: tuple[int, Stop]) -> Trajectory:
     """Return the motion up to the crossing, located on ever finer samples between two."""
     k, stop = fault
     if k == 0:
         raise ModelError(f"the start is not valid: {stop.words}")
-    kept = run.part(slice(k))
+    kept, quiet = run.part(slice(k)), task._replace(progress=None, guarded=False)
     while run.t[k] - run.t[k - 1] > CROSSING:
         at = Samples(*(part[..., k - 1 : k] for part in samples))
         t = np.linspace(run.t[k - 1], run.t[k], REFINED + 1)
         u = np.repeat(samples.u[:, k - 1 : k], REFINED, axis=1)
-        march = _integrate(loop, at, t, u, tolerance, None, depth=0)
-        fine, finer, found = _looked_at(loop, march.samples, None)
+        march = _integrate(quiet, at, t, u, depth=0)
+        fine, finer, found = _looked_at(task.loop, march.samples, None)
         if found is None or found[0] == 0:  # the crossing lies on a sample, within the tolerance
             run, k = (fine, fine.t.size) if found is None else (run, k)
             break

@@ -14,6 +14,7 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.named import Array
 
+CHUNK = 4096  # points evaluated at once; any other number would be a slow call
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 
@@ -80,10 +81,13 @@ class Analytic:
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights at points of equal shape [m]."""
         x, y = np.broadcast_arrays(x, y)
-        heights = self._numeric(x.reshape(1, -1), y.reshape(1, -1))
-        return np.asarray(heights, dtype=np.float64).reshape(x.shape)
+        count = -(-x.size // CHUNK)
+        padded = [np.resize(each.reshape(-1), (max(count, 1), 1, CHUNK)) for each in (x, y)]
+        heights = [np.array(self._numeric(*rows)) for rows in zip(*padded, strict=True)]
+        return np.concatenate(heights, axis=None)[: x.size].reshape(x.shape)
 
     @cached_property
     def _numeric(self) -> ca.Function:
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        return ca.Function("elevation", [x, y], [ca.densify(self.height(x, y))])
+        height = ca.Function("elevation", [x, y], [ca.densify(self.height(x, y))])
+        return height.map(CHUNK)
