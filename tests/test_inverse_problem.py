@@ -184,7 +184,7 @@ def test_steering_by_rate_warns_where_it_is_unstable() -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
-    down = "terrain.synthetic.placed_rocks=[[0.0, 1.6, 2.4, 0.15]]"
+    down = "terrain.synthetic.placed_rocks=[[0.0, 0.4, 2.4, 0.15]]"
     settings = _set("steering=rate", "time.duration=0.3", down)
     result = _invoke("run", "p.toml", "--no-draw", *settings)
     assert (result.exit_code, result.stderr) == (0, ""), result.output

@@ -169,26 +169,32 @@ def _integrate(task: _Task, first: Samples, t: Array, u: Array, depth: int = 2) 
             part, cost = _call(task, at, span, u[:, left:right])
         except _BeyondError as end:
             span = np.append(span[span < end.t], end.t)
+            rest = March(at, dict.fromkeys(COUNTS, 0.0), "")
             if span.size > 1:
-                part, cost = _call(task._replace(guarded=False), at, span,
-                                   u[:, left : left + span.size - 1])  # fmt: skip
-                samples = _chained(samples, part)
-                counts = {name: counts[name] + cost[name] for name in counts}
-            return March(samples, counts, "", beyond=True)
+                given = u[:, left : left + span.size - 1]
+                rest = _integrate(task._replace(guarded=False), at, span, given, depth)
+            return _after(samples, counts, rest)._replace(beyond=not rest.failure)
         except SolverError as error:
             failure, window = str(error), window // 2
             continue
         samples, left = _chained(samples, part), right
         counts = {name: counts[name] + cost[name] for name in counts}
-    beyond = False
+    march = March(samples, counts, failure if left < last else "")
     if left < last and depth:
         at = Samples(*(part[..., -1:] for part in samples))
         fine = np.linspace(t[left], t[left + 1], REFINED + 1)
         given = np.repeat(u[:, left : left + 1], REFINED, axis=1)
         rest = _integrate(task, at, fine, given, depth - 1)
-        samples, beyond = _chained(samples, rest.samples), rest.beyond
-        counts = {name: counts[name] + rest.statistics[name] for name in counts}
-    return March(samples, counts, failure if left < last and not beyond else "", beyond)
+        march = _after(samples, counts, rest)
+        if not rest.beyond:
+            march = march._replace(failure=failure)
+    return march
+
+
+def _after(samples: Samples, counts: dict[str, float], rest: March) -> March:
+    """Return a march with what went before it."""
+    together = {name: counts[name] + rest.statistics[name] for name in counts}
+    return rest._replace(samples=_chained(samples, rest.samples), statistics=together)
 
 
 def _chained(first: Samples, second: Samples) -> Samples:
