@@ -56,12 +56,12 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle)
         terrain = build_terrain(problem, ground)
-        direct = direct_kinematics(vehicle, terrain, slip="rolling")
         dae = inverse_kinematics(
             vehicle, terrain, given=tuple(given),
             steering="rate" if points is not None else spec.steering,
             least_margin=0.0 if sought else LEAST_MARGIN,
         )  # fmt: skip
+        direct = direct_kinematics(vehicle, terrain, slip="rolling")
     check_names(problem, direct, None)
     start = build_start(problem, direct)
     with at(problem, ("given",) if points is None else ("path",)):

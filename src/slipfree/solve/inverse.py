@@ -65,7 +65,7 @@ class Basis(NamedTuple):
         """Return what leads from the values at the points to integrals from zero to places."""
         nodes, weights = legendre.leggauss(len(self.points))
         inner = _lagrange(self.points, np.outer(at, (1 + nodes) / 2).ravel())
-        means = weights / 2 @ inner.reshape(len(at), len(nodes), -1)
+        means = weights / 2 @ inner.reshape(len(at), len(nodes), len(self.points))
         return np.asarray(at[:, None] * means, dtype=np.float64)
 
 
