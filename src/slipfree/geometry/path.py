@@ -76,13 +76,21 @@ class Path:
         f = ca.Function("place", [symbol], list(self.symbolic(symbol)))
         return Place(*(np.array(row).ravel() for row in f.map(np.size(s))(np.reshape(s, (1, -1)))))
 
-    def symbolic(self, s: ca.SX) -> Place:
-        """Return the place at an arc length as an expression; ``x, y`` in map coordinates. [m]."""
+    def symbolic(self, s: ca.SX, origin: tuple[float, float] = (0.0, 0.0)) -> Place:
+        """Return the place at an arc length as an expression.
+
+        Parameters
+        ----------
+        s : SX, shape (1, 1)
+            Arc length. [m]
+        origin : tuple of 2 floats
+            Map coordinates of where ``x`` and ``y`` count from; near the path, it saves digits. [m]
+        """
         inside = ca.fmin(ca.fmax(s, 0), self.length)
         x, y, heading, curvature = ca.vertsplit(self._spline(inside))
         beyond = s - inside
         on_path = ca.if_else(ca.fabs(beyond) > 0, 0, curvature)
-        x_0, y_0 = self.points[0]
+        x_0, y_0 = self.points[0] - np.array(origin)
         return Place(
             x_0 + x - beyond * ca.sin(heading), y_0 + y + beyond * ca.cos(heading), heading, on_path
         )

@@ -117,13 +117,12 @@ def _guidance(
     dae: Dae[Any, Any, Any, Any, Any], path: Path, plan: _Plan, speed: float
 ) -> tuple[ca.SX, ca.SX]:
     """Return the speed and the turning rate that lead to the point that runs along the path."""
-    place = path.symbolic(abs(speed) * dae.t)
+    place = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
     way, base = np.sign(speed), plan.base
     curvature = way * place.curvature
     direction = place.heading + (0 if way > 0 else np.pi)
     forward = (-ca.sin(direction), ca.cos(direction))
-    d_x = dae.x.x + dae.shift[0][0] - place.x
-    d_y = dae.x.y + dae.shift[0][1] - place.y
+    d_x, d_y = dae.x.x - place.x, dae.x.y - place.y
     along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
     # the centre moves to the left of the vehicle's heading, by its distance from the turning axis
     turned = dae.x.heading - direction + ca.atan(plan.ahead * curvature)
