@@ -352,3 +352,13 @@ def test_the_shipped_path_is_passed_whole() -> None:
     assert setup.t[-1] == 15.0
     with pytest.raises(ProblemError, match="expected at most the time of the last way-point"):
         build(read(PROBLEMS / "path_inverse.toml", ["time.duration=16"]))
+
+
+def test_a_path_may_be_sampled_more_coarsely_than_it_is_solved(tmp_path):
+    """Elements of the collocation without a sample are no trouble."""
+    result = CliRunner().invoke(
+        app,
+        ["run", str(PROBLEMS / "path_inverse.toml"), "--no-draw", "-o", str(tmp_path / "p.nc"),
+         "--set", "time.duration=6", "--set", "time.step=6"],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
