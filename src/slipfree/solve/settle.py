@@ -17,6 +17,7 @@ from slipfree.trajectory import Stop, Trajectory
 LARGEST_STEP = 0.25  # of an unknown's typical size, in one Newton step
 STEPS = 100
 CONVERGED = 1e-13
+UNSOLVED = 1e-10  # residual of a sample that is no rounding any more
 SINGULAR = 1e-10  # smallest singular value of a block, relative to the largest
 
 
@@ -186,6 +187,18 @@ def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int,
                 lb.words, v[k], lo, up, lb.unit
             ),
         )
+    for block in loop.blocks:
+        if not block.linear:
+            label = run.columns[f"{block.labels[0].name}_residual"].label
+            values = run.of(label)
+            consider(
+                ~(values <= UNSOLVED),
+                label.name,
+                lambda k, v=values, lb=label: (
+                    f"the equations have no exact solution here: {lb.name} {v[k]:.1e} {lb.unit}, "
+                    f"allowed at most {UNSOLVED:g}"
+                ),
+            )
     for check in loop.dae.checks:
         label = check.label
         values = run.of(label)
