@@ -87,8 +87,10 @@ def test_start_over_a_pit_is_refused():
         settle(dae)
 
 
-def test_singular_model_names_the_motion():
-    """A wheel lying flat leaves its place on the ground undetermined."""
-    dae = direct_kinematics(three_wheeler(), Analytic(lambda x, _: 0 * x))
-    with pytest.raises(ModelError, match=r"singular|lies flat|cannot stand|stop of tilt"):
-        settle(dae, tilt_right=np.pi / 2, tilt_left=np.pi / 2)
+@pytest.mark.parametrize("tilt", [0.0, 1.2, 1.56])
+def test_uprightness_of_a_tilted_wheel(tilt):
+    """The sine of axle to normal, with the pitch by which the lowered rear end tips the axle."""
+    dae = direct_kinematics(three_wheeler(tilt_stop=2.0), Analytic(lambda x, _: 0 * x))
+    run = settle(dae, tilt_right=tilt, tilt_left=tilt)
+    expected = np.sqrt(1 - (np.sin(tilt) * np.cos(run["pitch"][0])) ** 2)
+    assert_allclose(run["uprightness", "right"][0], expected, atol=1e-12)
