@@ -82,7 +82,7 @@ def test_relative_curvature_of_a_cylindrical_valley():
         dae = direct_kinematics(three_wheeler(), valley)
         limit = next(x for x in dae.limits if x.label.full == "relative_curvature[front]")
         value = ca.Function("k", list(dae.columns()[:2]), [limit.expression])
-        z = np.zeros(21)
+        z = np.zeros(dae.scale.size)
         z[8] = 1.0  # contact of the front wheel at the bottom
         assert_allclose(float(value(dae.start(), z)), 1 / RADIUS - 1 / radius, atol=1e-12)
 

@@ -31,7 +31,7 @@ from slipfree.kinematics.margin import (
     steering_slip,
 )
 from slipfree.solve.inverse import drive, nearest, settle_contact
-from slipfree.solve.loop import Samples, close, table
+from slipfree.solve.loop import Samples, close, followed, table
 from slipfree.solve.settle import consistent
 from slipfree.vehicle.wheel import Wheel
 
@@ -88,7 +88,8 @@ def test_rates_come_back_at_recorded_states(family):
             if dae.checks[-1].margin(x[:, None], z[:, None])[0] < 1e-3:
                 continue
             z = consistent(loop, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), loop.u[:, 0])
-            assert_allclose(z, dae.rows("z", run, k), rtol=0, atol=1e-10, err_msg=str(given))
+            expected, n = dae.rows("z", run, k), loop.moving
+            assert_allclose(z[:n], expected[:n], rtol=0, atol=1e-10, err_msg=str(given))
             returned += 1
     assert returned > 40
 
@@ -127,15 +128,16 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
     for step in (-1e-5, 0.0, 1e-5):
         moved = x + step * np.array([label.name == "steer" for label in (*dae.labels.x[:3],
                                      *dae.labels.x.joints)])  # fmt: skip
-        rates.append(consistent(loop, 0.0, moved, z, loop.u[:, 0])[-1])
+        rates.append(consistent(loop, 0.0, moved, z, loop.u[:, 0])[loop.moving - 1])
     growth = ca.Function("growth", list(dae.columns()), list(dae.y.growth))
     assert_allclose(float(growth(x, z, loop.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
 
 
 def test_unstable_steering_is_told():
     """Where the contact leads the steering axis the steering runs away, and it is said so."""
-    dae = inverse_kinematics(three_wheeler(), MIRRORED)
-    begin = settle(direct_kinematics(three_wheeler(), MIRRORED))
+    vehicle = three_wheeler(mass=0.0, wheel_mass=0.0)  # else the front wheel lifts off before
+    dae = inverse_kinematics(vehicle, MIRRORED)
+    begin = settle(direct_kinematics(vehicle, MIRRORED))
     with pytest.raises(SolverError) as failure:
         simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 4, 81))
     reached = failure.value.trajectory
@@ -241,8 +243,8 @@ def moving(dae, poses):
     n = len(poses)
     u = np.repeat(loop.u[:, :1], n, axis=1)
     samples = Samples(np.arange(float(n)), np.column_stack(x), np.column_stack(z),
-                      np.zeros((3, n)), u)  # fmt: skip
-    return table(loop, samples, {})
+                      np.zeros((4, n)), u)  # fmt: skip
+    return table(loop, *followed(loop, samples))
 
 
 def test_conditions_on_flat_ground():

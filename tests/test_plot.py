@@ -8,15 +8,18 @@ import casadi as ca
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 import slipfree as sf
 from slipfree.named import Label
-from slipfree.show import plot
+from slipfree.show import load, plot
 from slipfree.trajectory import Column, Trajectory
 
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
 NAMES = ["map", "terrain", "tilts", "loci", "elevation", "slip", "checks"]
+LOADS = ["forces", "utilisation", "utilisation_map", "energy"]
 
 
 def hills(x, y):
@@ -27,7 +30,7 @@ def drive(end: float, tilt_stop: float = np.inf) -> Trajectory:
     dae = sf.direct_kinematics(sf.three_wheeler(tilt_stop=tilt_stop), sf.Analytic(hills, DOMAIN))
     start = sf.settle(dae, x=0.0, y=0.0, heading=-0.3)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.02)
-    return sf.simulate(dae, start, inputs, np.arange(0.0, end, 0.1))
+    return without_mass(sf.simulate(dae, start, inputs, np.arange(0.0, end, 0.1)))
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +50,11 @@ def stopped() -> Trajectory:
     return drive(4.0, tilt_stop=0.1)
 
 
+@pytest.fixture(scope="module")
+def loaded(run) -> Trajectory:
+    return with_mass(run)
+
+
 @pytest.fixture
 def ax():
     return Figure(layout="constrained").subplots()
@@ -55,6 +63,41 @@ def ax():
 def changed(run: Trajectory, name: str, values: np.ndarray) -> Trajectory:
     label = run.columns[name].label if name in run else Label(name, "rad", name)
     return replace(run, columns={**run.columns, name: Column(label, values)})
+
+
+def made_up_loads(run: Trajectory) -> dict[str, Column]:
+    """Return columns of made-up forces: the front wheel is not driven and needs most."""
+    s, wheels = np.linspace(0, 1, run.t.size), np.arange(1, len(run.wheels) + 1)
+    shape = np.outer(1 + np.sin(3 * s), wheels)
+    along, across, normal = 3 * shape, 4 * shape, 50 + np.outer(s, wheels)
+    needed = 5 * shape / normal
+    columns = {
+        "force_along": ("N", along),
+        "force_across": ("N", across),
+        "force_normal": ("N", normal),
+        "friction_needed": ("1", needed),
+        "utilisation": ("1", needed / 0.8),
+        "utilisation_best": ("1", needed.max(axis=1)),
+        "drive_torque": ("N m", along * [0.1, 0.1, 0]),
+        "steer_torque": ("N m", np.cos(s)),
+        "tilt_left_torque": ("N m", 0 * s),
+        "power": ("W", 2 + s),
+        "dissipation": ("W", 1 + s),
+        "work": ("J", 7 + 9 * s),
+        "potential_energy": ("J", 300 + 4 * s),
+        "tip_over_margin": ("rad", 0.3 + 0.1 * s),
+    }
+    return {name: Column(Label(name, unit, name), v) for name, (unit, v) in columns.items()}
+
+
+def with_mass(run: Trajectory) -> Trajectory:
+    columns = {**run.columns, **made_up_loads(run)}
+    return replace(run, columns=columns, attributes={**run.attributes, "ground_friction": "0.8"})
+
+
+def without_mass(run: Trajectory) -> Trajectory:
+    columns = {k: c for k, c in run.columns.items() if k not in made_up_loads(run)}
+    return replace(run, columns=columns, attributes={})
 
 
 def moved(run: Trajectory, x: float, y: float) -> Trajectory:
@@ -74,6 +117,13 @@ def words(figure: Figure) -> str:
     """Return all text of a figure outside its axes."""
     legends = [text for legend in figure.legends for text in legend.get_texts()]
     return " ".join(text.get_text() for text in [*figure.texts, *legends])
+
+
+def lifted(run: Trajectory, value: float = np.inf) -> Trajectory:
+    """Return a motion in which the left wheel needs so much friction for three samples."""
+    values = run["utilisation"].copy()
+    values[10:13, 1] = value
+    return changed(run, "utilisation", values)
 
 
 def labels(ax) -> list[str]:
@@ -165,6 +215,10 @@ def test_a_joint_at_rest_is_not_drawn(run, ax):
     assert labels(plot.tilts(run, ax)) == ["tilt right", "tilt left"]
 
 
+def test_the_margin_of_tipping_over_is_no_joint(loaded, ax):
+    assert labels(plot.tilts(loaded, ax)) == ["tilt right", "tilt left", "steer"]
+
+
 def test_other_joints_are_found_but_not_their_stops(stopped, ax):
     assert "tilt_left_stop" in stopped
     stopped = changed(stopped, "rocker", np.sin(stopped.t))
@@ -251,17 +305,22 @@ def test_figures_come_by_name(run, grid):
 
 def test_every_figure_says_why_the_motion_stopped(stopped, grid):
     assert stopped.stop is not None
-    for figure in plot.figures(stopped, grid).values():
+    for figure in plot.figures(with_mass(stopped), grid).values():
         text = " ".join(words(figure).split())
         assert stopped.stop.words in text
 
 
-def test_nothing_reaches_over_the_edge(stopped, grid):
-    for name, figure in plot.figures(stopped, grid).items():
+@pytest.mark.parametrize("half_width", [5.0, 2.0])
+def test_nothing_reaches_over_the_edge(stopped, grid, half_width):
+    kept = np.abs(grid.x) <= half_width
+    grid = sf.Grid(grid.x[kept], grid.y, grid.z[kept])
+    for name, figure in plot.figures(lifted(with_mass(stopped)), grid).items():
         drawn(figure)
         width, height = figure.bbox.size
+        places = [*figure.axes, *(child for ax in figure.axes for child in ax.child_axes)]
         texts = [*figure.texts, *(a.xaxis.label for a in figure.axes)]
-        texts += [a.yaxis.label for a in figure.axes] + [a.title for a in figure.axes]
+        texts += [a.yaxis.label for a in places] + [a.title for a in figure.axes]
+        texts += [text for a in figure.axes for text in a.texts if text.get_visible()]
         texts += [a.zaxis.label for a in figure.axes if hasattr(a, "zaxis")]
         for box in (text.get_window_extent() for text in texts if text.get_text()):
             assert min(box.x0, box.y0) >= -1, name
@@ -305,3 +364,188 @@ def test_missing_quantities_are_named(run, grid):
 def test_a_motion_on_another_ground_is_refused(run, grid):
     with pytest.raises(sf.ModelError, match=r"not on this ground: x is .* reaches from -5 to 5 m"):
         plot.figures(moved(run, 100.0, 0.0), grid)
+
+
+def test_vehicles_without_mass_have_no_figures_of_loads(run, grid):
+    assert load.load_figures(run, grid) == {}
+
+
+def test_loads_are_drawn_for_vehicles_with_mass(loaded, grid):
+    settings = dict(mpl.rcParams)
+    figures = plot.figures(loaded, grid)
+    assert list(figures) == [*NAMES, *LOADS]
+    assert dict(mpl.rcParams) == settings
+
+
+def test_files_of_loads_are_written(loaded, grid, tmp_path):
+    files = plot.save_figures(loaded, grid, tmp_path)
+    assert [file.name for file in files] == [f"{name}.png" for name in [*NAMES, *LOADS]]
+    assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_forces_have_a_line_a_wheel(loaded, ax):
+    assert labels(load.normal_forces(loaded, ax)) == ["right", "left", "front"]
+    np.testing.assert_array_equal(ax.lines[2].get_ydata(), loaded["force_normal", "front"])
+    assert ax.get_ylabel() == "normal force [N]"
+
+
+def test_tangential_forces_are_magnitudes(loaded, ax):
+    load.tangential_forces(loaded, ax)
+    expected = 5 / 3 * loaded["force_along", "left"]  # 3, 4, 5
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), expected)
+    assert ax.get_ylabel() == "tangential force [N]"
+
+
+def test_drives_that_give_nothing_are_not_drawn(loaded, ax):
+    assert labels(load.drives(loaded, ax)) == ["right", "left", "steer torque"]
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), loaded["drive_torque", "left"])
+    assert ax.get_ylabel() == "torque [N m]"
+
+
+def test_no_drive_at_all_is_said(loaded, ax):
+    coasting = changed(loaded, "drive_torque", np.zeros((loaded.t.size, 3)))
+    load.drives(changed(coasting, "steer_torque", np.zeros(loaded.t.size)), ax)
+    assert not labels(ax)
+    assert ax.texts[0].get_text() == "no torque"
+
+
+def test_forces_of_sliding_joints_have_a_panel_of_their_own(loaded, grid):
+    assert len(load.load_figures(loaded, grid)["forces"].axes) == 3
+    force = Column(Label("slide_force", "N", "slide_force"), np.cos(loaded.t))
+    sliding = replace(loaded, columns={**loaded.columns, "slide_force": force})
+    figure = drawn(load.load_figures(sliding, grid)["forces"])
+    assert labels(figure.axes[2]) == ["right", "left", "steer torque"]
+    assert labels(figure.axes[3]) == ["slide force"]
+    assert figure.axes[3].get_ylabel() == "joint force [N]"
+
+
+def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
+    load.utilisation(loaded, ax)
+    drawn(ax.figure)
+    wheels = ["right", "left", "front"]
+    assert labels(ax) == [*wheels, "forces distributed best", "all that friction gives"]
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["utilisation", "right"])
+    np.testing.assert_array_equal(ax.lines[3].get_ydata(), loaded["utilisation_best"])
+    assert list(ax.lines[4].get_ydata()) == [1, 1]
+    assert ax.get_ylabel() == "utilisation [1]"
+    assert ax.get_ylim()[1] >= 1
+
+
+def test_the_worst_utilisation_is_named(loaded, ax):
+    load.utilisation(loaded, ax)
+    front = loaded["utilisation", "front"]
+    k = int(front.argmax())
+    assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[k], front[k]])
+    assert [text.get_text() for text in ax.texts] == [
+        f"front: {front[k]:.3g} at {loaded.t[k]:.4g} s"
+    ]
+
+
+@pytest.mark.parametrize("value", [0.79, 0.9, 0.99])
+def test_words_at_the_worst_point_leave_the_line_at_one_free(loaded, ax, value):
+    load.utilisation(lifted(changed(loaded, "utilisation", 0 * loaded["utilisation"]), value), ax)
+    drawn(ax.figure)
+    box = ax.transData.inverted().transform(ax.texts[0].get_window_extent())
+    assert not box[0, 1] <= 1 <= box[1, 1]
+
+
+@pytest.mark.parametrize("value", [47.0, np.inf])
+def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
+    load.utilisation(lifted(loaded, value), ax)
+    drawn(ax.figure)
+    assert ax.get_ylim() == (0, load.CEILING)
+    assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[10], load.CEILING])
+    remark, worst = (text.get_text() for text in ax.texts)
+    assert remark.startswith("not drawn above 3")
+    assert remark.endswith("infinite where a wheel bears nothing") == np.isinf(value)
+    assert worst == f"left: {'infinite' if np.isinf(value) else '47'} at {loaded.t[10]:.4g} s"
+    values = ax.lines[1].get_ydata()
+    assert np.isfinite(values).all()
+    assert (values[10:13] > load.CEILING).all()
+
+
+def test_without_the_friction_of_the_ground_it_is_the_friction_needed(loaded, grid, ax):
+    load.utilisation(replace(loaded, attributes={}), ax)
+    assert ax.get_ylabel() == "friction needed $|f_t|/N$ [1]"
+    assert labels(ax)[-1] == "a friction coefficient of 1"
+    bar = load.utilisation_map(replace(loaded, attributes={}), grid, ax).child_axes[-1]
+    assert bar.get_ylabel() == "friction needed $|f_t|/N$ [1]"
+
+
+def test_tip_over_margin_has_degrees(loaded, ax):
+    load.tip_over(loaded, ax)
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["tip_over_margin"])
+    assert ax.get_ylabel().endswith("[rad]")
+    drawn(ax.figure)
+    assert ax.child_axes[0].get_ylim() == pytest.approx(np.rad2deg(ax.get_ylim()))
+    assert ax.get_ylim()[0] <= 0
+
+
+def test_utilisation_is_drawn_without_what_only_some_vehicles_have(loaded, grid):
+    some = ("tip_over_margin", "utilisation_best")
+    fewer = replace(loaded, columns={k: c for k, c in loaded.columns.items() if k not in some})
+    figure = drawn(load.load_figures(fewer, grid)["utilisation"])
+    assert len(figure.axes) == 1
+    assert "forces distributed best" not in words(figure)
+
+
+def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):
+    loaded = lifted(loaded)
+    assert load.utilisation_map(loaded, grid, ax) is ax
+    drawn(ax.figure)
+    (lines,) = (each for each in ax.collections if isinstance(each, LineCollection))
+    assert lines.get_clim() == (0, 1)
+    values, colours = lines.get_array(), lines.get_colors()
+    assert len(values) == len(lines.get_segments()) == 3 * (loaded.t.size - 1)
+    assert (np.diff(values) >= 0).all()  # the largest lie on top
+    over = values > 1
+    assert over.sum() == 4  # three samples lie between four pieces
+    np.testing.assert_allclose(colours[over], np.tile(to_rgba(load.OVER), (4, 1)))
+    np.testing.assert_allclose(colours[~over], mpl.colormaps[load.COLOURS](values[~over]))
+    at = np.column_stack([loaded["contact_x", "left"], loaded["contact_y", "left"]])
+    worst = [piece for piece, much in zip(lines.get_segments(), over, strict=True) if much]
+    np.testing.assert_allclose(worst, np.stack([at[9:13], at[10:14]], axis=1))
+    assert labels(ax) == ["start, 0 s", f"largest, left: infinite at {loaded.t[10]:.4g} s",
+                          "beyond friction"]  # fmt: skip
+
+
+def test_the_ground_below_coloured_tracks_is_grey(loaded, grid, ax):
+    load.utilisation_map(loaded, grid, ax)
+    (shadow,) = ax.images
+    assert not shadow.get_array()[..., :3].any()
+    assert ax.get_aspect() == 1.0
+    assert "beyond friction" not in labels(ax)
+
+
+def test_energy_lost_is_what_height_does_not_hold(loaded, ax):
+    assert labels(load.energy(loaded, ax)) == ["drives", "potential energy", "lost"]
+    s = np.linspace(0, 1, loaded.t.size)
+    for line, expected in zip(ax.lines, (9 * s, 4 * s, 5 * s), strict=False):
+        np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)
+    assert ax.get_ylabel() == "energy since the start [J]"
+
+
+def test_power_has_the_colours_of_energy(loaded, ax):
+    load.power(loaded, ax)
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["power"])
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), loaded["dissipation"])
+    other = load.energy(loaded, Figure().subplots())
+    colours = [dict(zip(labels(a), (line.get_color() for line in a.lines), strict=False))
+               for a in (ax, other)]  # fmt: skip
+    assert colours[0].items() <= colours[1].items()
+
+
+def test_a_quantity_that_is_missing_from_loads_is_named(loaded, grid):
+    columns = {k: c for k, c in loaded.columns.items() if k != "force_across"}
+    with pytest.raises(sf.ModelError, match="the trajectory has no 'force_across'"):
+        load.load_figures(replace(loaded, columns=columns), grid)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_loads_of_very_short_motions_are_drawn(loaded, grid, count):
+    for figure in load.load_figures(loaded.part(slice(count)), grid).values():
+        drawn(figure)
+
+
+def test_loads_on_flat_ground_are_drawn(loaded, grid):
+    drawn(load.load_figures(loaded, replace(grid, z=0 * grid.z))["utilisation_map"])

@@ -42,6 +42,11 @@ duration = 1
 step = 0.25
 """
 
+OTHERS = (
+    "tilt_stop, slide_stop, stiffness, damping, bump, mass, center_of_mass, wheel_mass, grip, "
+    "actuated"
+)
+
 
 def _read(folder: Path, text: str, *settings: str) -> object:
     path = folder / "p.toml"
@@ -107,9 +112,9 @@ def test_lines_of_keys() -> None:
         ("r1 = 0.05", "r1 = -0.05", "p.toml:11: vehicle.r1: expected a number of at least 0, "
          "found -0.05"),
         ("r1 = 0.05", "r3 = 0.05", "p.toml:11: vehicle.r3: expected one of catalog, axle, "
-         "half_track, wheelbase, r1, r2, tilt_stop, slide_stop, found the unknown key 'r3'"),
+         "half_track, wheelbase, r1, r2, " + OTHERS + ", found the unknown key 'r3'"),
         ("r1 = 0.05", "wheel_base = 2", "p.toml:11: vehicle.wheel_base: expected one of catalog, "
-         "axle, half_track, wheelbase, r1, r2, tilt_stop, slide_stop, found the unknown key "
+         "axle, half_track, wheelbase, r1, r2, " + OTHERS + ", found the unknown key "
          "'wheel_base'; did you mean 'wheelbase'?"),
         ("r1 = 0.05", 'r1 = "5 cm"', "p.toml:11: vehicle.r1: expected a number, found '5 cm'"),
         ("x = 0.1", "x = nan", "p.toml:14: start.x: expected a finite number, found nan"),
@@ -247,7 +252,7 @@ def test_settings_that_do_not_fit(tmp_path: Path) -> None:
         "did you mean 'step'?",
         "--set vehicle.r1: expected a number of at least 0, found -1",
         "--set foo: expected one of verb, title, terrain, start, time, solver, frame, vehicle, "
-        "output, inputs, driver, formulation, slip, found the unknown key 'foo'",
+        "output, inputs, driver, formulation, slip, traction, found the unknown key 'foo'",
     ]
 
 

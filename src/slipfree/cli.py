@@ -262,6 +262,7 @@ def _check_places(files: list[Path | None], folder: Path | None, problem: Proble
     spec = problem.spec
     tables = (spec.terrain, getattr(spec, "driver", None), getattr(spec, "path", None))
     names = [table.file for table in tables if table is not None]
+    names += [spec.terrain.friction] if isinstance(spec.terrain.friction, str) else []
     taken = {problem.source.path.resolve(): "the problem file"}
     taken |= {(problem.folder / name).resolve(): f"the input {name}" for name in names if name}
     for path in files:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
@@ -31,12 +31,31 @@ class Limit(NamedTuple):
         In the symbols of the model.
     lower, upper : float
         Bounds, in the label's unit.
+    describe : callable or None
+        ``describe(x, z)`` returns what is wrong in one local state, shapes (n_x,) and (n_z,), if
+        that takes more than the label's words; nothing if this limit is not the reason.
     """
 
     label: Label
     expression: ca.SX
     lower: float
     upper: float
+    describe: Callable[[Array, Array], str] | None = None
+
+
+class Easing(NamedTuple):
+    """A parameter that leads from equations that are easily solved to those that are meant.
+
+    Attributes
+    ----------
+    symbol : SX, shape (1, 1)
+        In the residuals.
+    values : tuple of float
+        What it takes one after the other at a start; the last one is meant.
+    """
+
+    symbol: ca.SX
+    values: tuple[float, ...]
 
 
 class Check(Protocol):
@@ -72,7 +91,9 @@ class Dae(Generic[X, Z, Q, U, Y]):
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
 
     The algebraic equations come in blocks, one for each field of ``z``; a block determines its
-    field, given the fields before it. States and unknowns are in the model's local coordinates;
+    field, given the fields before it. Last blocks on which neither the rates of the states nor
+    other blocks depend, such as forces that a given motion needs, are solved at the samples only;
+    quadratures may depend on them. States and unknowns are in the model's local coordinates;
     ``shift`` leads to the map's, which starts, outputs and trajectories use.
 
     Attributes
@@ -102,6 +123,8 @@ class Dae(Generic[X, Z, Q, U, Y]):
     suppress_algebraic : bool
         Whether the integrator's error test leaves out ``z``; for models whose ``z`` carries
         stabilising terms that are noise to that test.
+    easing : Easing or None
+        How a start is found where Newton's method alone would not.
     """
 
     t: ca.SX
@@ -120,6 +143,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
     scale: Array
     shift: tuple[Array, Array]
     suppress_algebraic: bool = False
+    easing: Easing | None = None
 
     def __post_init__(self) -> None:
         blocks: Any = self.z

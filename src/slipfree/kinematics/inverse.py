@@ -25,7 +25,7 @@ import numpy as np
 from slipfree.dae import Check, Dae, Labels, Limit
 from slipfree.errors import ModelError
 from slipfree.kinematics.margin import EULER, OMEGA, VELOCITY, inverse_margin, omega, rolling
-from slipfree.kinematics.records import Angles, Configuration, Dependent, Outputs
+from slipfree.kinematics.records import Configuration, Dependent, Forces, Outputs, Totals
 from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.named import Array, Label, leaves, pack, unpack
 from slipfree.terrain.base import Terrain
@@ -66,6 +66,7 @@ class ByRate(NamedTuple):
 
     position: Dependent
     rates: InverseRates
+    forces: Forces
 
 
 class Steered(NamedTuple):
@@ -77,9 +78,10 @@ class Steered(NamedTuple):
 
 
 class ByAngle(NamedTuple):
-    """Algebraic unknowns in one block, with the steering angle among them."""
+    """Algebraic unknowns, with the steering angle among those of the motion."""
 
     motion: Steered
+    forces: Forces
 
 
 class InverseOutputs(NamedTuple):
@@ -103,7 +105,7 @@ def inverse_kinematics(
     given: Sequence[str] = PLANAR,
     steering: Steering = "rate",
     least_margin: float = LEAST_MARGIN,
-) -> Dae[Any, Any, Angles, Given, InverseOutputs]:
+) -> Dae[Any, Any, Totals, Given, InverseOutputs]:
     """Return the motion of a vehicle that rolls without slip under given rates of its platform.
 
     Parameters
@@ -235,19 +237,19 @@ def _sorted(
     return Given(tuple(known[name] for name in given)), unknown
 
 
-def _by_rate(direct: Any, parts: _Parts) -> Dae[Any, Any, Angles, Given, InverseOutputs]:
+def _by_rate(direct: Any, parts: _Parts) -> Dae[Any, Any, Totals, Given, InverseOutputs]:
     """Return the model whose unknowns are rates: the direct model with other inputs."""
-    z_labels = ByRate(direct.labels.z.position, parts.rate_labels)
+    z_labels = ByRate(direct.labels.z.position, parts.rate_labels, direct.labels.z.forces)
     outputs, output_labels = _outputs(direct, parts, growth=True)
     labels = direct.labels._replace(
         z=z_labels, u=parts.u_labels, y=output_labels,
-        alg=(direct.labels.alg[0], parts.equation_labels),
+        alg=(direct.labels.alg[0], parts.equation_labels, direct.labels.alg[2]),
     )  # fmt: skip
     return replace(
         direct,
-        z=ByRate(direct.z.position, parts.rates),
+        z=ByRate(direct.z.position, parts.rates, direct.z.forces),
         u=parts.u,
-        alg=(direct.alg[0], parts.equations),
+        alg=(direct.alg[0], parts.equations, direct.alg[2]),
         y=outputs,
         labels=labels,
         **_starting(direct, z_labels, direct.shift[0]),
@@ -256,7 +258,7 @@ def _by_rate(direct: Any, parts: _Parts) -> Dae[Any, Any, Angles, Given, Inverse
 
 def _by_angle(
     vehicle: Vehicle, direct: Any, parts: _Parts
-) -> Dae[Any, Any, Angles, Given, InverseOutputs]:
+) -> Dae[Any, Any, Totals, Given, InverseOutputs]:
     """Return the model whose unknowns are steering angles, as if they were at rest."""
     kinds = [c.kind for c in vehicle.coordinates if c.kind != "suspension"]
     still = [k for k, kind in enumerate(kinds) if kind == "passive"]
@@ -268,7 +270,8 @@ def _by_angle(
         return kept, tuple(joints[k] for k in turned)
 
     (x, angles), (x_labels, angle_labels) = states(direct.x), states(direct.labels.x)
-    z_labels = ByAngle(Steered(direct.labels.z.position, angle_labels, parts.rate_labels))
+    sought = Steered(direct.labels.z.position, angle_labels, parts.rate_labels)
+    z_labels = ByAngle(sought, direct.labels.z.forces)
     y, y_labels = _outputs(direct, parts, growth=False)
     rows = [0, 1, 2, *(3 + k for k in still)]
     joints = pack(direct.u.joints)
@@ -278,20 +281,24 @@ def _by_angle(
 
     labels = Labels(
         x_labels, z_labels, direct.labels.q, parts.u_labels, y_labels,
-        ((*direct.labels.alg[0], *parts.equation_labels),),
+        ((*direct.labels.alg[0], *parts.equation_labels), direct.labels.alg[2]),
     )  # fmt: skip
     slow = Label("steering_speed", "m s-1", "the vehicle stands, so that it may be steered anyhow")
     speed = ca.sqrt(direct.z.rates.x**2 + direct.z.rates.y**2)
     return replace(
         direct,
         x=x,
-        z=ByAngle(Steered(direct.z.position, angles, parts.rates)),
+        z=ByAngle(Steered(direct.z.position, angles, parts.rates), direct.z.forces),
         u=parts.u,
         ode=direct.ode[rows],
-        alg=(held(ca.vertcat(direct.alg[0], parts.equations)),),
+        alg=(held(ca.vertcat(direct.alg[0], parts.equations)), held(direct.alg[2])),
+        quad=held(direct.quad),
         y=unpack(y, [held(each) for each in leaves(y)]),
         labels=labels,
-        limits=(*direct.limits, Limit(slow, speed, STANDING, np.inf)),
+        limits=(
+            *(limit._replace(expression=held(limit.expression)) for limit in direct.limits),
+            Limit(slow, speed, STANDING, np.inf),
+        ),
         **_starting(direct, z_labels, direct.shift[0][rows], angles),
     )
 
@@ -300,16 +307,18 @@ def _starting(
     direct: Any, z_labels: Any, x_shift: Array, angles: tuple[ca.SX, ...] = ()
 ) -> dict[str, Any]:
     """Return guess, sizes and shift of a model that adds angles and rates to the pose."""
-    position = len(list(leaves(direct.z.position)))
-    rest = len(list(leaves(z_labels))) - position
+    position, forces = (len(list(leaves(part))) for part in (direct.z.position, direct.z.forces))
+    rest = len(list(leaves(z_labels))) - position - forces
     column = ca.vertcat(ca.SX(0, 1), *angles)
     guess = ca.substitute(direct.guess[:position], column, ca.SX.zeros(column.shape))
-    radius = direct.scale[position - 1]  # of a contact point
+    radius, end = direct.scale[position - 1], direct.scale.size - forces  # of a contact point
     sizes = [radius if label.unit in ("m", "m s-1") else 1.0 for label in leaves(z_labels)]
+    sizes[position + rest :] = direct.scale[end:]
+    still = np.zeros(rest + forces)
     return {
-        "guess": ca.densify(ca.vertcat(guess, ca.SX.zeros(rest))),
+        "guess": ca.densify(ca.vertcat(guess, ca.SX.zeros(rest), direct.guess[end:])),
         "scale": np.array(sizes),
-        "shift": (x_shift, np.concatenate([direct.shift[1][:position], np.zeros(rest)])),
+        "shift": (x_shift, np.concatenate([direct.shift[1][:position], still])),
     }
 
 
@@ -358,14 +367,14 @@ class _Moved:
 
 def _moved(check: Check, direct: Any, dae: Any) -> Check:
     """Return a check of the pose for the inverse model."""
-    rates = len(list(leaves(direct.z.rates)))
-    z = ca.vertcat(pack(direct.z.position), ca.SX.zeros(rates))
+    others = len(list(leaves(direct.z[1:])))
+    z = ca.vertcat(pack(direct.z.position), ca.SX.zeros(others))
     symbols = [pack(dae.x), pack(dae.z)]
     return _Moved(check, ca.Function("states", symbols, [pack(direct.x), z]))
 
 
 def along(
-    dae: Dae[Any, Any, Angles, Given, InverseOutputs], start: Trajectory,
+    dae: Dae[Any, Any, Totals, Given, InverseOutputs], start: Trajectory,
     x: Any, y: Any, heading: Any, *, t: Array | None = None, begin: float = 0.0,
 ) -> Given:  # fmt: skip
     """Return the inputs of an inverse model that lead along a path in time.

@@ -137,7 +137,7 @@ def _angles(vehicle: Vehicle, direct: Direct) -> tuple[ca.SX, tuple[str, ...]]:
     names = tuple(c.name for c in vehicle.of("commanded"))
     kept = [c.name for c in vehicle.coordinates if c.kind != "suspension"]
     angles = ca.vertcat(ca.SX(0, 1), *(direct.x.joints[kept.index(name)] for name in names))
-    closure, slip, position = *direct.alg, pack(direct.z.position)
+    (closure, slip), position = direct.alg[:2], pack(direct.z.position)
     follows = -ca.solve(ca.jacobian(closure, position), ca.jacobian(closure, angles))
     return ca.jacobian(slip, angles) + ca.jacobian(slip, position) @ follows, names
 

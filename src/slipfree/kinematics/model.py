@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,6 +15,7 @@ from slipfree.kinematics.records import (
     Algebraic,
     Configuration,
     Dependent,
+    ForceOutputs,
     Inputs,
     Outputs,
     Rates,
@@ -31,10 +33,14 @@ OVERTURNED = 0.1  # likewise for the platform's up axis and the horizontal
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
     """Return the poses of the wheels' carriers, at the wheels' centres."""
-    names = (*kept(vehicle), *(c.name for c in vehicle.of("suspension")))
-    values = dict(zip(names, (*x.joints, *position.suspension), strict=True))
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
-    return vehicle.carriers(base, values)
+    return vehicle.carriers(base, values_of(vehicle, x, position))
+
+
+def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[str, ca.SX]:
+    """Return the values of all coordinates by name. [rad, m]."""
+    names = (*kept(vehicle), *(c.name for c in vehicle.of("suspension")))
+    return dict(zip(names, (*x.joints, *position.suspension), strict=True))
 
 
 def spins(vehicle: Vehicle, rates: Rates, u: Inputs) -> list[ca.SX]:
@@ -58,6 +64,7 @@ def outputs(
     wheel_rates: list[ca.SX],
     x: Configuration,
     z: Algebraic,
+    forces: ForceOutputs | tuple[()],
 ) -> Outputs:
     """Return what is sampled along a motion, in map coordinates."""
     o_x, o_y, o_z = terrain.origin
@@ -79,6 +86,7 @@ def outputs(
         psi=psi,
         yaw=ca.atan2(base[1, 1], base[0, 1]),
         quaternion=tuple(ca.vertsplit(quaternion(forward_left_up))),
+        forces=forces,
     )
 
 
@@ -95,13 +103,9 @@ def touch_function(
 
 def stops(vehicle: Vehicle, x: Configuration, z: Algebraic) -> Iterator[Limit]:
     """Yield the limits that concern the vehicle alone."""
-    values = dict(zip(kept(vehicle), x.joints, strict=True))
-    values |= {
-        c.name: value
-        for c, value in zip(vehicle.of("suspension"), z.position.suspension, strict=True)
-    }
+    values = values_of(vehicle, x, z.position)
     for c in vehicle.coordinates:
-        if np.isfinite(c.lower) or np.isfinite(c.upper):
+        if not c.bump and (np.isfinite(c.lower) or np.isfinite(c.upper)):
             words = f"the stop of {c.name} ({c.words}) is reached"
             yield Limit(
                 Label(f"{c.name}_stop", vehicle.unit(c.name), words),
@@ -145,7 +149,8 @@ def contact_limits(vehicle: Vehicle, terrain: Terrain, contacts: list[Touch]) ->
 def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tuple[Array, Array]]:
     """Return typical sizes of z, and what leads from local to map coordinates."""
     radius = min(wheel.radius for wheel in vehicle.wheels)
-    scale = np.array([radius if each.unit in ("m", "m s-1") else 1.0 for each in leaves(labels.z)])
+    typical = {"m": radius, "m s-1": radius, "N": vehicle.weight}
+    scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
     place = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     place |= {f"contact_{axis}": place[axis] for axis in ("x", "y")}
     shift = tuple(
@@ -155,9 +160,15 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
     return scale, (shift[0], shift[1])
 
 
+def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
+    """Return a first guess of rates and forces: none, but that every wheel bears its share."""
+    share = vehicle.weight / len(vehicle.wheels)
+    return ca.SX([share if each.name == "force_normal" else 0.0 for each in leaves(labels)])
+
+
 def balance(law: SlipLaw, slips: list[ca.SX], contacts: list[Touch], rates: Rates) -> ca.SX:
     """Return the equations for the rates: least slip, or none."""
     if law == "rolling":
         return ca.vertcat(*slips)
     normals = [contact.normal for contact in contacts]
-    return least_slip(slips, normals, pack(rates[:-1]), pack(rates.multipliers))
+    return least_slip(slips, normals, pack(rates.motion), pack(rates.multipliers))

@@ -28,6 +28,7 @@ from slipfree.dae import Dae, Labels, Limit
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, Twist
 from slipfree.kinematics.model import (
+    at_rest,
     balance,
     carriers,
     contact_limits,
@@ -40,14 +41,17 @@ from slipfree.kinematics.model import (
 )
 from slipfree.kinematics.records import (
     Algebraic,
-    Angles,
     Configuration,
     Dependent,
+    ForceOutputs,
+    Forces,
     Inputs,
     Rates,
     SlipLaw,
+    Totals,
     labels_of,
 )
+from slipfree.kinematics.statics import loads, mechanics
 from slipfree.named import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
@@ -76,9 +80,10 @@ class Assembly(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Algebraic unknowns in their one block."""
+    """Algebraic unknowns in the blocks that determine them."""
 
     rates: Rates
+    forces: Forces
 
 
 class AssemblyOutputs(NamedTuple):
@@ -97,6 +102,7 @@ class AssemblyOutputs(NamedTuple):
     wheel_rate: tuple[Any, ...]
     yaw: Any
     quaternion: tuple[Any, ...]
+    forces: ForceOutputs | tuple[()]
     drift_position: tuple[Any, ...]
     drift_rotation: tuple[Any, ...]
 
@@ -129,7 +135,7 @@ class Rolling(NamedTuple):
 
 def montana_kinematics(
     vehicle: Vehicle, terrain: Terrain, *, slip: SlipLaw = "least", kappa: float = 10.0
-) -> Dae[Assembly, Unknowns, Angles, Inputs, AssemblyOutputs]:
+) -> Dae[Assembly, Unknowns, Totals, Inputs, AssemblyOutputs]:
     """Return the same motion as ``direct_kinematics`` from contact equations at rate level.
 
     Its start is a sample of the closure model, settled or later: ``simulate`` finds all states
@@ -143,7 +149,7 @@ def montana_kinematics(
     terrain : Terrain
         The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
     slip : {"least", "rolling"}
-        As in the closure model.
+        As in the closure model; traction belongs to that one.
     kappa : float
         Rate at which drift decays. [1/s]
 
@@ -157,24 +163,28 @@ def montana_kinematics(
     ModelError
         If a wheel is a disc, ``kappa`` is not a rate, or the slip law does not fit the vehicle.
     """
-    _check(vehicle, kappa)
+    _check(vehicle, kappa, slip)
     labels = _assembly_labels(vehicle, slip)
     x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
     configuration, position = _place(x)
-    like, turning = (configuration, Algebraic(position, z.rates)), spins(vehicle, z.rates, u)
+    like = configuration, Algebraic(position, z.rates, z.forces)
+    turning = spins(vehicle, z.rates, u)
     q_dot = ca.vertcat(*z.rates[:6], *joint_rates(vehicle, z.rates, u), *z.rates.suspension)
     rolls = _rolls(vehicle, terrain, x, q_dot, turning, kappa)
     contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
     slips = [roll.slip for roll in rolls]
     scale, shift = sizes(vehicle, terrain, labels)
     touching = touch_function(x, z, poses, contacts)
+    parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u)
+    state = configuration, position, u
+    bears = loads(vehicle, terrain, parts, z.forces, slips, contacts, state)
     return Dae(
         t, x, z, symbols(labels.q), u,
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
-        alg=(balance(slip, slips, contacts, z.rates),),
-        quad=ca.vertcat(*turning),
+        alg=(balance(slip, slips, contacts, z.rates), bears.equations),
+        quad=ca.vertcat(*turning, *bears.work),
         y=AssemblyOutputs(
-            **_of_assembly(outputs(terrain, poses, contacts, slips, turning, *like)),
+            **_of_assembly(outputs(terrain, poses, contacts, slips, turning, *like, bears.outputs)),
             drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
             drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
         ),
@@ -183,19 +193,22 @@ def montana_kinematics(
             *_assembled(vehicle, rolls),  # first: nothing else is meaningful for a wheel astray
             *stops(vehicle, *like),
             *contact_limits(vehicle, terrain, contacts),
+            *bears.limits,
         ),
         checks=tuple(
             SecondTouch(terrain, wheel, pose)
             for wheel, pose in zip(vehicle.wheels, touching, strict=True)
         ),
-        guess=ca.SX.zeros(pack(z).numel()),
+        guess=at_rest(vehicle, labels.z),
         scale=scale,
         shift=shift,
         suppress_algebraic=True,
     )  # fmt: skip
 
 
-def _check(vehicle: Vehicle, kappa: float) -> None:
+def _check(vehicle: Vehicle, kappa: float, slip: SlipLaw) -> None:
+    if slip == "traction":
+        raise ModelError("Montana's form takes slip = 'least' or 'rolling', found 'traction'")
     if not (np.isfinite(kappa) and kappa >= 0):
         raise ModelError(f"kappa: expected a rate of zero or more per second, found {kappa}")
     for wheel in vehicle.wheels:
@@ -272,7 +285,7 @@ def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
         return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
 
-    x, z, q, u, y, (_, equations) = labels_of(vehicle, slip)
+    x, z, q, u, y, (_, *equations) = labels_of(vehicle, slip)
     place = z.position
     contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
     sampled = AssemblyOutputs(
@@ -284,7 +297,7 @@ def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
         x.x, x.y, place.z, x.heading, place.roll, place.pitch, x.joints, place.suspension,
         tuple(ContactCoordinates(*row) for row in contacts),
     )  # fmt: skip
-    return Labels(states, Unknowns(z.rates), q, u, sampled, (equations,))
+    return Labels(states, Unknowns(z.rates, z.forces), q, u, sampled, tuple(equations))
 
 
 class Difference(NamedTuple):

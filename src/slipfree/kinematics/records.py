@@ -4,15 +4,25 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple
 
+import casadi as ca
+
 from slipfree.dae import Labels
 from slipfree.errors import ModelError
-from slipfree.named import Label, leaves
+from slipfree.named import Label, leaves, pack
 from slipfree.vehicle.chain import Coordinate, Vehicle
 
-SlipLaw = Literal["least", "rolling"]
+SlipLaw = Literal["least", "rolling", "traction"]
 HEADING = Label("heading", "rad", "counter-clockwise angle of the forward axis from the y axis")
 ROLL = Label("roll", "rad", "angle about the forward axis, right side down positive")
 PITCH = Label("pitch", "rad", "angle about the right axis, nose up positive")
+ALONG = "force_along", "N", "force of the ground on the wheel along it, forward positive"
+ACROSS = "force_across", "N", "force of the ground on the wheel across it, to the right positive"
+NORMAL = "force_normal", "N", "force of the ground on the wheel along the normal"
+TRACTION = (
+    NORMAL,
+    ("friction_used_along", "1", "part of the friction that is used along the wheel"),
+    ("friction_used_across", "1", "part of the friction that is used across the wheel"),
+)
 
 
 class Configuration(NamedTuple):
@@ -45,9 +55,11 @@ class Dependent(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Rates of all that is not commanded, and the multipliers of the contacts. [m/s, rad/s].
+    """Rates of all that is not commanded, and what the law of slip needs with them. [m/s, rad/s].
 
     ``passive`` are those of the passive coordinates, ``free`` those of the wheels without drive.
+    With least slip, ``multipliers`` are those of the contacts [m/s]. With traction, ``normal`` are
+    the normal forces [N], ``along`` and ``across`` the parts of the friction that are used [1].
     """
 
     x: Any
@@ -60,13 +72,41 @@ class Rates(NamedTuple):
     passive: tuple[Any, ...]
     free: tuple[Any, ...]
     multipliers: tuple[Any, ...]
+    normal: tuple[Any, ...] = ()
+    along: tuple[Any, ...] = ()
+    across: tuple[Any, ...] = ()
+
+    @property
+    def motion(self) -> tuple[Any, ...]:
+        """The rates alone."""
+        return tuple(self[: self._fields.index("multipliers")])
+
+
+class Forces(NamedTuple):
+    """Forces of the ground on the wheels, where they follow from the motion. [N].
+
+    ``virtual`` are the virtual rates that distribute them, if equilibrium alone does not: the
+    contact forces are then friction for these rates. [1, 1/m]
+    """
+
+    along: tuple[Any, ...] = ()
+    across: tuple[Any, ...] = ()
+    normal: tuple[Any, ...] = ()
+    virtual: tuple[Any, ...] = ()
+
+    @property
+    def column(self) -> ca.SX:
+        """The forces as a column: along, across, normal, wheel by wheel."""
+        wheels = zip(self.along, self.across, self.normal, strict=True)
+        return pack(tuple(wheels))
 
 
 class Algebraic(NamedTuple):
-    """Algebraic unknowns in the two blocks that determine them."""
+    """Algebraic unknowns in the blocks that determine them."""
 
     position: Dependent
     rates: Rates
+    forces: Forces
 
 
 class Inputs(NamedTuple):
@@ -76,10 +116,32 @@ class Inputs(NamedTuple):
     joints: tuple[Any, ...]
 
 
-class Angles(NamedTuple):
-    """Quadratures: the angles through which the wheels have turned. [rad]."""
+class Totals(NamedTuple):
+    """Quadratures: angles through which the wheels have turned, work of the drives. [rad, J].
+
+    ``work`` is empty if the vehicle has no mass.
+    """
 
     wheels: tuple[Any, ...]
+    work: tuple[Any, ...]
+
+
+class ForceOutputs(NamedTuple):
+    """What a vehicle with mass bears, and what holds it.
+
+    ``along`` and ``across`` are the tangential forces, where they are no unknowns.
+    """
+
+    along: tuple[Any, ...]
+    across: tuple[Any, ...]
+    friction_needed: tuple[Any, ...]
+    utilisation: tuple[Any, ...]
+    drive_torque: tuple[Any, ...]
+    joint_effort: tuple[Any, ...]
+    power: Any
+    dissipation: Any
+    potential_energy: Any
+    tip_over_margin: Any
 
 
 class Outputs(NamedTuple):
@@ -100,6 +162,7 @@ class Outputs(NamedTuple):
     psi: tuple[Any, ...]
     yaw: Any
     quaternion: tuple[Any, ...]
+    forces: ForceOutputs | tuple[()]
 
 
 def kept(vehicle: Vehicle) -> tuple[str, ...]:
@@ -113,7 +176,8 @@ def labels_of(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     Raises
     ------
     ModelError
-        If ``slip`` is rolling and the vehicle has too few or too many freedoms for it.
+        If ``slip`` is rolling and the vehicle has too few or too many freedoms for it, or traction
+        and it has no mass.
     """
     rates = _rate_labels(vehicle, slip)
     x = Configuration(
@@ -140,11 +204,14 @@ def labels_of(vehicle: Vehicle, slip: SlipLaw) -> Labels:
         tuple(_rate(vehicle, c) for c in vehicle.of("commanded")),
     )
     words = "angle through which the wheel has turned"
-    q = Angles(_each(vehicle, "wheel_angle", "rad", words))
+    work = Label("work", "J", "work of the drives and actuators")
+    q = Totals(_each(vehicle, "wheel_angle", "rad", words), (work,) if vehicle.mass else ())
     closures = _components(vehicle, "closure", "m", "contact condition")
     balance = _balance_labels(vehicle, rates, slip)
-    y = _output_labels(vehicle)
-    return Labels(x, Algebraic(position, rates), q, u, y, (closures, balance))
+    y = _output_labels(vehicle, slip)
+    forces, equilibrium = _force_labels(vehicle, rates, slip)
+    z = Algebraic(position, rates, forces)
+    return Labels(x, z, q, u, y, (closures, balance, equilibrium))
 
 
 def _each(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
@@ -180,6 +247,7 @@ def _rate_labels(vehicle: Vehicle, slip: SlipLaw) -> Rates:
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     words = "multiplier of the contact in the least-slip condition"
     multipliers = _each(vehicle, "multiplier", "m s-1", words) if slip == "least" else ()
+    forces = [_each(vehicle, *each) for each in TRACTION] if slip == "traction" else []
     return Rates(
         velocity[0],
         velocity[1],
@@ -191,7 +259,45 @@ def _rate_labels(vehicle: Vehicle, slip: SlipLaw) -> Rates:
         tuple(_rate(vehicle, c) for c in vehicle.of("passive")),
         tuple(_turning(name, f"the free wheel {name}") for name in free),
         multipliers,
+        *forces,
     )
+
+
+def _force_labels(
+    vehicle: Vehicle, rates: Rates, slip: SlipLaw
+) -> tuple[Forces, tuple[Label, ...]]:
+    """Return the labels of the forces that follow from a motion, and of their equations."""
+    if not vehicle.mass or slip == "traction":
+        return Forces(), ()
+    equilibrium = _equilibrium_labels(rates)
+    along, across, normal = (_each(vehicle, *each) for each in (ALONG, ACROSS, NORMAL))
+    if is_determinate(vehicle):
+        return Forces(along, across, normal), equilibrium
+    virtual = tuple(
+        Label(
+            f"virtual_{each.name}", "1" if "m s-1" in each.unit else "m-1", f"virtual {each.words}"
+        )
+        for each in leaves(rates.motion)
+    )
+    shared = _components(vehicle, "distribution", "1", "law that distributes the forces")
+    return Forces(along, across, normal, virtual), (*equilibrium, *shared)
+
+
+def is_determinate(vehicle: Vehicle) -> bool:
+    """Return whether equilibrium alone determines the contact forces, three a wheel."""
+    free = sum(not wheel.driven for wheel in vehicle.wheels)
+    wheels, others = len(vehicle.wheels), len(vehicle.of("passive")) + free
+    return others == 2 * wheels - 3
+
+
+def _equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
+    """Return the labels of the equations of equilibrium, one for each rate."""
+    return tuple(
+        Label(f"equilibrium_{label.name.removesuffix('_rate')}",
+              "1" if label.unit == "m s-1" else "m",
+              f"equilibrium with respect to {label.words.removeprefix('rate of ')}")
+        for label in leaves(rates.motion)
+    )  # fmt: skip
 
 
 def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Label, ...]:
@@ -201,6 +307,11 @@ def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Labe
             Label("least_slip", "m s-1", f"least slip with respect to {label.full}")
             for label in leaves(rates)
         )
+    if slip == "traction":
+        touching = _each(vehicle, "touching", "m s-1", "normal velocity of the contact point")
+        friction = [_each(vehicle, f"friction_{axis}", "m s-1", f"law of friction {axis} the wheel")
+                    for axis in ("along", "across")]  # fmt: skip
+        return (*_equilibrium_labels(rates), *touching, *friction[0], *friction[1])
     given, needed = len(rates.passive) + len(rates.free), 2 * len(vehicle.wheels) - 3
     if given != needed:
         raise ModelError(
@@ -210,7 +321,7 @@ def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Labe
     return _components(vehicle, "no_slip", "m s-1", "slip")
 
 
-def _output_labels(vehicle: Vehicle) -> Outputs:
+def _output_labels(vehicle: Vehicle, slip: SlipLaw) -> Outputs:
     def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
         return _each(vehicle, name, unit, words)
 
@@ -231,5 +342,30 @@ def _output_labels(vehicle: Vehicle) -> Outputs:
         tuple(
             Label(f"quaternion_{axis}", "1", f"{axis} of the platform's quaternion (x forward)")
             for axis in "xyzw"
+        ),
+        _force_output_labels(vehicle, slip) if vehicle.mass else (),
+    )
+
+
+def _force_output_labels(vehicle: Vehicle, slip: SlipLaw) -> ForceOutputs:
+    def effort(name: str, words: str) -> Label:
+        turns = vehicle.unit(name) == "rad"
+        kind, unit = ("torque", "N m") if turns else ("force", "N")
+        return Label(f"{name}_{kind}", unit, f"{kind} of the actuator of {words}")
+
+    return ForceOutputs(
+        _each(vehicle, *ALONG) if slip == "traction" else (),
+        _each(vehicle, *ACROSS) if slip == "traction" else (),
+        _each(vehicle, "friction_needed", "1", "tangential over normal force"),
+        _each(vehicle, "utilisation", "1", "friction that is needed over what the ground offers"),
+        _each(vehicle, "drive_torque", "N m", "torque of the wheel's drive, forward positive"),
+        tuple(effort(c.name, c.words) for c in vehicle.of("commanded")),
+        Label("power", "W", "power of the drives and actuators"),
+        Label("dissipation", "W", "power lost by friction in the contacts and by dampers"),
+        Label(
+            "potential_energy", "J", "energy of height, from the ground's origin, and of springs"
+        ),
+        Label(
+            "tip_over_margin", "rad", "angle by which gravity may lean before the vehicle tips over"
         ),
     )

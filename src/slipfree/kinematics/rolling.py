@@ -9,6 +9,7 @@ from slipfree.contact.closure import Touch, closure, touch
 from slipfree.dae import Dae, Labels
 from slipfree.geometry.frame import Pose
 from slipfree.kinematics.model import (
+    at_rest,
     balance,
     carriers,
     contact_limits,
@@ -21,24 +22,30 @@ from slipfree.kinematics.model import (
 )
 from slipfree.kinematics.records import (
     Algebraic,
-    Angles,
     Configuration,
     Dependent,
     Inputs,
     Outputs,
     SlipLaw,
+    Totals,
     labels_of,
 )
 from slipfree.kinematics.slip import slip_velocity
-from slipfree.named import leaves, pack, symbols
+from slipfree.kinematics.statics import loads, mechanics
+from slipfree.kinematics.traction import Traction, check_traction, friction_law
+from slipfree.named import pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.chain import Vehicle
 
 
 def direct_kinematics(
-    vehicle: Vehicle, terrain: Terrain, *, slip: SlipLaw = "least"
-) -> Dae[Configuration, Algebraic, Angles, Inputs, Outputs]:
-    """Return the motion of a vehicle over a ground under given rates, with the least slip.
+    vehicle: Vehicle,
+    terrain: Terrain,
+    *,
+    slip: SlipLaw = "least",
+    traction: Traction = Traction(),  # noqa: B008 - a frozen record
+) -> Dae[Configuration, Algebraic, Totals, Inputs, Outputs]:
+    """Return the motion of a vehicle over a ground under given rates.
 
     Positions follow from closure: every wheel touches the ground, three equations in its two
     contact coordinates and the pose. Rates follow from the least slip that closure allows; if the
@@ -50,9 +57,12 @@ def direct_kinematics(
         The vehicle.
     terrain : Terrain
         The ground; contacts keep to its domain.
-    slip : {"least", "rolling"}
+    slip : {"least", "rolling", "traction"}
         Least slip, for every vehicle; or none at all, for those whose passive joints and free
-        wheels are as many as the conditions, ``2 n_wheels - 3``.
+        wheels are as many as the conditions, ``2 n_wheels - 3``; or what friction makes of gravity
+        and drives, quasi-statically, for vehicles with mass on ground with friction.
+    traction : Traction
+        The law of friction for the last of them.
 
     Returns
     -------
@@ -62,8 +72,17 @@ def direct_kinematics(
     Raises
     ------
     ModelError
-        If the vehicle has too few or too many freedoms to roll without slip and that is asked.
+        If the vehicle has too few or too many freedoms to roll without slip and that is asked, or
+        traction of a vehicle without mass or on a ground without friction.
+
+    Notes
+    -----
+    Of a vehicle with mass, forces are outputs. In the first two laws they follow from the motion;
+    where equilibrium leaves some of them open, they are the load-weighted ones of
+    `slipfree.kinematics.statics.following_forces`.
     """
+    if slip == "traction":
+        check_traction(vehicle, terrain, traction)
     labels = labels_of(vehicle, slip)
     x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
     poses = carriers(vehicle, x, z.position)
@@ -78,15 +97,28 @@ def direct_kinematics(
              for pose, contact, spin in zip(poses, contacts, turning, strict=True)]  # fmt: skip
     touching = touch_function(x, z, poses, contacts)
     scale, shift = sizes(vehicle, terrain, labels)
+    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u)
+    law = (
+        friction_law(vehicle, traction, parts, contacts, slips, (x, z, u))
+        if slip == "traction"
+        else None
+    )
+    forces = law.forces if law else z.forces
+    bears = loads(vehicle, terrain, parts, forces, slips, contacts, (x, z.position, u))
+    equations = law.equations if law else balance(slip, slips, contacts, z.rates)
     return Dae(
         t, x, z, symbols(labels.q), u,
         ode=ca.vertcat(z.rates.x, z.rates.y, z.rates.heading, *joints),
-        alg=(_closures(vehicle, x, z.position, poses, contacts),
-             balance(slip, slips, contacts, z.rates)),
-        quad=ca.vertcat(*turning),
-        y=outputs(terrain, poses, contacts, slips, turning, x, z),
+        alg=(_closures(vehicle, x, z.position, poses, contacts), equations, bears.equations),
+        quad=ca.vertcat(*turning, *bears.work),
+        y=outputs(terrain, poses, contacts, slips, turning, x, z, bears.outputs),
         labels=labels,
-        limits=(*stops(vehicle, x, z), *contact_limits(vehicle, terrain, contacts)),
+        limits=(
+            *stops(vehicle, x, z),
+            *contact_limits(vehicle, terrain, contacts),
+            *bears.limits,
+            *(law.limits if law else ()),
+        ),
         checks=tuple(
             SecondTouch(terrain, wheel, pose)
             for wheel, pose in zip(vehicle.wheels, touching, strict=True)
@@ -94,6 +126,8 @@ def direct_kinematics(
         guess=_guess(vehicle, terrain, x, labels),
         scale=scale,
         shift=shift,
+        suppress_algebraic=law is not None,  # rates with friction are too steep for an error test
+        easing=law.easing if law else None,
     )  # fmt: skip
 
 
@@ -129,5 +163,5 @@ def _guess(vehicle: Vehicle, terrain: Terrain, x: Configuration, labels: Labels)
     ]
     places = [c[:2] for c in centers]
     rest = ca.SX.zeros(len(level.suspension) + 2)
-    rates = ca.SX.zeros(len(list(leaves(labels.z.rates))))
-    return ca.densify(ca.vertcat(sum(lifts) / len(lifts), rest, *places, rates))
+    others = at_rest(vehicle, labels.z[1:])
+    return ca.densify(ca.vertcat(sum(lifts) / len(lifts), rest, *places, others))

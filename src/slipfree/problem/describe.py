@@ -36,7 +36,7 @@ def tree(vehicle: Vehicle) -> list[str]:
 def counts(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Facts:
     """Return what decides the motion: unknowns and equations, named and counted."""
     wheels = len(vehicle.wheels)
-    position, rates = dae.labels.z
+    position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     passive = [c.name for c in vehicle.of("passive")]
     given, needed = len(passive) + len(free), 2 * wheels - 3

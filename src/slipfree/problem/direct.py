@@ -12,8 +12,10 @@ from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow, straight
 from slipfree.kinematics.montana import montana_kinematics
 from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.kinematics.traction import Traction
 from slipfree.problem import schema
 from slipfree.problem.ground import at, build_ground
+from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import (
     Setup,
     build_start,
@@ -35,8 +37,12 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
         vehicle = build_vehicle(spec.vehicle)
     terrain = build_terrain(problem, ground)
     dae: Dae[Any, Any, Any, Any, Any]
+    if spec.traction is not None and spec.slip != "traction":
+        where = problem.source.where(("traction",))
+        raise ProblemError(f"{where}: traction: expected slip = 'traction', found {spec.slip!r}")
+    law = Traction(**dict(spec.traction or schema.Traction()))
     with at(problem, ("slip",)):
-        model = dae = direct_kinematics(vehicle, terrain, slip=spec.slip)
+        model = dae = direct_kinematics(vehicle, terrain, slip=spec.slip, traction=law)
     check_names(problem, dae, spec.inputs)
     start = build_start(problem, dae)
     t, rates = samples(spec.time, spec.inputs or {})
@@ -50,7 +56,7 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
     else:
         driven = f"driver {spec.driver.name}"
         inputs = build_law(problem, spec.driver, dae, vehicle, start)
-    return Setup(ground, vehicle, model, dae, start, inputs, t, driven)
+    return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven)
 
 
 def build_law(

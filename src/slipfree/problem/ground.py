@@ -15,6 +15,7 @@ from slipfree.problem.read import Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.terrain.base import Grid
 from slipfree.terrain.dem import jacksboro, read_grid
+from slipfree.terrain.friction import check_friction
 from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
 
@@ -32,11 +33,17 @@ class Ground(NamedTuple):
         Where it comes from, in words.
     rolled : Rolled or None
         What was changed for the wheels, if that was asked for.
+    mu : float, Grid or None
+        Coefficient of friction, or a map of it. [1]
+    friction : str
+        The same in words; empty if there is none.
     """
 
     grid: Grid
     source: str
     rolled: Rolled | None
+    mu: float | Grid | None
+    friction: str
 
 
 @contextmanager
@@ -60,12 +67,13 @@ def build_ground(problem: Problem[S]) -> Ground:
     if spec.window is not None:
         with at(problem, ("terrain", "window")):
             grid = _cut(grid, spec.window)
+    mu, friction = _friction(problem)
     if spec.rolled is None:
-        return Ground(grid, source, None)
+        return Ground(grid, source, None, mu, friction)
     with at(problem, ("terrain", "rolled")):
         _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
         felt = rolled(grid, spec.rolled)
-    return Ground(felt.grid, source, felt)
+    return Ground(felt.grid, source, felt, mu, friction)
 
 
 def _cut(grid: Grid, window: tuple[float, float, float, float]) -> Grid:
@@ -97,6 +105,19 @@ def _source(problem: Problem[S]) -> tuple[Grid, str]:
         return jacksboro(spec.scale), "Jacksboro fault (sample of matplotlib)"
 
 
+def _friction(problem: Problem[S]) -> tuple[float | Grid | None, str]:
+    """Return the friction of the ground, and what to tell about it."""
+    name, scale = problem.spec.terrain.friction, problem.spec.terrain.scale
+    if not isinstance(name, str):
+        return name, "" if name is None else f"{name:g}"
+    with at(problem, ("terrain", "friction")):
+        grid = read_grid(problem.folder / name)
+        check_friction(grid)  # before it is scaled: the message gives places of the file
+    # Both files describe one place, so that both are scaled; coefficients have no length.
+    scaled = Grid(scale * grid.x, scale * grid.y, grid.z)
+    return scaled, f"{name}, {grid.z.min():g} to {grid.z.max():g}"
+
+
 def _synthetic(spec: schema.Synthetic) -> Grid:
     _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing)
     grid = blank(spec.x, spec.y, spec.spacing)
@@ -122,6 +143,8 @@ def ground_facts(ground: Ground) -> Facts:
         ("ground cell", f"{h_x:.4g} x {h_y:.4g} m"),
         ("ground height", f"{grid.z.min():.3f} to {grid.z.max():.3f} m"),
     ]
+    if ground.friction:
+        facts.append(("ground friction", ground.friction))
     if ground.rolled is not None:
         change = f"at most {ground.rolled.largest:.3g} m, rms {ground.rolled.rms:.3g} m"
         facts.append(("ground changed by rolled", change))

@@ -74,7 +74,9 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
         if not sought:
             start = moving(dae, start, inputs)
     driven = _words(spec, points)
-    return Setup(ground, vehicle, direct, dae, start, inputs, samples(spec.time, {})[0], driven)
+    return Setup(
+        ground, terrain, vehicle, direct, dae, start, inputs, samples(spec.time, {})[0], driven
+    )
 
 
 def _given(given: dict[str, float]) -> Iterator[Fault]:

@@ -21,7 +21,7 @@ from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalog import three_wheeler
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.chain import Vehicle, actuated
 
 CATALOG = {"three_wheeler": three_wheeler}
 NEAR = 1e-9  # times closer than this part of the duration are one
@@ -34,8 +34,8 @@ class Setup:
 
     Attributes
     ----------
-    ground, vehicle : Ground, Vehicle
-        What moves, and on what.
+    ground, terrain, vehicle : Ground, Bicubic, Vehicle
+        What moves, and on what, as data and as a surface.
     model, dae : Dae
         The closure model, which settles the start, and what is integrated.
     start : Trajectory
@@ -49,6 +49,7 @@ class Setup:
     """
 
     ground: Ground
+    terrain: Bicubic
     vehicle: Vehicle
     model: Dae[Any, Any, Any, Any, Any]
     dae: Dae[Any, Any, Any, Any, Any]
@@ -60,14 +61,14 @@ class Setup:
 
 def build_vehicle(spec: schema.Vehicle) -> Vehicle:
     """Return a vehicle of the catalogue."""
-    given = spec.model_dump(exclude_none=True, exclude={"catalog", "name"})
-    return CATALOG[spec.catalog](**given)
+    given = spec.model_dump(exclude_none=True, exclude={"catalog", "name", "actuated"})
+    return actuated(CATALOG[spec.catalog](**given), *spec.actuated)
 
 
 def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
     """Return the ground as a surface, in coordinates from the start."""
     start = problem.spec.start
-    return Bicubic(ground.grid, (start.get("x", 0.0), start.get("y", 0.0)))
+    return Bicubic(ground.grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
 
 
 def turned(problem: Problem[S]) -> float:
@@ -163,4 +164,7 @@ def vehicle_facts(vehicle: Vehicle) -> Facts:
     wheels = ", ".join(
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )
-    return [("vehicle", f"{vehicle.name}: {wheels}")]
+    facts = [("vehicle", f"{vehicle.name}: {wheels}")]
+    if vehicle.mass:
+        facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
+    return facts

@@ -7,7 +7,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from slipfree.errors import SolverError
+from slipfree.kinematics.hold import best_utilisation
 from slipfree.kinematics.montana import Difference, cross_check
+from slipfree.kinematics.records import is_determinate
 from slipfree.problem import schema
 from slipfree.problem.direct import build_direct
 from slipfree.problem.ground import at, ground_facts
@@ -70,6 +72,8 @@ def run(problem: Problem[schema.Motion], progress: Progress | None = None) -> Ou
             found = drive_along(setup, tolerance, progress)
         else:
             found = _integrated(setup, tolerance, progress)
+    if setup.vehicle.mass and not is_determinate(setup.vehicle):
+        found = best_utilisation(setup.vehicle, setup.terrain, found)
     attributes = {**found.attributes, **_attributes(problem, setup)}
     return Outcome(replace(finished(found), attributes=attributes), setup)
 

@@ -17,6 +17,7 @@ Radius = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=0)]
 # Arrays are read as tuples; what is in them stays strict.
 Pair = Annotated[tuple[float, float], Field(strict=False)]
+Place = Annotated[tuple[float, float, float], Field(strict=False)]
 Column = Annotated[tuple[float, ...], Field(strict=False)]
 Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
@@ -100,8 +101,17 @@ class Synthetic(Record):
     placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = ()
 
 
+def _friction(value: Any) -> float | str:
+    """Return a coefficient of friction, or the name of a file that holds a map of it."""
+    if isinstance(value, str) and value:
+        return value
+    if _is_number(value) and value > 0:
+        return float(value)
+    raise PydanticCustomError("expected", "a number greater than 0, or a file's name in quotes")
+
+
 class Terrain(Record):
-    """The ground: a file, the sample that matplotlib ships, or a made one."""
+    """The ground: a file, the sample that matplotlib ships, or a made one; and its friction."""
 
     file: str | None = None
     sample: Literal["jacksboro"] | None = None
@@ -109,6 +119,7 @@ class Terrain(Record):
     scale: Length = 1.0
     window: Window | None = None
     rolled: Length | None = None
+    friction: Annotated[float | str | None, PlainValidator(_friction)] = None
 
 
 class Vehicle(Record):
@@ -122,6 +133,14 @@ class Vehicle(Record):
     r2: Radius | None = None
     tilt_stop: Length | None = None
     slide_stop: Length | None = None
+    stiffness: Radius | None = None
+    damping: Radius | None = None
+    bump: Radius | None = None
+    mass: Radius | None = None
+    center_of_mass: Place | None = None
+    wheel_mass: Radius | None = None
+    grip: Length | None = None
+    actuated: Annotated[tuple[str, ...], Field(strict=False)] = ()
 
 
 def _not_zero(value: float) -> float:
@@ -177,6 +196,13 @@ class Motion(Task):
     output: Output | None = None
 
 
+class Traction(Record):
+    """The law of friction."""
+
+    creep: Length = 1e-4
+    reserve: Radius = 0.0
+
+
 class Direct(Motion):
     """Direct kinematics: given rates, or a driving law; the motion is asked for."""
 
@@ -184,7 +210,8 @@ class Direct(Motion):
     inputs: dict[str, Rate] | None = None
     driver: Driver | None = None
     formulation: Literal["closure", "montana"] = "closure"
-    slip: Literal["least", "rolling"] = "least"
+    slip: Literal["least", "rolling", "traction"] = "least"
+    traction: Traction | None = None
 
 
 class Path(Record):

@@ -17,7 +17,8 @@ Facts = list[tuple[str, str]]
 def motion_facts(run: Trajectory) -> Facts:
     """Return name and value of what matters about a motion, ready to print."""
     return [
-        *_way(run), *_inverse(run), *_slip(run), *_tilt(run), *_trust(run), *_cost(run), *_end(run)
+        *_way(run), *_inverse(run), *_slip(run), *_tilt(run), *_forces(run), *_trust(run),
+        *_cost(run), *_end(run),
     ]  # fmt: skip
 
 
@@ -73,7 +74,10 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _slip(run: Trajectory) -> Iterator[tuple[str, str]]:
-    yield "least slip", "what kinematics allows: a lower bound, not a prediction"
+    if "friction_used_along" in run.columns:
+        yield "slip", "a quasi-static prediction: Coulomb friction, regularised by creep"
+    else:
+        yield "least slip", "what kinematics allows: a lower bound, not a prediction"
     for wheel in run.wheels:
         along, across = run["slip_along", wheel], run["slip_across", wheel]
         rms = np.sqrt(np.mean(along**2 + across**2))
@@ -92,6 +96,40 @@ def _tilt(run: Trajectory) -> Iterator[tuple[str, str]]:
         if name.startswith("tilt_") and not name.endswith(("_rate", "_stop"))
     }
     yield "largest angles", ", ".join(f"{name} {value:.4g} rad" for name, value in largest.items())
+
+
+def _forces(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield what the motion takes of the ground and of the drives, quasi-statically."""
+    if "utilisation" not in run.columns:
+        return
+    yield "friction", friction_words(run)
+    if "utilisation_best" in run.columns:
+        best = run["utilisation_best"]
+        k = int(best.argmax())
+        yield "  best distribution", f"{best[k]:.4g} at most (t = {run.t[k]:.4g} s)"
+    normal, margin = run["force_normal"], run["tip_over_margin"]
+    yield "normal forces", f"{normal.min():.4g} to {normal.max():.4g} N"
+    yield "tip-over margin", f"{margin.min():.4g} rad at least"
+    torque = np.abs(run["drive_torque"]).max()
+    gained = run["potential_energy"][-1] - run["potential_energy"][0]
+    yield (
+        "drives",
+        f"torque {torque:.4g} N m at most, power {run['power'].max():.4g} W at most, work "
+        f"{run['work'][-1] - run['work'][0]:.6g} J, potential energy gained {gained:.6g} J",
+    )
+
+
+def friction_words(run: Trajectory) -> str:
+    """Return the largest use of friction, where and when, and what it means."""
+    used = run["utilisation"]
+    k, i = np.unravel_index(int(used.argmax()), used.shape)
+    where = f"at most (wheel {run.wheels[i]}, t = {run.t[k]:.4g} s)"
+    value = f"{used[k, i]:.4g}"
+    if "ground_friction" not in run.attributes:
+        return f"coefficient needed {value} {where}; the ground's is not given"
+    words = f"utilisation {value} {where}, of a coefficient of {run.attributes['ground_friction']}"
+    spread = " in the load-weighted distribution" if "utilisation_best" in run.columns else ""
+    return f"{words}{spread}" + ("" if used[k, i] <= 1 else "; friction does not hold this motion")
 
 
 def _trust(run: Trajectory) -> Iterator[tuple[str, str]]:

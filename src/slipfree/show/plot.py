@@ -8,7 +8,7 @@ Angles are drawn in radians, with degrees on a second axis.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,54 +17,29 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backend_bases import FigureCanvasBase
-from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
-from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import map_coordinates
 
 from slipfree.contact.certify import NONE
 from slipfree.errors import ModelError
 from slipfree.named import Array
+from slipfree.show import relief, style
+from slipfree.show.load import load_figures
+from slipfree.show.relief import HEATMAP, Window
+from slipfree.show.style import COLUMN, DPI, FLAT, MM, PAGE, PLATFORM, STOPPED, STYLE
 from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
 
-MM = 1 / 25.4  # [in]
-COLUMN, PAGE = 120 * MM, 180 * MM  # widths of the figures [in]
-STYLE = {
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "legend.fontsize": 7,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 1.2,
-    "legend.frameon": False,
-    "legend.handlelength": 1.8,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-}
-DPI = 200
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
-DASHES = ("-", "--", ":", "-.")  # for lines beyond the palette
-PLATFORM = "black"
-STOPPED = "#D55E00"
 HEIGHTS = "cividis"
-HEATMAP = 600  # samples of a drawn map along an axis
 MESH = 72  # of a drawn surface
-LARGE = 1e4  # map coordinates beyond this count from a round one [m]
 ROUNDING = 1e-9  # slip below this is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
-FLAT = 1e-3  # least range of heights and angles that is drawn [m, rad]
-DIGITS = 9  # to which drawn heights are rounded, so that flat ground looks flat [m]
 STILL = 1e-9  # a joint that moves less stays where it is [rad]
 NEAR = 0.6  # a path that takes up less than this of the map is drawn again, larger
 RELIEF = (0.22, 0.6)  # height of a drawn surface as a part of its width
-POSE = ("heading", "roll", "pitch", "yaw")  # angles that are not joints
+POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
 CHECKS = {
     "closure_residual": "log",
     "newton_step": "log",
@@ -72,8 +47,6 @@ CHECKS = {
     "clearance": "linear",
     "relative_curvature": "linear",
 }
-
-Window = tuple[float, float, float, float]
 
 
 def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
@@ -88,34 +61,21 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
     window : tuple of 4 floats, optional
         ``x_min, x_max, y_min, y_max`` of the part to draw; the whole by default. [m]
     """
-    window = window or _whole(grid)
-    x, y, z = _patch(grid, window, HEATMAP)
-    dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
-    place: dict[str, Any] = {
-        "extent": (x[0] - dx / 2, x[-1] + dx / 2, y[0] - dy / 2, y[-1] + dy / 2),
-        "origin": "lower",
-        "interpolation": "bilinear",
-    }
-    heights = ax.imshow(z.T, **_colours(z), **place)
-    light = LightSource(azdeg=315, altdeg=45).hillshade(z.T, dx=dx, dy=dy)
-    shade = np.zeros((*light.shape, 4))
-    shade[..., 3] = 0.4 * (1 - light)
-    ax.imshow(shade, **place)
+    x, y, z = relief.patch(grid, window or relief.whole(grid), HEATMAP)
+    heights = ax.imshow(z.T, **_colours(z), **relief.extent(x, y))
+    relief.shade(x, y, z, ax)
     if np.ptp(z) > 0:
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
-    ax.set(xlim=window[:2], ylim=window[2:], aspect="equal")
     bar = ax.figure.colorbar(heights, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)))
     bar.set_label("height $z$ [m]")
-    bar.locator, bar.formatter = _ticks(6), ScalarFormatter(useOffset=False)
-    _place_axis(ax.xaxis, "x", window[0])
-    _place_axis(ax.yaxis, "y", window[2])
+    bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:
     """Draw the way of the platform's centre in plan: direction, start, end, and why it ended."""
     x, y = run["x"], run["y"]
-    ax.plot(x, y, color=PLATFORM, label="platform", path_effects=_halo(2.4), zorder=3)
+    ax.plot(x, y, color=PLATFORM, label="platform", path_effects=style.halo(2.4), zorder=3)
     for at, way in _directions(x, y, float(np.ptp(ax.get_xlim()))):
         ax.plot(*at, marker=(3, 0, way), ms=6, mfc=PLATFORM, mec="white", mew=0.6, zorder=4)
     marks: dict[str, Any] = {"ls": "none", "mec": "black", "ms": 5, "zorder": 5}
@@ -132,7 +92,14 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
     """Draw the tracks of the contact points in plan, one line a wheel."""
     for k, wheel in enumerate(run.wheels):
         u, v = run["contact_x", wheel], run["contact_y", wheel]
-        ax.plot(u, v, lw=1, label=f"contact {_words(wheel)}", path_effects=_halo(1.8), **_look(k))
+        ax.plot(
+            u,
+            v,
+            lw=1,
+            label=f"contact {style.words(wheel)}",
+            path_effects=style.halo(1.8),
+            **style.look(k),
+        )
     return ax
 
 
@@ -149,17 +116,17 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
         From ``figure.add_subplot(projection="3d")``. The heights are enlarged where the relief is
         low; the label of the axis says by how much.
     """
-    window = _window(run, grid, pad=0.4)
-    x, y, z = _patch(grid, window, MESH)
+    window = relief.around(run, grid, pad=0.4)
+    x, y, z = relief.patch(grid, window, MESH)
     ax.computed_zorder = False
     ax.plot_surface(
         *np.meshgrid(x, y, indexing="ij"), z, **_colours(z), rcount=MESH, ccount=MESH,
         linewidth=0.12, edgecolor=(0, 0, 0, 0.3), zorder=1, clip_on=False,
     )  # fmt: skip
-    over: dict[str, Any] = {"zorder": 3, "clip_on": False, "path_effects": _halo(2.2)}
+    over: dict[str, Any] = {"zorder": 3, "clip_on": False, "path_effects": style.halo(2.2)}
     for k, wheel in enumerate(run.wheels):
         at = [run[f"contact_{axis}", wheel] for axis in "xyz"]
-        ax.plot(*at, label=f"contact {_words(wheel)}", **_look(k), **over)
+        ax.plot(*at, label=f"contact {style.words(wheel)}", **style.look(k), **over)
     ax.plot(*(run[axis] for axis in "xyz"), color=PLATFORM, label="platform", **over)
     low, high = min(z.min(), run["contact_z"].min()), max(z.max(), run["z"].max())
     width = max(np.ptp(x), np.ptp(y))
@@ -169,35 +136,35 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
     ax.view_init(elev=38, azim=-60)
     times, starts = drawn / (high - low), (window[0], window[2], low)
     for axis, name, start in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", starts, strict=True):
-        _place_axis(axis, name, start)
+        style.place_axis(axis, name, start)
         axis.labelpad = 7
     if abs(times - 1) > 0.05:
         ax.set_zlabel(f"{ax.get_zlabel()}, {times:.2g}:1")
-    ax.zaxis.set_major_locator(_ticks(3))
+    ax.zaxis.set_major_locator(style.ticks(3))
     return ax
 
 
 def history(run: Trajectory, name: str, ax: Axes) -> Axes:
     """Draw any quantity over time, one line a wheel where it belongs to the wheels."""
     values = run[name]
-    unit = _unit(run.columns[name].label.unit)
+    unit = style.unit(run.columns[name].label.unit)
     for k, wheel in enumerate(run.wheels if values.ndim == 2 else ()):
-        ax.plot(run.t, values[:, k], label=_words(wheel), **_look(k))
+        ax.plot(run.t, values[:, k], label=style.words(wheel), **style.look(k))
     if values.ndim == 1:
-        ax.plot(run.t, values, color=PLATFORM, label=_words(name))
-    ax.set_ylabel(f"{_words(name)} [{unit}]")
-    return _time_axis(run, ax)
+        ax.plot(run.t, values, color=PLATFORM, label=style.words(name))
+    ax.set_ylabel(f"{style.words(name)} [{unit}]")
+    return style.time_axis(run, ax)
 
 
 def tilts(run: Trajectory, ax: Axes) -> Axes:
     """Draw the angles of the joints over time: all tilts, and what else moves."""
     angles = [n for n in _joints(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
     for k, name in enumerate(angles):
-        ax.plot(run.t, run[name], label=_words(name), **_look(k))
+        ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
     if not angles:
-        _remark(ax, "no joint moves")
+        style.remark(ax, "no joint moves")
     ax.set_ylabel("joint angle [rad]")
-    return _time_axis(run, _degrees(ax))
+    return style.time_axis(run, style.degrees(ax))
 
 
 def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
@@ -217,14 +184,14 @@ def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
     for what, words, more in (("contact", "contact", broad), ("center", "centre", fine)):
         for k, wheel in enumerate(run.wheels):
             at = [run[f"{what}_{axis}", wheel] for axis in view]
-            ax.plot(*at, label=f"{words} {_words(wheel)}", **_look(k) | more)
+            ax.plot(*at, label=f"{words} {style.words(wheel)}", **style.look(k) | more)
     ax.plot(run[a], run[b], color=PLATFORM, label="platform")
     for k in (0, -1):
         for wheel in run.wheels:
             ends = [[run[n][k], run[f"center_{n}", wheel][k]] for n in view]
             ax.plot(*ends, color="0.55", lw=0.6, zorder=1)
     for axis, name in ((ax.xaxis, a), (ax.yaxis, b)):
-        _place_axis(axis, name, float(run[name].min()))
+        style.place_axis(axis, name, float(run[name].min()))
     if "z" not in view:
         ax.set_aspect("equal", adjustable="datalim")
     return ax
@@ -234,9 +201,9 @@ def elevation(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     """Draw heights over the distance driven: platform, contacts, ground below the platform."""
     s = _distance(run)
     for k, wheel in enumerate(run.wheels):
-        ax.plot(s, run["contact_z", wheel], label=f"contact {_words(wheel)}", **_look(k))
+        ax.plot(s, run["contact_z", wheel], label=f"contact {style.words(wheel)}", **style.look(k))
     ax.plot(s, run["z"], color=PLATFORM, label="platform")
-    below = _height(grid, run["x"], run["y"])
+    below = relief.height(grid, run["x"], run["y"])
     ax.plot(s, below, color="0.6", lw=0.9, label="ground below the platform", zorder=1)
     ax.set(xlabel="distance driven [m]", ylabel="height $z$ [m]")
     return ax
@@ -247,16 +214,16 @@ def slope(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
 
     The slope is taken over two spacings of the grid.
     """
-    s, step = _distance(run), max(_spacing(grid))
+    s, step = _distance(run), max(relief.spacing(grid))
     east, north = -np.sin(run["heading"]) * step, np.cos(run["heading"]) * step
     ahead, behind = (
-        _height(grid, run["x"] + way * east, run["y"] + way * north) for way in (1, -1)
+        relief.height(grid, run["x"] + way * east, run["y"] + way * north) for way in (1, -1)
     )
     rise = np.arctan2(ahead - behind, 2 * step)
     ax.plot(s, rise, color="0.6", lw=0.9, label="ground along the heading")
     ax.plot(s, run["pitch"], color=PLATFORM, label="pitch of the platform")
     ax.set(xlabel="distance driven [m]", ylabel="slope [rad]")
-    return _degrees(ax)
+    return style.degrees(ax)
 
 
 def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
@@ -276,12 +243,12 @@ def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
     if largest < ROUNDING:
         ax.plot(run.t, np.zeros(run.t.size), color="0.6", lw=0.6)
         ax.set(ylim=(-1, 1), yticks=[0])
-        _remark(ax, f"no slip: at most {largest:.0e} m/s, which is rounding")
+        style.remark(ax, f"no slip: at most {largest:.0e} m/s, which is rounding")
     else:
         for k, wheel in enumerate(run.wheels):
-            ax.plot(run.t, 1e3 * values[:, k], label=_words(wheel), **_look(k))
+            ax.plot(run.t, 1e3 * values[:, k], label=style.words(wheel), **style.look(k))
     ax.set_ylabel(f"slip {direction} the wheel [mm/s]")
-    return _time_axis(run, ax)
+    return style.time_axis(run, ax)
 
 
 def check(run: Trajectory, name: str, ax: Axes) -> Axes:
@@ -293,7 +260,7 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
     history(run, name, ax)
     ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
     if name == "clearance" and (run[name] >= NONE).all():
-        _remark(ax, "no second place\ncomes near the ground")
+        style.remark(ax, "no second place\ncomes near the ground")
     if CHECKS.get(name) == "log":
         for line in ax.lines:
             line.set_linewidth(0.8)
@@ -320,7 +287,8 @@ def figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
     Returns
     -------
     dict of str to Figure
-        ``map, terrain, tilts, loci, elevation, slip, checks``, 120 or 180 mm wide.
+        ``map, terrain, tilts, loci, elevation, slip, checks``, 120 or 180 mm wide; if the vehicle
+        has mass, also those of `slipfree.show.load.load_figures`.
 
     Raises
     ------
@@ -336,7 +304,7 @@ def figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
             "elevation": _elevation(run, grid),
             "slip": _slip(run),
             "checks": _checks(run),
-        }
+        } | load_figures(run, grid)
 
 
 def save_figures(
@@ -372,13 +340,13 @@ def save_figures(
 
 
 def _map(run: Trajectory, grid: Grid) -> Figure:
-    whole, window = _whole(grid), _window(run, grid, pad=0.15)
+    whole, window = relief.whole(grid), relief.around(run, grid, pad=0.15)
     spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
     ratio = spans[0][0] / spans[0][1]
     twice = max(spans[1][0] / spans[0][0], spans[1][1] / spans[0][1]) < NEAR
     rows, columns = (1, 1) if not twice else (2, 1) if ratio > 1.4 else (1, 2)
     panel = min((85 if columns == 1 else 58) * MM / ratio, 110 * MM)
-    figure = _figure(PAGE if columns == 2 else COLUMN, rows * (panel + 11 * MM) + 16 * MM)
+    figure = style.figure(PAGE if columns == 2 else COLUMN, rows * (panel + 11 * MM) + 16 * MM)
     panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for ax, part in zip(panels, (whole, window), strict=False):
         path(run, ground(grid, ax, part))
@@ -389,13 +357,13 @@ def _map(run: Trajectory, grid: Grid) -> Figure:
         panels[0].add_patch(Rectangle(corner, *size, **box, zorder=4))
         panels[0].set_title("whole ground")
         panels[1].set_title("around the path")
-    return _finished(figure, run, panels[-1:])
+    return style.finished(figure, run, panels[-1:])
 
 
 def _terrain(run: Trajectory, grid: Grid) -> Figure:
     figure = Figure(figsize=(COLUMN, 80 * MM))
     ax = terrain(run, grid, figure.add_subplot(projection="3d"))
-    _finished(figure, run, [ax])
+    style.finished(figure, run, [ax])
     return _filled(figure, ax)
 
 
@@ -426,143 +394,50 @@ def _seen(ax: Any) -> Any:
 
 
 def _tilts(run: Trajectory) -> Figure:
-    figure = _figure(COLUMN, 70 * MM)
-    return _finished(figure, run, [tilts(run, figure.subplots())])
+    figure = style.figure(COLUMN, 70 * MM)
+    return style.finished(figure, run, [tilts(run, figure.subplots())])
 
 
 def _loci(run: Trajectory) -> Figure:
-    figure = _figure(PAGE, 95 * MM)
+    figure = style.figure(PAGE, 95 * MM)
     plan, side = figure.subplots(1, 2, width_ratios=(1, 1))
     wide = np.ptp(run["x"]) >= np.ptp(run["y"])
     loci(run, plan).set_title("plan")
     loci(run, side, ("x" if wide else "y", "z"))
     side.set_title(f"from the {'south' if wide else 'east'}, heights not to scale")
-    return _finished(figure, run, [plan])
+    return style.finished(figure, run, [plan])
 
 
 def _elevation(run: Trajectory, grid: Grid) -> Figure:
-    figure = _figure(PAGE, 100 * MM)
+    figure = style.figure(PAGE, 100 * MM)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     elevation(run, grid, top).set_xlabel("")
     slope(run, grid, bottom).legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return _finished(figure, run, [top])
+    return style.finished(figure, run, [top])
 
 
 def _slip(run: Trajectory) -> Figure:
-    figure = _figure(PAGE, 72 * MM)
+    figure = style.figure(PAGE, 72 * MM)
     panels = list(figure.subplots(1, 2))
     for ax, direction in zip(panels, ("along", "across"), strict=True):
         slip(run, direction, ax)
     note = "The least slip that kinematics allows; on real ground friction decides."
-    return _finished(figure, run, panels, note)
+    return style.finished(figure, run, panels, note)
 
 
 def _checks(run: Trajectory) -> Figure:
-    figure = _figure(PAGE, 105 * MM)
+    figure = style.figure(PAGE, 105 * MM)
     panels = list(figure.subplots(2, 3).ravel())
     for ax, name in zip(panels, CHECKS, strict=False):
         check(run, name, ax)
         if run[name].ndim == 1:
             ax.lines[0].set_label("_")  # its axis says what it is
     panels[-1].set_axis_off()
-    return _finished(figure, run, panels[1:])
-
-
-def _figure(width: float, height: float) -> Figure:
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str = "") -> Figure:
-    """Put the legend of some axes on top, and below why the motion ended early."""
-    entries: dict[str, Any] = {}
-    for ax in legends:
-        handles, labels = ax.get_legend_handles_labels()
-        entries |= dict(zip(labels, handles, strict=True))
-    width = float(figure.get_figwidth())
-    if entries:
-        columns = _columns(list(entries), int(width * 18))
-        figure.legend(entries.values(), entries, loc="outside upper center", ncols=columns)
-    if run.stop is not None:
-        note = f"Stopped at t = {run.stop.t:.4g} s: {run.stop.words}\n{note}".strip()
-    if note:
-        lines = [textwrap.fill(line, int(width * 19)) for line in note.splitlines()]
-        figure.supxlabel("\n".join(lines), x=0.02, ha="left", fontsize=7, parse_math=False)
-    return figure
-
-
-def _columns(labels: list[str], room: int) -> int:
-    """Return the largest number of columns in which a legend fits so many characters."""
-    for columns in range(len(labels), 1, -1):
-        parts = np.array_split(np.array([len(label) for label in labels]), columns)
-        if sum(int(part.max()) + 8 for part in parts) <= room:
-            rows = -(-len(labels) // columns)
-            return -(-len(labels) // rows)
-    return 1
+    return style.finished(figure, run, panels[1:])
 
 
 def _colours(z: Array) -> dict[str, Any]:
     return {"cmap": HEIGHTS, "vmin": z.min(), "vmax": max(z.max(), z.min() + FLAT)}
-
-
-def _look(k: int) -> dict[str, Any]:
-    """Return colour and dashes of the k-th line."""
-    dashes = DASHES[k // len(PALETTE) % len(DASHES)]
-    return {"color": PALETTE[k % len(PALETTE)], "ls": dashes}
-
-
-def _halo(width: float) -> list[withStroke]:
-    return [withStroke(linewidth=width, foreground="white")]
-
-
-def _words(name: str) -> str:
-    return {"newton_step": "Newton step", "singular_value": "smallest singular value"}.get(
-        name, name.replace("_", " ")
-    )
-
-
-def _unit(unit: str) -> str:
-    """Return a unit as it is printed: ``m/s`` for ``m s-1``."""
-    parts = unit.split()
-    over = "".join(p for p in parts if not p.endswith("-1")) or "1"
-    return "/".join([over, *(p.removesuffix("-1") for p in parts if p.endswith("-1"))])
-
-
-def _remark(ax: Axes, words: str) -> None:
-    box = {"fc": "white", "ec": "none", "pad": 2}
-    ax.text(0.5, 0.6, words, transform=ax.transAxes, ha="center", va="center", bbox=box)
-
-
-def _place_axis(axis: Any, name: str, low: float) -> None:
-    """Label an axis of places from ``low`` on; large map coordinates count from a round one."""
-    start = 1000 * np.floor(low / 1000) if abs(low) >= LARGE else 0.0
-    words = {"x": "east $x$", "y": "north $y$", "z": "height $z$"}[name]
-    axis.set_label_text(f"{words} - {start:.0f} [m]" if start else f"{words} [m]")
-    axis.set_major_locator(_ticks(5))
-    axis.set_major_formatter(ScalarFormatter(useOffset=start or False))
-    axis.offsetText.set_visible(False)
-
-
-def _ticks(count: int) -> MaxNLocator:
-    return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
-
-
-def _time_axis(run: Trajectory, ax: Axes) -> Axes:
-    """Label the axis of time and mark when the motion stopped."""
-    ax.set_xlabel("time $t$ [s]")
-    ax.margins(x=0.02)
-    if run.stop is not None:
-        ax.axvline(run.stop.t, color=STOPPED, ls=":", lw=1)
-    return ax
-
-
-def _degrees(ax: Axes) -> Axes:
-    """Add a second axis in degrees on the right, and keep rounding from filling the first."""
-    low, high = ax.get_ylim()
-    room = max(FLAT - (high - low), 0.0) / 2
-    ax.set_ylim(low - room, high + room)
-    turned: tuple[Callable[[Any], Any], Callable[[Any], Any]] = (np.rad2deg, np.deg2rad)
-    ax.secondary_yaxis("right", functions=turned).set_ylabel("[deg]")
-    return ax
 
 
 def _joints(run: Trajectory) -> list[str]:
@@ -588,57 +463,3 @@ def _directions(x: Array, y: Array, width: float) -> list[tuple[tuple[float, flo
     u, v = np.interp(at, s, x), np.interp(at, s, y)
     ways = np.rad2deg(np.arctan2(u[0] - u[2], v[2] - v[0]))
     return [((u[1, k], v[1, k]), float(way)) for k, way in enumerate(ways)]
-
-
-def _whole(grid: Grid) -> Window:
-    return float(grid.x[0]), float(grid.x[-1]), float(grid.y[0]), float(grid.y[-1])
-
-
-def _spacing(grid: Grid) -> tuple[float, float]:
-    west, east, south, north = _whole(grid)
-    return (east - west) / (grid.x.size - 1), (north - south) / (grid.y.size - 1)
-
-
-def _window(run: Trajectory, grid: Grid, pad: float) -> Window:
-    """Return the part of the map around the contacts, shaped like the map unless that is narrow."""
-    west, east, south, north = _whole(grid)
-    sides = []
-    for name, low, high in (("x", west, east), ("y", south, north)):
-        at = np.concatenate([run[name], run[f"contact_{name}"].ravel()])
-        if at.max() < low or at.min() > high:
-            raise ModelError(
-                f"the motion is not on this ground: {name} is {at.min():.6g} to {at.max():.6g} m, "
-                f"the ground reaches from {low:.6g} to {high:.6g} m"
-            )
-        sides.append((float(at.min() + at.max()) / 2, float(np.ptp(at)) * (1 + 2 * pad), low, high))
-    ratio = float(np.clip((east - west) / (north - south), 0.5, 2.0))
-    width = max(sides[0][1], sides[1][1] * ratio)
-    window: list[float] = []
-    for (middle, _, low, high), wanted in zip(sides, (width, width / ratio), strict=True):
-        size = min(wanted, high - low)
-        start = min(max(middle - size / 2, low), high - size)
-        window += [start, start + size]
-    return window[0], window[1], window[2], window[3]
-
-
-def _patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
-    """Return a part of the ground on so many nodes a side, by the bicubic spline through its own.
-
-    Of more nodes than that, only as many are used.
-    """
-    kept, fine = [], []
-    for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):
-        last = min(int(np.searchsorted(axis, high)) + 3, axis.size)
-        first = max(min(int(np.searchsorted(axis, low)) - 3, last - 4), 0)
-        nodes = np.linspace(first, last - 1, min(last - first, count))
-        kept.append(nodes.round().astype(int))
-        fine.append(np.linspace(low, high, count))
-    spline = RectBivariateSpline(grid.x[kept[0]], grid.y[kept[1]], grid.z[np.ix_(*kept)])
-    return fine[0], fine[1], np.round(spline(*fine), DIGITS)
-
-
-def _height(grid: Grid, x: Array, y: Array) -> Array:
-    """Return the heights of the ground, linear between its nodes; outside it is not a number."""
-    dx, dy = _spacing(grid)
-    at = np.stack([(x - grid.x[0]) / dx, (y - grid.y[0]) / dy])
-    return np.asarray(map_coordinates(grid.z, at, order=1, mode="constant", cval=np.nan))

@@ -23,7 +23,7 @@ from numpy.polynomial import legendre
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array, Label, Mask, leaves, unpack
-from slipfree.solve.loop import Loop, Samples, close, table
+from slipfree.solve.loop import Loop, Samples, close, followed, table
 from slipfree.solve.settle import first_violation, settle
 from slipfree.solve.simulate import _times, simulate
 from slipfree.trajectory import Stop, Trajectory
@@ -130,7 +130,8 @@ class Scheme:
     basis : Basis
         The polynomials.
     point : casadi Function
-        ``(t, x, z) -> (ode, alg, quad, Jacobian of ode and alg in x and z)``, at all points.
+        ``(t, x, z) -> (ode, alg, Jacobian of ode and alg in x and z)``, at all points, where
+        ``z`` are the unknowns of the motion.
     """
 
     loop: Loop
@@ -177,7 +178,7 @@ class Scheme:
         (n_x, k), n = element.x.shape, len(element.x) + len(element.z)
         h, tied, free = element.end - element.begin, self.basis.tied, self.basis.free
         t = element.begin + h * self.basis.points
-        ode, alg, _, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
+        ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
         slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
         slope[self.sought] = element.x[self.sought] @ free.T
         residual = np.concatenate([(slope - h * ode).ravel(), alg.ravel()])
@@ -195,6 +196,8 @@ class Scheme:
         which = np.minimum(np.searchsorted(ends, t), len(elements) - 1)
         x, z = (np.zeros((len(v), t.size)) for v in (elements[0].x, elements[0].z))
         q = np.zeros((self.loop.dae.quad.numel(), t.size))
+        quad = self.loop.quad.map(len(self.basis.points))
+        given = np.repeat(self.loop.u[:, :1], len(self.basis.points), axis=1)
         total = np.zeros((len(q), 1))
         for index, element in enumerate(elements):
             h, here = element.end - element.begin, which == index
@@ -204,21 +207,23 @@ class Scheme:
             x[np.ix_(self.sought, here)] = element.x[self.sought] @ free.T
             z[:, here] = element.z @ free.T
             times = element.begin + h * self.basis.points
-            rates = h * np.array(self.point(times[None], element.x, element.z)[2])
+            rates = h * np.array(quad(times[None], element.x, element.z, given))
             q[:, here] = total + rates @ self.basis.integrals(at).T
             total = total + rates @ self.basis.integrals(np.ones(1)).T
-        return Samples(t, x, z, q, np.repeat(self.loop.u[:, :1], t.size, axis=1))
+        rest = np.full((self.loop.dae.guess.numel() - len(z), t.size), np.nan)
+        return Samples(t, x, np.concatenate([z, rest]), q,
+                       np.repeat(self.loop.u[:, :1], t.size, axis=1))  # fmt: skip
 
 
 def schemes(loop: Loop, sought: Mask) -> list[Scheme]:
     """Return the collocations of a DAE under laws at the numbers of points that are tried."""
     symbols = [
         ca.SX.sym(name, size)
-        for name, size in (("t", 1), ("x", loop.dae.ode.numel()), ("z", loop.dae.guess.numel()))
+        for name, size in (("t", 1), ("x", loop.dae.ode.numel()), ("z", loop.moving))
     ]
-    ode, alg, quad = loop.core(*symbols, loop.u[:, 0])
+    ode, alg = loop.core(*symbols, loop.u[:, 0])
     jacobian = ca.jacobian(ca.vertcat(ode, alg), ca.vertcat(*symbols[1:]))
-    point = ca.Function("point", symbols, [ode, alg, quad, ca.densify(jacobian)], {"cse": True})
+    point = ca.Function("point", symbols, [ode, alg, ca.densify(jacobian)], {"cse": True})
     return [Scheme(loop, sought, basis(degree), point.map(degree)) for degree in DEGREES]
 
 
@@ -303,7 +308,7 @@ def _finest(
 ) -> tuple[Scheme, list[Element], float]:
     """Return the motion on the elements on which two degrees agree best, and how well."""
     x = loop.dae.rows("x", start, -1)
-    z = _guess(loop, float(t[0]), x, loop.dae.rows("z", start, -1))
+    z = _guess(loop, float(t[0]), x, loop.dae.rows("z", start, -1))[: loop.moving]
     tried = schemes(loop, sought)
     best: tuple[Scheme, list[Element], float] | None = None
     failure, count, vain = SolverError("no motion was found"), 1, 0
@@ -339,7 +344,7 @@ def _guess(loop: Loop, t: float, x: Array, z: Array) -> Array:
     for block in loop.blocks:
         if block.linear:
             z[block.span] = 0.0
-            point = (t, x, z, loop.u[:, 0])
+            point = (t, x, z, loop.u[:, 0], block.stages[-1])
             jacobian, residual = np.array(block.jacobian(*point)), np.array(block.residual(*point))
             z[block.span] = -np.linalg.lstsq(jacobian, residual.ravel(), rcond=WEAK)[0]
     return z
@@ -349,20 +354,13 @@ def _standing(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
     """Return the samples after a Newton step on the first block, and what is left over."""
     block, z = loop.blocks[0], samples.z.copy()
     for k, t in enumerate(samples.t):
-        point = (t, samples.x[:, k], z[:, k], samples.u[:, k])
+        point = (t, samples.x[:, k], z[:, k], samples.u[:, k], block.stages[-1])
         z[block.span, k] -= np.linalg.solve(
             np.array(block.jacobian(*point)), np.array(block.residual(*point)).ravel()
         )
-    found = loop.newton.map(samples.t.size)(samples.t[None], samples.x, z, samples.u)
-    left, jacobian = (np.array(part) for part in found)
-    blocks = jacobian.reshape(len(z), samples.t.size, len(z)).transpose(1, 0, 2)
-    report = {
-        "newton_step": np.abs(z - samples.z)[block.span].max(axis=0),
-        "singular_value": np.linalg.svd(blocks, compute_uv=False)[:, -1],
-    }
-    for each in loop.blocks:
-        report[f"{each.labels[0].name}_residual"] = np.abs(left[each.span]).max(axis=0)
-    return samples._replace(z=z), report
+    step = np.abs(z - samples.z)[block.span].max(axis=0)
+    found, report = followed(loop, samples._replace(z=z))
+    return found, {"newton_step": step, **report}
 
 
 def _ended(run: Trajectory, k: int, stop: Stop) -> Trajectory:

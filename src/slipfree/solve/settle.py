@@ -8,17 +8,24 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
+from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.named import Array, Mask, leaves, unpack
-from slipfree.solve.loop import Block, Loop, Samples, close, corrected, table
+from slipfree.solve.loop import UNSOLVED, Block, Loop, Samples, close, corrected, table
 from slipfree.trajectory import Stop, Trajectory
 
 LARGEST_STEP = 0.25  # of an unknown's typical size, in one Newton step
 STEPS = 100
 CONVERGED = 1e-13
-UNSOLVED = 1e-10  # residual of a sample that is no rounding any more
 SINGULAR = 1e-10  # smallest singular value of a block, relative to the largest
+
+
+class UnsolvedError(ModelError):
+    """Equations were not solved; ``z`` is where Newton's method ended."""
+
+    def __init__(self, message: str, z: Array) -> None:
+        super().__init__(message)
+        self.z = z
 
 
 def settle(
@@ -82,23 +89,25 @@ def consistent(loop: Loop, t: float, x: Array, z: Array, u: Array) -> Array:
     for block in loop.blocks:
         if block.linear:
             z[block.span] = 0.0
-            z[block.span] -= _solve(loop, block, (t, x, z, u), check=True)
-        else:
-            z = _newton(loop, block, t, x, z, u)
+            z[block.span] -= _solve(loop, block, (t, x, z, u, block.stages[-1]), check=True)
+            continue
+        for easing in block.stages:
+            z = _newton(loop, block, (t, x, z, u, easing))
     return z
 
 
-def _newton(loop: Loop, block: Block, t: float, x: Array, z: Array, u: Array) -> Array:
+def _newton(loop: Loop, block: Block, point: tuple[float, Array, Array, Array, float]) -> Array:
+    t, x, z, u, easing = point
     scale = loop.dae.scale[block.span]
 
     def size(z: Array) -> float:
-        return float(np.linalg.norm(np.array(block.residual(t, x, z, u))))
+        return float(np.linalg.norm(np.array(block.residual(t, x, z, u, easing))))
 
     first, now = z, size(z)
     for _ in range(STEPS):
         if now < CONVERGED:
             break
-        step = _solve(loop, block, (t, x, z, u), check=False)
+        step = _solve(loop, block, (t, x, z, u, easing), check=False)
         damping = min(1.0, LARGEST_STEP / max(float(np.abs(step / scale).max()), 1e-300))
         for _ in range(12):
             trial = z.copy()
@@ -111,8 +120,8 @@ def _newton(loop: Loop, block: Block, t: float, x: Array, z: Array, u: Array) ->
             break  # no descent: rounding, or a dead end
         z, now = trial, new
     if not now < 1e3 * CONVERGED:
-        raise ModelError(_unsettled(loop, block, (t, x, z, u), first))
-    _solve(loop, block, (t, x, z, u), check=True)
+        raise UnsolvedError(_unsettled(loop, block, (t, x, z, u, easing), first), z)
+    _solve(loop, block, (t, x, z, u, easing), check=True)
     return z
 
 
@@ -134,7 +143,13 @@ def _solve(loop: Loop, block: Block, point: tuple[Any, ...], *, check: bool) -> 
 
 
 def _unsettled(loop: Loop, block: Block, point: tuple[Any, ...], first: Array) -> str:
-    _, x, z, u = point
+    _, x, z, u, _ = point
+    if len(block.stages) > 1:  # what took easing may have no solution, for reasons the model knows
+        for limit in loop.dae.limits:
+            if limit.describe is not None:
+                words = limit.describe(x, z)
+                if words:
+                    return f"the vehicle cannot stand at the start: {words}"
     residual = np.nan_to_num(np.abs(np.array(block.residual(*point)).ravel()), nan=np.inf)
     worst = block.labels[int(residual.argmax())]
     message = (
@@ -167,6 +182,13 @@ def limit_words(words: str, value: float, lower: float, upper: float, unit: str)
     return f"{words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"
 
 
+def _said(limit: Limit, value: float, x: Array, z: Array) -> str:
+    if limit.describe is not None and (words := limit.describe(x, z)):
+        return words
+    label = limit.label
+    return limit_words(label.words, value, limit.lower, limit.upper, label.unit)
+
+
 def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int, Stop] | None:
     """Return the first sample that breaks a limit or fails a check, and the stop it means."""
     found: tuple[int, Stop] | None = None
@@ -183,12 +205,10 @@ def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int,
         consider(
             ~((values >= lower) & (values <= upper)),
             label.full,
-            lambda k, v=values, lb=label, lo=lower, up=upper: limit_words(
-                lb.words, v[k], lo, up, lb.unit
-            ),
+            lambda k, v=values, of=limit: _said(of, float(v[k]), samples.x[:, k], samples.z[:, k]),
         )
-    for block in loop.blocks:
-        if not block.linear:
+    for block in (*loop.blocks, *loop.after):
+        if not block.linear or block in loop.after:
             label = run.columns[f"{block.labels[0].name}_residual"].label
             values = run.of(label)
             consider(
@@ -196,7 +216,7 @@ def first_violation(loop: Loop, run: Trajectory, samples: Samples) -> tuple[int,
                 label.name,
                 lambda k, v=values, lb=label: (
                     f"the equations have no exact solution here: {lb.name} {v[k]:.1e} {lb.unit}, "
-                    f"allowed at most {UNSOLVED:g}"
+                    f"allowed at most {UNSOLVED:g}; a smaller tolerance may help"
                 ),
             )
     for check in loop.dae.checks:

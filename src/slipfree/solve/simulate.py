@@ -16,13 +16,14 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
 from slipfree.solve.loop import Loop, Samples, close, corrected, table
-from slipfree.solve.settle import consistent, first_violation
+from slipfree.solve.settle import UnsolvedError, consistent, first_violation
 from slipfree.trajectory import Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time
 CROSSING = 1e-6  # to which a crossing is located [s]
 FINEST = 1e-14  # tolerance below which rounding rules
+SOON = 1e-3  # after the last sample that an integrator reached [s]
 BEYOND = 1e-6  # in a limit's unit; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
 CHUNK = 2000  # samples looked at together, for the sake of memory
@@ -97,11 +98,28 @@ def simulate(
         "cpu_seconds": time.process_time() - clock,
     }
     run = replace(run, statistics=statistics)
+    if march.failure and fault is None and (stop := _refused(loop, samples)) is not None:
+        return replace(run, stop=stop)
     if march.failure and fault is None:
         words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {march.failure}"
         run = replace(run, stop=Stop("solver", float(run.t[-1]), words))
         raise SolverError(words, run)
     return run
+
+
+def _refused(loop: Loop, samples: Samples) -> Stop | None:
+    """Return the stop of an eased model whose equations have no solution soon after a sample."""
+    x, z, u = (part[:, -1] for part in (samples.x, samples.z, samples.u))
+    ode = np.array(loop.core(samples.t[-1], x, z[: loop.moving], u)[0]).ravel()
+    for limit in loop.dae.limits:
+        if limit.describe is None:
+            continue
+        try:
+            consistent(loop, samples.t[-1], x + SOON * ode, z, u)
+        except UnsolvedError as error:
+            if words := limit.describe(x + SOON * ode, error.z):
+                return Stop(limit.label.full, float(samples.t[-1]), words)
+    return None
 
 
 def _times(t: Array) -> Array:
@@ -228,10 +246,10 @@ def _looked_at(
 def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[str, float]]:
     """Integrate over all of ``t`` in one call, or raise."""
     loop, dae, spy = task.loop, task.loop.dae, _Spy(task)
-    sizes = [dae.ode.numel(), sum(b.numel() for b in dae.alg), loop.u.shape[0]]
+    sizes = [dae.ode.numel(), loop.moving, loop.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", sizes, strict=True))]
-    ode, alg, quad = loop.core(*symbols)
-    quad = ca.vertcat(quad, spy(ca.vertcat(symbols[0], loop.margin(*symbols))))
+    ode, alg = loop.core(*symbols)
+    quad = ca.vertcat(loop.quad(*symbols), spy(ca.vertcat(symbols[0], loop.margin(*symbols))))
     system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg, "quad": quad}
     options = {
         "reltol": task.tolerance,
@@ -245,12 +263,13 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
     try:
         # one column for each output time, that of the interval which it ends
         with redirect_stderr(StringIO()):  # IDAS repeats there what the exception says
-            found = integrator(x0=at.x, z0=at.z, u=np.column_stack([u[:, :1], u]))
+            found = integrator(x0=at.x, z0=at.z[: loop.moving], u=np.column_stack([u[:, :1], u]))
     except RuntimeError as error:
         if spy.raised is not None:
             raise spy.raised from None
         raise SolverError(_reason(str(error))) from error
     x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
+    z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
     x[:, :1], z[:, :1] = at.x, at.z
     statistics = integrator.stats()
     cost = {name: float(statistics[key]) for name, key in COUNTS.items()}

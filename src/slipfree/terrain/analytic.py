@@ -13,6 +13,9 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.named import Array
+from slipfree.terrain.base import check_formula
+from slipfree.terrain.bicubic import Bicubic, friction_map
+from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain
 
 CHUNK = 4096  # points evaluated at once; any other number would be a slow call
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
@@ -29,16 +32,21 @@ class Analytic:
         CasADi functions, at least twice continuously differentiable. [m]
     domain : tuple of 4 floats
         ``x_min, x_max, y_min, y_max`` where the formula is meant to hold. [m]
+    mu : float, callable, Grid or None
+        Coefficient of friction: a number, a function of two SX scalars, or a map, laid as
+        `terrain.friction` says. [1]
 
     Raises
     ------
     ModelError
-        If the domain is empty, or the function does not return one height that depends on
-        ``x`` and ``y`` alone.
+        If the domain is empty, or a function does not return one scalar that depends on ``x``
+        and ``y`` alone, or the friction is no positive number.
+    DataError
+        If a friction map holds coefficients that are not positive.
 
     Notes
     -----
-    An instance can be pickled if its function can: use one defined at the top of a module.
+    An instance can be pickled if its functions can: use ones defined at the top of a module.
 
     Examples
     --------
@@ -47,6 +55,7 @@ class Analytic:
 
     function: Callable[[Any, Any], Any]
     domain: tuple[float, float, float, float] = EVERYWHERE
+    mu: Friction = None
 
     def __post_init__(self) -> None:
         x_min, x_max, y_min, y_max = self.domain
@@ -55,28 +64,35 @@ class Analytic:
                 "terrain: domain must be x_min < x_max, y_min < y_max in metres, "
                 f"found {self.domain}"
             )
-        x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        height = ca.SX(self.function(x, y))
-        if height.shape != (1, 1):
-            raise ModelError(f"terrain: function must return one height, found {height.shape}")
-        foreign = [s for s in ca.symvar(height) if not (ca.is_equal(s, x) or ca.is_equal(s, y))]
-        if foreign:
-            raise ModelError(
-                f"terrain: the height may depend on x and y alone, found the symbols {foreign}"
-            )
+        check_formula(self.function, "terrain", "height")
+        check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what makes the ground; compiled parts are made again when they are needed."""
-        return {"function": self.function, "domain": self.domain}
+        return {"function": self.function, "domain": self.domain, "mu": self.mu}
 
     @property
     def origin(self) -> tuple[float, float, float]:
         """The map's own origin [m]."""
         return (0.0, 0.0, 0.0)
 
+    @property
+    def has_friction(self) -> bool:
+        """Whether a coefficient of friction was given."""
+        return self.mu is not None
+
+    @property
+    def friction_domain(self) -> tuple[float, float, float, float] | None:
+        """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
+        return map_domain(self.mu)
+
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the height at a point [m]."""
         return ca.SX(self.function(x, y))
+
+    def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return the coefficient of friction at a point; one where none was given [1]."""
+        return coefficient(self.mu, self._friction_map, self.origin, x, y)
 
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights at points of equal shape [m]."""
@@ -85,6 +101,10 @@ class Analytic:
         padded = [np.resize(each.reshape(-1), (max(count, 1), 1, CHUNK)) for each in (x, y)]
         heights = [np.array(self._numeric(*rows)) for rows in zip(*padded, strict=True)]
         return np.concatenate(heights, axis=None)[: x.size].reshape(x.shape)
+
+    @cached_property
+    def _friction_map(self) -> Bicubic | None:
+        return friction_map(self.mu, (0.0, 0.0))
 
     @cached_property
     def _numeric(self) -> ca.Function:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.errors import DataError, ModelError
 from slipfree.named import Array
 
 UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length
@@ -22,14 +23,16 @@ FLIP = {"x": "x[::-1] and z[::-1, :]", "y": "y[::-1] and z[:, ::-1]"}
 
 
 class Terrain(Protocol):
-    """A ground given by its height.
+    """A ground given by its height and its coefficient of friction.
 
     1. *Map* coordinates are those of the user's data. *Local* coordinates are map coordinates
        minus ``origin``; models use local ones, so that large map coordinates cost no digits.
     2. ``height(x, y)`` is an SX expression of local coordinates, at least twice continuously
        differentiable inside the domain, and continues smoothly for a margin outside.
     3. ``elevation(x, y)`` is the same surface, numeric and vectorised, in map coordinates.
-    4. An instance is immutable and can be pickled.
+    4. ``friction(x, y)`` is an SX expression of local coordinates; a map makes it twice
+       continuously differentiable. It is one if no friction was given.
+    5. An instance is immutable and can be pickled.
     """
 
     @property
@@ -40,8 +43,19 @@ class Terrain(Protocol):
     def domain(self) -> tuple[float, float, float, float]:
         """``x_min, x_max, y_min, y_max`` in map coordinates; may be infinite [m]."""
 
+    @property
+    def has_friction(self) -> bool:
+        """Whether a coefficient of friction was given."""
+
+    @property
+    def friction_domain(self) -> tuple[float, float, float, float] | None:
+        """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
+
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the local height at a local point [m]."""
+
+    def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return the coefficient of friction at a local point [1]."""
 
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights in map coordinates at map points of equal shape [m]."""
@@ -49,14 +63,14 @@ class Terrain(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Heights on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``.
+    """Heights on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``; or coefficients of friction.
 
     Attributes
     ----------
     x, y : ndarray, shape (n_x,) and (n_y,)
         Ascending axes, uniform to 1e-9 of their length, at least four nodes each. [m]
     z : ndarray, shape (n_x, n_y)
-        Heights, all finite. [m]
+        Heights [m] or coefficients of friction [1], all finite.
 
     Raises
     ------
@@ -81,11 +95,45 @@ class Grid:
         _check_heights(self.x, self.y, self.z)
 
     @property
+    def domain(self) -> tuple[float, float, float, float]:
+        """``x_min, x_max, y_min, y_max`` of the nodes [m]."""
+        return float(self.x[0]), float(self.x[-1]), float(self.y[0]), float(self.y[-1])
+
+    @property
     def spacing(self) -> tuple[float, float]:
         """Distance between nodes along x and y [m]."""
         return (
             float(np.ptp(self.x) / (self.x.size - 1)),
             float(np.ptp(self.y) / (self.y.size - 1)),
+        )
+
+
+def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -> None:
+    """Refuse a function of two SX scalars that is no expression of them, and of them alone.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(x, y)`` must return one scalar.
+    owner, value : str
+        What the function belongs to and what it returns, for the message.
+
+    Raises
+    ------
+    ModelError
+        If it returns another shape, or what it returns holds other symbols.
+    """
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    found = ca.SX(function(x, y))
+    if found.shape != (1, 1):
+        raise ModelError(
+            f"{owner}: function must return one {value}, found {found.shape}; return one scalar"
+        )
+    foreign = [s for s in ca.symvar(found) if not (ca.is_equal(s, x) or ca.is_equal(s, y))]
+    if foreign:
+        raise ModelError(
+            f"{owner}: the {value} may depend on x and y alone, found the symbols {foreign}; "
+            "put numbers in their place"
         )
 
 

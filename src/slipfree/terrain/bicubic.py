@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from slipfree.named import Array
 from slipfree.terrain.base import Grid
+from slipfree.terrain.friction import Friction, bordered, check_friction, coefficient, map_domain
 
 ON_KNOT = 1e-10  # a point nearer to a knot than this, in cells, lies on it
 CHUNK = 8192  # points evaluated at once: the temporaries stay in the cache
@@ -26,6 +27,11 @@ class Bicubic:
     a point on the last knot to the last cell. Outside the domain the polynomial of the nearest
     cell continues.
 
+    Not ``through`` the nodes, the surface is the cubic B-spline whose coefficients are the nodes'
+    values, those of the border repeated: twice continuously differentiable, between the smallest
+    and the largest value of the 16 nodes around, and smoother than the values. A jump between two
+    nodes becomes a rise over three cells, 96 % of it within two.
+
     Attributes
     ----------
     grid : Grid
@@ -33,6 +39,19 @@ class Bicubic:
     center : tuple of 2 floats or None
         Map coordinates of the local origin, by default the middle of the domain. Near the motion,
         it saves digits on a large map. [m]
+    mu : float, callable, Grid or None
+        Coefficient of friction: a number, a function of two SX scalars in map coordinates, or a
+        map, laid as `terrain.friction` says. [1]
+    through : bool
+        Whether the surface goes through the nodes' values, or only stays between them.
+
+    Raises
+    ------
+    ModelError
+        If the friction is no positive number, or its function does not return one scalar that
+        depends on ``x`` and ``y`` alone.
+    DataError
+        If a friction map holds coefficients that are not positive.
 
     Notes
     -----
@@ -50,10 +69,17 @@ class Bicubic:
 
     grid: Grid
     center: tuple[float, float] | None = None
+    mu: Friction = None
+    through: bool = field(default=True, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields; an unpickled copy computes the same coefficients again."""
-        return {"grid": self.grid, "center": self.center}
+        return {
+            "grid": self.grid, "center": self.center, "mu": self.mu, "through": self.through,
+        }  # fmt: skip
 
     @cached_property
     def origin(self) -> tuple[float, float, float]:
@@ -65,8 +91,17 @@ class Bicubic:
     @property
     def domain(self) -> tuple[float, float, float, float]:
         """``x_min, x_max, y_min, y_max`` of the nodes [m]."""
-        x, y = self.grid.x, self.grid.y
-        return float(x[0]), float(x[-1]), float(y[0]), float(y[-1])
+        return self.grid.domain
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether a coefficient of friction was given."""
+        return self.mu is not None
+
+    @property
+    def friction_domain(self) -> tuple[float, float, float, float] | None:
+        """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
+        return map_domain(self.mu)
 
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the local height at a local point [m]."""
@@ -79,6 +114,10 @@ class Bicubic:
         lines = ca.mtimes(ca.horzcat(*_basis(a - i)), c)
         height: ca.SX = self._table[1] * ca.mtimes(lines, ca.vertcat(*_basis(b - j)))
         return height
+
+    def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return the coefficient of friction at a local point; one where none was given [1]."""
+        return coefficient(self.mu, self._friction_map, self.origin, x, y)
 
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights in map coordinates at map points of equal shape [m]."""
@@ -132,8 +171,12 @@ class Bicubic:
     @cached_property
     def _table(self) -> tuple[Array, float]:
         """Spline coefficients as whole numbers, shape (n_x + 2, n_y + 2), and their unit [m]."""
-        along_x = _solve_not_a_knot(self.grid.z - self.origin[2])
-        coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
+        values = self.grid.z - self.origin[2]
+        if self.through:
+            along_x = _solve_not_a_knot(values)
+            coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
+        else:
+            coefficients = np.pad(values, 1, mode="edge")
         coefficients /= 36  # the bases are kept free of their factors 1/6
         exponent = int(np.frexp(np.abs(coefficients).max())[1])
         unit = float(np.ldexp(1.0, exponent - 52))
@@ -144,6 +187,18 @@ class Bicubic:
     def _gather(self) -> ca.Function:
         table = self._table[0]
         return _look_up(table, 4 if table.size <= LARGE else 1)
+
+    @cached_property
+    def _friction_map(self) -> Bicubic | None:
+        return friction_map(self.mu, self.origin[:2])
+
+
+def friction_map(mu: Friction, center: tuple[float, float]) -> Bicubic | None:
+    """Return the surface of a friction map in local coordinates about a centre, None if no map.
+
+    Its local height is the coefficient less ``origin[2]``, the mean over the nodes.
+    """
+    return Bicubic(bordered(mu), center, through=False) if isinstance(mu, Grid) else None
 
 
 def _basis(u: Any) -> tuple[Any, Any, Any, Any]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf
 from typing import Literal, get_args
 
 from slipfree.errors import ModelError
-from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
+from slipfree.vehicle.chain import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
@@ -24,6 +25,13 @@ def three_wheeler(
     r2: float = 0.25,
     tilt_stop: float = UPRIGHT,
     slide_stop: float = inf,
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+    bump: float = 0.0,
+    mass: float = 30.0,
+    center_of_mass: tuple[float, float, float] = HERE,
+    wheel_mass: float = 2.0,
+    grip: float = 1.0,
 ) -> Vehicle:
     """Return the three-wheeler of Chakraborty and Ghosal [1]_, or one with another rear axle.
 
@@ -48,6 +56,14 @@ def three_wheeler(
         Radius of the wheels' tube, zero for discs, and of the circle of tube centres. [m]
     tilt_stop, slide_stop : float
         Largest lateral tilt, and largest sliding of half an axle, either way. [rad, m]
+    stiffness, damping, bump : float
+        Of a spring and a damper in every free joint of the axle, and of its stops (zero: rigid).
+        A tilt is an inverted pendulum: only a spring stiffer than the load on the wheel times
+        ``r2`` holds it upright. [N m/rad or N/m, and the same times s]
+    mass, center_of_mass : float, tuple of 3 floats
+        Of the platform, in its frame. The paper gives none. [kg, m]
+    wheel_mass, grip : float
+        Of every wheel: its mass [kg], and what its tread makes of the ground's friction [1].
 
     Raises
     ------
@@ -69,6 +85,7 @@ def three_wheeler(
     rear, front = -wheelbase / 3, 2 * wheelbase / 3
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
     coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
+    coordinates = _loaded(axle, coordinates, stiffness, damping, bump)
     hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
     steer = Coordinate("steer", "commanded", "steering angle of the front wheel, left positive")
     return Vehicle(
@@ -84,12 +101,28 @@ def three_wheeler(
                     r1,
                     r2,
                     driven=not (axle == "prismatic_undriven" and side == "right"),
+                    grip=grip,
+                    mass=wheel_mass,
                 )
                 for side, at in ends.items()
             ),
-            Wheel("front", "fork", HERE, r1, r2, driven=False),
+            Wheel("front", "fork", HERE, r1, r2, driven=False, grip=grip, mass=wheel_mass),
         ),
+        body=Body(mass, center_of_mass),
     )
+
+
+def _loaded(
+    axle: Axle, coordinates: tuple[Coordinate, ...], stiffness: float, damping: float, bump: float
+) -> tuple[Coordinate, ...]:
+    """Return the coordinates of an axle with what acts on them."""
+    if not any((stiffness, damping, bump)):
+        return coordinates
+    if not any(c.kind == "passive" for c in coordinates):
+        raise ModelError(
+            f"three_wheeler: the {axle} axle has no free joint for a spring, damper or elastic stop"
+        )
+    return tuple(replace(c, stiffness=stiffness, damping=damping, bump=bump) for c in coordinates)
 
 
 def _rear(

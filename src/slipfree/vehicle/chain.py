@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
@@ -13,6 +14,29 @@ from slipfree.geometry.frame import AXES, Pose, translation, turn
 from slipfree.vehicle.wheel import Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
+GRAVITY = 9.81  # [m/s^2]
+
+
+@dataclass(frozen=True)
+class Body:
+    """The mass of a part.
+
+    Attributes
+    ----------
+    mass : float
+        Zero for a part without one. [kg]
+    at : tuple of 3 floats
+        Centre of mass in the part's frame. [m]
+    """
+
+    mass: float = 0.0
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.mass < math.inf:
+            raise ModelError(f"body: mass must be zero or more kilograms, found {self.mass}")
+        if len(self.at) != 3 or not all(map(math.isfinite, self.at)):
+            raise ModelError(f"body: its centre of mass must be three metres, found {self.at}")
 
 
 @dataclass(frozen=True)
@@ -29,19 +53,56 @@ class Coordinate:
         One line that says what it is.
     lower, upper : float
         Stops. [rad or m]
+    stiffness, rest : float
+        Of a spring, and the value at which it is slack. [N m/rad or N/m; rad or m]
+    damping : float
+        Of a viscous damper. [N m s/rad or N s/m]
+    bump : float
+        Stiffness of the stops. Zero if they are rigid: then reaching one ends the motion, and what
+        goes on from there is the vehicle with that joint locked (`actuated`). [N m/rad or N/m]
     """
 
     name: str
     kind: Kind
     words: str
-    lower: float = -float("inf")
-    upper: float = float("inf")
+    lower: float = -math.inf
+    upper: float = math.inf
+    stiffness: float = 0.0
+    rest: float = 0.0
+    damping: float = 0.0
+    bump: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ModelError(
                 f"coordinate {self.name}: stops must ascend, found {self.lower} to {self.upper}"
             )
+        for key in ("stiffness", "damping", "bump"):
+            value = getattr(self, key)
+            if not 0 <= value < math.inf:
+                raise ModelError(
+                    f"coordinate {self.name}: {key} must be zero or more, found {value}"
+                )
+        if not math.isfinite(self.rest):
+            raise ModelError(f"coordinate {self.name}: rest must be finite, found {self.rest}")
+        if self.kind == "commanded" and self.is_loaded:
+            raise ModelError(
+                f"coordinate {self.name}: its rate is commanded, so that it takes no spring, "
+                "damper or elastic stop"
+            )
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether a spring, a damper or an elastic stop acts on it."""
+        return any((self.stiffness, self.damping, self.bump))
+
+    def potential(self, value: ca.SX) -> ca.SX:
+        """Return the energy in its spring and its stops at a value. [J]."""
+        energy = ca.SX(0.5 * self.stiffness * (value - self.rest) ** 2)
+        for stop, outward in ((self.upper, 1), (self.lower, -1)):
+            if math.isfinite(stop):
+                energy += 0.5 * self.bump * ca.fmax(outward * (value - stop), 0) ** 2
+        return energy
 
 
 @dataclass(frozen=True)
@@ -62,6 +123,8 @@ class Joint:
         The coordinate whose value is the right-handed angle or the length.
     motion : {"turn", "slide"}
         Which of the two.
+    body : Body
+        Its mass, that of the wheels apart.
     """
 
     name: str
@@ -70,6 +133,7 @@ class Joint:
     at: tuple[float, float, float]
     coordinate: str
     motion: Literal["turn", "slide"] = "turn"
+    body: Body = Body()
 
     def pose(self, value: ca.SX) -> Pose:
         """Return the pose of the part in its parent's frame at a value of its coordinate."""
@@ -93,6 +157,8 @@ class Vehicle:
         Parents before children.
     wheels : tuple of Wheel
         At least three.
+    body : Body
+        Mass of the platform. A vehicle without any mass moves, but bears no forces.
 
     Raises
     ------
@@ -106,6 +172,7 @@ class Vehicle:
     coordinates: tuple[Coordinate, ...]
     joints: tuple[Joint, ...]
     wheels: tuple[Wheel, ...]
+    body: Body = Body()
 
     def __post_init__(self) -> None:
         _unique("coordinate", (c.name for c in self.coordinates))
@@ -146,6 +213,17 @@ class Vehicle:
         slides = any(j.coordinate == name and j.motion == "slide" for j in self.joints)
         return "m" if slides else "rad"
 
+    @property
+    def mass(self) -> float:
+        """Mass of all parts. [kg]."""
+        bodies = [self.body, *(joint.body for joint in self.joints)]
+        return sum(body.mass for body in bodies) + sum(wheel.mass for wheel in self.wheels)
+
+    @property
+    def weight(self) -> float:
+        """Weight of all parts. [N]."""
+        return self.mass * GRAVITY
+
     def carriers(self, platform: Pose, values: Mapping[str, ca.SX]) -> tuple[Pose, ...]:
         """Return the pose of every wheel's carrier, at the wheel's centre.
 
@@ -156,10 +234,51 @@ class Vehicle:
         values : mapping of str to SX
             Value of every coordinate, by name. [rad or m]
         """
+        parts = self._parts(platform, values)
+        return tuple(parts[wheel.parent] @ translation(*wheel.at) for wheel in self.wheels)
+
+    def masses(self, platform: Pose, values: Mapping[str, ca.SX]) -> Iterator[tuple[float, ca.SX]]:
+        """Yield the mass and the centre of every part that has one. [kg, m].
+
+        Parameters are those of `carriers`.
+        """
+        parts = self._parts(platform, values)
+        bodies = [("platform", self.body), *((joint.name, joint.body) for joint in self.joints)]
+        bodies += [(wheel.parent, Body(wheel.mass, wheel.at)) for wheel in self.wheels]
+        for part, body in bodies:
+            if body.mass:
+                yield body.mass, (parts[part] @ translation(*body.at)).origin
+
+    def _parts(self, platform: Pose, values: Mapping[str, ca.SX]) -> dict[str, Pose]:
         parts = {"platform": platform}
         for joint in self.joints:
             parts[joint.name] = parts[joint.parent] @ joint.pose(values[joint.coordinate])
-        return tuple(parts[wheel.parent] @ translation(*wheel.at) for wheel in self.wheels)
+        return parts
+
+
+def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
+    """Return the vehicle with actuators in passive joints: their rates become inputs.
+
+    An actuator at rate zero is a lock. The torque that either has to bear is an output. Springs,
+    dampers and elastic stops of these joints are taken out.
+
+    Raises
+    ------
+    ModelError
+        If a name is not that of a passive coordinate.
+    """
+    passive = [c.name for c in vehicle.of("passive")]
+    for name in names:
+        if name not in passive:
+            raise ModelError(
+                f"actuated: expected one of the passive coordinates "
+                f"({', '.join(passive) or 'there is none'}), found {name!r}"
+            )
+    coordinates = tuple(
+        replace(c, kind="commanded", stiffness=0.0, damping=0.0, bump=0.0) if c.name in names else c
+        for c in vehicle.coordinates
+    )
+    return replace(vehicle, coordinates=coordinates)
 
 
 def _unique(what: str, names: Iterable[str]) -> None:

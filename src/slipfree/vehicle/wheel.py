@@ -27,6 +27,10 @@ class Wheel:
         ``r1 + r2``. [m]
     driven : bool
         Whether its rate is an input; a free wheel turns as the ground makes it.
+    grip : float
+        What its tread makes of the ground's coefficient of friction, as a factor. [1]
+    mass : float
+        Mass, at its centre. [kg]
     """
 
     name: str
@@ -35,6 +39,8 @@ class Wheel:
     r1: float
     r2: float
     driven: bool
+    grip: float = 1.0
+    mass: float = 0.0
 
     def __post_init__(self) -> None:
         for key, radius in (("r1", self.r1), ("r2", self.r2)):
@@ -45,6 +51,12 @@ class Wheel:
                 )
         if self.radius <= 0:
             raise ModelError(f"wheel {self.name}: r1 + r2 must be positive, found {self.radius}")
+        if not 0 < self.grip < math.inf:
+            raise ModelError(f"wheel {self.name}: grip must be positive, found {self.grip}")
+        if not 0 <= self.mass < math.inf:
+            raise ModelError(
+                f"wheel {self.name}: mass must be zero or more kilograms, found {self.mass}"
+            )
 
     @property
     def radius(self) -> float:

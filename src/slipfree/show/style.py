@@ -1,0 +1,138 @@
+"""What all figures have in common: sizes, colours, legends, axes, and notes."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patheffects import AbstractPathEffect, withStroke
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+from slipfree.trajectory import Trajectory
+
+MM = 1 / 25.4  # [in]
+COLUMN, PAGE = 120 * MM, 180 * MM  # widths of the figures [in]
+STYLE = {
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "axes.titlesize": 8,
+    "legend.fontsize": 7,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 1.2,
+    "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+}
+DPI = 200
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
+DASHES = ("-", "--", ":", "-.")  # for lines beyond the palette
+PLATFORM = "black"
+STOPPED = "#D55E00"
+LARGE = 1e4  # map coordinates beyond this count from a round one [m]
+FLAT = 1e-3  # least range of heights and angles that is drawn [m, rad]
+
+
+def figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches that makes room for what it holds."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str = "") -> Figure:
+    """Put the legend of some axes on top, and below why the motion ended early."""
+    entries: dict[str, Any] = {}
+    for ax in legends:
+        handles, labels = ax.get_legend_handles_labels()
+        entries |= dict(zip(labels, handles, strict=True))
+    width = float(figure.get_figwidth())
+    if entries:
+        columns = _columns(list(entries), int(width * 18))
+        figure.legend(entries.values(), entries, loc="outside upper center", ncols=columns)
+    if run.stop is not None:
+        note = f"Stopped at t = {run.stop.t:.4g} s: {run.stop.words}\n{note}".strip()
+    if note:
+        lines = [textwrap.fill(line, int(width * 19)) for line in note.splitlines()]
+        figure.supxlabel("\n".join(lines), x=0.02, ha="left", fontsize=7, parse_math=False)
+    return figure
+
+
+def _columns(labels: list[str], room: int) -> int:
+    """Return the largest number of columns in which a legend fits so many characters."""
+    for columns in range(len(labels), 1, -1):
+        parts = np.array_split(np.array([len(label) for label in labels]), columns)
+        if sum(int(part.max()) + 8 for part in parts) <= room:
+            rows = -(-len(labels) // columns)
+            return -(-len(labels) // rows)
+    return 1
+
+
+def look(k: int) -> dict[str, Any]:
+    """Return colour and dashes of the k-th line."""
+    dashes = DASHES[k // len(PALETTE) % len(DASHES)]
+    return {"color": PALETTE[k % len(PALETTE)], "ls": dashes}
+
+
+def halo(width: float) -> list[AbstractPathEffect]:
+    """Return a white edge, as wide as given with its line, that lifts a line off its ground."""
+    return [withStroke(linewidth=width, foreground="white")]
+
+
+def words(name: str) -> str:
+    """Return the name of a quantity or a wheel as it is printed."""
+    return {"newton_step": "Newton step", "singular_value": "smallest singular value"}.get(
+        name, name.replace("_", " ")
+    )
+
+
+def unit(unit: str) -> str:
+    """Return a unit as it is printed: ``m/s`` for ``m s-1``."""
+    parts = unit.split()
+    over = "".join(p for p in parts if not p.endswith("-1")) or "1"
+    return "/".join([over, *(p.removesuffix("-1") for p in parts if p.endswith("-1"))])
+
+
+def remark(ax: Axes, words: str, above: bool = False) -> None:
+    """Write words into axes, or on top of them where they would cover lines."""
+    x, y, ha, va = (1.0, 1.03, "right", "bottom") if above else (0.5, 0.6, "center", "center")
+    box = {"fc": "white", "ec": "none", "pad": 2}
+    ax.text(x, y, words, transform=ax.transAxes, ha=ha, va=va, bbox=box)
+
+
+def place_axis(axis: Any, name: str, low: float) -> None:
+    """Label an axis of places from ``low`` on; large map coordinates count from a round one."""
+    start = 1000 * np.floor(low / 1000) if abs(low) >= LARGE else 0.0
+    words = {"x": "east $x$", "y": "north $y$", "z": "height $z$"}[name]
+    axis.set_label_text(f"{words} - {start:.0f} [m]" if start else f"{words} [m]")
+    axis.set_major_locator(ticks(5))
+    axis.set_major_formatter(ScalarFormatter(useOffset=start or False))
+    axis.offsetText.set_visible(False)
+
+
+def ticks(count: int) -> MaxNLocator:
+    """Return about so many round ticks."""
+    return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
+
+
+def time_axis(run: Trajectory, ax: Axes) -> Axes:
+    """Label the axis of time and mark when the motion stopped."""
+    ax.set_xlabel("time $t$ [s]")
+    ax.margins(x=0.02)
+    if run.stop is not None:
+        ax.axvline(run.stop.t, color=STOPPED, ls=":", lw=1)
+    return ax
+
+
+def degrees(ax: Axes) -> Axes:
+    """Add a second axis in degrees on the right, and keep rounding from filling the first."""
+    low, high = ax.get_ylim()
+    room = max(FLAT - (high - low), 0.0) / 2
+    ax.set_ylim(low - room, high + room)
+    turned: tuple[Callable[[Any], Any], Callable[[Any], Any]] = (np.rad2deg, np.deg2rad)
+    ax.secondary_yaxis("right", functions=turned).set_ylabel("[deg]")
+    return ax
