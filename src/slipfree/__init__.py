@@ -4,7 +4,9 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError, SlipfreeError, SolverError
 from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow, straight
+from slipfree.kinematics.hold import best_utilisation
 from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.kinematics.traction import Traction
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.analytic import Analytic
@@ -12,7 +14,7 @@ from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalog import three_wheeler
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.chain import Vehicle, actuated
 from slipfree.version import __version__
 
 __all__ = [
@@ -26,9 +28,12 @@ __all__ = [
     "SlipfreeError",
     "SolverError",
     "Terrain",
+    "Traction",
     "Trajectory",
     "Vehicle",
     "__version__",
+    "actuated",
+    "best_utilisation",
     "direct_kinematics",
     "follow",
     "settle",

@@ -69,7 +69,7 @@ class FrictionLaw(NamedTuple):
     forces : Forces
         Of the ground on the wheels, by these unknowns. [N]
     limits : tuple of Limit
-        Where there is no equilibrium.
+        Where there is no equilibrium; with a reserve there always is one.
     easing : Easing
         The creep, from viscous to Coulomb friction.
     """
@@ -97,7 +97,7 @@ def friction_law(
     return FrictionLaw(
         traction_balance(parts, z.rates, u, law, eased.symbol),
         friction_forces(parts, z.rates, u, law),
-        (no_equilibrium(vehicle, parts, contacts, slips, state),),
+        () if law.reserve else (no_equilibrium(vehicle, parts, contacts, slips, state),),
         eased,
     )
 

@@ -1,0 +1,357 @@
+"""Friction that decides the motion: creep in closed form, limits, stops by name."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from cases import hills
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    Traction,
+    actuated,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
+from slipfree.kinematics.montana import montana_kinematics
+from slipfree.named import leaves
+from slipfree.solve.loop import close
+from slipfree.solve.settle import consistent
+
+RATES = {"right_rate": 0.45, "left_rate": 0.44, "steer_rate": 0.0}
+FIXED = three_wheeler(axle="fixed")
+
+
+def slope(angle, mu, across=False):
+    """A plane that rises along y, or along x."""
+    rise = np.tan(angle)
+    return Analytic(lambda x, y: rise * (x if across else y) + 0 * x + 0 * y, mu=mu)
+
+
+def standing(vehicle, ground, law=Traction(), **start):  # noqa: B008
+    return settle(direct_kinematics(vehicle, ground, slip="traction", traction=law), **start)
+
+
+def moved(vehicle, ground, law, t, rates=None, tolerance=1e-8, **start):
+    dae = direct_kinematics(vehicle, ground, slip="traction", traction=law)
+    begin = settle(dae, **start)
+    return simulate(dae, begin, dae.inputs(**(rates or RATES)), t, tolerance=tolerance)
+
+
+def creeps(run):
+    return np.hypot(run["slip_along"], run["slip_across"])[-1]
+
+
+@pytest.mark.parametrize("eps", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("degrees", [5, 10, 20, 30])
+def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
+    """``eps tan s / sqrt(mu^2 - tan^2 s)``: every wheel uses the same part of its friction."""
+    s = np.radians(degrees)
+    run = standing(FIXED, slope(s, 0.6, across=True), Traction(eps))
+    expected = eps * np.tan(s) / np.sqrt(0.6**2 - np.tan(s) ** 2)
+    assert_allclose(creeps(run), expected, rtol=1e-6)
+    assert run["velocity_x"][0] < 0  # downhill
+    assert_allclose(run["utilisation"], np.tan(s) / 0.6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("degrees", [10, 20])
+def test_a_driven_wheel_creeps_by_what_it_uses(degrees):
+    """Uphill on free tilts: ``eps U / sqrt(1 - U^2)`` at the rear wheels, none at the front."""
+    s = np.radians(degrees)
+    run = standing(three_wheeler(), slope(s, 0.6))
+    used = np.tan(s) / (2 / 3 + 0.3 / 1.5 * np.tan(s)) / 0.6
+    expected = 1e-4 * used / np.sqrt(1 - used**2)
+    assert_allclose(creeps(run), [expected, expected, 0], rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize("reserve", [1.0, 0.1, 0.05])
+def test_the_reserve_holds_beyond_friction(reserve):
+    """A block on a slope of 35 degrees: ``mu p + c s = tan s``, about ``(tan s - mu) / c``."""
+    s, mu, eps = np.radians(35), 0.6, 1e-3
+    run = standing(FIXED, slope(s, mu, across=True), Traction(eps, reserve))
+    slip = creeps(run)
+    assert_allclose(slip, slip[0], rtol=1e-9)
+    assert_allclose(mu * slip / np.hypot(slip, eps) + reserve * slip, np.tan(s), rtol=1e-9)
+    assert_allclose(slip, (np.tan(s) - mu) / reserve, rtol=1e-3)
+
+
+def test_beyond_friction_a_start_is_refused_with_what_it_needs():
+    with pytest.raises(ModelError) as error:
+        standing(three_wheeler(), slope(np.radians(25), 0.6))
+    s = np.tan(np.radians(25))
+    assert str(error.value) == (
+        "the vehicle cannot stand at the start: no quasi-static equilibrium: headed 0 degrees from "
+        "uphill on a slope of 25.0 degrees the vehicle needs a coefficient of friction of "
+        f"{s / (2 / 3 + 0.2 * s):.4g}, the ground offers 0.6"
+    )
+
+
+T = np.linspace(0, 10, 101)
+
+
+@pytest.mark.parametrize("axle", ["tilting", "sliding"])
+def test_small_creep_leads_to_rolling(axle):
+    """First order in the creep where the vehicle can roll; steps do not grow."""
+    vehicle, ground = three_wheeler(axle=axle), Analytic(hills, mu=0.6)
+    rolling = direct_kinematics(vehicle, ground, slip="rolling")
+    start = {"x": 0.013, "y": 0.017}
+    run = simulate(rolling, settle(rolling, **start), rolling.inputs(**RATES), T, tolerance=1e-12)
+    creep, errors = np.array([1e-3, 1e-4, 1e-5, 1e-6]), []
+    for eps in creep:
+        other = moved(vehicle, ground, Traction(eps), T, **start)
+        assert other.stop is None
+        assert other.statistics["steps"] < 250
+        same = moved(vehicle, ground, Traction(eps), T, tolerance=1e-11, **start)
+        errors.append(max(np.abs(same[name] - run[name]).max() for name in ("x", "y", "heading")))
+    order = np.polyfit(np.log(creep), np.log(errors), 1)[0]
+    assert order == pytest.approx(1, abs=0.02)
+
+
+def parts(vehicle, ground, law, rates, **start):
+    """Return rates, slip matrix, its rest, normal forces and load of a start under inputs."""
+    dae = direct_kinematics(vehicle, ground, slip="traction", traction=law)
+    begin = settle(dae, **start)
+    loop = close(dae, dae.inputs(**rates), 0)
+    x = dae.rows("x", begin, 0)
+    z = consistent(loop, 0.0, x, dae.rows("z", begin, 0), loop.u[:, 0])
+    w = ca.vertcat(*leaves(dae.z.rates.motion))
+    slip = ca.vertcat(*(v for pair in zip(dae.y.slip_along, dae.y.slip_across, strict=True)
+                        for v in pair))  # fmt: skip
+    gravity = -ca.jtimes(dae.y.forces.potential_energy, ca.vertcat(dae.x.x, dae.x.y, dae.z[0].z,
+                         dae.x.heading, dae.z[0].roll, dae.z[0].pitch), w[:6])  # fmt: skip
+    normal = dae.alg[1][w.numel() : w.numel() + len(vehicle.wheels)]
+    f = ca.Function("f", list(dae.columns()), [ca.jacobian(slip, w), slip, ca.jacobian(normal, w),
+                    normal, ca.gradient(gravity, w), w])  # fmt: skip
+    jac, now, touch, moving, load, w_now = (np.array(each) for each in f(x, z, loop.u[:, 0]))
+    names = [label.full for label in leaves(dae.labels.z)]
+    bears = z[[k for k, name in enumerate(names) if name.startswith("force_normal")]]
+    rest = now.ravel() - jac @ w_now.ravel()
+    return (
+        w_now.ravel(),
+        jac,
+        rest,
+        touch,
+        moving.ravel() - touch @ w_now.ravel(),
+        bears,
+        load.ravel(),
+    )
+
+
+UNEQUAL = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.1}
+
+
+@pytest.mark.parametrize("ground", [lambda x, _: 0 * x, hills], ids=["flat", "hills"])
+def test_large_friction_leads_to_the_linear_law(ground):
+    """mu to infinity at fixed eps/mu: second order; on flat ground least slip, weighted by load."""
+    errors, scale = [], np.array([1.0, 10.0, 100.0])
+    for mu in scale:
+        law = Traction(creep=2e-3 * mu)
+        start = {"heading": 0.3, "steer": 0.2}
+        w, jac, rest, touch, still, bears, load = parts(
+            FIXED, Analytic(ground, mu=float(mu)), law, UNEQUAL, **start
+        )
+        weight = np.repeat(bears, 2) / 2e-3  # mu N / eps
+        n, m = len(w), len(bears)
+        matrix = np.zeros((n + m, n + m))
+        matrix[:n, :n] = jac.T @ (weight[:, None] * jac)
+        matrix[:n, n:], matrix[n:, :n] = touch.T, touch
+        gravity = load if ground is hills else np.zeros(n)  # flat: it only bears on the normals
+        right = np.concatenate([gravity - jac.T @ (weight * rest), -still])
+        errors.append(np.abs(np.linalg.solve(matrix, right)[:n] - w).max())
+    order = -np.polyfit(np.log(scale), np.log(errors), 1)[0]
+    assert order == pytest.approx(2, abs=0.1)
+    assert errors[-1] < 1e-5
+
+
+def test_small_creep_of_a_rigid_axle_leads_to_least_dissipation(rng):
+    """Not to least slip: ``sum mu N |s| - Q w`` is least among the rates that keep contact.
+
+    The cost is convex; by duality the friction that is used bounds how far above the least it is.
+    """
+    gaps, creep = [], np.array([1e-4, 1e-5, 1e-6])
+    for eps in creep:
+        w, jac, rest, touch, _, bears, load = parts(
+            FIXED, Analytic(hills, mu=0.6), Traction(eps), UNEQUAL, heading=0.3, steer=0.2
+        )
+
+        def cost(v, jac=jac, rest=rest, bears=bears, load=load):
+            return 0.6 * bears @ np.hypot(*(jac @ v + rest).reshape(3, 2).T) - load @ v
+
+        slip = np.hypot(*(jac @ w + rest).reshape(3, 2).T)
+        gaps.append(0.6 * bears @ (slip - slip**2 / np.hypot(slip, eps)))
+        keeping = np.linalg.svd(touch)[2][len(bears) :]
+        for size in np.logspace(-6, -1, 60):
+            other = w + size * rng.normal(size=len(keeping)) @ keeping
+            assert cost(other) > cost(w) - gaps[-1]
+    assert np.polyfit(np.log(creep), np.log(gaps), 1)[0] > 0.95
+    assert gaps[-1] < 1e-4 * cost(w)
+    least = direct_kinematics(FIXED, Analytic(hills))
+    run = simulate(least, settle(least, heading=0.3, steer=0.2), least.inputs(**UNEQUAL),
+                   np.array([0, 1e-6]))  # fmt: skip
+    kinematic = np.array([run.of(label)[0] for label in leaves(least.labels.z.rates.motion)])
+    assert cost(kinematic) > 1.1 * cost(w)
+
+
+@pytest.mark.parametrize("axle", ["tilting", "fixed", "prismatic", "sliding"])
+@pytest.mark.parametrize("mu", [0.6, 1.5])
+def test_random_starts_lead_to_one_solution(axle, mu, rng):
+    law = Traction(1e-3)
+    dae = direct_kinematics(
+        three_wheeler(axle=axle), slope(np.radians(8), mu), slip="traction", traction=law
+    )
+    tilts = {"tilt_right": 0.05, "tilt_left": -0.03} if axle == "tilting" else {}
+    begin = settle(dae, heading=0.7, steer=0.2, **tilts)
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.35, steer_rate=0.1)
+    loop, x = close(dae, inputs, 0), dae.rows("x", begin, 0)
+    z = consistent(loop, 0.0, x, dae.rows("z", begin, 0), loop.u[:, 0])
+    block = loop.blocks[1]
+    meant = loop._replace(blocks=(loop.blocks[0], block._replace(stages=block.stages[-1:])))
+    converged = 0
+    for _ in range(20):
+        first = z.copy()
+        first[block.span] += rng.normal(size=len(block.labels)) * 0.3 * dae.scale[block.span]
+        try:
+            again = consistent(meant, 0.0, x, first, loop.u[:, 0])
+        except ModelError:
+            continue
+        converged += 1
+        assert_allclose(again / dae.scale, z / dae.scale, rtol=0, atol=1e-8)
+    assert converged >= 2
+
+
+def test_no_equilibrium_is_a_stop_by_name():
+    """Up a ground that steepens: when the friction that rolling needs reaches the ground's."""
+    ground = Analytic(lambda x, y: 0.05 * ca.fmax(y, 0) ** 3 + 0 * x, mu=0.35)
+    rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
+    t = np.linspace(0, 12, 121)
+    rolling = direct_kinematics(three_wheeler(), ground)
+    held = simulate(rolling, settle(rolling), rolling.inputs(**rates), t, tolerance=1e-11)
+    needed = held["friction_needed"].max(axis=1)
+    k = int(np.argmax(needed > 0.35))
+    expected = held.t[k - 1] + 0.1 * (0.35 - needed[k - 1]) / (needed[k] - needed[k - 1])
+    run = moved(three_wheeler(), ground, Traction(1e-6), t, rates)
+    assert run.stop.name == "no_equilibrium"
+    assert run.stop.t == pytest.approx(expected, abs=2e-3)
+    assert run.stop.words.startswith(
+        "no quasi-static equilibrium: headed 0 degrees from uphill on a slope of "
+    )
+    assert "the vehicle needs a coefficient of friction of 0.35" in run.stop.words
+    assert run.stop.words.endswith("the ground offers 0.35")
+
+
+def test_ice_is_a_stop_by_name_even_where_friction_jumps():
+    ground = Analytic(lambda x, y: hills(x, y) + 0.2 * y,
+                      mu=lambda _, y: ca.if_else(y > 0.9, 0.02, 0.6))  # fmt: skip
+    run = moved(FIXED, ground, Traction(), T, x=0.013, y=0.017)
+    assert run.stop.name == "no_equilibrium"
+    assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
+    assert "times the friction that it finds, the ground offers 0.02 to 0.6" in run.stop.words
+
+
+def test_the_edge_of_a_friction_map_is_a_stop_by_name():
+    axis = np.linspace(-3, 3, 13)
+    mu = Grid(axis, np.linspace(-3, 1.5, 10), np.full((13, 10), 0.6))
+    heights = Grid(axis, axis, np.zeros((13, 13)))
+    ground = Bicubic(heights, mu=mu)
+    rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
+    run = moved(FIXED, ground, Traction(1e-6), T, rates)
+    assert run.stop.name == "friction_margin[front]"
+    assert run.stop.t == pytest.approx(0.5 / 0.15, abs=2e-4)
+    assert (
+        "wheel front leaves the map of friction, which reaches from -3.00 to 3.00 m in x and "
+        in (run.stop.words)
+    )
+
+
+def test_a_rigid_stop_of_a_tilt_ends_the_motion_by_name():
+    """On flat ground a common tilt falls over; the stop is where it would be passed."""
+    ground = slope(0.0, 0.6)
+    t, law = np.linspace(0, 60, 241), Traction(1e-3)
+    free = moved(three_wheeler(), ground, law, t, dict.fromkeys(RATES, 0.0),
+                 tilt_right=0.1, tilt_left=0.1)  # fmt: skip
+    run = moved(three_wheeler(tilt_stop=0.2), ground, law, t, dict.fromkeys(RATES, 0.0),
+                tilt_right=0.1, tilt_left=0.1)  # fmt: skip
+    k = int(np.argmax(free["tilt_right"] > 0.2))
+    assert run.stop.name in ("tilt_right_stop", "tilt_left_stop")
+    assert free.t[k - 1] <= run.stop.t <= free.t[k]
+    assert "the stop of tilt_" in run.stop.words
+
+
+def test_an_elastic_stop_bears_the_wheel_that_leans_on_it():
+    """Both tilts fall towards their stops and rest there: moment of the load against the stop."""
+    bump, limit = 2000.0, 0.2
+    vehicle = three_wheeler(tilt_stop=limit, bump=bump)
+    run = moved(vehicle, slope(0.0, 0.6), Traction(1e-2), np.linspace(0, 60, 121),
+                dict.fromkeys(RATES, 0.0), tilt_right=0.1, tilt_left=0.1)  # fmt: skip
+    assert run.stop is None
+    body = Rotation.from_euler("ZYX", [run[name][-1] for name in ("heading", "roll", "pitch")])
+    for side in ("right", "left"):
+        tilt = run[f"tilt_{side}"][-1]
+        arm = [run[f"contact_{i}", side][-1] - run[f"center_{i}", side][-1] for i in "xyz"]
+        axle = (body * Rotation.from_euler("y", tilt)).apply([1.0, 0.0, 0.0])
+        along = np.cross([0.0, 0.0, 1.0], axle)
+        along /= np.linalg.norm(along)
+        frame = np.array([along, np.cross(along, [0.0, 0.0, 1.0]), [0.0, 0.0, 1.0]])
+        force = frame.T @ [run[f"force_{i}", side][-1] for i in ("along", "across", "normal")]
+        moment = np.cross(arm, force) @ body.apply([0.0, 1.0, 0.0])
+        assert tilt > limit
+        assert_allclose(bump * (tilt - limit), moment, rtol=1e-9)
+
+
+def test_only_a_stiff_spring_holds_a_tilt_upright():
+    """The tilt is an inverted pendulum; the spring it needs is the load times r2."""
+    load = three_wheeler().weight / 3 * 0.25
+    for factor, grows in ((0.95, True), (1.05, False)):
+        run = standing(three_wheeler(stiffness=factor * load), slope(0.0, 0.6),
+                       tilt_right=0.01, tilt_left=0.01)  # fmt: skip
+        assert (run["tilt_right_rate"][0] > 0) == grows
+
+
+def test_a_damper_slows_the_fall():
+    rates = [
+        standing(three_wheeler(damping=d), slope(0.0, 0.6), Traction(1e-1),
+                 tilt_right=0.1, tilt_left=0.1)["tilt_right_rate"][0]
+        for d in (0.0, 100.0)
+    ]  # fmt: skip
+    assert 0 < rates[1] < rates[0]
+
+
+def test_work_is_what_is_gained_and_what_is_lost():
+    t = np.linspace(0, 10, 1001)
+    run = moved(FIXED, Analytic(hills, mu=0.6), Traction(1e-3), t, UNEQUAL, tolerance=1e-10)
+    from scipy.interpolate import CubicSpline
+
+    lost = CubicSpline(run.t, run["dissipation"]).antiderivative()(run.t)
+    gained = run["potential_energy"] - run["potential_energy"][0]
+    assert lost[-1] > 0.1
+    assert_allclose(run["work"], gained + lost, atol=1e-6 * lost[-1])
+
+
+def test_what_does_not_suit_is_refused():
+    ground = slope(0.0, 0.6)
+
+    def fails(words, vehicle=FIXED, ground=ground, law=Traction()):  # noqa: B008
+        with pytest.raises(ModelError, match=words):
+            direct_kinematics(vehicle, ground, slip="traction", traction=law)
+
+    fails("has no mass; give", vehicle=three_wheeler(mass=0.0, wheel_mass=0.0))
+    fails("the ground has no friction", ground=slope(0.0, None))
+    fails("expected a creep above 0 and up to 0.3 m/s, found 0", law=Traction(0.0))
+    fails("expected a creep", law=Traction(1.0))
+    fails("expected a reserve of zero or more, found -1", law=Traction(reserve=-1.0))
+    with pytest.raises(ModelError, match="slip = 'least' or 'rolling', found 'traction'"):
+        montana_kinematics(FIXED, ground, slip="traction")
+
+
+def test_a_lock_keeps_a_tilt_and_bears_its_torque():
+    vehicle = actuated(three_wheeler(), "tilt_right", "tilt_left")
+    s = np.radians(20)
+    run = standing(vehicle, slope(s, 0.6, across=True))
+    assert_allclose(run["utilisation"], np.tan(s) / 0.6, rtol=1e-6)
+    assert np.abs(run["tilt_right_torque"]).min() > 5
