@@ -31,7 +31,8 @@ from slipfree import (
 from slipfree.kinematics.inverse import PLANAR, along, inverse_kinematics
 from slipfree.kinematics.margin import EULER, VELOCITY, conditions, steering_note
 from slipfree.solve.inverse import drive
-from slipfree.solve.loop import Samples, close, table
+from slipfree.solve.loop import close
+from slipfree.solve.sample import Samples, table
 from slipfree.solve.settle import consistent
 
 SEED, POSES = 20261121, 150

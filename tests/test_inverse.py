@@ -31,7 +31,8 @@ from slipfree.kinematics.margin import (
     steering_slip,
 )
 from slipfree.solve.inverse import drive, nearest, settle_contact
-from slipfree.solve.loop import Samples, close, followed, table
+from slipfree.solve.loop import close
+from slipfree.solve.sample import Samples, followed, table
 from slipfree.solve.settle import consistent
 from slipfree.vehicle.wheel import Wheel
 

@@ -7,6 +7,21 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from cases import hills
+from friction_cases import (
+    FIXED,
+    RATES,
+    UNEQUAL,
+    T,
+    dissipation,
+    flat,
+    from_linear,
+    from_rolling,
+    least_slip_rates,
+    moved,
+    order,
+    random_starts,
+    slope,
+)
 from slipfree import (
     Analytic,
     Bicubic,
@@ -20,28 +35,10 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.kinematics.montana import montana_kinematics
-from slipfree.named import leaves
-from slipfree.solve.loop import close
-from slipfree.solve.settle import consistent
-
-RATES = {"right_rate": 0.45, "left_rate": 0.44, "steer_rate": 0.0}
-FIXED = three_wheeler(axle="fixed")
-
-
-def slope(angle, mu, across=False):
-    """A plane that rises along y, or along x."""
-    rise = np.tan(angle)
-    return Analytic(lambda x, y: rise * (x if across else y) + 0 * x + 0 * y, mu=mu)
 
 
 def standing(vehicle, ground, law=Traction(), **start):  # noqa: B008
     return settle(direct_kinematics(vehicle, ground, slip="traction", traction=law), **start)
-
-
-def moved(vehicle, ground, law, t, rates=None, tolerance=1e-8, **start):
-    dae = direct_kinematics(vehicle, ground, slip="traction", traction=law)
-    begin = settle(dae, **start)
-    return simulate(dae, begin, dae.inputs(**(rates or RATES)), t, tolerance=tolerance)
 
 
 def creeps(run):
@@ -92,137 +89,43 @@ def test_beyond_friction_a_start_is_refused_with_what_it_needs():
     )
 
 
-T = np.linspace(0, 10, 101)
-
-
 @pytest.mark.parametrize("axle", ["tilting", "sliding"])
 def test_small_creep_leads_to_rolling(axle):
     """First order in the creep where the vehicle can roll; steps do not grow."""
-    vehicle, ground = three_wheeler(axle=axle), Analytic(hills, mu=0.6)
-    rolling = direct_kinematics(vehicle, ground, slip="rolling")
-    start = {"x": 0.013, "y": 0.017}
-    run = simulate(rolling, settle(rolling, **start), rolling.inputs(**RATES), T, tolerance=1e-12)
-    creep, errors = np.array([1e-3, 1e-4, 1e-5, 1e-6]), []
-    for eps in creep:
-        other = moved(vehicle, ground, Traction(eps), T, **start)
-        assert other.stop is None
-        assert other.statistics["steps"] < 250
-        same = moved(vehicle, ground, Traction(eps), T, tolerance=1e-11, **start)
-        errors.append(max(np.abs(same[name] - run[name]).max() for name in ("x", "y", "heading")))
-    order = np.polyfit(np.log(creep), np.log(errors), 1)[0]
-    assert order == pytest.approx(1, abs=0.02)
+    creep = np.array([1e-3, 1e-4, 1e-5, 1e-6])
+    errors, steps = zip(*from_rolling(axle, creep), strict=True)
+    assert order(creep, errors) == pytest.approx(1, abs=0.02)
+    assert max(steps) < 250
 
 
-def parts(vehicle, ground, law, rates, **start):
-    """Return rates, slip matrix, its rest, normal forces and load of a start under inputs."""
-    dae = direct_kinematics(vehicle, ground, slip="traction", traction=law)
-    begin = settle(dae, **start)
-    loop = close(dae, dae.inputs(**rates), 0)
-    x = dae.rows("x", begin, 0)
-    z = consistent(loop, 0.0, x, dae.rows("z", begin, 0), loop.u[:, 0])
-    w = ca.vertcat(*leaves(dae.z.rates.motion))
-    slip = ca.vertcat(*(v for pair in zip(dae.y.slip_along, dae.y.slip_across, strict=True)
-                        for v in pair))  # fmt: skip
-    gravity = -ca.jtimes(dae.y.forces.potential_energy, ca.vertcat(dae.x.x, dae.x.y, dae.z[0].z,
-                         dae.x.heading, dae.z[0].roll, dae.z[0].pitch), w[:6])  # fmt: skip
-    normal = dae.alg[1][w.numel() : w.numel() + len(vehicle.wheels)]
-    f = ca.Function("f", list(dae.columns()), [ca.jacobian(slip, w), slip, ca.jacobian(normal, w),
-                    normal, ca.gradient(gravity, w), w])  # fmt: skip
-    jac, now, touch, moving, load, w_now = (np.array(each) for each in f(x, z, loop.u[:, 0]))
-    names = [label.full for label in leaves(dae.labels.z)]
-    bears = z[[k for k, name in enumerate(names) if name.startswith("force_normal")]]
-    rest = now.ravel() - jac @ w_now.ravel()
-    return (
-        w_now.ravel(),
-        jac,
-        rest,
-        touch,
-        moving.ravel() - touch @ w_now.ravel(),
-        bears,
-        load.ravel(),
-    )
-
-
-UNEQUAL = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.1}
-
-
-@pytest.mark.parametrize("ground", [lambda x, _: 0 * x, hills], ids=["flat", "hills"])
+@pytest.mark.parametrize("ground", [flat, hills])
 def test_large_friction_leads_to_the_linear_law(ground):
     """mu to infinity at fixed eps/mu: second order; on flat ground least slip, weighted by load."""
-    errors, scale = [], np.array([1.0, 10.0, 100.0])
-    for mu in scale:
-        law = Traction(creep=2e-3 * mu)
-        start = {"heading": 0.3, "steer": 0.2}
-        w, jac, rest, touch, still, bears, load = parts(
-            FIXED, Analytic(ground, mu=float(mu)), law, UNEQUAL, **start
-        )
-        weight = np.repeat(bears, 2) / 2e-3  # mu N / eps
-        n, m = len(w), len(bears)
-        matrix = np.zeros((n + m, n + m))
-        matrix[:n, :n] = jac.T @ (weight[:, None] * jac)
-        matrix[:n, n:], matrix[n:, :n] = touch.T, touch
-        gravity = load if ground is hills else np.zeros(n)  # flat: it only bears on the normals
-        right = np.concatenate([gravity - jac.T @ (weight * rest), -still])
-        errors.append(np.abs(np.linalg.solve(matrix, right)[:n] - w).max())
-    order = -np.polyfit(np.log(scale), np.log(errors), 1)[0]
-    assert order == pytest.approx(2, abs=0.1)
+    scale = np.array([1.0, 10.0, 100.0])
+    errors = [from_linear(ground, mu) for mu in scale]
+    assert order(1 / scale, errors) == pytest.approx(2, abs=0.1)
     assert errors[-1] < 1e-5
 
 
 def test_small_creep_of_a_rigid_axle_leads_to_least_dissipation(rng):
-    """Not to least slip: ``sum mu N |s| - Q w`` is least among the rates that keep contact.
-
-    The cost is convex; by duality the friction that is used bounds how far above the least it is.
-    """
-    gaps, creep = [], np.array([1e-4, 1e-5, 1e-6])
-    for eps in creep:
-        w, jac, rest, touch, _, bears, load = parts(
-            FIXED, Analytic(hills, mu=0.6), Traction(eps), UNEQUAL, heading=0.3, steer=0.2
-        )
-
-        def cost(v, jac=jac, rest=rest, bears=bears, load=load):
-            return 0.6 * bears @ np.hypot(*(jac @ v + rest).reshape(3, 2).T) - load @ v
-
-        slip = np.hypot(*(jac @ w + rest).reshape(3, 2).T)
-        gaps.append(0.6 * bears @ (slip - slip**2 / np.hypot(slip, eps)))
-        keeping = np.linalg.svd(touch)[2][len(bears) :]
+    """Not to least slip: ``sum mu N |s| - Q w`` is least among the rates that keep contact."""
+    creep = np.array([1e-4, 1e-5, 1e-6])
+    for each in (found := [dissipation(eps) for eps in creep]):
         for size in np.logspace(-6, -1, 60):
-            other = w + size * rng.normal(size=len(keeping)) @ keeping
-            assert cost(other) > cost(w) - gaps[-1]
-    assert np.polyfit(np.log(creep), np.log(gaps), 1)[0] > 0.95
-    assert gaps[-1] < 1e-4 * cost(w)
-    least = direct_kinematics(FIXED, Analytic(hills))
-    run = simulate(least, settle(least, heading=0.3, steer=0.2), least.inputs(**UNEQUAL),
-                   np.array([0, 1e-6]))  # fmt: skip
-    kinematic = np.array([run.of(label)[0] for label in leaves(least.labels.z.rates.motion)])
-    assert cost(kinematic) > 1.1 * cost(w)
+            other = each.rates + size * rng.normal(size=len(each.keeping)) @ each.keeping
+            assert each.cost(other) > each.cost(each.rates) - each.gap
+    assert order(creep, [each.gap for each in found]) > 0.95
+    best = found[-1]
+    assert best.gap < 1e-4 * best.cost(best.rates)
+    assert best.cost(least_slip_rates()) > best.cost(best.rates) + 100 * best.gap
 
 
 @pytest.mark.parametrize("axle", ["tilting", "fixed", "prismatic", "sliding"])
 @pytest.mark.parametrize("mu", [0.6, 1.5])
 def test_random_starts_lead_to_one_solution(axle, mu, rng):
-    law = Traction(1e-3)
-    dae = direct_kinematics(
-        three_wheeler(axle=axle), slope(np.radians(8), mu), slip="traction", traction=law
-    )
-    tilts = {"tilt_right": 0.05, "tilt_left": -0.03} if axle == "tilting" else {}
-    begin = settle(dae, heading=0.7, steer=0.2, **tilts)
-    inputs = dae.inputs(right_rate=0.5, left_rate=0.35, steer_rate=0.1)
-    loop, x = close(dae, inputs, 0), dae.rows("x", begin, 0)
-    z = consistent(loop, 0.0, x, dae.rows("z", begin, 0), loop.u[:, 0])
-    block = loop.blocks[1]
-    meant = loop._replace(blocks=(loop.blocks[0], block._replace(stages=block.stages[-1:])))
-    converged = 0
-    for _ in range(20):
-        first = z.copy()
-        first[block.span] += rng.normal(size=len(block.labels)) * 0.3 * dae.scale[block.span]
-        try:
-            again = consistent(meant, 0.0, x, first, loop.u[:, 0])
-        except ModelError:
-            continue
-        converged += 1
-        assert_allclose(again / dae.scale, z / dae.scale, rtol=0, atol=1e-8)
+    converged, apart = random_starts(axle, mu, 1e-3, 20, rng)
     assert converged >= 2
+    assert apart < 1e-8
 
 
 def test_no_equilibrium_is_a_stop_by_name():

@@ -28,7 +28,8 @@ from slipfree.problem.parts import (
 )
 from slipfree.problem.read import Fault, Problem, S, names, problem_error
 from slipfree.solve.inverse import drive
-from slipfree.solve.loop import Samples, close, corrected, table
+from slipfree.solve.loop import close
+from slipfree.solve.sample import Samples, corrected, table
 from slipfree.solve.settle import consistent, first_violation
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle

@@ -23,7 +23,8 @@ from numpy.polynomial import legendre
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array, Label, Mask, leaves, unpack
-from slipfree.solve.loop import Loop, Samples, close, followed, table
+from slipfree.solve.loop import Loop, close
+from slipfree.solve.sample import Samples, followed, table
 from slipfree.solve.settle import first_violation, settle
 from slipfree.solve.simulate import _times, simulate
 from slipfree.trajectory import Stop, Trajectory

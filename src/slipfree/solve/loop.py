@@ -11,13 +11,8 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves, pack
-from slipfree.trajectory import Column, Trajectory
 
-CORRECTIONS = 10  # Newton steps on a sample at most
-ENOUGH = 1e-12  # residual at which a sample needs no further step
-UNSOLVED = 1e-10  # residual of a sample that is no rounding any more
 FOLLOWING = 25  # Newton steps at most for what follows from a motion
-ROUNDING = 1e-13  # step, in typical sizes, that only rounding is left of
 
 
 class Block(NamedTuple):
@@ -171,18 +166,34 @@ def _quadratures(
     count = after[0].span.start if after else z.numel()
     if not after or not ca.depends_on(quad, z[count:]):
         return ca.Function("quad", [t, x, z[:count], u], [quad])
-    given = ca.vertcat(t, x, z[:count], u)
-    equations = ca.vertcat(*(block.residual(t, x, z, u, 0.0) for block in after))
-    problem = {"x": z[count:], "p": given, "g": equations}
+    sizes = [each.numel() for each in (t, x, z[:count], u)]
+    given = [ca.MX.sym(name, size) for name, size in zip("txmu", sizes, strict=True)]
+    guess = ca.Function("guess", [x], [dae.guess[count:]])
+    found = ca.vertcat(given[2], guess(given[1]))
+    for block in after:
+        found = _followed(block, [given[0], given[1], found, given[3]])
+    rates = ca.Function("rates", symbols, [quad])
+    return ca.Function("quad", given, [rates(given[0], given[1], found, given[3])])
+
+
+def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
+    """Return ``z`` with the unknowns of a block in place of their guess."""
+    t, x, z, u = point
+    before, guess, rest = ca.vertsplit(z, [0, block.span.start, block.span.stop, z.numel()])
+    if block.linear:
+        at = (t, x, z, u, block.stages[-1])
+        found = guess - ca.solve(block.jacobian(*at), block.residual(*at))
+        return ca.vertcat(before, found, rest)
+    unknown, given = ca.MX.sym("unknown", guess.numel()), ca.vertcat(t, x, before, u)
+    symbol = ca.MX.sym("given", given.numel())
+    ends = np.cumsum([0, 1, x.numel(), before.numel(), u.numel()]).tolist()
+    t_0, x_0, z_0, u_0 = ca.vertsplit(symbol, ends)
+    other = ca.vertcat(z_0, unknown, ca.MX.zeros(rest.numel()))
+    equations = block.residual(t_0, x_0, other, u_0, block.stages[-1])
+    problem = {"x": unknown, "p": symbol, "g": equations}
     options = {"error_on_fail": False, "max_iter": FOLLOWING, "show_eval_warnings": False}
     solver = ca.rootfinder("following", "newton", problem, options)
-    guess = ca.Function("guess", [x], [dae.guess[count:]])
-    rates = ca.Function("rates", symbols, [quad])
-    parts = [ca.MX.sym(name, part.numel()) for name, part in zip("txmu", (t, x, z[:count], u),
-             strict=True)]  # fmt: skip
-    found = solver(x0=guess(parts[1]), p=ca.vertcat(*parts))["x"]
-    z_found = ca.vertcat(parts[2], found)
-    return ca.Function("quad", parts, [rates(parts[0], parts[1], z_found, parts[3])])
+    return ca.vertcat(before, solver(x0=guess, p=given)["x"], rest)
 
 
 def _least(dae: Dae[Any, Any, Any, Any, Any], bounds: ca.SX, following: ca.SX) -> ca.SX:
@@ -247,179 +258,3 @@ def _blocks(
             )
         )
     return tuple(blocks)
-
-
-class Samples(NamedTuple):
-    """States of a motion in local coordinates, in columns.
-
-    Attributes
-    ----------
-    t : ndarray, shape (n,)
-        Times. [s]
-    x, z, q, u : ndarray, shape (n_x, n) and so on
-        States, algebraic unknowns, quadratures and given inputs.
-    """
-
-    t: Array
-    x: Array
-    z: Array
-    q: Array
-    u: Array
-
-    def head(self, count: int) -> Samples:
-        """Return the first ``count`` samples."""
-        return Samples(*(part[..., :count] for part in self))
-
-
-def corrected(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples after a Newton step on the motion, and what that step says.
-
-    The integrator's interpolation leaves the algebraic equations satisfied to its tolerance only;
-    the step is as large as that error. Where it does not do, others follow. With it comes the
-    report of `followed`.
-    """
-    z, n = samples.z.copy(), loop.moving
-    alg, jac = _linearised(loop, samples)
-    step, size = _steps(jac, alg), _largest(alg)
-    first = _largest(step[loop.blocks[0].span])
-    rough = np.ones(samples.t.size, dtype=bool)
-    for _ in range(CORRECTIONS):
-        z[:n, rough] -= step[:, rough]
-        alg, jac = _linearised(loop, samples._replace(z=z))
-        former, size = size, _largest(alg)
-        rough &= (size > ENOUGH) & ~((size < UNSOLVED) & (size > former / 2))
-        if not rough.any():
-            break
-        step = _steps(jac, alg)
-    found, report = followed(loop, samples._replace(z=z), (alg, jac))
-    return found, {"newton_step": first, **report}
-
-
-def _largest(rows: Array) -> Array:
-    return np.asarray(np.abs(rows).max(axis=0))
-
-
-def _linearised(loop: Loop, samples: Samples) -> tuple[Array, Array]:
-    """Return the residuals of the motion's equations in columns, and their Jacobians."""
-    newton, n = loop.newton.map(samples.t.size), loop.moving
-    found = newton(samples.t[None], samples.x, samples.z[:n], samples.u)
-    alg, jac = (np.array(out) for out in found)
-    return alg, _each(jac, n)
-
-
-def followed(
-    loop: Loop, samples: Samples, known: tuple[Array, Array] | None = None
-) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples with what follows from their motion, and how well all equations hold.
-
-    The report holds the smallest singular value of the Jacobian of the motion's equations, the
-    distance to a singular configuration, and the residuals block by block. ``known`` are residuals
-    and Jacobians of the samples, if they are at hand.
-    """
-    count, n, z = samples.t.size, loop.moving, samples.z.copy()
-    left, jac = known or _linearised(loop, samples)
-    report = {"singular_value": np.asarray(np.linalg.svd(jac, compute_uv=False)[:, -1])}
-    for block in loop.blocks:
-        report[f"{block.labels[0].name}_residual"] = _largest(left[block.span])
-    if loop.after:
-        guess = ca.Function("guess", [loop.dae.columns()[0]], [loop.dae.guess]).map(count)
-        z[n:] = np.array(guess(samples.x))[n:]
-    for block in loop.after:
-        z, rest = _solved(block, samples._replace(z=z), loop.dae.scale[block.span, None])
-        report[f"{block.labels[0].name}_residual"] = _largest(rest)
-    return samples._replace(z=z), report
-
-
-def _solved(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
-    """Return ``z`` with a block solved by Newton's method at all samples, and its residual.
-
-    Where the equations have no solution the residual says so.
-    """
-    count, n, z = samples.t.size, len(block.labels), samples.z.copy()
-    residual, jacobian = block.residual.map(count), block.jacobian.map(count)
-
-    def at(function: ca.Function) -> Array:
-        return np.array(
-            function(
-                samples.t[None], samples.x, z, samples.u, np.full((1, count), block.stages[-1])
-            )
-        )
-
-    for _ in range(FOLLOWING):
-        step = _steps(_each(at(jacobian), n), at(residual))
-        z[block.span] -= step
-        if block.linear or not (np.abs(step) > ROUNDING * size).any():
-            break
-    return z, at(residual)
-
-
-def _each(side_by_side: Array, n: int) -> Array:
-    """Return square matrices, shape (count, n, n), from one of shape (n, count n)."""
-    return side_by_side.reshape(n, -1, n).transpose(1, 0, 2)
-
-
-def _steps(matrices: Array, right: Array) -> Array:
-    """Return the solutions of many linear systems in columns; least squares if one is singular."""
-    try:
-        return np.asarray(np.linalg.solve(matrices, right.T[..., None])[..., 0].T)
-    except np.linalg.LinAlgError:
-        return np.asarray((np.linalg.pinv(matrices) @ right.T[..., None])[..., 0].T)
-
-
-def table(loop: Loop, samples: Samples, report: dict[str, Array]) -> Trajectory:
-    """Return the samples as a trajectory in map coordinates, with all outputs and margins."""
-    dae, labels = loop.dae, loop.dae.labels
-    y, limits, u = (
-        np.array(out)
-        for out in loop.outputs.map(samples.t.size)(samples.t[None], *samples[1:3], samples.u)
-    )
-    x, z = (part + shift[:, None] for part, shift in zip(samples[1:3], dae.shift, strict=True))
-    rows = [
-        *zip(leaves(labels.x), x, strict=True),
-        *zip(leaves(labels.z), z, strict=True),
-        *zip(leaves(labels.q), samples.q, strict=True),
-        *zip(leaves(labels.u), u, strict=True),
-        *zip(leaves(labels.y), y, strict=True),
-        *zip((limit.label for limit in dae.limits), limits, strict=True),
-        *((check.label, check.margin(*samples[1:3])) for check in dae.checks),
-        *((_report_label(loop, name), values) for name, values in report.items()),
-    ]
-    return Trajectory(samples.t, *_columns(rows))
-
-
-def _columns(rows: list[tuple[Label, Array]]) -> tuple[dict[str, Column], tuple[str, ...]]:
-    """Gather the rows that belong to wheels into one column a wheel."""
-    groups: dict[str, list[tuple[Label, Array]]] = {}
-    for label, values in rows:
-        groups.setdefault(label.name, []).append((label, values))
-    wheels: tuple[str, ...] = ()
-    columns = {}
-    for name, members in groups.items():
-        label = members[0][0]
-        if label.wheel is None:
-            columns[name] = Column(label, members[0][1])
-            continue
-        wheels = tuple(str(each.wheel) for each, _ in members)
-        values = np.column_stack([values for _, values in members])
-        columns[name] = Column(Label(name, label.unit, _common(members)), values)
-    return columns, wheels
-
-
-def _common(members: list[tuple[Label, Array]]) -> str:
-    """Return the words of a quantity with every wheel's own name taken out."""
-    label = members[0][0]
-    return label.words.replace(f"wheel {label.wheel}", "the wheel")
-
-
-def _report_label(loop: Loop, name: str) -> Label:
-    blocks = (*loop.blocks, *loop.after)
-    units = {f"{block.labels[0].name}_residual": block.labels[0].unit for block in blocks}
-    words = {
-        "newton_step": "largest change of a position by the Newton step on the sample",
-        "singular_value": "smallest singular value of the Jacobian of the algebraic equations",
-    }
-    return Label(
-        name,
-        units.get(name, "1" if name == "singular_value" else "m"),
-        words.get(name, "largest residual of these equations after the Newton step"),
-    )

@@ -11,7 +11,8 @@ import numpy as np
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.named import Array, Mask, leaves, unpack
-from slipfree.solve.loop import UNSOLVED, Block, Loop, Samples, close, corrected, table
+from slipfree.solve.loop import Block, Loop, close
+from slipfree.solve.sample import UNSOLVED, Samples, corrected, table
 from slipfree.trajectory import Stop, Trajectory
 
 LARGEST_STEP = 0.25  # of an unknown's typical size, in one Newton step

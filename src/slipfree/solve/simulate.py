@@ -15,7 +15,8 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
-from slipfree.solve.loop import Loop, Samples, close, corrected, table
+from slipfree.solve.loop import Loop, close
+from slipfree.solve.sample import Samples, corrected, table
 from slipfree.solve.settle import UnsolvedError, consistent, first_violation
 from slipfree.trajectory import Stop, Trajectory, joined
 

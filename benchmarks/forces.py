@@ -1,0 +1,225 @@
+"""Forces: closed forms, energy, creep, the limits of friction, and which axle stands where.
+
+``python benchmarks/forces.py`` prints the figures of README and of the tests on forces: errors
+against closed forms; the work of the drives against the energy gained; creep across a slope; how
+fast three limits of friction are approached; random starts; steps against creep; the least
+coefficient of friction on which four axles stand, from the best distribution of forces and from
+the existence of an equilibrium with friction; and what the paper's direct run needs of the ground.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from reference import heading
+
+from slipfree import (
+    Analytic,
+    ModelError,
+    Traction,
+    best_utilisation,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
+from slipfree.problem.read import read
+from slipfree.problem.run import run as solve
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from cases import hills
+from friction_cases import (
+    FIXED,
+    PLACE,
+    RATES,
+    T,
+    dissipation,
+    flat,
+    from_linear,
+    from_rolling,
+    moved,
+    order,
+    random_starts,
+    slope,
+)
+
+SEED = 20261121
+RISE, LENGTH = 0.3, 1.5  # height of the centre of mass, wheelbase [m]
+PLACES = ((10, 90), (20, 90), (20, 45), (20, 0), (20, 180))  # slope, heading from uphill [degrees]
+LAB = {
+    "tilting": (0.529, 1.092, 0.936, 0.492, 0.613),
+    "two prismatic": (0.529, 1.092, 0.936, 0.492, 0.613),
+    "one prismatic": (0.258, 0.509, 0.457, 0.492, 0.613),
+    "fixed": (0.177, 0.364, 0.432, 0.492, 0.613),
+}
+DISC = {"r1": 0.005, "r2": 0.295}
+AXLES: dict[str, dict[str, Any]] = {
+    "tilting": {"axle": "tilting"},
+    "two prismatic": {"axle": "sliding", **DISC},
+    "one prismatic": {"axle": "prismatic", **DISC},
+    "fixed": {"axle": "fixed"},
+}
+
+
+def main() -> None:
+    """Print all figures."""
+    heading()
+    closed_forms()
+    energy()
+    creep()
+    limits()
+    starts()
+    steps()
+    standing()
+    paper()
+
+
+def closed_forms() -> None:
+    """Print the largest error of the friction needed on slopes and of leaning wheels."""
+    worst = {"up": 0.0, "down": 0.0, "across": 0.0, "leaning": 0.0}
+    for degrees in (5, 10, 15, 20):
+        s = np.radians(degrees)
+        lever = RISE / LENGTH * np.tan(s)
+        for name, ground, expected in (
+            ("up", slope(s), np.tan(s) / (2 / 3 + lever)),
+            ("down", slope(-s), np.tan(s) / (2 / 3 - lever)),
+            ("across", slope(s, across=True), 3 * np.tan(s)),
+        ):
+            run = settle(direct_kinematics(three_wheeler(), ground))
+            worst[name] = max(worst[name], abs(run["friction_needed"].max() - expected))
+        lean = 0.25 * np.sin(s) / (0.05 + 0.25 * np.cos(s))
+        low = 0.25 * (1 - np.cos(s))  # by which leaning wheels lower the axle
+        steps = Analytic(lambda _, y, low=low: low / 2 * (1 - ca.tanh(60 * (y - 0.25))))
+        run = settle(direct_kinematics(three_wheeler(), steps), tilt_right=s, tilt_left=s)
+        ratio = np.abs(run["force_across"][0] / run["force_normal"][0])
+        worst["leaning"] = max(worst["leaning"], np.abs(ratio - [lean, lean, 2 * lean]).max())
+    words = ", ".join(f"{name} {error:.1e}" for name, error in worst.items())
+    print(f"closed forms, slopes and tilts of 5 to 20 degrees: largest error {words}")
+
+
+def energy() -> None:
+    """Print the difference of work and energy gained on the way up hills."""
+    ground = Analytic(lambda x, y: hills(x, y) + 0.15 * y)
+    dae = direct_kinematics(three_wheeler(), ground)
+    begin, t = settle(dae, **PLACE), np.linspace(0, 20, 201)
+    for tolerance in (1e-6, 1e-8, 1e-10):
+        run = simulate(dae, begin, dae.inputs(**RATES), t, tolerance=tolerance)
+        gained = run["potential_energy"] - run["potential_energy"][0]
+        missed = np.abs(run["work"] - gained).max()
+        print(
+            f"20 s of hills, tolerance {tolerance:g}: energy gained {gained[-1]:.4f} J, work "
+            f"differs by {missed:.1e} J, {missed / gained[-1]:.1e} of it"
+        )
+
+
+def creep() -> None:
+    """Print the creep of a rigid axle across slopes against its closed form."""
+    for eps in (1e-2, 1e-4, 1e-6):
+        error = 0.0
+        for degrees in (5, 10, 20, 30):
+            s = np.radians(degrees)
+            ground = slope(s, 0.6, across=True)
+            law = Traction(eps)
+            run = settle(direct_kinematics(FIXED, ground, slip="traction", traction=law))
+            expected = eps * np.tan(s) / np.sqrt(0.36 - np.tan(s) ** 2)
+            found = np.hypot(run["slip_along"], run["slip_across"])
+            error = max(error, np.abs(found / expected - 1).max())
+        print(f"creep across slopes of 5 to 30 degrees, eps {eps:g} m/s: error {error:.1e} of it")
+
+
+def limits() -> None:
+    """Print how fast the limits of friction are approached."""
+    sizes = np.array([1e-3, 1e-4, 1e-5, 1e-6])
+    for axle in ("tilting", "sliding"):
+        apart, _ = zip(*from_rolling(axle, sizes), strict=True)
+        words = ", ".join(f"{each:.1e}" for each in apart)
+        print(f"{axle}: from rolling after 10 s of hills, eps 1e-3 to 1e-6: {words} m or rad; "
+              f"order {order(sizes, apart):.3f}")  # fmt: skip
+    scale = np.array([1.0, 10.0, 100.0])
+    for name, ground in (("level ground", flat), ("hills", hills)):
+        errors = [from_linear(ground, mu) for mu in scale]
+        words = ", ".join(f"{each:.1e}" for each in errors)
+        law = "least slip by load" if ground is flat else "linear law with gravity"
+        print(f"fixed axle, {name}: from the {law}, mu 1, 10, 100 at fixed eps/mu: {words}; "
+              f"order {order(1 / scale, errors):.2f}")  # fmt: skip
+    found = [dissipation(eps) for eps in sizes[1:]]
+    words = ", ".join(f"{each.gap / each.cost(each.rates):.1e}" for each in found)
+    print(f"fixed axle: above the least dissipation at most, eps 1e-4 to 1e-6: {words} of it; "
+          f"order {order(sizes[1:], [each.gap for each in found]):.2f}")  # fmt: skip
+
+
+def starts() -> None:
+    """Print how many random starts converge, and whether to one solution."""
+    rng, total, apart = np.random.default_rng(SEED), 0, 0.0
+    for axle in ("tilting", "fixed", "prismatic", "sliding"):
+        counts = []
+        for mu in (0.6, 1.5):
+            for eps in (1e-2, 1e-3):
+                converged, most = random_starts(axle, mu, eps, 200, rng)
+                counts.append(converged)
+                apart = max(apart, most)
+        total += sum(counts)
+        print(f"{axle}: of 4 x 200 random starts converge {', '.join(map(str, counts))}")
+    print(f"{total} of 3200 converge, all to one solution: at most {apart:.1e} apart")
+
+
+def steps() -> None:
+    """Print the steps of 10 s of hills at tolerance 1e-8."""
+    sizes = (1e-3, 1e-4, 1e-5, 1e-6)
+    for axle in ("tilting", "sliding", "fixed", "prismatic"):
+        runs = [moved(three_wheeler(axle=axle), Analytic(hills, mu=0.6), Traction(eps), T, **PLACE)
+                for eps in sizes]  # fmt: skip
+        words = ", ".join(f"{run.statistics['steps']:.0f}" for run in runs)
+        print(f"{axle}: steps for 10 s of hills, eps 1e-3 to 1e-6: {words}")
+
+
+def standing() -> None:
+    """Print the least coefficient of friction on which each axle stands."""
+    print(
+        "least friction to stand on, massless wheels: best distribution / equilibrium exists / lab"
+    )
+    print(f"{'':14}" + "".join(f"{f'{slope} deg, heading {way}':24}" for slope, way in PLACES))
+    for name, options in AXLES.items():
+        vehicle = three_wheeler(wheel_mass=0.0, **options)
+        cells = []
+        for (degrees, way), lab in zip(PLACES, LAB[name], strict=True):
+            start = {"heading": np.radians(way)}
+            ground = slope(np.radians(degrees))
+            run = settle(direct_kinematics(vehicle, ground), **start)
+            best = best_utilisation(vehicle, ground, run)["utilisation_best"][0]
+            exists = least_mu(vehicle, np.radians(degrees), start)
+            cells.append(f"{best:.4f} / {exists:.4f} / {lab:.3f}")
+        print(f"{name:14}" + "".join(f"{cell:24}" for cell in cells))
+
+
+def least_mu(vehicle: Any, angle: float, start: dict[str, float]) -> float:
+    """Return the least coefficient at which an equilibrium with friction is found."""
+    low, high = 0.0, 3.0
+    for _ in range(14):
+        mu = (low + high) / 2
+        dae = direct_kinematics(vehicle, slope(angle, mu), slip="traction", traction=Traction(1e-3))
+        try:
+            settle(dae, **start)
+            high = mu
+        except ModelError:
+            low = mu
+    return high
+
+
+def paper() -> None:
+    """Print the friction that the paper's direct run needs over time."""
+    problem = read(Path(__file__).parent.parent / "problems" / "paper_direct.toml")
+    run = solve(problem).trajectory
+    print("friction needed by problems/paper_direct.toml (right, left, front), tilt right [rad]")
+    for t in range(7):
+        k = int(np.argmin(np.abs(run.t - t)))
+        needed = ", ".join(f"{each:.3f}" for each in run["friction_needed"][k])
+        print(f"  {run.t[k]:g} s: {needed}; {run['tilt_right'][k]:.3f}")
+
+
+if __name__ == "__main__":
+    main()
