@@ -35,6 +35,7 @@ from slipfree.solve.loop import close
 from slipfree.solve.sample import Samples, table
 from slipfree.solve.settle import consistent
 
+VEHICLE = three_wheeler(mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
 SEED, POSES = 20261121, 150
 PAPER_MOTION = {"velocity_x": 0.01255, "velocity_y": 0.12865, "heading_rate": 0.0159}
 TILT = 0.35  # [rad]
@@ -88,9 +89,9 @@ def condition_table() -> None:
     found: dict[str, Any] = {}
     for ground, height, where in (("flat", GROUNDS["flat"], [{}]), ("hills", rough, poses)):
         terrain = Analytic(height)
-        run = moving(direct_kinematics(three_wheeler(), terrain, slip="rolling"), where)
+        run = moving(direct_kinematics(VEHICLE, terrain, slip="rolling"), where)
         for steering in ("rate", "angle"):
-            by_choice = conditions(three_wheeler(), terrain, run, steering=steering)
+            by_choice = conditions(VEHICLE, terrain, run, steering=steering)
             found[f"{ground}, {steering}"] = by_choice
     count = next(iter(found["hills, rate"].values())).size
     print(f"\ncondition numbers; on rough hills over {count} poses: median, 90 %, largest")
@@ -146,7 +147,7 @@ def tilt_table() -> None:
 
 def direct_run(t: Any, tolerance: float, **start: float) -> tuple[Any, Trajectory, Trajectory]:
     """Return model, start and motion of a drive with smoothly changing rates on the hills."""
-    dae = direct_kinematics(three_wheeler(), Analytic(hills), slip="rolling")
+    dae = direct_kinematics(VEHICLE, Analytic(hills), slip="rolling")
     right = 0.45 + 0.05 * ca.sin(0.5 * dae.t)
     left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
     rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))
@@ -159,7 +160,7 @@ def pointwise() -> None:
     _, _, run = direct_run(np.linspace(0, 6, 7), 1e-10, x=0.3, heading=0.2)
     worst, returned, left_out = 0.0, 0, 0
     for given in combinations((*VELOCITY, *EULER), 3):
-        dae = inverse_kinematics(three_wheeler(), Analytic(hills), given=given, least_margin=0.0)
+        dae = inverse_kinematics(VEHICLE, Analytic(hills), given=given, least_margin=0.0)
         for k in range(run.t.size):
             loop = close(dae, dae.inputs(**{name: run[name][k] for name in given}), 0)
             x, z = dae.rows("x", run, k), dae.rows("z", run, k)
@@ -181,7 +182,7 @@ def in_time() -> None:
         t = np.linspace(0, 8, 161)
         direct, begin, run = direct_run(t, 1e-13 if sought else 1e-11, **start)
         least = {"least_margin": 0.0} if sought else {}
-        dae = inverse_kinematics(three_wheeler(), Analytic(hills), given=PLANAR, **least)
+        dae = inverse_kinematics(VEHICLE, Analytic(hills), given=PLANAR, **least)
         inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
         replay = ""
         if sought:

@@ -40,6 +40,7 @@ EXACT = 1e-12
 REPEATS = 3
 COMPARED = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
 EQUAL = 1e-6  # error at which lines are compared [m, rad]
+VEHICLE = three_wheeler(mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
 
 
 class Drive(NamedTuple):
@@ -76,7 +77,7 @@ def drives() -> dict[str, Drive]:
 
 def formulations(ground: Bicubic) -> dict[str, Any]:
     """Return the models by name."""
-    vehicle = three_wheeler()
+    vehicle = VEHICLE
     return {
         "closure least": direct_kinematics(vehicle, ground),
         "closure rolling": direct_kinematics(vehicle, ground, slip="rolling"),
@@ -88,7 +89,7 @@ def formulations(ground: Bicubic) -> dict[str, Any]:
 def idas(loop: Loop) -> dict[str, ca.MX]:
     """Return the DAE as ``simulate`` gives it to IDAS."""
     symbols = _symbols(loop, "txzu")
-    ode, alg, _ = loop.core(*symbols.values())
+    ode, alg = loop.core(*symbols.values())
     return symbols | {"ode": ode, "alg": alg}
 
 
@@ -111,7 +112,7 @@ def _symbols(loop: Loop, names: str) -> dict[str, ca.MX]:
 def _linear(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
     count = block.span.stop - block.span.start
     at = ca.vertcat(z[: block.span.start], ca.MX.zeros(count), z[block.span.stop :])
-    return -ca.solve(block.jacobian(t, x, at, u), block.residual(t, x, at, u), "qr")
+    return -ca.solve(block.jacobian(t, x, at, u, 0), block.residual(t, x, at, u, 0), "qr")
 
 
 def _newton(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
@@ -119,7 +120,7 @@ def _newton(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
     unknowns = ca.MX.sym("unknowns", block.span.stop - block.span.start)
     rest = [ca.MX.sym(name, each.numel()) for name, each in zip("txzu", (t, x, z, u), strict=True)]
     full = ca.vertcat(rest[2][: block.span.start], unknowns, rest[2][block.span.stop :])
-    residual = block.residual(rest[0], rest[1], full, rest[3])
+    residual = block.residual(rest[0], rest[1], full, rest[3], 0)
     options = {"abstol": 1e-13, "abstolStep": 1e-15, "max_iter": 50}
     problem = {"x": unknowns, "p": ca.vertcat(*rest), "g": residual}
     finder = ca.rootfinder("standing", "newton", problem, options)
@@ -140,7 +141,7 @@ class Point(NamedTuple):
 
 def line(kind: str, dae: Any, drive: Drive, stand: Trajectory, exact: Trajectory) -> list[Point]:
     """Return the points of one line; a tolerance at which the integrator fails is left out."""
-    loop = close(dae, drive.inputs(dae, three_wheeler(), stand), drive.t.size - 1)
+    loop = close(dae, drive.inputs(dae, VEHICLE, stand), drive.t.size - 1)
     x, u = dae.rows("x", stand, -1), loop.u[:, 0]
     begin = {"x0": x, "u": u}
     if kind != "cvodes":
@@ -190,7 +191,7 @@ def at_equal_error(points: list[Point]) -> float:
 def measure(name: str, drive: Drive) -> tuple[dict[tuple[str, str], list[Point]], float]:
     """Return all lines of a drive and its length, and print them."""
     models, lines = formulations(drive.ground), {}
-    closure, vehicle = models["closure least"], three_wheeler()
+    closure, vehicle = models["closure least"], VEHICLE
     stand = settle(closure, **drive.start)
     laws = drive.inputs(closure, vehicle, stand)
     exact = simulate(closure, stand, laws, drive.t, tolerance=EXACT)

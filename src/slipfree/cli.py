@@ -180,7 +180,7 @@ def compare(file: File, settings: Settings = None) -> None:
         ):
             typer.echo(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
             head = f"{'rank':6}{'along':18}{'across':18}{'measured on the poses':27}"
-            typer.echo(f"{'':{width}}  {head}{'tilt [rad]':12}axle [m]")
+            typer.echo(f"{'':{width}}  {head}{'friction':10}{'tilt [rad]':12}axle [m]")
             for row, drive in zip(rows, drives, strict=True):
                 rank = f"{row.rank}/{row.conditions}"
                 typer.echo(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
@@ -194,7 +194,7 @@ def _drive(drive: Drive) -> str:
     measured = " ".join(f"{1e3 * value:.1e}" for value in drive.measured)
     axle = " to ".join(f"{value:.3f}" for value in drive.width)
     stop = f", stopped at {drive.stop.t:.3g} s by {drive.stop.name}" if drive.stop else ""
-    return f"{slips}{measured:27}{drive.tilt:<12.3f}{axle}{stop}"
+    return f"{slips}{measured:27}{drive.friction:<10.3f}{drive.tilt:<12.3f}{axle}{stop}"
 
 
 @app.command()

@@ -32,6 +32,9 @@ class Drive(NamedTuple):
     ----------
     along, across, measured : ndarray, shape (n_wheels,)
         Largest slip of every wheel: of the model, and measured on the poses alone. [m/s]
+    friction : float
+        Largest coefficient of friction that a wheel needs, load-weighted where forces are
+        indeterminate; NaN for a vehicle without mass. [1]
     tilt : float
         Largest passive tilt; zero if nothing tilts. [rad]
     width : tuple of 2 floats
@@ -43,6 +46,7 @@ class Drive(NamedTuple):
     along: Array
     across: Array
     measured: Array
+    friction: float
     tilt: float
     width: tuple[float, float]
     stop: Stop | None
@@ -134,6 +138,7 @@ def _drive(
         np.abs(run["slip_along"]).max(axis=0),
         np.abs(run["slip_across"]).max(axis=0),
         slip.max(axis=0),
+        float(run["friction_needed"].max()) if vehicle.mass else float("nan"),
         max((float(np.abs(tilt).max()) for tilt in tilts), default=0.0),
         (float(width.min()), float(width.max())),
         run.stop,
