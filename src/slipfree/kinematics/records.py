@@ -361,7 +361,7 @@ def _force_output_labels(vehicle: Vehicle, slip: SlipLaw) -> ForceOutputs:
         _each(vehicle, "drive_torque", "N m", "torque of the wheel's drive, forward positive"),
         tuple(effort(c.name, c.words) for c in vehicle.of("commanded")),
         Label("power", "W", "power of the drives and actuators"),
-        Label("dissipation", "W", "power lost by friction in the contacts and by dampers"),
+        Label("dissipation", "W", "power that contacts and dampers take from the drives"),
         Label(
             "potential_energy", "J", "energy of height, from the ground's origin, and of springs"
         ),

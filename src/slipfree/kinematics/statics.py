@@ -33,6 +33,8 @@ from slipfree.named import Label, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.chain import GRAVITY, Vehicle
 
+ROUNDING = 1e-9  # of a distance relative to a wheel base that counts as none
+
 
 class Mechanics(NamedTuple):
     """What equilibrium of a vehicle is made of, as expressions of a model's symbols.
@@ -133,10 +135,10 @@ def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
 def following_forces(vehicle: Vehicle, parts: Mechanics, forces: Forces) -> ca.SX:
     """Return the equations of the forces that a given motion needs.
 
-    Where equilibrium does not determine them, they are those of least ``sum |f_t|^2 / (mu N)``,
-    weighted by the loads: ``f_t = -mu N S y``, ``n . A y = 0`` with virtual rates ``y``. That is
-    the limit of Coulomb friction, regularised, for small slip. (Of least norm regardless of the
-    loads they would be unsound: a wheel that bears little cannot push much.)
+    Where equilibrium does not determine them, they are those of least ``sum |f_t|^2 / (mu N)`` for
+    weights ``mu N`` that are their own loads: ``f_t = -mu N S y``, ``n . A y = 0`` with virtual
+    rates ``y``. That is the limit of Coulomb friction, regularised, for small slip. (Of least norm
+    regardless of the loads they would be unsound: a wheel that bears little cannot push much.)
     """
     balanced = equilibrium(parts, forces.column)
     if is_determinate(vehicle):
@@ -277,16 +279,23 @@ def _tip_over_margin(
 
 
 def _edges(vehicle: Vehicle) -> Iterator[tuple[int, int]]:
-    """Yield the edges of the support, counter-clockwise from above, at zero coordinates."""
+    """Yield the edges of the support, counter-clockwise from above, at zero coordinates.
+
+    A wheel between two others on one line divides no edge.
+    """
     at_rest = platform(*(ca.SX(0) for _ in range(6)))
     poses = vehicle.carriers(at_rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
     places = [np.array(ca.evalf(pose.origin)).ravel()[:2] for pose in poses]
     for i, here in enumerate(places):
         for j, there in enumerate(places):
             way = there - here
-            off = [way[0] * (p - here)[1] - way[1] * (p - here)[0]
-                   for k, p in enumerate(places) if k not in (i, j)]  # fmt: skip
-            if i != j and min(off) >= 0 and max(off) > 0:
+            rest = np.array([p - here for k, p in enumerate(places) if k not in (i, j)])
+            length = max(float(way @ way), 1e-300)
+            off = (way[0] * rest[:, 1] - way[1] * rest[:, 0]) / length
+            ahead = rest @ way / length
+            aside = off > ROUNDING
+            between = (abs(off) <= ROUNDING) & (ahead > 0) & (ahead < 1)
+            if i != j and (aside | between).all() and aside.any():
                 yield i, j
 
 
