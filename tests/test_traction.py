@@ -84,7 +84,7 @@ def test_beyond_friction_a_start_is_refused_with_what_it_needs():
     s = np.tan(np.radians(25))
     assert str(error.value) == (
         "the vehicle cannot stand at the start: no quasi-static equilibrium: headed 0 degrees from "
-        "uphill on a slope of 25.0 degrees the vehicle needs a coefficient of friction of "
+        "uphill on a slope of 25.0 degrees the vehicle needs a coefficient of friction of at least "
         f"{s / (2 / 3 + 0.2 * s):.4g}, the ground offers 0.6"
     )
 
@@ -144,7 +144,7 @@ def test_no_equilibrium_is_a_stop_by_name():
     assert run.stop.words.startswith(
         "no quasi-static equilibrium: headed 0 degrees from uphill on a slope of "
     )
-    assert "the vehicle needs a coefficient of friction of 0.35" in run.stop.words
+    assert "the vehicle needs a coefficient of friction of at least 0.35" in run.stop.words
     assert run.stop.words.endswith("the ground offers 0.35")
 
 

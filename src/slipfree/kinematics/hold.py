@@ -19,6 +19,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.chain import Vehicle
 
+LEVEL = 0.005  # slope that is none [rad]
 HELD = 0.99  # utilisation up to which friction is not the reason for a failure
 BEST = Label(
     "utilisation_best", "1", "least largest utilisation over all distributions of the forces"
@@ -86,6 +87,8 @@ def diagnosis(
         place = (
             f"headed {np.degrees(aside.item()):.0f} degrees from uphill on a slope of "
             f"{np.degrees(slope.item()):.1f} degrees"
+            if slope > LEVEL
+            else "on level ground"
         )
         if factor < HELD:
             return ""
@@ -95,7 +98,7 @@ def diagnosis(
         even = high - low < 1e-9 * high
         offered = f"{low:.4g}" if even else f"{low:.4g} to {high:.4g}"
         needed = (
-            f"a coefficient of friction of {factor * low:.4g}"
+            f"a coefficient of friction of at least {factor * low:.4g}"
             if even
             else f"{factor:.4g} times the friction that it finds"
         )

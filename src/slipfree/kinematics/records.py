@@ -12,7 +12,9 @@ from slipfree.named import Label, leaves, pack
 from slipfree.vehicle.chain import Coordinate, Vehicle
 
 SlipLaw = Literal["least", "rolling", "traction"]
-HEADING = Label("heading", "rad", "counter-clockwise angle of the forward axis from the y axis")
+HEADING = Label(
+    "heading", "rad", "counter-clockwise angle of the right axis from the x axis, in plan"
+)
 ROLL = Label("roll", "rad", "angle about the forward axis, right side down positive")
 PITCH = Label("pitch", "rad", "angle about the right axis, nose up positive")
 ALONG = "force_along", "N", "force of the ground on the wheel along it, forward positive"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from io import StringIO
 from typing import Any, NamedTuple
@@ -15,16 +16,16 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
+from slipfree.solve.ending import ending
 from slipfree.solve.loop import Loop, close
 from slipfree.solve.sample import Samples, corrected, table
-from slipfree.solve.settle import UnsolvedError, consistent, first_violation
+from slipfree.solve.settle import consistent, first_violation
 from slipfree.trajectory import Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time
 CROSSING = 1e-6  # to which a crossing is located [s]
 FINEST = 1e-14  # tolerance below which rounding rules
-SOON = 1e-3  # after the last sample that an integrator reached [s]
 BEYOND = 1e-6  # in a limit's unit; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
 CHUNK = 2000  # samples looked at together, for the sake of memory
@@ -90,7 +91,7 @@ def simulate(
         if left.any():
             rest = np.append(samples.t[-1], t[left])
             more = _integrate(task._replace(guarded=False), at, rest, loop.u[:, 1 - rest.size :])
-            march = more._replace(samples=_chained(samples, more.samples))
+            march = _after(samples, march.statistics, more)
             run, samples, fault = _looked_at(loop, march.samples, progress)
     if fault is not None:
         run = _cut(task, run, samples, fault)
@@ -99,28 +100,15 @@ def simulate(
         "cpu_seconds": time.process_time() - clock,
     }
     run = replace(run, statistics=statistics)
-    if march.failure and fault is None and (stop := _refused(loop, samples)) is not None:
-        return replace(run, stop=stop)
+    if (march.failure and fault is None) or (run.stop and run.stop.name.endswith("_residual")):
+        why = ending(loop, samples, fault[0] if fault else None)
+        if why is not None:
+            return replace(run, stop=why._replace(t=float(run.t[-1])))
     if march.failure and fault is None:
         words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {march.failure}"
         run = replace(run, stop=Stop("solver", float(run.t[-1]), words))
         raise SolverError(words, run)
     return run
-
-
-def _refused(loop: Loop, samples: Samples) -> Stop | None:
-    """Return the stop of an eased model whose equations have no solution soon after a sample."""
-    x, z, u = (part[:, -1] for part in (samples.x, samples.z, samples.u))
-    ode = np.array(loop.core(samples.t[-1], x, z[: loop.moving], u)[0]).ravel()
-    for limit in loop.dae.limits:
-        if limit.describe is None:
-            continue
-        try:
-            consistent(loop, samples.t[-1], x + SOON * ode, z, u)
-        except UnsolvedError as error:
-            if words := limit.describe(x + SOON * ode, error.z):
-                return Stop(limit.label.full, float(samples.t[-1]), words)
-    return None
 
 
 def _times(t: Array) -> Array:
@@ -263,7 +251,7 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
     integrator = ca.integrator("motion", "idas", system, float(t[0]), t, options)
     try:
         # one column for each output time, that of the interval which it ends
-        with redirect_stderr(StringIO()):  # IDAS repeats there what the exception says
+        with _quiet():
             found = integrator(x0=at.x, z0=at.z[: loop.moving], u=np.column_stack([u[:, :1], u]))
     except RuntimeError as error:
         if spy.raised is not None:
@@ -276,6 +264,17 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
     cost = {name: float(statistics[key]) for name, key in COUNTS.items()}
     given = np.column_stack([u, u[:, -1:]])
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, given), cost
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep from the screen what an exception says anyway: IDAS's words, and the spy's traceback."""
+    hook, sys.excepthook = sys.excepthook, lambda *_: None
+    try:
+        with redirect_stderr(StringIO()):
+            yield
+    finally:
+        sys.excepthook = hook
 
 
 def _reason(message: str) -> str:

@@ -59,7 +59,8 @@ def three_wheeler(
     stiffness, damping, bump : float
         Of a spring and a damper in every free joint of the axle, and of its stops (zero: rigid).
         A tilt is an inverted pendulum: only a spring stiffer than the load on the wheel times
-        ``r2`` holds it upright. [N m/rad or N/m, and the same times s]
+        ``r2`` holds it upright; where rates force a tilt, a stiffer one needs more friction.
+        [N m/rad or N/m, and the same times s]
     mass, center_of_mass : float, tuple of 3 floats
         Of the platform, in its frame. The paper gives none. [kg, m]
     wheel_mass, grip : float

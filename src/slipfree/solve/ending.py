@@ -1,0 +1,55 @@
+"""Why a motion whose start takes easing does not go on: no solution, or one that is a jump away."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slipfree.named import leaves
+from slipfree.solve.loop import Loop
+from slipfree.solve.sample import Samples
+from slipfree.solve.settle import UnsolvedError, consistent
+from slipfree.trajectory import Stop
+
+SOON = 1e-3  # after the last sample that an integrator reached [s]
+JUMP = 1e-3  # change of an unknown, in its typical size, that is no creeping any more
+
+
+def ending(loop: Loop, samples: Samples, fault: int | None) -> Stop | None:
+    """Return why a motion ends, if the model's equations say so.
+
+    Parameters
+    ----------
+    loop : Loop
+        The model under inputs.
+    samples : Samples
+        What the integrator reached.
+    fault : int or None
+        The sample at which the equations do not hold, looked at first; else what comes soon after
+        the last one.
+    """
+    if loop.dae.easing is None:
+        return None
+    k = -1 if fault is None else fault
+    t, x, z, u = float(samples.t[k]), samples.x[:, k], samples.z[:, k], samples.u[:, k]
+    if fault is None:
+        x = x + SOON * np.array(loop.core(t, x, z[: loop.moving], u)[0]).ravel()
+    try:
+        found = consistent(loop, t, x, z, u)
+    except UnsolvedError as error:
+        for limit in loop.dae.limits:
+            words = limit.describe(x, error.z) if limit.describe else ""
+            if words:
+                return Stop(limit.label.full, t, words)
+        return None
+    jump = np.abs((found - z) / loop.dae.scale)[: loop.moving]
+    k = int(jump.argmax())
+    if jump[k] < JUMP:
+        return None
+    label = list(leaves(loop.dae.labels.z))[k]
+    unit = "" if label.unit == "1" else f" {label.unit}"
+    return Stop(
+        "fold",
+        t,
+        "the motion that friction allows ends in a fold: it would go on with a jump, such as "
+        f"{label.full} from {z[k]:.3g} to {found[k]:.3g}{unit}, which inertia decides",
+    )
