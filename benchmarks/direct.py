@@ -22,8 +22,8 @@ import numpy as np
 from reference import heading
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
+from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import close
-from slipfree.solve.settle import consistent
 
 SIZES = (20, 200, 2000)
 TOLERANCES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9)

@@ -30,10 +30,10 @@ from slipfree import (
 )
 from slipfree.kinematics.inverse import PLANAR, along, inverse_kinematics
 from slipfree.kinematics.margin import EULER, VELOCITY, conditions, steering_note
+from slipfree.solve.consistent import consistent
 from slipfree.solve.inverse import drive
 from slipfree.solve.loop import close
 from slipfree.solve.sample import Samples, table
-from slipfree.solve.settle import consistent
 
 VEHICLE = three_wheeler(mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
 SEED, POSES = 20261121, 150
@@ -115,7 +115,8 @@ def condition_table() -> None:
 
 def until_the_tilt(height: Height, steering: Any) -> str:
     """Return when, or why not, the paper's inverse input tilts a wheel by that much."""
-    vehicle, terrain = three_wheeler(tilt_stop=TILT), Analytic(height)
+    vehicle = three_wheeler(tilt_stop=TILT, mass=0.0, wheel_mass=0.0)
+    terrain = Analytic(height)
     dae = inverse_kinematics(vehicle, terrain, steering=steering)
     begin = settle(direct_kinematics(vehicle, terrain))
     note = ""

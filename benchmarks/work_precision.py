@@ -29,8 +29,8 @@ from reference import heading
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
 from slipfree.kinematics.montana import montana_kinematics
 from slipfree.named import leaves
+from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import Block, Loop, close
-from slipfree.solve.settle import consistent
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.trajectory import Trajectory, path_length
 

@@ -19,8 +19,8 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.named import leaves
+from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import close
-from slipfree.solve.settle import consistent
 
 RATES = {"right_rate": 0.45, "left_rate": 0.44, "steer_rate": 0.0}
 UNEQUAL = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.1}

@@ -9,7 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
-from slipfree import result_file
+from friction_cases import slope
+from slipfree import (
+    best_utilisation,
+    direct_kinematics,
+    result_file,
+    settle,
+    three_wheeler,
+)
 from slipfree.cli import app
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.read import read
@@ -79,7 +86,7 @@ def test_run_tells_what_the_motion_takes():
     assert told["ground friction"] == "0.6"
     assert told["slip"].startswith("a quasi-static prediction: Coulomb friction")
     assert told["friction"].startswith("utilisation 0.")
-    assert told["friction"].endswith(" of a coefficient of 0.6 in the load-weighted distribution")
+    assert told["friction"].endswith(" of a coefficient of 0.6 by the law of friction")
     written = result_file.read(Path("p.nc"))
     k, i = np.unravel_index(written["utilisation"].argmax(), written["utilisation"].shape)
     assert f"wheel {written.wheels[i]}, t = {written.t[k]:.4g} s" in told["friction"]
@@ -120,7 +127,7 @@ def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
     settings = ("terrain.friction=0.1", "terrain.synthetic.ramp.rise=-2.0", "time.duration=20")
     result = called("run", *settings, code=1)
     assert "no quasi-static equilibrium: headed 180 degrees from uphill" in result.stderr
-    assert "the ground offers 0.1; p.nc holds the motion to there" in result.stderr
+    assert "the ground offers, 0.1; p.nc holds the motion to there" in result.stderr
     assert result_file.read(Path("p.nc")).stop.name == "no_equilibrium"
 
 
@@ -175,5 +182,44 @@ def test_shipped_problems(name, stop):
 
 
 def test_the_papers_direct_run_needs_more_friction_than_most_grounds_give():
+    """The figures of README."""
     motion = run(read(PROBLEMS / "paper_direct.toml")).trajectory
-    assert motion["friction_needed"].max() > 0.75
+    at = [int(np.argmin(np.abs(motion.t - t))) for t in range(7)]
+    needed = motion["friction_needed"][at].max(axis=1)
+    expected = [0.070, 0.179, 0.289, 0.402, 0.523, 0.654, 0.801]
+    assert_allclose(needed, expected, rtol=0, atol=6e-4)
+
+
+@pytest.mark.parametrize(
+    ("axle", "discs", "expected"),
+    [
+        ("tilting", False, (0.529, 1.092, 0.936, 0.492, 0.613)),
+        ("sliding", True, (0.529, 1.092, 0.936, 0.492, 0.613)),
+        ("prismatic", True, (0.258, 0.509, 0.457, 0.492, 0.613)),
+        ("fixed", False, (0.177, 0.364, 0.432, 0.492, 0.613)),
+    ],
+)
+def test_least_friction_on_which_the_axles_stand(axle, discs, expected):
+    """An earlier study's table (massless wheels, best distribution), within 2 %."""
+    size = {"r1": 0.005, "r2": 0.295} if discs else {}
+    vehicle = three_wheeler(axle=axle, wheel_mass=0.0, **size)
+    for (degrees, way), mu in zip(
+        ((10, 90), (20, 90), (20, 45), (20, 0), (20, 180)), expected, strict=True
+    ):
+        ground = slope(np.radians(degrees))
+        start = settle(direct_kinematics(vehicle, ground), heading=np.radians(way))
+        found = best_utilisation(vehicle, ground, start)["utilisation_best"][0]
+        assert found == pytest.approx(mu, rel=0.02)
+
+
+@pytest.mark.usefixtures("file")
+def test_vehicle_tells_masses_springs_and_forces():
+    settings = ("vehicle.axle=tilting", "vehicle.stiffness=60", "vehicle.bump=100")
+    told = called("vehicle", *settings, "slip=least").stdout
+    assert "platform: 30 kg" in told
+    assert "spring 60" in told
+    assert "elastic stops 100" in told
+    assert "contact forces" in told
+    assert "equilibrium determines them" in told
+    assert "load-weighted" in called("vehicle", "slip=least").stdout
+    assert "law of friction" in called("vehicle").stdout

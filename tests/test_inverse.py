@@ -30,10 +30,10 @@ from slipfree.kinematics.margin import (
     steering_note,
     steering_slip,
 )
+from slipfree.solve.consistent import consistent
 from slipfree.solve.inverse import drive, nearest, settle_contact
 from slipfree.solve.loop import close
 from slipfree.solve.sample import Samples, followed, table
-from slipfree.solve.settle import consistent
 from slipfree.vehicle.wheel import Wheel
 
 WHEEL_RATES = ("right_rate", "left_rate", "steer_rate")

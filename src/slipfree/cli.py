@@ -180,10 +180,11 @@ def compare(file: File, settings: Settings = None) -> None:
         ):
             typer.echo(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
             head = f"{'rank':6}{'along':18}{'across':18}{'measured on the poses':27}"
-            typer.echo(f"{'':{width}}  {head}{'friction':10}{'tilt [rad]':12}axle [m]")
+            typer.echo(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
             for row, drive in zip(rows, drives, strict=True):
                 rank = f"{row.rank}/{row.conditions}"
                 typer.echo(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
+        typer.echo("\n* largest coefficient of friction that a wheel needs, load-weighted")
 
 
 def _drive(drive: Drive) -> str:

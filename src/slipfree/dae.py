@@ -200,6 +200,26 @@ class Dae(Generic[X, Z, Q, U, Y]):
                 raise ModelError(f"start: {name} must be finite, found {value}")
         return np.array([values.get(name, 0.0) for name in names]) - self.shift[0]
 
+    def named(self, name: str) -> list[ca.SX]:
+        """Return the expressions of a quantity, one a wheel if it belongs to wheels; local.
+
+        Raises
+        ------
+        ModelError
+            If no state, unknown, input or output has that name.
+        """
+        found, known = [], set()
+        for record in ("x", "z", "u", "y"):
+            pairs = zip(leaves(getattr(self.labels, record)), leaves(getattr(self, record)),
+                        strict=True)  # fmt: skip
+            for label, expression in pairs:
+                known.add(label.name)
+                if name in (label.name, label.full):
+                    found.append(expression)
+        if not found:
+            raise ModelError(f"the model has no {name!r}; it has {', '.join(sorted(known))}")
+        return found
+
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the symbols of ``x``, ``z`` and ``u`` as columns."""
         return pack(self.x), pack(self.z), pack(self.u)

@@ -9,10 +9,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.closure import Touch, touch
+from slipfree.errors import ModelError
 from slipfree.geometry.frame import platform
 from slipfree.kinematics.distribution import least_utilisation
+from slipfree.kinematics.labels import labels_of
 from slipfree.kinematics.model import carriers
-from slipfree.kinematics.records import Algebraic, Configuration, labels_of
+from slipfree.kinematics.records import Algebraic, Configuration
 from slipfree.kinematics.statics import Mechanics, mechanics
 from slipfree.named import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
@@ -21,6 +23,7 @@ from slipfree.vehicle.chain import Vehicle
 
 LEVEL = 0.005  # slope that is none [rad]
 HELD = 0.99  # utilisation up to which friction is not the reason for a failure
+EXHAUSTED = 1.001  # and up to which it is just exhausted
 BEST = Label(
     "utilisation_best", "1", "least largest utilisation over all distributions of the forces"
 )
@@ -31,8 +34,8 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
 
     Of a vehicle whose contact forces equilibrium leaves open, ``utilisation`` belongs to one
     distribution, the load-weighted one. This is the least that the most used wheel must bear in any
-    distribution; above one, friction cannot hold the vehicle. It is infinite where the vehicle
-    tips over.
+    distribution; above one, friction cannot hold the vehicle. It is infinite where no contact
+    forces balance the vehicle: it tips over, or something is free to move.
 
     Parameters
     ----------
@@ -42,7 +45,14 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
         What it moved on.
     run : Trajectory
         Of any model of the two.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle has no mass.
     """
+    if not vehicle.mass:
+        raise ModelError(f"best_utilisation: {vehicle.name} has no mass")
     labels = labels_of(vehicle, "least")
     sought = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
@@ -57,8 +67,11 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(sought)])
     columns, loads, friction = (np.array(out) for out in f.map(run.t.size)(rows))
     matrix = columns.reshape(len(columns), run.t.size, -1).transpose(1, 0, 2)
-    best = least_utilisation(matrix, loads.T, friction.T)
-    return replace(run, columns={**run.columns, BEST.name: Column(BEST, best.utilisation)})
+    known = np.isfinite(matrix).all(axis=(1, 2)) & (friction > 0).all(axis=0)
+    best = np.full(run.t.size, np.nan)
+    found = least_utilisation(matrix[known], loads.T[known], friction.T[known])
+    best[known] = found.utilisation
+    return replace(run, columns={**run.columns, BEST.name: Column(BEST, best)})
 
 
 def _held(parts: Mechanics) -> list[ca.SX]:
@@ -67,7 +80,11 @@ def _held(parts: Mechanics) -> list[ca.SX]:
 
 
 def diagnosis(
-    parts: Mechanics, contacts: Sequence[Touch], x: Configuration, z: Algebraic
+    parts: Mechanics,
+    contacts: Sequence[Touch],
+    margin: ca.SX,
+    x: Configuration,
+    z: Algebraic,
 ) -> Callable[[Array, Array], str]:
     """Return what says, of a state, which friction it would take to hold the vehicle there.
 
@@ -79,32 +96,38 @@ def diagnosis(
     forward = base.rotation[:2, 1]
     aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
     angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
-    f = ca.Function("hold", [pack(x), pack(z)], [*_held(parts), *angles])
+    f = ca.Function("hold", [pack(x), pack(z)], [*_held(parts), *angles, margin])
 
     def describe(x: Array, z: Array) -> str:
-        matrix, load, friction, slope, aside = (np.array(each) for each in f(x, z))
-        factor = float(least_utilisation(matrix[None], load.T, friction.T).utilisation[0])
-        place = (
-            f"headed {np.degrees(aside.item()):.0f} degrees from uphill on a slope of "
-            f"{np.degrees(slope.item()):.1f} degrees"
-            if slope > LEVEL
-            else "on level ground"
-        )
-        if factor < HELD:
+        matrix, load, friction, *rest = (np.array(each) for each in f(x, z))
+        slope, aside, margin = (float(each.item()) for each in rest)
+        if not all(np.isfinite(each).all() for each in (matrix, load, friction)):
             return ""
-        if np.isinf(factor):
-            return f"no quasi-static equilibrium: {place} the vehicle tips over"
-        low, high = friction.min(), friction.max()
-        even = high - low < 1e-9 * high
-        offered = f"{low:.4g}" if even else f"{low:.4g} to {high:.4g}"
-        needed = (
-            f"a coefficient of friction of at least {factor * low:.4g}"
-            if even
-            else f"{factor:.4g} times the friction that it finds"
-        )
-        return (
-            f"no quasi-static equilibrium: {place} the vehicle needs {needed}, "
-            f"the ground offers {offered}"
-        )
+        factor = float(least_utilisation(matrix[None], load.T, friction.T).utilisation[0])
+        way = f"headed {np.degrees(aside):.0f} degrees from uphill on a slope of "
+        place = f"{way}{np.degrees(slope):.1f} degrees" if slope > LEVEL else "on level ground"
+        words = _needed(factor, friction, tips=margin < 0)
+        return f"no quasi-static equilibrium: {place} {words}" if words else ""
 
     return describe
+
+
+def _needed(factor: float, friction: Array, *, tips: bool) -> str:
+    """Return which friction it takes; nothing where friction is not the reason."""
+    if tips:
+        return "the vehicle tips over"
+    if np.isinf(factor):
+        return (
+            "no contact forces balance the vehicle: something is free to move, a wheel without "
+            "drive or a passive joint"
+        )
+    low, high = friction.min(), friction.max()
+    even = high - low < 1e-9 * high
+    offered = f"{low:.4g}" if even else f"{low:.4g} to {high:.4g}"
+    if factor < HELD:
+        return ""
+    if factor < EXHAUSTED:
+        return f"the vehicle needs all the friction that the ground offers, {offered}"
+    needed = (f"a coefficient of friction of at least {factor * low:.4g}" if even
+              else f"{factor:.4g} times the friction that it finds")  # fmt: skip
+    return f"the vehicle needs {needed}, the ground offers {offered}"

@@ -27,6 +27,7 @@ from slipfree.named import Array, Label, leaves, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.chain import Vehicle
 
+Domain = tuple[float, float, float, float]
 FLAT = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
 OVERTURNED = 0.1  # likewise for the platform's up axis and the horizontal
 
@@ -120,19 +121,10 @@ def stops(vehicle: Vehicle, x: Configuration, z: Algebraic) -> Iterator[Limit]:
 
 def contact_limits(vehicle: Vehicle, terrain: Terrain, contacts: list[Touch]) -> Iterator[Limit]:
     """Yield the limits of every wheel on the ground."""
-    west, east, south, north = terrain.domain
-    o_x, o_y, _ = terrain.origin
     for wheel, contact in zip(vehicle.wheels, contacts, strict=True):
-        u_g, v_g = contact.point[0], contact.point[1]
         if np.isfinite(terrain.domain).all():
-            inside = ca.fmin(
-                ca.fmin(u_g - (west - o_x), (east - o_x) - u_g),
-                ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
-            )
-            words = (
-                f"wheel {wheel.name} leaves the map, which reaches from {west:.2f} to {east:.2f} m "
-                f"in x and from {south:.2f} to {north:.2f} m in y (distance to its edge)"
-            )
+            inside = margin_to(terrain, terrain.domain, contact)
+            words = f"wheel {wheel.name} leaves the map, which reaches {reach(terrain.domain)}"
             yield Limit(Label("map_margin", "m", words, wheel.name), inside, 0.0, np.inf)
         words = f"wheel {wheel.name} lies flat on the ground (sine of axle to normal)"
         label = Label("uprightness", "1", words, wheel.name)
@@ -144,6 +136,26 @@ def contact_limits(vehicle: Vehicle, terrain: Terrain, contacts: list[Touch]) ->
         )
         label = Label("relative_curvature", "m-1", words, wheel.name)
         yield Limit(label, relative_curvature(wheel, contact), 0.0, np.inf)
+
+
+def margin_to(terrain: Terrain, domain: Domain, contact: Touch) -> ca.SX:
+    """Return the distance of a contact to the edge of a domain in map coordinates. [m]."""
+    west, east, south, north = domain
+    o_x, o_y, _ = terrain.origin
+    u_g, v_g = contact.point[0], contact.point[1]
+    return ca.fmin(
+        ca.fmin(u_g - (west - o_x), (east - o_x) - u_g),
+        ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
+    )
+
+
+def reach(domain: Domain) -> str:
+    """Return from where to where a domain reaches, in words."""
+    west, east, south, north = domain
+    return (
+        f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y "
+        "(distance to its edge)"
+    )
 
 
 def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tuple[Array, Array]]:

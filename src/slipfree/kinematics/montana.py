@@ -27,6 +27,7 @@ from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.dae import Dae, Labels, Limit
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, Twist
+from slipfree.kinematics.labels import labels_of
 from slipfree.kinematics.model import (
     at_rest,
     balance,
@@ -49,7 +50,6 @@ from slipfree.kinematics.records import (
     Rates,
     SlipLaw,
     Totals,
-    labels_of,
 )
 from slipfree.kinematics.statics import loads, mechanics
 from slipfree.named import Array, Label, leaves, pack, symbols

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import casadi as ca
 
 from slipfree.contact.certify import SecondTouch
 from slipfree.contact.closure import Touch, closure, touch
 from slipfree.dae import Dae, Labels
+from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
+from slipfree.kinematics.labels import labels_of
 from slipfree.kinematics.model import (
     at_rest,
     balance,
@@ -28,7 +32,6 @@ from slipfree.kinematics.records import (
     Outputs,
     SlipLaw,
     Totals,
-    labels_of,
 )
 from slipfree.kinematics.slip import slip_velocity
 from slipfree.kinematics.statics import loads, mechanics
@@ -81,6 +84,8 @@ def direct_kinematics(
     where equilibrium leaves some of them open, they are the load-weighted ones of
     `slipfree.kinematics.statics.following_forces`.
     """
+    if slip not in get_args(SlipLaw):
+        raise ModelError(f"slip: expected one of {', '.join(get_args(SlipLaw))}, found {slip!r}")
     if slip == "traction":
         check_traction(vehicle, terrain, traction)
     labels = labels_of(vehicle, slip)

@@ -18,7 +18,7 @@ import numpy as np
 from slipfree.contact.closure import Touch
 from slipfree.dae import Limit
 from slipfree.geometry.frame import platform
-from slipfree.kinematics.model import carriers, joint_rates, spins, values_of
+from slipfree.kinematics.model import carriers, joint_rates, margin_to, reach, spins, values_of
 from slipfree.kinematics.records import (
     Configuration,
     Dependent,
@@ -29,11 +29,12 @@ from slipfree.kinematics.records import (
     is_determinate,
 )
 from slipfree.kinematics.slip import slip_velocity
+from slipfree.kinematics.support import tip_over_margin
 from slipfree.named import Label, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.chain import GRAVITY, Vehicle
 
-ROUNDING = 1e-9  # of a distance relative to a wheel base that counts as none
+LEAST_FRICTION = 1e-6  # a formula's coefficient below this is none
 
 
 class Mechanics(NamedTuple):
@@ -203,8 +204,8 @@ def loads(
     if not vehicle.mass:
         return Loads(ca.SX(0, 1), (), (), ())
     outputs = _outputs(vehicle, parts, forces, slips, contacts, state)
-    limits = (*_limits(vehicle, outputs, forces.normal),
-              *_friction_limits(vehicle, terrain, contacts))  # fmt: skip
+    limits = (*_friction_limits(vehicle, terrain, parts, contacts),
+              *_limits(vehicle, outputs, forces.normal))  # fmt: skip
     unknown = _are_unknown(forces)
     equations = following_forces(vehicle, parts, forces) if unknown else ca.SX(0, 1)
     return Loads(equations, outputs, limits, (outputs.power,))
@@ -241,7 +242,7 @@ def _outputs(
         ca.dot(efforts, pack(u)),
         parts.damped - sum(rubbed),
         parts.potential,
-        _tip_over_margin(vehicle, x, position, contacts),
+        tip_over_margin(vehicle, x, position, contacts),
     )
 
 
@@ -253,50 +254,6 @@ def _are_unknown(forces: Forces) -> bool:
 def _ratio(force: ca.SX, normal: ca.SX) -> ca.SX:
     """Return the friction that a force needs; infinite on a wheel that does not press."""
     return ca.if_else(normal > 0, force / normal, ca.SX.inf())
-
-
-def _tip_over_margin(
-    vehicle: Vehicle, x: Configuration, position: Dependent, contacts: Sequence[Touch]
-) -> ca.SX:
-    """Return the least angle by which gravity may lean before it passes an edge of the support.
-
-    About the line through two neighbouring contact points, it is the angle between the vertical
-    and the way from the common centre of mass to the line (as Papadopoulos and Rey's force-angle
-    measure, for gravity alone).
-    """
-    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
-    masses = list(vehicle.masses(base, values_of(vehicle, x, position)))
-    center = sum(mass * at for mass, at in masses) / vehicle.mass
-    down, least = ca.SX([0, 0, -1]), ca.SX.inf()
-    for i, j in _edges(vehicle):
-        edge = contacts[j].point - contacts[i].point
-        edge /= ca.norm_2(edge)
-        way = contacts[i].point - center
-        way -= ca.dot(way, edge) * edge
-        lean = ca.atan2(ca.dot(edge, ca.cross(way, down)), ca.dot(way, down))
-        least = ca.fmin(least, lean)
-    return least
-
-
-def _edges(vehicle: Vehicle) -> Iterator[tuple[int, int]]:
-    """Yield the edges of the support, counter-clockwise from above, at zero coordinates.
-
-    A wheel between two others on one line divides no edge.
-    """
-    at_rest = platform(*(ca.SX(0) for _ in range(6)))
-    poses = vehicle.carriers(at_rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    places = [np.array(ca.evalf(pose.origin)).ravel()[:2] for pose in poses]
-    for i, here in enumerate(places):
-        for j, there in enumerate(places):
-            way = there - here
-            rest = np.array([p - here for k, p in enumerate(places) if k not in (i, j)])
-            length = max(float(way @ way), 1e-300)
-            off = (way[0] * rest[:, 1] - way[1] * rest[:, 0]) / length
-            ahead = rest @ way / length
-            aside = off > ROUNDING
-            between = (abs(off) <= ROUNDING) & (ahead > 0) & (ahead < 1)
-            if i != j and (aside | between).all() and aside.any():
-                yield i, j
 
 
 def _limits(vehicle: Vehicle, outputs: ForceOutputs, normal: Sequence[ca.SX]) -> Iterator[Limit]:
@@ -312,18 +269,14 @@ def _limits(vehicle: Vehicle, outputs: ForceOutputs, normal: Sequence[ca.SX]) ->
 
 
 def _friction_limits(
-    vehicle: Vehicle, terrain: Terrain, contacts: Sequence[Touch]
+    vehicle: Vehicle, terrain: Terrain, parts: Mechanics, contacts: Sequence[Touch]
 ) -> Iterator[Limit]:
     domain = terrain.friction_domain
-    if domain is None:
-        return
-    west, east, south, north = domain
-    o_x, o_y, _ = terrain.origin
-    for wheel, touch in zip(vehicle.wheels, contacts, strict=True):
-        u_g, v_g = touch.point[0] + o_x, touch.point[1] + o_y
-        inside = ca.fmin(ca.fmin(u_g - west, east - u_g), ca.fmin(v_g - south, north - v_g))
-        words = (
-            f"wheel {wheel.name} leaves the map of friction, which reaches from {west:.2f} to "
-            f"{east:.2f} m in x and from {south:.2f} to {north:.2f} m in y (distance to its edge)"
-        )
-        yield Limit(Label("friction_margin", "m", words, wheel.name), inside, 0.0, np.inf)
+    for wheel, touch, mu in zip(vehicle.wheels, contacts, parts.friction, strict=True):
+        if domain is not None:
+            words = f"wheel {wheel.name} leaves the map of friction, which reaches {reach(domain)}"
+            label = Label("friction_margin", "m", words, wheel.name)
+            yield Limit(label, margin_to(terrain, domain, touch), 0.0, np.inf)
+        elif not mu.is_constant():
+            words = f"the coefficient of friction under wheel {wheel.name} is not positive"
+            yield Limit(Label("friction", "1", words, wheel.name), mu, LEAST_FRICTION, np.inf)

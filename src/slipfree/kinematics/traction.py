@@ -8,7 +8,7 @@ out, so that there may be no motion at all: beyond what friction can hold there 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -20,7 +20,8 @@ from slipfree.errors import ModelError
 from slipfree.kinematics.hold import diagnosis
 from slipfree.kinematics.records import Algebraic, Configuration, Forces, Inputs, Rates
 from slipfree.kinematics.statics import Mechanics, equilibrium
-from slipfree.named import Label, pack
+from slipfree.kinematics.support import tip_over_margin
+from slipfree.named import Array, Label, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.chain import Vehicle
 
@@ -89,7 +90,9 @@ def friction_law(
     state: tuple[Configuration, Algebraic, Inputs],
 ) -> FrictionLaw:
     """Return what the law of friction makes of a model of the given symbols."""
-    _, z, u = state
+    x, z, u = state
+    margin = tip_over_margin(vehicle, x, z.position, contacts)
+    why = diagnosis(parts, contacts, margin, x, z)
     values = [EASIEST]
     while values[-1] > law.creep:
         values.append(max(values[-1] * EASE, law.creep))
@@ -97,7 +100,7 @@ def friction_law(
     return FrictionLaw(
         traction_balance(parts, z.rates, u, law, eased.symbol),
         friction_forces(parts, z.rates, u, law),
-        () if law.reserve else (no_equilibrium(vehicle, parts, contacts, slips, state),),
+        () if law.reserve else (no_equilibrium(vehicle, slips, u, why),),
         eased,
     )
 
@@ -134,21 +137,15 @@ def traction_balance(
 
 
 def no_equilibrium(
-    vehicle: Vehicle,
-    parts: Mechanics,
-    contacts: Sequence[Touch],
-    slips: Sequence[ca.SX],
-    state: tuple[Configuration, Algebraic, Inputs],
+    vehicle: Vehicle, slips: Sequence[ca.SX], u: Inputs, why: Callable[[Array, Array], str]
 ) -> Limit:
     """Return the limit beyond which slip runs away, since friction does not hold the vehicle."""
-    x, z, u = state
     driven = [wheel for wheel in vehicle.wheels if wheel.driven]
-    rims = [ca.fabs(rate) * wheel.radius for rate, wheel in zip(u.wheels, driven, strict=True)]
     fastest, most = ca.SX(0), ca.SX(0)
-    for rim in rims:
-        fastest = ca.fmax(fastest, rim)
+    for rate, wheel in zip(u.wheels, driven, strict=True):
+        fastest = ca.fmax(fastest, ca.fabs(rate) * wheel.radius)
     for slip in slips:
         most = ca.fmax(most, ca.norm_2(slip))
     words = "slip of the fastest sliding wheel beyond ten times the fastest rim"
     label = Label("no_equilibrium", "m s-1", words)
-    return Limit(label, most - 10 * fastest, -np.inf, RUNAWAY, diagnosis(parts, contacts, x, z))
+    return Limit(label, most - 10 * fastest, -np.inf, RUNAWAY, why)

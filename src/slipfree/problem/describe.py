@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from slipfree.dae import Dae
+from slipfree.kinematics.records import is_determinate
 from slipfree.named import leaves
 from slipfree.problem.summary import Facts
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.chain import Coordinate, Vehicle
 
 
 def tree(vehicle: Vehicle) -> list[str]:
@@ -22,15 +23,41 @@ def tree(vehicle: Vehicle) -> list[str]:
                 c, does = kinds[joint.coordinate], "turns about" if joint.motion == "turn" else (
                     "slides along"
                 )  # fmt: skip
-                yield f"{indent}{joint.name}: {does} {joint.axis} by {c.name} ({c.kind})"
+                yield f"{indent}{joint.name}: {does} {joint.axis} by {c.name} ({_kind(c)})"
                 yield from below(joint.name, indent + "  ")
         for wheel in vehicle.wheels:
             if wheel.parent == part:
                 drive = "driven" if wheel.driven else "free"
                 size = f"r1 {wheel.r1:g}, r2 {wheel.r2:g} m"
-                yield f"{indent}wheel {wheel.name}: {drive}, {size}"
+                more = f", {wheel.mass:g} kg" if wheel.mass else ""
+                more += f", grip {wheel.grip:g}" if wheel.grip != 1 else ""
+                yield f"{indent}wheel {wheel.name}: {drive}, {size}{more}"
 
-    return ["platform", *below("platform", "  ")]
+    body = vehicle.body
+    at = ", ".join(f"{each:g}" for each in body.at)
+    mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
+    return [f"platform{mass}", *below("platform", "  ")]
+
+
+def _kind(c: Coordinate) -> str:
+    """Return what decides a coordinate, and what acts on it."""
+    acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
+    return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
+
+
+def _forces(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what decides the forces of a vehicle with mass."""
+    if not vehicle.mass:
+        return
+    count = 3 * len(vehicle.wheels)
+    if dae.labels.z.rates.normal:
+        how = "the law of friction decides them, together with the rates"
+    elif is_determinate(vehicle):
+        how = "equilibrium determines them"
+    else:
+        how = f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are left open by " \
+              "equilibrium: the load-weighted ones are taken"  # fmt: skip
+    yield "contact forces", f"{count}: {how}"
 
 
 def counts(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Facts:
@@ -56,12 +83,20 @@ def counts(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Facts:
         ("decided by the ground", listed(position)),
         ("  equations", f"{3 * wheels}: three for each wheel that touches the ground"),
         ("suspension", f"{len(vehicle.of('suspension'))} of {wheels - 3} needed"),
-        ("rates", listed(rates)),
-        ("  equations", f"{len(dae.labels.alg[1])}: {dae.labels.alg[1][0].name.replace('_', ' ')}"),
+        ("rates", listed((rates.motion, rates.multipliers))),
+        ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),
         ("passive joints", f"{len(passive)}: {', '.join(passive) or 'none'}"),
         ("free wheels", f"{len(free)}: {', '.join(free) or 'none'}"),
         ("no-slip conditions", f"{needed} more than the wheels' touching; freedoms {rolls}"),
+        *_forces(vehicle, dae),
     ]
+
+
+def _equations(dae: Dae[Any, Any, Any, Any, Any]) -> str:
+    """Return what the equations of the rates state."""
+    if dae.labels.z.rates.normal:
+        return "equilibrium, touching and friction; they decide the normal forces too"
+    return dae.labels.alg[1][0].name.replace("_", " ")
 
 
 def conditioning(start: Trajectory) -> Facts:

@@ -27,10 +27,11 @@ from slipfree.problem.parts import (
     turned,
 )
 from slipfree.problem.read import Fault, Problem, S, names, problem_error
+from slipfree.solve.consistent import consistent
 from slipfree.solve.inverse import drive
 from slipfree.solve.loop import close
 from slipfree.solve.sample import Samples, corrected, table
-from slipfree.solve.settle import consistent, first_violation
+from slipfree.solve.settle import first_violation
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
 

@@ -129,6 +129,7 @@ def friction_words(run: Trajectory) -> str:
         return f"coefficient needed {value} {where}; the ground's is not given"
     words = f"utilisation {value} {where}, of a coefficient of {run.attributes['ground_friction']}"
     spread = " in the load-weighted distribution" if "utilisation_best" in run.columns else ""
+    spread = " by the law of friction" if "friction_used_along" in run.columns else spread
     return f"{words}{spread}" + ("" if used[k, i] <= 1 else "; friction does not hold this motion")
 
 

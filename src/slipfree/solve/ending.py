@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from slipfree.named import leaves
+from slipfree.solve.consistent import UnsolvedError, consistent
 from slipfree.solve.loop import Loop
 from slipfree.solve.sample import Samples
-from slipfree.solve.settle import UnsolvedError, consistent
 from slipfree.trajectory import Stop
 
 SOON = 1e-3  # after the last sample that an integrator reached [s]

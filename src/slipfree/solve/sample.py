@@ -7,7 +7,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.named import Array, Label, leaves
+from slipfree.errors import ModelError
+from slipfree.named import Array, Label, Mask, leaves
+from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import FOLLOWING, Block, Loop
 from slipfree.trajectory import Column, Trajectory
 
@@ -59,8 +61,33 @@ def corrected(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
         if not rough.any():
             break
         step = _steps(jac, alg)
+    if (astray := ~(size < UNSOLVED)).any():
+        z = _from_neighbours(loop, samples, z, astray)
+        alg, jac = _linearised(loop, samples._replace(z=z))
     found, report = followed(loop, samples._replace(z=z), (alg, jac))
     return found, {"newton_step": first, **report}
+
+
+def _from_neighbours(loop: Loop, samples: Samples, z: Array, astray: Mask) -> Array:
+    """Return ``z`` with the samples at which Newton's method went astray solved from those around.
+
+    Full steps may cycle where the equations are curved, as friction is on the scale of its creep.
+    Where there is no solution, as where all friction is used and the states miss by the
+    tolerance, what the integrator found remains.
+    """
+    z = z.copy()
+    z[:, astray] = samples.z[:, astray]
+    for k in np.flatnonzero(astray):
+        for j in (k - 1, k + 1):
+            if not 0 <= j < astray.size or (astray[j] and j > k):
+                continue
+            point = (float(samples.t[k]), samples.x[:, k], z[:, j], samples.u[:, k])
+            try:
+                z[:, k] = consistent(loop, *point, eased=False)
+                break
+            except ModelError:  # the residual tells
+                continue
+    return z
 
 
 def _largest(rows: Array) -> Array:

@@ -16,16 +16,18 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
+from slipfree.solve.consistent import consistent
 from slipfree.solve.ending import ending
 from slipfree.solve.loop import Loop, close
-from slipfree.solve.sample import Samples, corrected, table
-from slipfree.solve.settle import consistent, first_violation
+from slipfree.solve.sample import UNSOLVED, Samples, corrected, table
+from slipfree.solve.settle import first_violation
 from slipfree.trajectory import Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time
 CROSSING = 1e-6  # to which a crossing is located [s]
 FINEST = 1e-14  # tolerance below which rounding rules
+LEEWAY = 100.0  # tolerances by which an eased model's equations may be missed at a sample
 BEYOND = 1e-6  # in a limit's unit; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
 CHUNK = 2000  # samples looked at together, for the sake of memory
@@ -85,14 +87,14 @@ def simulate(
     clock = time.process_time()
     task = _Task(loop, tolerance, progress, guarded=True)
     march = _integrate(task, first, t, loop.u)
-    run, samples, fault = _looked_at(loop, march.samples, progress)
+    run, samples, fault = _looked_at(task, march.samples, progress)
     if march.beyond and fault is None:  # a limit was only grazed: go on without looking
         at, left = Samples(*(row[..., -1:] for row in samples)), t > samples.t[-1]
         if left.any():
             rest = np.append(samples.t[-1], t[left])
             more = _integrate(task._replace(guarded=False), at, rest, loop.u[:, 1 - rest.size :])
             march = _after(samples, march.statistics, more)
-            run, samples, fault = _looked_at(loop, march.samples, progress)
+            run, samples, fault = _looked_at(task, march.samples, progress)
     if fault is not None:
         run = _cut(task, run, samples, fault)
     statistics = march.statistics | {
@@ -211,10 +213,12 @@ def _chained(first: Samples, second: Samples) -> Samples:
 
 
 def _looked_at(
-    loop: Loop, samples: Samples, progress: Progress | None
+    task: _Task, samples: Samples, progress: Progress | None
 ) -> tuple[Trajectory, Samples, tuple[int, Stop] | None]:
     """Return the corrected samples up to the first that breaks a limit, and which one that is."""
-    runs: list[Trajectory] = []
+    loop, runs = task.loop, list[Trajectory]()
+    # Where all friction is used, states within the tolerance may have no exact equilibrium.
+    unsolved = max(UNSOLVED, LEEWAY * task.tolerance) if loop.dae.easing else UNSOLVED
     parts: list[Samples] = []
     fault = None
     for left in range(0, samples.t.size, CHUNK):
@@ -222,7 +226,7 @@ def _looked_at(
         part, report = corrected(loop, part)
         runs.append(table(loop, part, report))
         parts.append(part)
-        found = first_violation(loop, runs[-1], part)
+        found = first_violation(loop, runs[-1], part, unsolved)
         if progress is not None:
             progress(float(part.t[-1]))
         if found is not None:
@@ -339,7 +343,7 @@ def _cut(task: _Task, run: Trajectory, samples: Samples, fault: tuple[int, Stop]
         t = np.linspace(run.t[k - 1], run.t[k], REFINED + 1)
         u = np.repeat(samples.u[:, k - 1 : k], REFINED, axis=1)
         march = _integrate(quiet, at, t, u, depth=0)
-        fine, finer, found = _looked_at(task.loop, march.samples, None)
+        fine, finer, found = _looked_at(task, march.samples, None)
         if found is None or found[0] == 0:  # the crossing lies on a sample, within the tolerance
             run, k = (fine, fine.t.size) if found is None else (run, k)
             break

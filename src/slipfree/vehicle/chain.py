@@ -83,6 +83,8 @@ class Coordinate:
                 raise ModelError(
                     f"coordinate {self.name}: {key} must be zero or more, found {value}"
                 )
+        if self.bump and not (math.isfinite(self.lower) or math.isfinite(self.upper)):
+            raise ModelError(f"coordinate {self.name}: bump needs a stop, found none")
         if not math.isfinite(self.rest):
             raise ModelError(f"coordinate {self.name}: rest must be finite, found {self.rest}")
         if self.kind == "commanded" and self.is_loaded:
