@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -299,16 +299,21 @@ def _solve(problem: Problem[Motion]) -> Outcome:
     console = Console(stderr=True)
     with _interruptible() as poll:
         if not console.is_terminal:
-            return solve(problem, lambda _: poll())
+            return solve(problem, lambda _: poll(), lambda _: poll())
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task("solving", total=problem.spec.time.duration)
             show = _throttled(lambda t: bar.update(task, completed=t))
+            show_line = _throttled(lambda line: bar.update(task, description=line))
 
             def progress(t: float) -> None:
                 poll()
                 show(t)
 
-            return solve(problem, progress)
+            def tell(line: str) -> None:
+                poll()
+                show_line(line)
+
+            return solve(problem, progress, tell)
 
 
 @contextmanager
@@ -337,16 +342,16 @@ def _interruptible() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _throttled(show: Callable[[float], None]) -> Callable[[float], None]:
+def _throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
     """Return the same function, which does nothing if called again too soon."""
     last = 0.0
 
-    def seldom(t: float) -> None:
+    def seldom(what: Any) -> None:
         nonlocal last
         now = time.monotonic()
         if now - last > REFRESH:
             last = now
-            show(t)
+            show(what)
 
     return seldom
 

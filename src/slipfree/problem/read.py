@@ -14,7 +14,7 @@ from typing import Any, Generic, NamedTuple, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from slipfree.problem.locate import Place, ProblemError, Source, key_lines, key_path
-from slipfree.problem.schema import ALTERNATIVES, Compare, Direct, Inverse, Motion, Task
+from slipfree.problem.schema import ALTERNATIVES, Compare, Direct, Inverse, Motion, Plan, Task
 
 MOST_SAMPLES = 1_000_000
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a --set value that may stand without quotes
@@ -37,7 +37,10 @@ EXPECTED = {
 }
 
 
-COMMANDS: dict[str, tuple[type[Task], ...]] = {"run": (Direct, Inverse), "compare": (Compare,)}
+COMMANDS: dict[str, tuple[type[Task], ...]] = {
+    "run": (Direct, Inverse, Plan),
+    "compare": (Compare,),
+}
 S = TypeVar("S", bound=Task)
 
 
@@ -63,8 +66,8 @@ class Fault(NamedTuple):
 
 
 def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion]:
-    """Return the problem of direct or inverse kinematics in a TOML file; see `read_as`."""
-    return _read((Direct, Inverse), path, settings)
+    """Return the problem of a motion in a TOML file: direct, inverse or a plan; see `read_as`."""
+    return _read((Direct, Inverse, Plan), path, settings)
 
 
 def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> Problem[S]:

@@ -16,6 +16,7 @@ from slipfree.problem.ground import at, ground_facts
 from slipfree.problem.inverse import build_inverse, drive_along, finished, is_sought
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import Setup, vehicle_facts
+from slipfree.problem.plan import build_plan, planned
 from slipfree.problem.read import Problem
 from slipfree.problem.summary import Facts
 from slipfree.solve.simulate import simulate
@@ -45,10 +46,16 @@ def build(problem: Problem[schema.Motion]) -> Setup:
         return build_inverse(problem, spec)
     if isinstance(spec, schema.Direct):
         return build_direct(problem, spec)
-    raise TypeError(f"expected a problem of direct or inverse kinematics, found {spec.verb!r}")
+    if isinstance(spec, schema.Plan):
+        return build_plan(problem, spec)
+    raise TypeError(f"expected a problem of a motion, found {spec.verb!r}")
 
 
-def run(problem: Problem[schema.Motion], progress: Progress | None = None) -> Outcome:
+def run(
+    problem: Problem[schema.Motion],
+    progress: Progress | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Outcome:
     """Return the motion that a problem asks for.
 
     Parameters
@@ -57,6 +64,8 @@ def run(problem: Problem[schema.Motion], progress: Progress | None = None) -> Ou
         From ``read``.
     progress : callable, optional
         Called with the time reached. [s]
+    tell : callable, optional
+        Called with one line about every iterate of a plan.
 
     Raises
     ------
@@ -68,7 +77,9 @@ def run(problem: Problem[schema.Motion], progress: Progress | None = None) -> Ou
     """
     setup, tolerance = build(problem), problem.spec.solver.tolerance
     with at(problem, ("start",)):
-        if is_sought(problem.spec):
+        if isinstance(problem.spec, schema.Plan):
+            found = planned(problem, problem.spec, setup, tell)
+        elif is_sought(problem.spec):
             found = drive_along(setup, tolerance, progress)
         else:
             found = _integrated(setup, tolerance, progress)

@@ -233,6 +233,44 @@ class Inverse(Motion):
     steering: Literal["rate", "angle"] = "angle"
 
 
+def _bound(value: Any) -> tuple[float, float]:
+    """Return a range from a number or from two that ascend."""
+    if _is_number(value):
+        return float(value), float(value)
+    if isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)):
+        low, high = map(float, value)
+        if low <= high:
+            return low, high
+    raise PydanticCustomError("expected", "a number, or [low, high] that ascend")
+
+
+Bound = Annotated[Any, PlainValidator(_bound)]
+
+
+class Search(Record):
+    """How a plan is sought."""
+
+    intervals: Annotated[int, Field(ge=1)] = 40
+    degree: Annotated[int, Field(ge=1, le=5)] = 3
+    duration: Bound = None
+    smooth: Radius = 0.0
+
+
+class Plan(Motion):
+    """A plan: the inputs that reach a goal at the least cost; a driving law starts the search."""
+
+    verb: Literal["plan"]
+    goal: dict[str, Bound]
+    costs: dict[str, Radius]
+    limits: dict[str, Bound] = {}
+    bounds: dict[str, Bound] = {}
+    accelerations: dict[str, Bound] = {}
+    plan: Search = Search()
+    inputs: dict[str, Rate] | None = None
+    driver: Driver | None = None
+    slip: Literal["least", "rolling"] = "least"
+
+
 class Compared(Vehicle):
     """One of several vehicles, and what to call it."""
 
@@ -251,6 +289,7 @@ class Compare(Task):
 GROUNDS = ("file", "sample", "synthetic")
 ALTERNATIVES: dict[type[Task], dict[tuple[str, ...], tuple[str, ...]]] = {
     Direct: {(): ("inputs", "driver"), ("terrain",): GROUNDS},
+    Plan: {(): ("inputs", "driver"), ("terrain",): GROUNDS},
     Inverse: {(): ("given", "path"), ("terrain",): GROUNDS, ("path",): ("t", "file")},
     Compare: {("terrain",): GROUNDS},
 }  # of each of these keys a table has exactly one

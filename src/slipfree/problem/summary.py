@@ -17,8 +17,8 @@ Facts = list[tuple[str, str]]
 def motion_facts(run: Trajectory) -> Facts:
     """Return name and value of what matters about a motion, ready to print."""
     return [
-        *_way(run), *_inverse(run), *_slip(run), *_tilt(run), *_forces(run), *_trust(run),
-        *_cost(run), *_end(run),
+        *_way(run), *_inverse(run), *_planned(run), *_slip(run), *_tilt(run), *_forces(run),
+        *_trust(run), *_cost(run), *_end(run),
     ]  # fmt: skip
 
 
@@ -71,6 +71,36 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
         yield "steering slip", f"{run['steering_slip'].max():.2e} m/s at most: lever times rate"
     if warning := steering_warning(run):
         yield "warning", warning
+
+
+def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield what a plan promised, and how the simulated motion differs from it."""
+    counts = run.statistics
+    if "plan_iterations" not in counts:
+        return
+    costs = {name.removeprefix("plan_cost_"): value for name, value in counts.items()
+             if name.startswith("plan_cost_")}  # fmt: skip
+    yield (
+        "plan",
+        ", ".join(f"{name} {value:.6g}" for name, value in costs.items())
+        + (
+            f"; {counts['plan_iterations']:.0f} iterations, {counts['plan_seconds']:.3g} s, of it "
+            f"{counts['plan_seconds_functions']:.3g} s in functions"
+        ),
+    )
+    gaps = [(name.removeprefix("plan_difference_"), size) for name, size in counts.items()
+            if name.startswith("plan_difference_")]  # fmt: skip
+    listed = ", ".join(f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps)
+    yield "simulated", f"differs from the plan by at most {listed}"
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    duration, length = run.t[-1] - run.t[0], path_length(run)
+    total = np.trapezoid(slip, run.t, axis=0)
+    squares = np.trapezoid(slip**2, run.t, axis=0)
+    yield (
+        "slip of the plan",
+        f"rms {np.sqrt(squares.mean() / duration):.3g} m/s a wheel, "
+        f"{1e3 * total.mean() / length:.3g} mm a wheel and metre",
+    )
 
 
 def _slip(run: Trajectory) -> Iterator[tuple[str, str]]:

@@ -1,0 +1,1 @@
+"""Planning: routes over a map, and the regions they keep out of."""

@@ -1,0 +1,189 @@
+"""Solving a nonlinear program with IPOPT through CasADi: progress, interruption, best iterate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.named import Array
+from slipfree.plan.transcribe import Program
+
+ITERATIONS = 500
+TOLERANCE = 1e-8
+FIRST_BARRIER = 1e-6  # of a warm start
+PUSH = 1e-9  # from the bounds in a warm start
+Look = Callable[["Iterate"], bool]
+
+
+class Iterate(NamedTuple):
+    """What is known after an iteration.
+
+    Attributes
+    ----------
+    number : int
+        Of iterations so far.
+    cost, violation : float
+        Cost, and largest violation of a row.
+    unknowns : ndarray, shape (n_w,)
+        Not scaled.
+    """
+
+    number: int
+    cost: float
+    violation: float
+    unknowns: Array
+
+
+class Solution(NamedTuple):
+    """What came of a program.
+
+    Attributes
+    ----------
+    unknowns : ndarray, shape (n_w,)
+        Not scaled.
+    rows : ndarray, shape (n_g,)
+        Values of all rows.
+    cost : float
+        Total.
+    row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
+        Of rows and bounds, for a warm start.
+    status : str
+        IPOPT's words.
+    success : bool
+        Whether it is optimal to the tolerance.
+    iterations : int
+        How many it took.
+    seconds : dict of str to float
+        Wall time in all, in functions, and in the linear solver and the rest. [s]
+    """
+
+    unknowns: Array
+    rows: Array
+    cost: float
+    row_multipliers: Array
+    bound_multipliers: Array
+    status: str
+    success: bool
+    iterations: int
+    seconds: dict[str, float]
+
+
+class _Watch(ca.Callback):
+    """Sees every iterate; stops IPOPT when asked to. What is raised in it is kept."""
+
+    def __init__(self, program: Program, look: Look) -> None:
+        ca.Callback.__init__(self)
+        self.program, self.look, self.count = program, look, 0
+        self.raised: BaseException | None = None
+        self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        """Return the number of arguments, those of a solver's results."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """Return the number of results."""
+        return 1
+
+    def get_name_in(self, index: int) -> str:
+        """Return the name of an argument."""
+        return str(ca.nlpsol_out(index))
+
+    def get_name_out(self, _index: int) -> str:
+        """Return the name of the result."""
+        return "stop"
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        """Return the shape of an argument."""
+        n_w, n_g, n_p = self.sizes
+        sizes = {"f": 1, "x": n_w, "lam_x": n_w, "g": n_g, "lam_g": n_g, "lam_p": n_p}
+        return ca.Sparsity.dense(sizes[ca.nlpsol_out(index)], 1)
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
+        """Look at an iterate; a one stops the solver."""
+        values = dict(zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments,
+                          strict=True))  # fmt: skip
+        rows = np.array(values["g"]).ravel()
+        program = self.program
+        over = np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0)
+        iterate = Iterate(
+            self.count, float(values["f"]), float(max(over, 0.0)),
+            np.array(values["x"]).ravel() * program.scale,
+        )  # fmt: skip
+        self.count += 1
+        try:
+            return [0.0 if self.look(iterate) else 1.0]
+        except BaseException as error:
+            self.raised = error
+            return [1.0]
+
+
+def solve(
+    program: Program, weights: Array, first: Array, *,
+    warm: Solution | None = None, iterations: int = ITERATIONS, look: Look | None = None,
+) -> Solution:  # fmt: skip
+    """Return the solution of a program, or where its iteration ended.
+
+    Parameters
+    ----------
+    program : Program
+        From `transcribe`.
+    weights : ndarray, shape (n_costs + 1,)
+        Of the costs, the smoothness last.
+    first : ndarray, shape (n_w,)
+        First guess, not scaled.
+    warm : Solution, optional
+        Whose multipliers to start from.
+    iterations : int
+        Most iterations.
+    look : callable, optional
+        Called with every iterate; the iteration ends where it returns False.
+    """
+    quiet: dict[str, Any] = {
+        "print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": iterations,
+        "mu_strategy": "adaptive", "mumps_permuting_scaling": 0,
+    }  # fmt: skip
+    if warm is not None:
+        quiet |= {"warm_start_init_point": "yes", "mu_strategy": "monotone",
+                  "mu_init": FIRST_BARRIER}  # fmt: skip
+        quiet |= {f"warm_start_{name}_push": PUSH
+                  for name in ("bound", "slack_bound", "mult_bound")}  # fmt: skip
+        quiet |= {"warm_start_bound_frac": PUSH, "warm_start_slack_bound_frac": PUSH}
+    options: dict[str, Any] = {
+        "ipopt": quiet, "print_time": False, "error_on_fail": False,
+        "jac_g": program.jacobian, "hess_lag": program.hessian, "record_time": True,
+    }  # fmt: skip
+    watch = None if look is None else _Watch(program, look)
+    if watch is not None:
+        options["iteration_callback"] = watch
+    solver = ca.nlpsol("plan", "ipopt", program.problem, options)
+    given = {"x0": first / program.scale, "p": weights,
+             "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
+             "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
+    if warm is not None:
+        given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
+    found = solver(**given)
+    if watch is not None and watch.raised is not None:
+        raise watch.raised
+    return _solution(program, found, solver.stats())
+
+
+def _solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:
+    times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
+    total = times.get("t_wall_total", 0.0)
+    functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
+    return Solution(
+        np.array(found["x"]).ravel() * program.scale,
+        np.array(found["g"]).ravel(),
+        float(found["f"]),
+        np.array(found["lam_g"]).ravel(),
+        np.array(found["lam_x"]).ravel(),
+        str(stats["return_status"]),
+        bool(stats["success"]),
+        int(stats["iter_count"]),
+        {"total": total, "functions": functions, "rest": total - functions},
+    )

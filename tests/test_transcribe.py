@@ -1,0 +1,190 @@
+"""Collocation: exact derivatives, its order on a known solution, optima known in closed form."""
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from cases import hills
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.dae import Dae, Labels, Limit
+from slipfree.named import Label, symbols
+from slipfree.plan.solver import solve
+from slipfree.plan.transcribe import Cost, Mesh, Place, Task, transcribe
+
+
+class Values(NamedTuple):
+    values: tuple[Any, ...]
+
+
+class Nothing(NamedTuple):
+    pass
+
+
+def toy(count, ode):
+    """A model of states ``x``, an unknown ``z = x0^2`` and one input."""
+    x_labels = Values(tuple(Label(f"x{k}", "m", f"state {k}") for k in range(count)))
+    z_labels, u_labels = (Values((Label(name, "m", name),)) for name in ("square", "drive"))
+    labels = Labels(
+        x_labels, z_labels, Nothing(), u_labels, Nothing(), ((Label("law", "m", "law"),),)
+    )
+    x, z, u, t = symbols(x_labels), symbols(z_labels), symbols(u_labels), ca.SX.sym("t")
+    return Dae(
+        t, x, z, Nothing(), u,
+        ode=ca.vertcat(*ode(t, x.values, z.values[0], u.values[0])),
+        alg=(z.values[0] - x.values[0] ** 2,), quad=ca.SX(0, 1), y=Nothing(), labels=labels,
+        limits=(), checks=(), guess=ca.SX(0), scale=np.ones(1),
+        shift=(np.zeros(count), np.zeros(1)),
+    )  # fmt: skip
+
+
+def task(dae, start, *, costs=(), places=(), limits=(), inputs=(-np.inf, np.inf), duration=1.0):
+    free = np.array([[-np.inf, np.inf]])
+    span = (duration, duration) if isinstance(duration, float) else duration
+    return Task(dae, np.array(start), span, tuple(costs), tuple(places), tuple(limits),
+                np.array([inputs]), free, 0.0)  # fmt: skip
+
+
+def solved(program, first=None):
+    """Solve with weights of one; the duration of the guess is the least allowed."""
+    w = np.zeros(program.scale.size) if first is None else first
+    w[program.layout.duration] = program.task.duration[0]
+    weights = np.append(np.ones(len(program.task.costs)), 0.0)
+    found = solve(program, weights, w)
+    assert found.success
+    return found
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_order_at_the_ends_of_intervals_is_twice_the_degree_less_one(degree):
+    """x' = cos t z / x, z = x^2: x = exp(sin t)."""
+    dae = toy(1, lambda t, x, z, _u: [ca.cos(t) * z / x[0]])
+    counts = {1: (64, 128, 256), 2: (16, 32, 64), 3: (8, 16, 32), 4: (6, 9, 13)}[degree]
+    errors = []
+    for count in counts:
+        mesh = Mesh(np.linspace(0, 1, count + 1), degree)
+        program = transcribe(task(dae, [1.0], inputs=(0, 0), duration=4.0), mesh)
+        found = solved(program, np.ones(program.scale.size))
+        ends = found.unknowns[program.layout.states[:, -1, 0]]
+        errors.append(np.abs(ends - np.exp(np.sin(4 * mesh.ends[1:]))).max())
+    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert order == pytest.approx(2 * degree - 1, abs=0.35)
+
+
+def test_the_least_effort_of_an_integrator_is_known():
+    """x' = u from 0 to 2 in 4 s: u = 1/2, cost 1."""
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+    goal = Place(1.0, (Limit(Label("end", "m", ""), dae.x.values[0], 2.0, 2.0),))
+    program = transcribe(task(dae, [0.0], costs=[cost], places=[goal], duration=4.0),
+                         Mesh(np.linspace(0, 1, 6), 2))  # fmt: skip
+    found = solved(program)
+    assert_allclose(found.unknowns[program.layout.inputs], 0.5, atol=1e-9)
+    assert found.cost == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_least_effort_of_two_integrators_is_approached_in_second_order():
+    """x'' = u, at rest 0 to 1 in 1 s: u = 6 - 12 t, cost 12; inputs are constant by intervals."""
+    dae = toy(2, lambda _t, x, _z, u: [x[1], u])
+    cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+    ends = [
+        Limit(Label(f"end{k}", "m", ""), dae.x.values[k], v, v) for k, v in enumerate((1.0, 0.0))
+    ]
+    counts, errors = (5, 10, 20), []
+    for count in counts:
+        program = transcribe(
+            task(dae, [0.0, 0.0], costs=[cost], places=[Place(1.0, tuple(ends))]),
+            Mesh(np.linspace(0, 1, count + 1), 3),
+        )
+        errors.append(solved(program).cost - 12)
+    # By constants the least is 12 / (1 - 1/n^2): the mean of a line over an interval.
+    assert_allclose(errors, [12 / (1 - n**-2.0) - 12 for n in counts], rtol=1e-6)
+
+
+def test_the_least_time_is_known():
+    """x'' = u, |u| <= 1, at rest 0 to 1: two seconds, full forward and full back."""
+    dae = toy(2, lambda _t, x, _z, u: [x[1], u])
+    cost = Cost(Label("time", "s", ""), ca.SX(1), 1.0)
+    ends = [
+        Limit(Label(f"end{k}", "m", ""), dae.x.values[k], v, v) for k, v in enumerate((1.0, 0.0))
+    ]
+    program = transcribe(
+        task(dae, [0.0, 0.0], costs=[cost], places=[Place(1.0, tuple(ends))], inputs=(-1, 1),
+             duration=(0.5, 9.0)),
+        Mesh(np.linspace(0, 1, 11), 3),
+    )  # fmt: skip
+    first = np.ones(program.scale.size)
+    found = solved(program, first)
+    assert found.unknowns[program.layout.duration] == pytest.approx(2.0, abs=1e-6)
+    inputs = found.unknowns[program.layout.inputs][:, 0]
+    assert_allclose(inputs, [1] * 5 + [-1] * 5, atol=1e-6)
+
+
+def test_a_limit_along_the_way_and_a_way_point_hold():
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+    x = dae.x.values[0]
+    places = [Place(0.5, (Limit(Label("half", "m", ""), x, 2.0, 2.0),)),
+              Place(1.0, (Limit(Label("end", "m", ""), x, 0.0, 0.0),))]  # fmt: skip
+    low = Limit(Label("square_limit", "m", ""), dae.z.values[0] + 0.1 * x, -np.inf, 4.2)
+    program = transcribe(task(dae, [0.0], costs=[cost], places=places, limits=[low], duration=4.0),
+                         Mesh(np.linspace(0, 1, 9), 3))  # fmt: skip
+    found = solved(program, np.full(program.scale.size, 0.5))
+    states = found.unknowns[program.layout.states[..., 0]]
+    assert states[3, -1] == pytest.approx(2.0)
+    assert (states**2 + 0.1 * states).max() <= 4.2 + 1e-6
+    assert found.cost == pytest.approx(4.0, abs=1e-6)  # two metres in two seconds, and back
+
+
+@pytest.fixture(scope="module")
+def vehicle_program():
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills, mu=0.6))
+    start = settle(dae)
+    x = dae.x
+    slip = sum(s**2 for s in (*dae.y.slip_along, *dae.y.slip_across))
+    used = ca.sumsqr(ca.vertcat(*dae.y.forces.utilisation))
+    goal = Place(1.0, (Limit(Label("goal", "m", ""), x.x - 0.1 * x.heading, 0.6, 0.6),))
+    everything = Task(
+        dae, dae.rows("x", start, 0), (5.0, 9.0),
+        (Cost(Label("slip", "", ""), slip, 1.0), Cost(Label("used", "", ""), used, 1.0)), (goal,),
+        (Limit(Label("pace", "1", ""), x.y * dae.u.wheels[0], -9.0, 9.0),
+         Limit(Label("steering", "rad", ""), x.joints[0], -1.0, 1.0)),
+        np.array([[-2.0, 2.0]] * 3), np.array([[-1.0, 1.0]] * 3), 0.1,
+    )  # fmt: skip
+    return transcribe(everything, Mesh(np.array([0.0, 0.2, 0.5, 1.0]), 2)), start
+
+
+def test_derivatives_are_exact(vehicle_program, rng):
+    """Jacobian and Hessian, put together by index, against differences along random directions."""
+    program, start = vehicle_program
+    dae = program.task.dae
+    run = simulate(dae, start, dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1),
+                   program.mesh.nodes * 7.0)  # fmt: skip
+    from slipfree.plan.plan import _unknowns
+
+    w = _unknowns(program, run) / program.scale + 1e-3 * rng.normal(size=program.scale.size)
+    x, p = program.problem["x"], program.problem["p"]
+    weights, sigma = np.array([0.3, 0.2, 0.1]), 0.7
+    multipliers = rng.normal(size=program.g_lower.size)
+    rows = ca.Function("g", [x], [ca.substitute(program.problem["g"], p, ca.DM(weights))])
+    lagrangian = sigma * program.problem["f"] + ca.dot(ca.DM(multipliers), program.problem["g"])
+    gradient = ca.Function("l", [x, p], [ca.gradient(lagrangian, x)])
+    way, h = rng.normal(size=w.size), 1e-6
+    jacobian = program.jacobian(w, weights)[1]
+    difference = (np.array(rows(w + h * way)) - np.array(rows(w - h * way))) / (2 * h)
+    scale = np.abs(difference).max()
+    assert_allclose(np.array(jacobian @ way), difference, atol=1e-6 * scale)
+    half = np.array(ca.DM(program.hessian(w, weights, sigma, multipliers)))
+    assert not np.tril(half, -1).any()
+    change = np.array(gradient(w + h * way, weights)) - np.array(gradient(w - h * way, weights))
+    change = change.ravel() / (2 * h)
+    full = half + np.triu(half, 1).T
+    assert_allclose(full @ way, change, atol=1e-6 * np.abs(change).max())
+
+
+def test_a_degree_that_is_not_offered_is_refused():
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    with pytest.raises(ModelError, match="expected a degree of 1 to 5, found 6"):
+        transcribe(task(dae, [0.0]), Mesh(np.linspace(0, 1, 3), 6))
