@@ -168,6 +168,21 @@ def test_run_plans_simulates_and_tells():
     assert run.statistics["plan_iterations"] > 0
 
 
+@pytest.mark.usefixtures("folder")
+def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved():
+    words = ["plan.intervals=10", "costs.slip=", "time.duration=4.0", "bounds.right_rate=[0, 0.5]",
+             "bounds.left_rate=[0, 0.5]"]  # fmt: skip
+    settings = [word for each in words for word in ("--set", each)]
+    file = PROBLEMS / "plan_rigid_hills.toml"
+    result = CliRunner().invoke(app, ["run", str(file), "-o", "p.nc", "--no-draw", *settings])
+    assert result.exit_code == 1, result.output
+    assert "the plan is not solved; this is its last iterate" in result.stderr
+    assert "y at the goal" in result.stderr
+    assert "one set that suffices; others may" in result.stderr
+    assert "p.nc holds the motion to there" in result.stderr
+    assert result_file.read(Path("p.nc")).stop.name == "plan"
+
+
 @pytest.mark.parametrize(
     ("setting", "words"),
     [

@@ -105,8 +105,8 @@ def test_lines_of_keys() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ('"direct"', '"plan"', "p.toml:1: verb: expected 'direct' or 'inverse' for this "
-         "command, found 'plan'"),
+        ('"direct"', '"drive"', "p.toml:1: verb: expected 'direct' or 'inverse' or 'plan' for "
+         "this command, found 'drive'"),
         ("spacing = 0.5", "spacing = -1", "p.toml:6: terrain.synthetic.spacing: expected a number "
          "greater than 0, found -1"),
         ("r1 = 0.05", "r1 = -0.05", "p.toml:11: vehicle.r1: expected a number of at least 0, "

@@ -17,6 +17,7 @@ import numpy as np
 from slipfree.dae import Limit
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array, Label, leaves
+from slipfree.plan.explain import conflicts, explanation
 from slipfree.plan.solver import Iterate, Solution, solve
 from slipfree.plan.transcribe import Cost, Mesh, Model, Place, Program, Task, transcribe
 from slipfree.solve.inverse import basis
@@ -144,17 +145,20 @@ def plan(
     Raises
     ------
     ModelError
-        If a name is not known or bounds conflict.
+        If a name is not known, or start, goal and limits contradict each other.
     """
     clock = time.process_time()
     task = Task(
         dae, dae.rows("x", start, -1), _range(duration), _costs(dae, costs),
-        tuple(_all_places(dae, goal, way_points or {})), tuple(_limits(dae, limits)),
+        tuple(_all_places(dae, goal, way_points or {})), limits_of(dae, limits),
         _bounds_of(dae, inputs or {}), _bounds_of(dae, accelerations or {}), smooth,
     )  # fmt: skip
+    if wrong := conflicts(task, start):
+        raise ModelError("plan: " + "; ".join(wrong))
     mesh = Mesh(np.linspace(0, 1, intervals + 1), degree)
     program = transcribe(task, mesh)
-    found, stages = _staged(program, _unknowns(program, guess), progress)
+    first = _unknowns(program, guess)
+    found, stages = _staged(program, first, progress)
     for _ in range(ROUNDS):
         missed = _missed(program, found)
         if not (missed and found.success):
@@ -166,6 +170,11 @@ def plan(
         found, more = _solved(program, first, words, 1.0, progress)
         stages += more
     result = _result(program, found, stages, start, tolerance)
+    if not found.success:
+        words = f"the plan is not solved; this is its last iterate: " \
+                f"{explanation(program, found, first)}"  # fmt: skip
+        stop = Stop("plan", float(result.run.t[-1]), words)
+        result = replace(result, run=replace(result.run, stop=stop))
     statistics = {"cpu_seconds": time.process_time() - clock,
                   "iterations": float(sum(stage.iterations for stage in stages))}  # fmt: skip
     return replace(result, run=replace(result.run, statistics=statistics))
@@ -202,12 +211,12 @@ def _term(dae: Model, name: str) -> tuple[Label, ca.SX]:
     return Label(name, "", f"squared {name}, integrated over time"), expression
 
 
-def _limits(dae: Model, given: Mapping[str, Range] | Sequence[Limit]) -> Iterator[Limit]:
+def limits_of(dae: Model, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+    """Return limits on quantities of a model by name, in map coordinates; others as they are."""
     if not isinstance(given, Mapping):
-        yield from given
-        return
-    for name, (low, high) in given.items():
-        yield from _conditions(dae, name, (low, high))
+        return tuple(given)
+    return tuple(limit for name, bounds in given.items()
+                 for limit in _conditions(dae, name, bounds))  # fmt: skip
 
 
 def _conditions(dae: Model, name: str, bounds: float | Range) -> Iterator[Limit]:
@@ -391,9 +400,6 @@ def _result(
     names = list(leaves(program.task.dae.labels.x))
     difference = {label.full: float(np.abs(replay.of(label)[:n] - run.of(label)[:n]).max())
                   for label in names}  # fmt: skip
-    if not found.success:
-        words = f"the plan is not solved ({found.status}): this is the last iterate"
-        run = replace(run, stop=Stop("plan", float(run.t[-1]), words))
     return Plan(run, inputs, replay, difference, costs, found.success, program, found, stages)
 
 

@@ -189,7 +189,7 @@ def traversability(
     blocks the vehicle's centre; that every wheel stays out of it takes the heading, which a plan
     decides and a route does not. The wheel with the best grip decides what friction can hold.
     """
-    right, forward, reach = _extents(vehicle)
+    right, forward, reach = extents(vehicle)
     half, radius = math.sqrt(right * forward), max(wheel.radius for wheel in vehicle.wheels)
     grip = max(wheel.grip for wheel in vehicle.wheels)
     if spacing is None:
@@ -313,7 +313,7 @@ def routes(
 # Layers
 
 
-def _extents(vehicle: Vehicle) -> tuple[float, float, float]:
+def extents(vehicle: Vehicle) -> tuple[float, float, float]:
     """Return half the width and the length of the vehicle, and the circle that holds it [m].
 
     A wheel may be steered and tilted: from its centre it reaches its radius in every direction,

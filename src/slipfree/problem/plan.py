@@ -9,15 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from slipfree.dae import Dae
-from slipfree.errors import SolverError
+from slipfree.dae import Dae, Limit
+from slipfree.errors import ModelError, SolverError
+from slipfree.geometry.path import Path
+from slipfree.kinematics.follow import follow
 from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.named import leaves
-from slipfree.plan.plan import Plan, plan
+from slipfree.named import Label, leaves
+from slipfree.plan.plan import Plan, limits_of, plan
+from slipfree.plan.region import Disc, Polygon, Region
+from slipfree.plan.route import extents, route, traversability
 from slipfree.plan.solver import Iterate
 from slipfree.problem import schema
 from slipfree.problem.direct import build_law
 from slipfree.problem.ground import at, build_ground
+from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import (
     Setup,
     build_start,
@@ -29,7 +34,9 @@ from slipfree.problem.parts import (
 )
 from slipfree.problem.read import Problem, S
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import Stop, Trajectory
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.chain import Vehicle
 
 Tell = Callable[[str], None]
 
@@ -49,10 +56,48 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Setup:
     if spec.driver is None:
         with at(problem, ("inputs",)):
             inputs = dae.inputs(**rates)
+    elif spec.driver.name == "route":
+        inputs, lasts = _along_route(problem, spec, (dae, vehicle, terrain), start)
+        t = t[: max(int((t <= lasts).sum()), 2)]  # behind its end a path leads nowhere
     else:
         inputs = build_law(problem, spec.driver, dae, vehicle, start)
     goal = ", ".join(f"{name} {_words(value)}" for name, value in spec.goal.items())
     return Setup(ground, terrain, vehicle, dae, dae, start, inputs, t, f"plan to {goal}")
+
+
+def _along_route(
+    problem: Problem[S],
+    spec: schema.Plan,
+    model: tuple[Dae[Any, Any, Any, Any, Any], Vehicle, Bicubic],
+    start: Trajectory,
+) -> tuple[Any, float]:
+    """Return the law that follows a route to the middle of the goal, and how long that lasts."""
+    dae, vehicle, terrain = model
+    driver = spec.driver
+    if driver is None or not {"x", "y"} <= set(spec.goal):
+        raise ProblemError(f"{problem.source.where(('goal',))}: a route needs a goal in x and y")
+    here = (float(start["x"][-1]), float(start["y"][-1]))
+    there = (sum(spec.goal["x"]) / 2, sum(spec.goal["y"]) / 2)
+    with at(problem, ("driver",)):
+        layers = traversability(terrain, vehicle, keep_out=regions(problem, spec))
+        points = route(layers, here, there, turning_radius=driver.turning_radius)
+        path = Path(points)
+        return follow(dae, vehicle, path, speed=driver.speed), path.length / abs(driver.speed)
+
+
+def regions(problem: Problem[S], spec: schema.Plan) -> tuple[Region, ...]:
+    """Return the places to keep out of."""
+    found: list[Region] = []
+    for index, each in enumerate(spec.keep_out):
+        with at(problem, ("keep_out", index)):
+            disc = (each.x, each.y, each.radius)
+            if each.points is not None and disc == (None, None, None):
+                found.append(Polygon(each.points))
+            elif each.points is None and None not in disc:
+                found.append(Disc(*(float(value or 0.0) for value in disc)))
+            else:
+                raise ModelError("keep_out: expected either x, y and radius, or points")
+    return tuple(found)
 
 
 def _words(bounds: tuple[float, float]) -> str:
@@ -67,25 +112,44 @@ def planned(problem: Problem[S], spec: schema.Plan, setup: Setup, tell: Tell | N
     goal = dict(spec.goal)
     if "heading" in goal:
         goal["heading"] = tuple(value + turned(problem) for value in goal["heading"])
+    length = float(guess.t[-1])
     with at(problem, ("plan",)):
         found = plan(
             setup.dae, setup.start, guess, goal=goal, costs=spec.costs,
-            duration=spec.plan.duration or spec.time.duration, smooth=spec.plan.smooth,
-            limits=spec.limits, inputs=spec.bounds, accelerations=spec.accelerations,
+            duration=spec.plan.duration or (length, length), smooth=spec.plan.smooth,
+            limits=(*limits_of(setup.dae, spec.limits), *_kept_out(problem, spec, setup)),
+            inputs=spec.bounds, accelerations=spec.accelerations,
             intervals=spec.plan.intervals, degree=spec.plan.degree,
             tolerance=spec.solver.tolerance, progress=_telling(tell),
         )  # fmt: skip
     return _motion(setup, spec, found)
 
 
+def _kept_out(problem: Problem[S], spec: schema.Plan, setup: Setup) -> list[Limit]:
+    """Return that the circle around the wheels keeps out of the places that are named."""
+    x, y = setup.dae.x.x, setup.dae.x.y
+    o_x, o_y, _ = setup.terrain.origin
+    _, _, reach = extents(setup.vehicle)
+    return [
+        Limit(Label(f"keep_out_{k}", "m", f"the vehicle touches {region.words}"),
+              region.outside(x + o_x, y + o_y), reach, np.inf)
+        for k, region in enumerate(regions(problem, spec))
+    ]  # fmt: skip
+
+
 def _guess(setup: Setup, spec: schema.Plan) -> Trajectory:
+    """Return the motion of the driving law, along a route up to where it is nearest to the goal."""
     try:
-        return simulate(setup.dae, setup.start, setup.inputs, setup.t,
-                        tolerance=spec.solver.tolerance)  # fmt: skip
+        run = simulate(setup.dae, setup.start, setup.inputs, setup.t,
+                       tolerance=spec.solver.tolerance)  # fmt: skip
     except SolverError as error:
         if error.trajectory is None:
             raise
-        return error.trajectory
+        run = error.trajectory
+    if spec.driver is None or spec.driver.name != "route":
+        return run
+    away = np.hypot(*(run[name] - sum(spec.goal[name]) / 2 for name in ("x", "y")))
+    return run.part(slice(max(int(away.argmin()), 1) + 1))
 
 
 def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
@@ -121,9 +185,8 @@ def _motion(setup: Setup, spec: schema.Plan, found: Plan) -> Trajectory:
         if error.trajectory is None:
             raise
         run = error.trajectory
-    if not found.success:
-        words = f"the plan was not solved: {found.solution.status}; this is its last iterate"
-        run = replace(run, stop=run.stop or Stop("plan", float(run.t[-1]), words))
+    if not found.success and found.run.stop is not None:
+        run = replace(run, stop=found.run.stop._replace(t=float(run.t[-1])))
     return replace(run, statistics={**run.statistics, **_statistics(found)})
 
 

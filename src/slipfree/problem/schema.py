@@ -247,6 +247,23 @@ def _bound(value: Any) -> tuple[float, float]:
 Bound = Annotated[Any, PlainValidator(_bound)]
 
 
+class Guide(Driver):
+    """What starts the search: a driving law, along a route over the ground if there is none."""
+
+    name: Literal["straight", "follow", "route"]  # type: ignore[assignment]
+    turning_radius: Radius = 1.0
+    routes: Annotated[int, Field(ge=1)] = 1
+
+
+class KeepOut(Record):
+    """A place that the vehicle must not touch: a disc, or a polygon."""
+
+    x: float | None = None
+    y: float | None = None
+    radius: Length | None = None
+    points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = None
+
+
 class Search(Record):
     """How a plan is sought."""
 
@@ -266,8 +283,9 @@ class Plan(Motion):
     bounds: dict[str, Bound] = {}
     accelerations: dict[str, Bound] = {}
     plan: Search = Search()
+    keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = ()
     inputs: dict[str, Rate] | None = None
-    driver: Driver | None = None
+    driver: Guide | None = None
     slip: Literal["least", "rolling"] = "least"
 
 

@@ -164,15 +164,19 @@ class _Task(NamedTuple):
 def _integrate(task: _Task, first: Samples, t: Array, u: Array, depth: int = 2) -> March:
     """Integrate in one call; if that fails, in windows, so that what was reached is kept.
 
-    After a failure the window is halved until a part succeeds, down to a single interval; that
-    interval is then divided in the same way, ``depth`` times at most. A call that goes beyond a
+    After a failure the inputs' jumps end the calls, since the integrator may not find a consistent
+    start behind one. Then the window is halved until a part succeeds, down to a single interval;
+    that interval is divided in the same way, ``depth`` times at most. A call that goes beyond a
     limit is made again up to there, and is the last.
     """
     samples, counts, failure = first, dict.fromkeys(COUNTS, 0.0), ""
     left, window, last = 0, t.size - 1, t.size - 1
+    jumps, split = 1 + np.flatnonzero((np.diff(u, axis=1) != 0).any(axis=0)), False
     while left < last and window:
         right = min(left + window, last)
-        at = Samples(*(part[..., -1:] for part in samples))
+        if split:
+            right = min(right, *jumps[jumps > left], last)
+        at = _at(task.loop, samples, u[:, left])
         span = t[left : right + 1]
         try:
             part, cost = _call(task, at, span, u[:, left:right])
@@ -184,7 +188,10 @@ def _integrate(task: _Task, first: Samples, t: Array, u: Array, depth: int = 2) 
                 rest = _integrate(task._replace(guarded=False), at, span, given, depth)
             return _after(samples, counts, rest)._replace(beyond=not rest.failure)
         except SolverError as error:
-            failure, window = str(error), window // 2
+            failure = str(error)
+            if split or not (jumps > left).any():
+                window = (right - left) // 2
+            split = True
             continue
         samples, left = _chained(samples, part), right
         counts = {name: counts[name] + cost[name] for name in counts}
@@ -198,6 +205,18 @@ def _integrate(task: _Task, first: Samples, t: Array, u: Array, depth: int = 2) 
         if not rest.beyond:
             march = march._replace(failure=failure)
     return march
+
+
+def _at(loop: Loop, samples: Samples, u: Array) -> Samples:
+    """Return the last sample, made consistent with the inputs that come if they jump there."""
+    at = Samples(*(part[..., -1:] for part in samples))
+    if np.array_equal(at.u[:, -1], u):
+        return at
+    try:
+        z = consistent(loop, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=False)
+    except ModelError:  # the integrator tells
+        return at
+    return at._replace(z=z[:, None], u=u[:, None])
 
 
 def _after(samples: Samples, counts: dict[str, float], rest: March) -> March:
