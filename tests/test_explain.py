@@ -11,7 +11,7 @@ from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheele
 from slipfree.dae import Limit
 from slipfree.named import Label
 from slipfree.plan.explain import conflicts, explanation, relax, violations, words
-from slipfree.plan.plan import _unknowns, limits_of
+from slipfree.plan.plan import limits_of, unknowns_of
 from slipfree.plan.solver import solve
 from slipfree.plan.transcribe import Cost, Mesh, Place, Task, transcribe
 from test_transcribe import task, toy
@@ -219,7 +219,7 @@ def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
                                  {"steer": (-0.5, 0.5)})  # fmt: skip
     assert conflicts(asked, start) == []
     program = transcribe(asked, Mesh(np.linspace(0, 1, 11), 3))
-    first = _unknowns(program, guess)
+    first = unknowns_of(program, guess)
     found = solve(program, np.array([1.0, 0.01]), first)
     assert not found.success
     assert "y" in [each.label.full for each in violations(program, found) if each.role == "goal"]
@@ -249,7 +249,7 @@ def test_limits_of_wheels_and_of_the_model_are_named():
     (front,) = [each for each in told if "contact_y of wheel front" in each]
     assert front.startswith("contact_y of wheel front must be -9 to -0.6 m, but the start has ")
     program = transcribe(asked, Mesh(np.linspace(0, 1, 3), 2))
-    w = _unknowns(program, guess)
+    w = unknowns_of(program, guess)
     rows = np.array(program.jacobian(w / program.scale, np.zeros(2))[0]).ravel()
     blank = solve(program, np.zeros(2), w, iterations=0)
     found = {each.label.full: each

@@ -157,7 +157,7 @@ def plan(
         raise ModelError("plan: " + "; ".join(wrong))
     mesh = Mesh(np.linspace(0, 1, intervals + 1), degree)
     program = transcribe(task, mesh)
-    first = _unknowns(program, guess)
+    first = unknowns_of(program, guess)
     found, stages = _staged(program, first, progress)
     for _ in range(ROUNDS):
         missed = _missed(program, found)
@@ -271,7 +271,7 @@ def _bounds_of(dae: Model, given: Mapping[str, Range]) -> Array:
     return bounds
 
 
-def _unknowns(program: Program, guess: Trajectory) -> Array:
+def unknowns_of(program: Program, guess: Trajectory) -> Array:
     """Return the unknowns of a motion, stretched over the mesh."""
     task, layout = program.task, program.layout
     dae, degree = task.dae, program.mesh.degree
@@ -329,7 +329,7 @@ def _solved(
 def _missed(program: Program, found: Solution) -> list[Limit]:
     """Return the model's own limits that a plan violates and that are not in the program yet."""
     have = {limit.label.full for limit in program.task.limits}
-    run = _sampled(program, found)[0]
+    run = _sampled(program, found.unknowns)[0]
     missed = []
     for limit in program.task.dae.limits:
         values = run.of(limit.label)
@@ -348,15 +348,15 @@ def _carried(former: Program, program: Program, unknowns: Array) -> Array:
     old_count, count = former.layout.unknowns.shape[2], program.layout.unknowns.shape[2]
     carried[program.layout.unknowns[..., :old_count]] = unknowns[former.layout.unknowns]
     if count > old_count:
-        z = _sampled(former, Solution(unknowns, *(np.zeros(0),) * 4, "", True, 0, {}))[1].z  # type: ignore[arg-type]
+        z = _sampled(former, unknowns)[1].z
         fuller = z[old_count:count, 1:].T.reshape(*program.layout.unknowns.shape[:2], -1)
         carried[program.layout.unknowns[..., old_count:]] = fuller
     return carried
 
 
-def _sampled(program: Program, found: Solution) -> tuple[Trajectory, Samples]:
+def _sampled(program: Program, unknowns: Array) -> tuple[Trajectory, Samples]:
     """Return the plan at the beginning and at all points."""
-    layout, w, dae = program.layout, found.unknowns, program.task.dae
+    layout, w, dae = program.layout, unknowns, program.task.dae
     degree, n_z = program.mesh.degree, layout.unknowns.shape[2]
     loop = close(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
     t = program.mesh.nodes * w[layout.duration]
@@ -388,7 +388,7 @@ def _result(
     tolerance: float,
 ) -> Plan:  # fmt: skip
     """Return the plan with the motion that its inputs lead to."""
-    run, _ = _sampled(program, found)
+    run, _ = _sampled(program, found.unknowns)
     values = ca.Function("f", [program.problem["x"], program.problem["p"]],
                          [program.problem["f"]])  # fmt: skip
     units = np.eye(program.problem["p"].numel())
