@@ -26,7 +26,7 @@ from slipfree.solve.sample import Samples, followed, table
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import Stop, Trajectory
 
-STAGES = (0.0, 1e-3, 0.2, 1.0)  # parts of the slip's weight, one after the other
+STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
 SLIP = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
 ROUNDS = 4  # of adding limits that a plan violates
 WITHIN = 1e-6  # violation of a limit that is rounding, in its unit
@@ -308,21 +308,26 @@ def _staged(
 ) -> tuple[Solution, tuple[Stage, ...]]:
     """Return the solution, reached by raising the weight of the slip in stages."""
     slips = any(cost.label.name in SLIP and cost.weight for cost in program.task.costs)
-    stages: tuple[Stage, ...] = ()
-    for part in STAGES if slips else (1.0,):
-        words = "slip left out" if part == 0 else f"slip weighted {part:g}"
-        found, more = _solved(program, first, words if slips else "all", part, progress)
-        first, stages = found.unknowns, stages + more
+    found, stages = _solved(program, first, "slip left out" if slips else "all",
+                            STAGES[0] if slips else 1.0, progress)  # fmt: skip
+    for part in STAGES[1:] if slips else ():
         if not found.success:
             break
+        found, more = _solved(program, found.unknowns, "with slip", part, progress, found)
+        stages += more
     return found, stages
 
 
 def _solved(
-    program: Program, first: Array, words: str, part: float, progress: Progress | None
+    program: Program,
+    first: Array,
+    words: str,
+    part: float,
+    progress: Progress | None,
+    warm: Solution | None = None,
 ) -> tuple[Solution, tuple[Stage, ...]]:
     look = None if progress is None else lambda iterate: progress(words, iterate)
-    found = solve(program, _weights(program, part), first, look=look)
+    found = solve(program, _weights(program, part), first, warm=warm, look=look)
     return found, (Stage(words, found.iterations, found.status, found.seconds),)
 
 

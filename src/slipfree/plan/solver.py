@@ -13,7 +13,7 @@ from slipfree.plan.transcribe import Program
 
 ITERATIONS = 500
 TOLERANCE = 1e-8
-FIRST_BARRIER = 1e-6  # of a warm start
+FIRST_BARRIER = 1e-3  # of a warm start
 PUSH = 1e-9  # from the bounds in a warm start
 Look = Callable[["Iterate"], bool]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slipfree.named import leaves
+from slipfree.named import Array, leaves
 from slipfree.solve.consistent import UnsolvedError, consistent
 from slipfree.solve.loop import Loop
 from slipfree.solve.sample import Samples
@@ -32,6 +32,8 @@ def ending(loop: Loop, samples: Samples, fault: int | None) -> Stop | None:
     k = -1 if fault is None else fault
     t, x, z, u = float(samples.t[k]), samples.x[:, k], samples.z[:, k], samples.u[:, k]
     if fault is None:
+        if not _is_solved(loop, t, x, z, u):
+            return None  # the inputs jump there: what the integrator failed at is its start
         x = x + SOON * np.array(loop.core(t, x, z[: loop.moving], u)[0]).ravel()
     try:
         found = consistent(loop, t, x, z, u)
@@ -53,3 +55,12 @@ def ending(loop: Loop, samples: Samples, fault: int | None) -> Stop | None:
         "the motion that friction allows ends in a fold: it would go on with a jump, such as "
         f"{label.full} from {z[k]:.3g} to {found[k]:.3g}{unit}, which inertia decides",
     )
+
+
+def _is_solved(loop: Loop, t: float, x: Array, z: Array, u: Array) -> bool:
+    """Return whether the unknowns of a sample are those that its states and inputs lead to."""
+    try:
+        found = consistent(loop, t, x, z, u, eased=False)
+    except UnsolvedError:
+        return True  # nothing to compare with
+    return bool(np.abs((found - z) / loop.dae.scale)[: loop.moving].max() < JUMP)
