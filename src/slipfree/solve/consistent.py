@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from slipfree.solve.loop import Block, Loop
 
 LARGEST_STEP = 0.25  # of an unknown's typical size, in one Newton step
 STEPS = 100
+BETWEEN = 3  # times that a stage of the easing is divided where Newton's method does not take it
 CONVERGED = 1e-13
 SINGULAR = 1e-10  # smallest singular value of a block, relative to the largest
 
@@ -53,9 +55,29 @@ def consistent(loop: Loop, t: float, x: Array, z: Array, u: Array, *, eased: boo
             z[block.span] = 0.0
             z[block.span] -= _solve(loop, block, (t, x, z, u, block.stages[-1]), check=True)
             continue
-        for easing in block.stages if eased else block.stages[-1:]:
-            z = _newton(loop, block, (t, x, z, u, easing))
+        z = _newton(loop, block, (t, x, z, u, block.stages[0 if eased else -1]))
+        for stage in pairwise(block.stages) if eased else ():
+            z = _eased(loop, block, (t, x, z, u), stage, BETWEEN)
     return z
+
+
+def _eased(
+    loop: Loop, block: Block, point: tuple[float, Array, Array, Array],
+    stage: tuple[float, float], depth: int,
+) -> Array:  # fmt: skip
+    """Return the unknowns at the second easing from those at the first, by way of others if needed.
+
+    Others lie at the geometric mean, ``depth`` times at most.
+    """
+    t, x, z, u = point
+    try:
+        return _newton(loop, block, (*point, stage[1]))
+    except UnsolvedError:
+        if not depth:
+            raise
+    between = float(np.sqrt(stage[0] * stage[1]))
+    z = _eased(loop, block, (t, x, z, u), (stage[0], between), depth - 1)
+    return _eased(loop, block, (t, x, z, u), (between, stage[1]), depth - 1)
 
 
 def _newton(loop: Loop, block: Block, point: tuple[float, Array, Array, Array, float]) -> Array:
