@@ -84,10 +84,7 @@ def direct_kinematics(
     where equilibrium leaves some of them open, they are the load-weighted ones of
     `slipfree.kinematics.statics.following_forces`.
     """
-    if slip not in get_args(SlipLaw):
-        raise ModelError(f"slip: expected one of {', '.join(get_args(SlipLaw))}, found {slip!r}")
-    if slip == "traction":
-        check_traction(vehicle, terrain, traction)
+    _check(vehicle, terrain, slip, traction)
     labels = labels_of(vehicle, slip)
     x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
     poses = carriers(vehicle, x, z.position)
@@ -103,18 +100,19 @@ def direct_kinematics(
     touching = touch_function(x, z, poses, contacts)
     scale, shift = sizes(vehicle, terrain, labels)
     parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u)
-    law = (
-        friction_law(vehicle, traction, parts, contacts, slips, (x, z, u))
-        if slip == "traction"
-        else None
-    )
+    law = None
+    if slip == "traction":
+        law = friction_law(vehicle, traction, parts, contacts, slips, (x, z, u))
     forces = law.forces if law else z.forces
     bears = loads(vehicle, terrain, parts, forces, slips, contacts, (x, z.position, u))
-    equations = law.equations if law else balance(slip, slips, contacts, z.rates)
     return Dae(
         t, x, z, symbols(labels.q), u,
         ode=ca.vertcat(z.rates.x, z.rates.y, z.rates.heading, *joints),
-        alg=(_closures(vehicle, x, z.position, poses, contacts), equations, bears.equations),
+        alg=(
+            _closures(vehicle, x, z.position, poses, contacts),
+            law.equations if law else balance(slip, slips, contacts, z.rates),
+            bears.equations,
+        ),
         quad=ca.vertcat(*turning, *bears.work),
         y=outputs(terrain, poses, contacts, slips, turning, x, z, bears.outputs),
         labels=labels,
@@ -134,6 +132,13 @@ def direct_kinematics(
         suppress_algebraic=law is not None,  # rates with friction are too steep for an error test
         easing=law.easing if law else None,
     )  # fmt: skip
+
+
+def _check(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, traction: Traction) -> None:
+    if slip not in get_args(SlipLaw):
+        raise ModelError(f"slip: expected one of {', '.join(get_args(SlipLaw))}, found {slip!r}")
+    if slip == "traction":
+        check_traction(vehicle, terrain, traction)
 
 
 def _closures(

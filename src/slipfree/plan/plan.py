@@ -159,16 +159,8 @@ def plan(
     program = transcribe(task, mesh)
     first = unknowns_of(program, guess)
     found, stages = _staged(program, first, progress)
-    for _ in range(ROUNDS):
-        missed = _missed(program, found)
-        if not (missed and found.success):
-            break
-        task = replace(task, limits=(*task.limits, *missed))
-        program, former = transcribe(task, mesh), program
-        first = _carried(former, program, found.unknowns)
-        words = f"with {', '.join(limit.label.full for limit in missed)}"
-        found, more = _solved(program, first, words, 1.0, progress)
-        stages += more
+    program, found, first, more = _within_limits(program, found, first, progress)
+    stages += more
     result = _result(program, found, stages, start, tolerance)
     if not found.success:
         words = f"the plan is not solved; this is its last iterate: " \
@@ -178,6 +170,24 @@ def plan(
     statistics = {"cpu_seconds": time.process_time() - clock,
                   "iterations": float(sum(stage.iterations for stage in stages))}  # fmt: skip
     return replace(result, run=replace(result.run, statistics=statistics))
+
+
+def _within_limits(
+    program: Program, found: Solution, first: Array, progress: Progress | None
+) -> tuple[Program, Solution, Array, tuple[Stage, ...]]:
+    """Return program and solution with those of the model's limits that a plan would violate."""
+    stages: tuple[Stage, ...] = ()
+    for _ in range(ROUNDS):
+        missed = _missed(program, found)
+        if not (missed and found.success):
+            break
+        task = replace(program.task, limits=(*program.task.limits, *missed))
+        program, former = transcribe(task, program.mesh), program
+        first = _carried(former, program, found.unknowns)
+        words = f"with {', '.join(limit.label.full for limit in missed)}"
+        found, more = _solved(program, first, words, 1.0, progress)
+        stages += more
+    return program, found, first, stages
 
 
 def _range(value: float | Range) -> Range:

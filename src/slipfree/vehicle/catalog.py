@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from math import inf
 from typing import Literal, get_args
@@ -87,30 +88,28 @@ def three_wheeler(
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
     coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
     coordinates = _loaded(axle, coordinates, stiffness, damping, bump)
-    hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
     steer = Coordinate("steer", "commanded", "steering angle of the front wheel, left positive")
     return Vehicle(
         "three_wheeler" if axle == "tilting" else f"three_wheeler with {axle} axle",
         coordinates=(*coordinates, steer),
         joints=(*joints, Joint("fork", "platform", "z", (0.0, front, 0.0), "steer")),
-        wheels=(
-            *(
-                Wheel(
-                    side,
-                    hubs.get(side, "platform"),
-                    HERE if side in hubs else at,
-                    r1,
-                    r2,
-                    driven=not (axle == "prismatic_undriven" and side == "right"),
-                    grip=grip,
-                    mass=wheel_mass,
-                )
-                for side, at in ends.items()
-            ),
-            Wheel("front", "fork", HERE, r1, r2, driven=False, grip=grip, mass=wheel_mass),
+        wheels=tuple(
+            Wheel(name, parent, at, r1, r2, driven=drives, grip=grip, mass=wheel_mass)
+            for name, parent, at, drives in _wheels(axle, ends, joints)
         ),
         body=Body(mass, center_of_mass),
     )
+
+
+def _wheels(
+    axle: Axle, ends: dict[str, tuple[float, float, float]], joints: tuple[Joint, ...]
+) -> Iterator[tuple[str, str, tuple[float, float, float], bool]]:
+    """Yield name, carrier and place of the wheels, and whether they are driven."""
+    hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
+    for side, at in ends.items():
+        drives = not (axle == "prismatic_undriven" and side == "right")
+        yield side, hubs.get(side, "platform"), HERE if side in hubs else at, drives
+    yield "front", "fork", HERE, False
 
 
 def _loaded(
