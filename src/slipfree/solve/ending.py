@@ -11,7 +11,7 @@ from slipfree.solve.sample import Samples
 from slipfree.trajectory import Stop
 
 SOON = 1e-3  # after the last sample that an integrator reached [s]
-JUMP = 1e-3  # change of an unknown, in its typical size, that is no creeping any more
+JUMP = 0.05  # change of an unknown, in its typical size, that no motion makes in that time
 
 
 def ending(loop: Loop, samples: Samples, fault: int | None) -> Stop | None:
