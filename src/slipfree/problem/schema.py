@@ -252,7 +252,6 @@ class Guide(Driver):
 
     name: Literal["straight", "follow", "route"]  # type: ignore[assignment]
     turning_radius: Radius = 1.0
-    routes: Annotated[int, Field(ge=1)] = 1
 
 
 class KeepOut(Record):
