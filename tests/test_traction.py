@@ -38,6 +38,7 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.kinematics.montana import montana_kinematics
+from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.chain import Body
 from test_vehicle import four_wheels
 
@@ -166,6 +167,23 @@ def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, toleran
     assert run.stop is None
     assert np.ptp(run["y"][200:]) < 0.1
     assert run["slip_along", "right"][-1] < -0.1
+
+
+def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
+    """Friction couples normal forces to the motion, which may go on with a jump only."""
+    grid = power_law(blank((-6, 6), (-6, 6), 0.25), rms=0.09746552344891801,
+                     hurst=0.9539057256615531, longest=8.0, shortest=2.743039400737338,
+                     seed=67)  # fmt: skip
+    rates = {"right_rate": 0.7521118439376475, "left_rate": 0.6014304356887998,
+             "steer_rate": -0.23850475241570412}  # fmt: skip
+    start = {"x": 0.06577387785453626, "y": -0.0420728627881235, "heading": 0.3860773330023184}
+    ground, law = Bicubic(grid, mu=0.048397107850166564), Traction(3.4290050665254273e-06)
+    t = np.linspace(0, 10, 51)
+    runs = [moved(FIXED, ground, law, t, rates, tolerance=each, **start) for each in (1e-8, 1e-10)]
+    for run in runs:
+        assert run.stop.name == "fold"
+        assert "it would go on with a jump, such as front_rate from " in run.stop.words
+    assert runs[0].stop.t == pytest.approx(runs[1].stop.t, abs=1e-3)
 
 
 def test_friction_that_a_formula_makes_zero_is_a_stop_by_name():

@@ -1,4 +1,4 @@
-"""The command line: ``slipfree run | check | info``.
+"""The command line: ``slipfree run | check | vehicle | compare | info``.
 
 Exit codes: 0 done; 1 stopped early, with what was reached saved; 2 bad input; 130 interrupted.
 What a command needs is imported inside it, so that ``slipfree --help`` answers at once.

@@ -355,9 +355,7 @@ def _relaxed_words(relaxation: Relaxation) -> list[str]:
     return lines
 
 
-def relax(
-    program: Program, first: Array, weights: Array | None = None, iterations: int = ITERATIONS
-) -> Relaxation:
+def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relaxation:
     """Return a motion that gives up as little as possible of what is asked for.
 
     Equations, start and duration hold. Every other bound may move by a slack of its own, the same
@@ -370,13 +368,10 @@ def relax(
         From `transcribe`.
     first : ndarray, shape (n_w,)
         First guess, not scaled.
-    weights : ndarray, shape (n_costs + 1,), optional
-        Of the costs, which decide between relaxations of equal size; those of the task by default.
     iterations : int
         Most iterations.
     """
-    if weights is None:
-        weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
+    weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     values = np.append(_rows(program, first, weights), first)
     soft = [(group, sign) for group in _groups(program) if group.role != EQUATION
             for sign in (1.0, -1.0) if np.isfinite(_side(group, sign))]  # fmt: skip
