@@ -8,7 +8,8 @@ from (0, 0, 0) to (0.6, 2.6) in 20 s:
    traction the same inputs, or the same law, drive the vehicle by friction.
 2. Time against that of the prototype, run now, on its problem: the weights are its own.
 3. Time and memory of an iteration over the number of intervals; a process each.
-4. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
+4. Iterations from a plan that is at hand: the same, another mesh, a goal moved by 5 %.
+5. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
    hills, and ours on that map; a process each, since the stock node may crash.
 """
 
@@ -22,7 +23,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -44,9 +45,9 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.named import leaves
 from slipfree.plan.plan import Plan, plan
-from slipfree.trajectory import Trajectory, joined, path_length
+from slipfree.plan.proof import rerun
+from slipfree.trajectory import Trajectory, path_length
 
 sys.path.insert(0, str(File(__file__).parent.parent / "tests"))
 from cases import hills
@@ -88,36 +89,24 @@ def level(x: Any, _y: Any) -> Any:
 
 
 def planned(
-    terrain: Any, costs: Mapping[str, float], *, rates: tuple[float, float] = STARTS[0],
-    smooth: float = SMOOTH, intervals: int = INTERVALS, **options: float,
+    terrain: Any, *, vehicle: Any = None, goal: tuple[float, float] = GOAL,
+    rates: tuple[float, float] = STARTS[0], **options: Any,
 ) -> tuple[Plan, float]:  # fmt: skip
-    """Return the plan of the task on a ground, and its wall time. [s]."""
-    dae = direct_kinematics(three_wheeler(axle="fixed", **options), terrain)
+    """Return the plan of the task on a ground, and its wall time. [s].
+
+    Inputs are constant on every interval, as the prototype's are, if not asked otherwise.
+    """
+    dae = direct_kinematics(vehicle or three_wheeler(axle="fixed"), terrain)
     start = settle(dae)
     inputs = dae.inputs(right_rate=rates[0], left_rate=rates[1], steer_rate=0.0)
     guess = simulate(dae, start, inputs, np.linspace(0, DURATION, 61))
+    given = {"costs": WEIGHTS, "smooth": SMOOTH, "intervals": INTERVALS, "continuous": False}
     begin = time.perf_counter()
     found = plan(
-        dae, start, guess, goal=dict(zip("xy", GOAL, strict=True)), costs=costs,
-        duration=DURATION, smooth=smooth, inputs=RATES, limits=STEER, intervals=intervals,
-        degree=DEGREE,
+        dae, start, guess, goal=dict(zip("xy", goal, strict=True)), duration=DURATION,
+        inputs=RATES, limits=STEER, degree=DEGREE, **(given | options),
     )  # fmt: skip
     return found, time.perf_counter() - begin
-
-
-def replayed(dae: Any, start: Trajectory, inputs: Any, tolerance: float) -> Trajectory:
-    """Return the motion under one value of the inputs an interval, each of them a run."""
-    values = np.array(list(leaves(inputs)))
-    ends, at, runs = np.linspace(0, DURATION, values.shape[1] + 1), start, list[Trajectory]()
-    for k, column in enumerate(values.T):
-        given = dae.inputs(**dict(zip(RATES, column.tolist(), strict=True)))
-        t = np.linspace(ends[k], ends[k + 1], SAMPLES + 1)
-        at = simulate(dae, at, given, t, tolerance=tolerance)
-        last = at.stop is not None or k == values.shape[1] - 1
-        runs.append(at if last else at.part(slice(-1)))
-        if last:
-            break
-    return joined(*runs)
 
 
 def rms_slip(run: Trajectory) -> float:
@@ -141,17 +130,20 @@ def rows() -> list[Row]:
     """Return all ways to drive."""
     ground, found = Analytic(hills), []
     for rates in STARTS:
-        best, seconds = planned(ground, WEIGHTS, rates=rates)
+        best, seconds = planned(ground, rates=rates)
         found.append((f"least slip, from {rates[0]}/{rates[1]} rad/s", best, seconds))
-    found.append(("effort only", *planned(ground, {"effort": WEIGHTS["effort"]})))
-    found.append(("plan for flat ground", *planned(Analytic(level), WEIGHTS)))
+    found.append(("rates continuous", *planned(ground, continuous=True)))
+    found.append(("effort only", *planned(ground, costs={"effort": WEIGHTS["effort"]})))
+    found.append(("plan for flat ground", *planned(Analytic(level))))
     ways = [Row(words, by_plan(best), best, seconds) for words, best, seconds in found]
     return [*ways, Row("follow, straight line", followed, None, np.nan)]
 
 
 def by_plan(found: Plan) -> Drive:
     """Return the way to drive that replays a plan."""
-    return lambda dae, start, tolerance: replayed(dae, start, found.inputs, tolerance)
+    step = DURATION / INTERVALS / SAMPLES
+    return lambda dae, start, tolerance: rerun(dae, start, found.course, step=step,
+                                               tolerance=tolerance)  # fmt: skip
 
 
 def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
@@ -242,7 +234,7 @@ def prototype() -> None:
     stages = [[float(word) for word in words] for words in LINE.findall(done.stdout)]
     *staged, cold = stages
     total = sum(stage[1] for stage in staged)
-    best, _ = planned(Analytic(hills), LAB_WEIGHTS, smooth=LAB_SMOOTH)
+    best, _ = planned(Analytic(hills), costs=LAB_WEIGHTS, smooth=LAB_SMOOTH)
     ours, slip = search(best), np.sqrt(best.costs["slip"] / DURATION / 3)
     print(f"{'':22}iterations         seconds  ms each  rms slip [m/s]  int u2")
     for words, part in (("prototype, in stages", staged), ("prototype, at once", [cold])):
@@ -271,7 +263,7 @@ def to_equal(staged: list[list[float]], cold: list[float], slip: float) -> float
 
 def grown(intervals: int) -> dict[str, float]:
     """Return what a plan on a number of intervals took."""
-    found, seconds = planned(Analytic(hills), EASY, intervals=intervals)
+    found, seconds = planned(Analytic(hills), costs=EASY, intervals=intervals)
     count = sum(stage.iterations for stage in found.stages)
     parts = {part: 1e3 * sum(stage.seconds[part] for stage in found.stages) / count
              for part in ("functions", "rest")}  # fmt: skip
@@ -304,6 +296,24 @@ def growth() -> None:
               f"{found['outside']:6.1f}  {found['peak']:6.0f}{mark}")  # fmt: skip
     slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
     print(f"time of an iteration grows with the intervals to the power {slope:.2f}")
+
+
+def warm() -> None:
+    """Print the iterations from a plan that is at hand, beside those from a simple motion."""
+    first, _ = planned(Analytic(hills))
+    print("from the plan of the first row                 iterations, cold  from the plan")
+    for words, goal, intervals in (
+        ("the same", GOAL, INTERVALS),
+        ("goal 5 % farther", (1.05 * GOAL[0], 1.05 * GOAL[1]), INTERVALS),
+        ("goal 5 % nearer", (0.95 * GOAL[0], 0.95 * GOAL[1]), INTERVALS),
+        ("60 intervals", GOAL, 60),
+    ):
+        cold, resumed = (
+            sum(stage.iterations for stage in planned(
+                Analytic(hills), goal=goal, intervals=intervals, resume=former)[0].stages)
+            for former in (None, first.saved)
+        )  # fmt: skip
+        print(f"{words:46} {cold:16}  {resumed:13}")
 
 
 def apart(*words: str) -> Any:
@@ -405,7 +415,8 @@ def guessed(dae: Any, opti: ca.Opti, unknowns: tuple[ca.MX, ca.MX, ca.MX], point
 
 def ours() -> dict[str, Any]:
     """Return what our way takes on the task, on the map."""
-    found, _ = planned(Bicubic(surface()), WEIGHTS, mass=0.0, wheel_mass=0.0)
+    found, _ = planned(Bicubic(surface()),
+                       vehicle=three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0))  # fmt: skip
     count = sum(stage.iterations for stage in found.stages)
     return report(found.stages[-1].status, count, search(found), found.costs["slip"])
 
@@ -437,7 +448,7 @@ def beside() -> None:
 def main() -> None:
     """Print all tables."""
     heading()
-    for part in (table, prototype, growth, beside):
+    for part in (table, prototype, growth, warm, beside):
         print()
         part()
 

@@ -10,8 +10,10 @@ from cases import hills
 from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheeler
 from slipfree.dae import Limit
 from slipfree.named import Label
-from slipfree.plan.explain import conflicts, explanation, relax, violations, words
+from slipfree.plan.conflicts import conflicts
+from slipfree.plan.explain import explanation, violations, words
 from slipfree.plan.plan import limits_of, unknowns_of
+from slipfree.plan.relax import relax
 from slipfree.plan.solver import solve
 from slipfree.plan.transcribe import Cost, Mesh, Place, Task, transcribe
 from test_transcribe import task, toy

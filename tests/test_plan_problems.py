@@ -47,7 +47,7 @@ def test_the_start_of_the_search_ends_at_the_goal():
         ),
         (["keep_out=[{ points = [[0, 0], [1, 1]] }]"], "points"),
         (["goal={ heading = 0.0 }"], "a route needs a goal in x and y"),
-        (["terrain.friction=0.01"], "driver: route:"),
+        (["terrain.friction=0.01"], "needs a friction coefficient of 0.0563, the ground offers"),
     ],
 )
 def test_what_keeps_a_route_from_being_found_is_told(settings, words):

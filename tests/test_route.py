@@ -22,9 +22,11 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.errors import ModelError
-from slipfree.plan import route as module
+from slipfree.plan import route as search
+from slipfree.plan import smooth
 from slipfree.plan.region import Disc, Polygon
-from slipfree.plan.route import STEEPEST, reasons, route, routes, traversability
+from slipfree.plan.route import route, routes
+from slipfree.plan.traversability import STEEPEST, reasons, traversability
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp
 
 ROVER = three_wheeler(axle="fixed")  # half width 1.05 m, half length 1.05 m, reach 1.42 m
@@ -187,7 +189,7 @@ def test_friction_that_cannot_hold_blocks(kind):
         return
     assert_allclose(layers.friction[at[5], j], 3.0, rtol=1e-6)
     assert reasons(layers, 5.0, 10.0) == (
-        "friction of 0.1 cannot hold a slope of 16.7 degrees in any heading"
+        "slope of 16.7 degrees needs a friction coefficient of 0.3, the ground offers 0.1"
     )
 
 
@@ -231,14 +233,14 @@ def test_bad_options_are_refused(options, message):
 
 
 def test_moves_are_the_sixteen_neighbours():
-    assert len(module.MOVES) == 16
-    assert module._passed(2, -1) == ((1, 0), (1, -1))
-    assert module._passed(-1, 2) == ((0, 1), (-1, 1))
+    assert len(search.MOVES) == 16
+    assert search._passed(2, -1) == ((1, 0), (1, -1))
+    assert search._passed(-1, 2) == ((0, 1), (-1, 1))
 
 
 @pytest.mark.parametrize("angle", np.linspace(0, np.pi / 2, 7))
 def test_grid_search_is_at_most_2_8_percent_long(angle):
-    graph = module._graph(np.ones((41, 41)), (0.5, 0.5))
+    graph = search._graph(np.ones((41, 41)), (0.5, 0.5))
     lengths = dijkstra(graph, indices=0)
     i, j = round(40 * math.cos(angle)), round(40 * math.sin(angle))
     found = lengths[i * 41 + j] / (0.5 * math.hypot(i, j))
@@ -374,7 +376,7 @@ def test_where_there_is_no_room_for_smoothness_the_search_is_followed(half):
     layers = battlement(flat, 4)._replace(limits=flat.limits._replace(half=half))
     start, goal = (layers.x[20], layers.y[20]), (layers.x[40], layers.y[20])
     points = route(layers, start, goal)
-    assert np.isfinite(costs_at(layers, module._even(points, 0.01))).all()
+    assert np.isfinite(costs_at(layers, smooth.evenly(points, 0.01))).all()
     along = 0.35 * (20 + 5 * 2 * 4)
     assert 0.9 * along < length(points) <= along * (1 + 1e-9)
     if half > 0.35 * 4:  # even the nodes' distance is a fraction of the vehicle's
@@ -497,18 +499,18 @@ def test_bad_count_is_refused():
 def test_gradient_of_the_effort(rng):
     layers, middle = corridor()
     rough = np.array([(2.0, middle), (middle, middle), (middle, 18.0)])
-    field = module._field(layers, rough, 1.0)
+    field = smooth._field(layers, rough, 1.0)
     field = field._replace(cost=field.cost + rng.random(field.cost.shape))
-    aim = module._Aim(stiff=0.3, clear=0.2, sharpest=0.8, weight=10.0, step=0.1)
-    points = module._even(rough, 0.1) - field.origin
+    aim = smooth._Aim(stiff=0.3, clear=0.2, sharpest=0.8, weight=10.0, step=0.1)
+    points = smooth.evenly(rough, 0.1) - field.origin
     points += 0.03 * rng.standard_normal(points.shape)
-    gradient = module._effort(field, points, aim)[1]
+    gradient = smooth._effort(field, points, aim)[1]
     for k, axis in ((0, 0), (7, 1), (60, 0), (90, 1), (len(points) - 1, 1)):
         values = []
         for step in (1e-7, -1e-7):
             moved = points.copy()
             moved[k, axis] += step
-            values.append(module._effort(field, moved, aim)[0])
+            values.append(smooth._effort(field, moved, aim)[0])
         assert_allclose(gradient[k, axis], (values[0] - values[1]) / 2e-7, rtol=1e-4, atol=1e-3)
 
 

@@ -11,6 +11,8 @@ from cases import hills
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
 from slipfree.dae import Dae, Labels, Limit
 from slipfree.named import Label, symbols
+from slipfree.plan.conflicts import conflicts
+from slipfree.plan.explain import violations
 from slipfree.plan.solver import solve
 from slipfree.plan.transcribe import Cost, Mesh, Place, Task, transcribe
 
@@ -40,18 +42,27 @@ def toy(count, ode):
     )  # fmt: skip
 
 
-def task(dae, start, *, costs=(), places=(), limits=(), inputs=(-np.inf, np.inf), duration=1.0):
-    free = np.array([[-np.inf, np.inf]])
+FREE = (-np.inf, np.inf)
+
+
+def task(dae, start, *, costs=(), places=(), limits=(), inputs=FREE, duration=1.0, rates=FREE,
+         smooth=0.0, continuous=False):  # fmt: skip
     span = (duration, duration) if isinstance(duration, float) else duration
     return Task(dae, np.array(start), span, tuple(costs), tuple(places), tuple(limits),
-                np.array([inputs]), free, 0.0)  # fmt: skip
+                np.array([inputs]), np.array([rates]), smooth, continuous)  # fmt: skip
+
+
+def at_end(*values):
+    """Return conditions by which quantities have given values, one limit each."""
+    return tuple(Limit(Label(f"end{k}", "m", ""), quantity, value, value)
+                 for k, (quantity, value) in enumerate(values))  # fmt: skip
 
 
 def solved(program, first=None):
     """Solve with weights of one; the duration of the guess is the least allowed."""
     w = np.zeros(program.scale.size) if first is None else first
     w[program.layout.duration] = program.task.duration[0]
-    weights = np.append(np.ones(len(program.task.costs)), 0.0)
+    weights = np.append(np.ones(len(program.task.costs)), program.task.smooth)
     found = solve(program, weights, w)
     assert found.success
     return found
@@ -101,6 +112,73 @@ def test_the_least_effort_of_two_integrators_is_approached_in_second_order():
         errors.append(solved(program).cost - 12)
     # By constants the least is 12 / (1 - 1/n^2): the mean of a line over an interval.
     assert_allclose(errors, [12 / (1 - n**-2.0) - 12 for n in counts], rtol=1e-6)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_the_least_effort_of_two_integrators_is_met_by_continuous_inputs(degree):
+    """x'' = u, at rest 0 to 1 in 1 s: u = 6 - 12 t, cost 12; a way-point asks for a u it has."""
+    dae = toy(2, lambda _t, x, _z, u: [x[1], u])
+    u = dae.u.values[0]
+    cost = Cost(Label("effort", "", ""), u**2, 1.0)
+    mesh = Mesh(np.array([0.0, 0.1, 0.25, 0.6, 1.0]), degree)
+    places = [
+        Place(0.25, at_end((u, 3.0))),
+        Place(1.0, at_end((dae.x.values[0], 1.0), (dae.x.values[1], 0.0))),
+    ]
+    program = transcribe(task(dae, [0.0, 0.0], costs=[cost], places=places, continuous=True), mesh)
+    found = solved(program)
+    assert program.layout.inputs.shape == (5, 1)
+    assert_allclose(found.unknowns[program.layout.inputs][:, 0], 6 - 12 * mesh.ends, atol=1e-9)
+    ends = found.unknowns[program.layout.states[:, -1, 0]]
+    # Radau points of degree 2 are exact at the ends for cubics, those of degree 3 for quintics.
+    assert_allclose(ends, 3 * mesh.ends[1:] ** 2 - 2 * mesh.ends[1:] ** 3, atol=1e-10)
+    assert found.cost == pytest.approx(12.0, abs=1e-9)
+
+
+def test_slopes_of_continuous_inputs_keep_to_their_bounds():
+    """x' = u to 7/8 in 2 s, u = 0 there, u' >= -1: the least effort is u = min(1/2, 2 - t)."""
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    u = dae.u.values[0]
+    cost = Cost(Label("effort", "", ""), u**2, 1.0)
+    goal = Place(1.0, at_end((dae.x.values[0], 0.875), (u, 0.0)))
+    mesh = Mesh(np.linspace(0, 1, 9), 2)
+    program = transcribe(
+        task(dae, [0.0], costs=[cost], places=[goal], duration=2.0, rates=(-1.0, 5.0),
+             continuous=True),
+        mesh,
+    )  # fmt: skip
+    found = solved(program)
+    inputs = found.unknowns[program.layout.inputs][:, 0]
+    assert_allclose(inputs, np.minimum(0.5, 2 - 2 * mesh.ends), atol=1e-6)
+    assert found.cost == pytest.approx(0.375 + 1 / 24, abs=1e-6)
+
+
+def test_bounds_that_the_last_of_continuous_inputs_misses_are_told_there():
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    goal = Place(1.0, at_end((dae.u.values[0], 3.0)))
+    asked = task(dae, [0.0], places=[goal], inputs=(-1.0, 1.0), rates=(0.5, 9.0), continuous=True)
+    assert not [words for words in conflicts(asked, None) if "last interval" in words]
+    program = transcribe(asked, Mesh(np.linspace(0, 1, 4), 2))
+    blank = solve(program, np.zeros(1), np.zeros(program.scale.size), iterations=0)
+    w = np.zeros(program.scale.size)
+    w[program.layout.inputs[:, 0]], w[program.layout.duration] = (0.0, 1.0, 1.0, 3.0), 1.0
+    told = {each.label.full: each for each in violations(program, blank._replace(unknowns=w))}
+    assert (told["drive"].t, told["drive"].interval, told["drive"].size) == (1.0, 2, 2.0)
+
+
+def test_the_smoothest_continuous_input_is_known():
+    """x' = u to 1 in 1 s, u = 0 there: by lines between n + 1 values the least is 3 / (1 - h2/4).
+
+    Of all functions it is u = 3/2 (1 - t^2), cost 3. Lines through its values have the integral
+    (2/3 - h2/6) 3/2 and the squared slopes (4/3 - h2/3) 9/4; they are scaled to reach 1.
+    """
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    goal = Place(1.0, at_end((dae.x.values[0], 1.0), (dae.u.values[0], 0.0)))
+    for count in (2, 5):
+        mesh = Mesh(np.linspace(0, 1, count + 1), 2)
+        found = solved(transcribe(task(dae, [0.0], places=[goal], smooth=1.0, continuous=True),
+                                  mesh))  # fmt: skip
+        assert found.cost == pytest.approx(3 / (1 - count**-2 / 4), abs=1e-8)
 
 
 def test_the_least_time_is_known():
@@ -182,6 +260,30 @@ def test_derivatives_are_exact(vehicle_program, rng):
     change = change.ravel() / (2 * h)
     full = half + np.triu(half, 1).T
     assert_allclose(full @ way, change, atol=1e-6 * np.abs(change).max())
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+def test_derivatives_are_those_of_the_functions(continuous, rng):
+    """Put together by index they are what CasADi makes of cost and rows as a whole."""
+    dae = toy(2, lambda t, x, z, u: [ca.sin(t * x[1]) * u, z * u**2])
+    (x, _), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
+    cost = Cost(Label("cost", "", ""), z * u**2 + ca.cos(x * dae.t), 1.0)
+    places = [Place(part, at_end((x * u * dae.t, 1.0))) for part in (0.4, 1.0)]
+    limit = Limit(Label("pace", "m", ""), x * u**2, -1.0, 2.0)
+    asked = task(dae, [0.1, 0.2], costs=[cost], places=places, limits=[limit], duration=(1.0, 3.0),
+                 rates=(-1.0, 1.0), smooth=0.1, continuous=continuous)  # fmt: skip
+    program = transcribe(asked, Mesh(np.array([0.0, 0.3, 0.4, 1.0]), 2))
+    w, p, f, g = (program.problem[name] for name in "xpfg")
+    at = rng.normal(size=w.numel()) + 1.0, np.array([0.7, 0.2])
+    sigma, multipliers = 0.6, rng.normal(size=g.numel())
+    rows, slopes = program.jacobian(*at)
+    whole = ca.Function("whole", [w, p], [g, ca.jacobian(g, w)])(*at)
+    assert_allclose(np.array(rows), np.array(whole[0]), atol=1e-13)
+    assert_allclose(np.array(ca.DM(slopes)), np.array(ca.DM(whole[1])), atol=1e-12)
+    lagrangian = sigma * f + ca.dot(ca.DM(multipliers), g)
+    curved = ca.Function("curved", [w, p], [ca.hessian(lagrangian, w)[0]])(*at)
+    half = program.hessian(*at, sigma, multipliers)
+    assert_allclose(np.array(ca.DM(half)), np.triu(np.array(ca.DM(curved))), atol=1e-11)
 
 
 def test_a_degree_that_is_not_offered_is_refused():

@@ -19,9 +19,10 @@ import typer
 
 import slipfree
 from slipfree.errors import DataError, ModelError, SlipfreeError
-from slipfree.trajectory import Stop, Trajectory
+from slipfree.trajectory import Stop
 
 if TYPE_CHECKING:
+    from slipfree.plan.saved import Saved
     from slipfree.problem.compare import Drive
     from slipfree.problem.read import Problem
     from slipfree.problem.run import Outcome
@@ -99,6 +100,13 @@ def run(
             "--cross-check", help="Solve in the other formulation of contact too, and compare."
         ),
     ] = False,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.nc",
+            help="Start a plan from the one in a result file, whatever its mesh, ground or goal.",
+        ),
+    ] = None,
 ) -> None:
     """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
     with _reported():
@@ -110,9 +118,10 @@ def run(
         _check_places([out, csv], folder, problem)
         if cross_check:
             check_cross(problem)
-        outcome = _solve(problem)
+        former = _former(problem, resume)
+        outcome = _solve(problem, former)
         motion = outcome.trajectory
-        _save(motion, out, csv)
+        _save(outcome, out, csv)
         _print_outcome(outcome)
         typer.echo(f"wrote {out}" + (f", {csv}" if csv else ""))
         if cross_check:
@@ -289,7 +298,7 @@ def _check_writable(path: Path, folder: Path) -> None:
         raise DataError(f"{path}: expected a folder {folder} that may be written to")
 
 
-def _solve(problem: Problem[Motion]) -> Outcome:
+def _solve(problem: Problem[Motion], former: Saved | None) -> Outcome:
     """Return the outcome; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.progress import Progress
@@ -299,7 +308,7 @@ def _solve(problem: Problem[Motion]) -> Outcome:
     console = Console(stderr=True)
     with _interruptible() as poll:
         if not console.is_terminal:
-            return solve(problem, lambda _: poll(), lambda _: poll())
+            return solve(problem, lambda _: poll(), lambda _: poll(), former)
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task("solving", total=problem.spec.time.duration)
             show = _throttled(lambda t: bar.update(task, completed=t))
@@ -313,7 +322,7 @@ def _solve(problem: Problem[Motion]) -> Outcome:
                 poll()
                 show_line(line)
 
-            return solve(problem, progress, tell)
+            return solve(problem, progress, tell, former)
 
 
 @contextmanager
@@ -356,12 +365,25 @@ def _throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
     return seldom
 
 
-def _save(motion: Trajectory, out: Path, csv: Path | None) -> None:
+def _former(problem: Problem[Motion], file: Path | None) -> Saved | None:
+    """Return the plan to start from, if one is named."""
+    from slipfree.plan.saved import from_arrays
+    from slipfree.result_file import read_arrays
+
+    if file is None:
+        return None
+    if problem.spec.verb != "plan":
+        where = problem.source.where(("verb",))
+        raise DataError(f"{where}: expected 'plan' for --resume, found {problem.spec.verb!r}")
+    return from_arrays(read_arrays(file), str(file))
+
+
+def _save(outcome: Outcome, out: Path, csv: Path | None) -> None:
     from slipfree.result_file import write, write_csv
 
-    write(out, motion)
+    write(out, outcome.trajectory, outcome.arrays)
     if csv is not None:
-        write_csv(csv, motion)
+        write_csv(csv, outcome.trajectory)
 
 
 def _draw(outcome: Outcome, folder: Path) -> None:

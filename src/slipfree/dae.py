@@ -43,6 +43,20 @@ class Limit(NamedTuple):
     describe: Callable[[Array, Array], str] | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """An input that is linear in time on every interval between samples.
+
+    Attributes
+    ----------
+    base, slope : ndarray, shape (n - 1,)
+        It is ``base + slope t``. [the input's unit, and that per second]
+    """
+
+    base: Array
+    slope: Array
+
+
 class Easing(NamedTuple):
     """A parameter that leads from equations that are easily solved to those that are meant.
 
@@ -165,9 +179,10 @@ class Dae(Generic[X, Z, Q, U, Y]):
 
         Parameters
         ----------
-        **values : float, ndarray of shape (n - 1,) or SX
-            A constant; one value for each interval between samples; or an expression of the
-            model's symbols, such as a function of ``t`` or a feedback law.
+        **values : float, ndarray of shape (n - 1,), Linear or SX
+            A constant; one value, or one linear function of time, for each interval between
+            samples; or an expression of the model's symbols, such as a function of ``t`` or a
+            feedback law.
 
         Raises
         ------

@@ -43,10 +43,14 @@ REMEDY = "run the problem again to get a whole file"
 TYPES = {1: ">i1", 2: "S1", 3: ">i2", 4: ">i4", 5: ">f4", 6: ">f8"}  # of the netCDF standard
 TEXT = 2
 DIMENSIONS, VARIABLES, ATTRIBUTES = 10, 11, 12  # tags of the lists in a header
+SIZE = "_size"  # suffix of the dimension of an array that is no sample
+NOTHING: Mapping[str, npt.NDArray[Any]] = {}
 Attribute = str | float
 
 
-def write(path: str | os.PathLike[str], run: Trajectory) -> None:
+def write(
+    path: str | os.PathLike[str], run: Trajectory, arrays: Mapping[str, npt.NDArray[Any]] = NOTHING
+) -> None:
     """Write a trajectory as a netCDF file.
 
     The file appears under its name when it is complete; until then an existing file of that name
@@ -59,6 +63,8 @@ def write(path: str | os.PathLike[str], run: Trajectory) -> None:
     run : Trajectory
         The motion. Versions and date are added to its attributes, unless it has them already
         because it was read from a file.
+    arrays : mapping of str to ndarray of shape (n,), optional
+        What else to keep, for `read_arrays`: not samples, so each has a dimension of its own.
 
     Raises
     ------
@@ -72,6 +78,9 @@ def write(path: str | os.PathLike[str], run: Trajectory) -> None:
     def fill(part: Path) -> None:
         with netcdf_file(str(part), "w", version=2) as file:
             _fill(file, run)
+            for name, values in arrays.items():
+                file.createDimension(f"{name}{SIZE}", values.size)
+                file.createVariable(name, "f8", (f"{name}{SIZE}",))[:] = values
 
     _replaced(Path(path), fill)
 
@@ -138,7 +147,26 @@ def read(path: str | os.PathLike[str]) -> Trajectory:
     DataError
         If the file is missing, is not netCDF-3, is not whole, or was not written by ``write``.
     """
-    path = Path(path)
+    return _trajectory(_reader(Path(path)))
+
+
+def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
+    """Return what a result file keeps besides samples, by name.
+
+    Raises
+    ------
+    DataError
+        As `read`.
+    """
+    variables = _reader(Path(path)).variables
+    return {
+        name: variable.values.astype(np.float64)
+        for name, variable in variables.items()
+        if variable.dimensions == (f"{name}{SIZE}",)
+    }
+
+
+def _reader(path: Path) -> _Reader:
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -146,7 +174,7 @@ def read(path: str | os.PathLike[str]) -> Trajectory:
             f"{path}: expected a result file of slipfree, found that it cannot be read "
             f"({error.strerror}); check the name"
         ) from error
-    return _trajectory(_Reader(path, data))
+    return _Reader(path, data)
 
 
 def _check(run: Trajectory) -> None:

@@ -222,8 +222,7 @@ def _outputs(
     """Return what is sampled of the forces."""
     along, across, normal, _ = forces
     x, position, u = state
-    needed = [_ratio(ca.sqrt(a**2 + c**2), n)
-              for a, c, n in zip(along, across, normal, strict=True)]  # fmt: skip
+    wheels = list(zip(along, across, normal, parts.friction, strict=True))
     efforts = -(parts.driven.T @ forces.column + parts.held)
     torques, drives = iter(ca.vertsplit(efforts) if efforts.numel() else []), []
     for wheel in vehicle.wheels:
@@ -235,8 +234,8 @@ def _outputs(
     return ForceOutputs(
         () if _are_unknown(forces) else along,
         () if _are_unknown(forces) else across,
-        tuple(needed),
-        tuple(each / mu for each, mu in zip(needed, parts.friction, strict=True)),
+        tuple(_used(a, c, n) for a, c, n, _ in wheels),
+        tuple(_used(a, c, mu * n) for a, c, n, mu in wheels),
         tuple(drives),
         tuple(torques),
         ca.dot(efforts, pack(u)),
@@ -251,9 +250,12 @@ def _are_unknown(forces: Forces) -> bool:
     return all(each.is_symbolic() for each in (*forces.along, *forces.across))
 
 
-def _ratio(force: ca.SX, normal: ca.SX) -> ca.SX:
-    """Return the friction that a force needs; infinite on a wheel that does not press."""
-    return ca.if_else(normal > 0, force / normal, ca.SX.inf())
+def _used(along: ca.SX, across: ca.SX, offered: ca.SX) -> ca.SX:
+    """Return a tangential force over what is offered; infinite on a wheel that does not press.
+
+    The root is taken last: who limits it can do without, since it has no derivative at zero force.
+    """
+    return ca.sqrt(ca.if_else(offered > 0, (along**2 + across**2) / offered**2, ca.SX.inf()))
 
 
 def _limits(vehicle: Vehicle, outputs: ForceOutputs, normal: Sequence[ca.SX]) -> Iterator[Limit]:

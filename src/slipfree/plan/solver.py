@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.named import Array
-from slipfree.plan.transcribe import Program
+from slipfree.plan.transcribe import Program, completed
 
 ITERATIONS = 500
 TOLERANCE = 1e-8
@@ -135,7 +135,7 @@ def solve(
     weights : ndarray, shape (n_costs + 1,)
         Of the costs, the smoothness last.
     first : ndarray, shape (n_w,)
-        First guess, not scaled.
+        First guess, not scaled; its roots do not count.
     warm : Solution, optional
         Whose multipliers to start from.
     iterations : int
@@ -161,7 +161,7 @@ def solve(
     if watch is not None:
         options["iteration_callback"] = watch
     solver = ca.nlpsol("plan", "ipopt", program.problem, options)
-    given = {"x0": first / program.scale, "p": weights,
+    given = {"x0": completed(program, first) / program.scale, "p": weights,
              "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
              "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
     if warm is not None:

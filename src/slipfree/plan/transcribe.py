@@ -2,48 +2,29 @@
 
 Time is divided into intervals. On each of them the states are polynomials of the degree, with their
 values at its beginning and at the Radau points, the last of which is its end; the algebraic
-unknowns have values at the points. Equations, limits and costs of an interval are one symbolic
-function of its own unknowns, evaluated and differentiated for all intervals at a time; what comes
-out is put into the large sparse matrices by index.
+unknowns have values at the points. Equations, limits and costs of one point are a symbolic function
+of its own unknowns and of the polynomials' values, rates of the inputs one of an interval's.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
-import scipy.sparse
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves
-from slipfree.solve.loop import Block, Loop, close
+from slipfree.plan.assemble import Element, Functions, assembled, element
+from slipfree.plan.assemble import Index as Index
+from slipfree.plan.point import Cost as Cost
+from slipfree.plan.point import Point, point_of
+from slipfree.solve.loop import Loop, close
 
-Index = npt.NDArray[np.intp]
 DEGREES = (1, 2, 3, 4, 5)
 Model = Dae[Any, Any, Any, Any, Any]
-
-
-class Cost(NamedTuple):
-    """A term of the cost, integrated over time.
-
-    Attributes
-    ----------
-    label : Label
-        Name and unit of the integral.
-    expression : SX, shape (1, 1)
-        In the symbols of the model.
-    weight : float
-        What a unit of the integral costs.
-    """
-
-    label: Label
-    expression: ca.SX
-    weight: float
 
 
 class Place(NamedTuple):
@@ -82,9 +63,11 @@ class Task:
     inputs : ndarray, shape (n_u, 2)
         Least and largest inputs.
     accelerations : ndarray, shape (n_u, 2)
-        Least and largest rates of the inputs, infinite if they may jump at will. [1/s2]
+        Least and largest rates of the inputs, infinite if they may change at will. [1/s2]
     smooth : float
         Weight of the squared rates of the inputs, integrated over time.
+    continuous : bool
+        Whether inputs are continuous and linear on every interval, else constant on it.
     """
 
     dae: Model
@@ -96,6 +79,7 @@ class Task:
     inputs: Array
     accelerations: Array
     smooth: float
+    continuous: bool = False
 
 
 class Mesh(NamedTuple):
@@ -125,28 +109,19 @@ class Mesh(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """A function that stands at several places of the program.
+    """Rows of the program that stand at several places.
 
     Attributes
     ----------
-    values, jacobian, hessian : casadi Function
-        ``(v, q, p) -> (cost, rows)``; ``-> Jacobian of the rows``; and with multipliers of cost and
-        rows, ``(v, q, p, s, l) -> Hessian of s cost + l' rows``.
     where : ndarray, shape (count, n_v)
-        Which unknowns of the program ``v`` are.
-    constants : ndarray, shape (n_q, count)
-        Values of ``q``.
+        On which unknowns of the program they depend.
     labels : tuple of Label
         Of the rows.
     lower, upper : ndarray, shape (n_rows,)
         Bounds of the rows.
     """
 
-    values: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
     where: Index
-    constants: Array
     labels: tuple[Label, ...]
     lower: Array
     upper: Array
@@ -159,12 +134,14 @@ class Layout(NamedTuple):
     ----------
     first : ndarray, shape (n_x,)
         States at the beginning.
-    inputs : ndarray, shape (n, n_u)
-        Inputs of every interval.
+    inputs : ndarray, shape (n, n_u) or (n + 1, n_u)
+        Inputs of every interval; continuous ones at all ends of intervals.
     states, unknowns : ndarray, shape (n, degree, n_x) and (n, degree, n_z)
         At all points.
     duration : int
-        The last one.
+        Behind all of them.
+    roots : ndarray, shape (n, degree, n_r)
+        Behind the duration: what is squared in the costs, at all points.
     """
 
     first: Index
@@ -172,6 +149,7 @@ class Layout(NamedTuple):
     states: Index
     unknowns: Index
     duration: int
+    roots: Index = np.zeros((0, 0, 0), dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +172,8 @@ class Program:
         Sizes of the unknowns, and their bounds, not scaled.
     g_lower, g_upper : ndarray, shape (n_g,)
         Bounds of the rows.
+    roots : casadi Function
+        ``x ->`` what is squared in the costs, from the other unknowns, in the order of the layout.
     """
 
     task: Task
@@ -208,6 +188,7 @@ class Program:
     upper: Array
     g_lower: Array
     g_upper: Array
+    roots: ca.Function
 
 
 def transcribe(task: Task, mesh: Mesh) -> Program:
@@ -222,48 +203,60 @@ def transcribe(task: Task, mesh: Mesh) -> Program:
         raise ModelError(f"plan: expected a degree of 1 to 5, found {mesh.degree}")
     loop = close(task.dae, task.dae.inputs(**{
         label.full: 0.0 for label in leaves(task.dae.labels.u)}), 0)  # fmt: skip
-    blocks = _needed(task, loop)
-    layout = _layout(loop, mesh, blocks[-1].span.stop)
-    size = layout.duration + 1
-    bounds, rows = _split(task, loop)
-    interval = _interval(task, (loop.dae, len(blocks)), mesh, layout, rows)
-    pieces = (interval, *_places(task, loop, mesh, layout))
+    bounds, limits = _split(task, loop)
+    conditions = [*task.limits, *(limit for place in task.places for limit in place.limits)]
+    point = point_of(loop, task.costs, limits, [each.expression for each in conditions])
+    layout = _with_roots(positions(mesh, point.sizes, continuous=task.continuous), point)
+    pieces = (_interval(task, point, mesh, layout),
+              *(_place(task, place, mesh, layout) for place in task.places))  # fmt: skip
+    begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in pieces)]).tolist()
+    elements = [
+        _points(task, point, mesh, layout), _rates(task, mesh, layout, len(pieces[0].labels)),
+        *(_met(task, place, mesh, piece, begin)
+          for place, piece, begin in zip(task.places, pieces[1:], begins[1:-1], strict=True)),
+    ]  # fmt: skip
     scale = _scale(task, layout)
-    lower, upper = _bounds(task, layout, bounds, size)
-    w, p = ca.MX.sym("w", size), ca.MX.sym("p", len(task.costs) + 1)
-    f, g = _values(pieces, w * scale, p)
-    sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", g.numel())
+    made = assembled(elements, scale, len(task.costs) + 1)
+    lower, upper = _bounds(task, layout, bounds, scale.size)
     return Program(
-        task, mesh, layout, pieces, {"x": w, "p": p, "f": f, "g": g},
-        ca.Function("jacobian", [w, p], [g, _jacobian(pieces, w, p, scale)]),
-        ca.Function("hessian", [w, p, sigma, multipliers],
-                    [_hessian(pieces, w, p, scale, sigma, multipliers)]),
-        scale, lower, upper,
+        task, mesh, layout, pieces, {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
+        made.jacobian, made.hessian, scale, lower, upper,
         np.concatenate([np.tile(each.lower, len(each.where)) for each in pieces]),
         np.concatenate([np.tile(each.upper, len(each.where)) for each in pieces]),
+        _completion(elements[0], made, layout),
     )  # fmt: skip
 
 
-def _needed(task: Task, loop: Loop) -> tuple[Block, ...]:
-    """Return the blocks of equations that matter: those of the motion, and what is asked for."""
-    z = loop.dae.columns()[1][loop.moving :]
-    asked = [cost.expression for cost in task.costs]
-    asked += [limit.expression for limit in task.limits]
-    asked += [limit.expression for place in task.places for limit in place.limits]
-    follows = ca.depends_on(ca.vertcat(ca.SX(0, 1), *asked), z) if z.numel() else False
-    return (*loop.blocks, *loop.after) if follows else loop.blocks
+def completed(program: Program, unknowns: Array) -> Array:
+    """Return the unknowns of a program with the roots that belong to the others, not scaled."""
+    full, n_w = unknowns.copy(), program.roots.size1_in(0)
+    found = program.roots(unknowns[:n_w] / program.scale[:n_w])
+    full[program.layout.roots.ravel()] = np.array(found).ravel()
+    return full
 
 
-def _layout(loop: Loop, mesh: Mesh, n_z: int) -> Layout:
-    n_x, n_u = loop.dae.ode.numel(), loop.u.shape[0]
+def _completion(points: Element, made: Functions, layout: Layout) -> ca.Function:
+    """Return the function that finds the roots: what they are, and what their equations miss."""
+    n_x, n_r = layout.first.size, layout.roots.shape[2]
+    begin = n_x + layout.unknowns.shape[2]
+    rows = points.rows[:, begin : begin + n_r].ravel().tolist()
+    return ca.Function("roots", [made.w],
+                       [made.w[layout.roots.ravel().tolist()] + made.g[rows]])  # fmt: skip
+
+
+def positions(mesh: Mesh, counts: tuple[int, int, int], *, continuous: bool) -> Layout:
+    """Return where the unknowns are, for numbers of states, algebraic unknowns and inputs."""
+    n_x, n_z, n_u = counts
     count, degree = mesh.ends.size - 1, mesh.degree
     block = n_u + degree * (n_x + n_z)
-    begins = n_x + block * np.arange(count)[:, None]
+    begins = n_x + block * np.arange(count + continuous)[:, None]
     inputs = begins + np.arange(n_u)
+    begins = begins[:count]
     states = (begins + n_u + np.arange(degree * n_x)).reshape(count, degree, n_x)
     rest = begins + n_u + degree * n_x + np.arange(degree * n_z)
     unknowns = rest.reshape(count, degree, n_z)
-    return Layout(np.arange(n_x), inputs, states, unknowns, n_x + block * count)
+    duration = n_x + block * count + n_u * continuous
+    return Layout(np.arange(n_x), inputs, states, unknowns, duration)
 
 
 def _split(
@@ -284,123 +277,135 @@ def _split(
     return simple, rows
 
 
-def _interval(
-    task: Task, model: tuple[Model, int], mesh: Mesh, layout: Layout, limits: list[Limit]
-) -> Piece:
-    """Return what every interval adds: defects, equations, limits, rates of the inputs, costs."""
-    degree = mesh.degree
-    n_x, n_z, n_u = layout.first.size, layout.unknowns.shape[2], layout.inputs.shape[1]
-    lagrange, _, weights = ca.collocation_coeff(mesh.points.tolist())
-    first, u, after = ca.SX.sym("first", n_x), ca.SX.sym("u", n_u), ca.SX.sym("after", n_u)
-    states, unknowns = ca.SX.sym("states", n_x, degree), ca.SX.sym("unknowns", n_z, degree)
-    duration, q = ca.SX.sym("duration"), ca.SX.sym("q", 2)
-    p = ca.SX.sym("p", len(task.costs) + 1)
-    point = _point(task, model, n_z, limits)
-    h = q[1] * duration
-    polynomial = ca.horzcat(first, states)
-    rows, cost = [], ca.SX(0)
-    for j, (at, weight) in enumerate(zip(mesh.points, weights.nonzeros(), strict=True)):
-        ode, alg, kept, paid = point((q[0] + at * q[1]) * duration, states[:, j], unknowns[:, j], u)
-        slope = ca.reshape(polynomial @ _column(lagrange, j), n_x, 1)
-        rows += [slope - h * ode, alg, kept]
-        cost += weight * h * sum(p[k] * paid[k] for k in range(len(task.costs)))
-    change = (after - u) / h
-    jumps = [k for k in range(n_u) if np.isfinite(task.accelerations[k]).any()]
-    rows += [change[k] for k in jumps]
-    cost += p[-1] * h * ca.sumsqr(change)
-    index = _interval_index(layout)
-    labels, low, high = _interval_rows(task, model, degree, limits, jumps)
-    v = ca.vertcat(first, u, after, ca.vec(states), ca.vec(unknowns), duration)
-    constants = np.vstack([mesh.ends[:-1], np.diff(mesh.ends)])
-    return _piece((v, q, p), cost, ca.vertcat(*rows), index, constants, (labels, low, high))
+def _with_roots(layout: Layout, point: Point) -> Layout:
+    count, degree, _ = layout.states.shape
+    shape = count, degree, point.roots
+    return layout._replace(roots=layout.duration + 1 + np.arange(np.prod(shape)).reshape(shape))
 
 
-def _column(lagrange: Any, j: int) -> ca.DM:
-    """Return the derivatives at point ``j`` of the polynomials that are one at each node."""
-    return ca.DM(np.array(lagrange)[:, j])
-
-
-def _point(task: Task, model: tuple[Model, int], n_z: int, limits: list[Limit]) -> ca.Function:
-    """Return ``(t, x, z, u) -> (ode, alg, limits, costs)``, with the first unknowns alone."""
-    dae, blocks = model
-    x, z, u = dae.columns()
-    alg = ca.vertcat(*dae.alg[:blocks])
-    if dae.easing is not None:
-        alg = ca.substitute(alg, dae.easing.symbol, dae.easing.values[-1])
-    kept = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
-    paid = ca.vertcat(ca.SX(0, 1), *(cost.expression for cost in task.costs))
-    return ca.Function("point", [dae.t, x, z[:n_z], u], [dae.ode, alg, kept, paid])
-
-
-def _interval_index(layout: Layout) -> Index:
-    count = layout.inputs.shape[0]
-    first = np.vstack([layout.first, layout.states[:-1, -1]])
-    after = np.vstack([layout.inputs[1:], layout.inputs[-1:]])
-    ends = np.full((count, 1), layout.duration)
-    parts = [first, layout.inputs, after, layout.states.reshape(count, -1),
-             layout.unknowns.reshape(count, -1), ends]  # fmt: skip
-    return np.hstack(parts)
-
-
-def _interval_rows(
-    task: Task, model: tuple[Model, int], degree: int, limits: list[Limit], jumps: list[int]
-) -> tuple[tuple[Label, ...], Array, Array]:
-    dae, blocks = model
-    motion = [Label(f"{label.name}_motion", label.unit, f"motion of {label.words}", label.wheel)
-              for label in leaves(dae.labels.x)]  # fmt: skip
-    equations = [label for block in dae.labels.alg[:blocks] for label in block]
-    names = [label.full for label in leaves(dae.labels.u)]
+def _interval(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Piece:
+    """Return the rows of every interval: those of its points, then rates of the inputs."""
+    names = [label.full for label in leaves(task.dae.labels.u)]
+    jumps = _bounded(task)
     rates = [Label(f"{names[k]}_change", "s-2", f"rate of {names[k]}") for k in jumps]
-    point = [*motion, *equations, *(limit.label for limit in limits)]
-    zeros = [0.0] * (len(motion) + len(equations))
-    low = [*zeros, *(limit.lower for limit in limits)] * degree
-    high = [*zeros, *(limit.upper for limit in limits)] * degree
-    low += [task.accelerations[k, 0] for k in jumps]
-    high += [task.accelerations[k, 1] for k in jumps]
-    return (*(point * degree), *rates), np.array(low), np.array(high)
+    low, high = (np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
+                 for side, bounds in enumerate((point.lower, point.upper)))  # fmt: skip
+    return Piece(_whole(layout, mesh), (*(point.labels * mesh.degree), *rates), low, high)
 
 
-def _places(task: Task, loop: Loop, mesh: Mesh, layout: Layout) -> list[Piece]:
-    """Return what goal and way-points add."""
-    pieces = []
-    x, z, u = loop.dae.columns()
-    z = z[: layout.unknowns.shape[2]]
+def _bounded(task: Task) -> list[int]:
+    """Return the inputs whose rates are bounded."""
+    return [k for k, bounds in enumerate(task.accelerations) if np.isfinite(bounds).any()]
+
+
+def _whole(layout: Layout, mesh: Mesh) -> Index:
+    """Return the unknowns of every interval: states, inputs, unknowns, and the duration."""
+    count = mesh.ends.size - 1
+    parts = [_nodes(layout), *_ends(layout, mesh), layout.unknowns.reshape(count, -1)]
+    return np.hstack([*parts, np.full((count, 1), layout.duration)])
+
+
+def _nodes(layout: Layout) -> Index:
+    """Return the states at the beginning and at the points of every interval, node by node."""
+    first = np.vstack([layout.first, layout.states[:-1, -1]])
+    return np.hstack([first, layout.states.reshape(len(first), -1)])
+
+
+def _ends(layout: Layout, mesh: Mesh) -> tuple[Index, Index]:
+    """Return the inputs of every interval and those that follow."""
+    count = mesh.ends.size - 1
+    # Behind the last interval a constant input stays what it is.
+    after = np.vstack([layout.inputs[1:], layout.inputs[-1:]])
+    return layout.inputs[:count], after[:count]
+
+
+def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
+    """Return what every point adds: motion, equations, limits and costs."""
+    n_x, n_z, n_u = point.sizes
+    count, degree = mesh.ends.size - 1, mesh.degree
+    nodes, x, z = (ca.SX.sym(*of) for of in (("nodes", n_x, 1 + degree), ("x", n_x), ("z", n_z)))
+    r, duration = ca.SX.sym("r", point.roots), ca.SX.sym("duration")
+    u, after = ca.SX.sym("u", n_u), ca.SX.sym("after", n_u)
+    q, p = ca.SX.sym("q", 5 + degree), ca.SX.sym("p", len(task.costs) + 1)
+    begin, length, at, weight, slopes = q[0], q[1], q[2], q[3], q[4:]
+    here = (1 - at) * u + at * after if task.continuous else u
+    ode, rows, paid = point.function((begin + at * length) * duration, x, z, r, here)
+    h = length * duration
+    inner = np.repeat(np.arange(count), degree)
+    where = np.hstack([
+        _nodes(layout)[inner], layout.states.reshape(-1, n_x), layout.unknowns.reshape(-1, n_z),
+        layout.roots.reshape(inner.size, -1), *(each[inner] for each in _ends(layout, mesh)),
+        np.full((inner.size, 1), layout.duration),
+    ])  # fmt: skip
+    each = len(point.labels)
+    jumps = inner[:, None] * len(_bounded(task))
+    places = each * np.arange(inner.size)[:, None] + jumps + np.arange(each)
+    return element(
+        (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
+        weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
+        ca.vertcat(nodes @ slopes - h * ode, rows), where, places, _constants(mesh),
+    )  # fmt: skip
+
+
+def _constants(mesh: Mesh) -> Array:
+    """Return what differs between points, shape (n degree, 5 + degree).
+
+    Beginning and length of the interval and the point's place on it, the weight of its value in an
+    integral, and those of the values at all nodes in the slope.
+    """
+    lagrange, _, weights = ca.collocation_coeff(mesh.points.tolist())
+    own = np.column_stack([mesh.points, weights.nonzeros(), np.array(lagrange).T])
+    spans = np.column_stack([mesh.ends[:-1], np.diff(mesh.ends)])
+    return np.hstack([np.repeat(spans, mesh.degree, axis=0), np.tile(own, (len(spans), 1))])
+
+
+def _rates(task: Task, mesh: Mesh, layout: Layout, each: int) -> Element:
+    """Return what the rates of the inputs add, behind the points of every interval."""
+    n_u, jumps = layout.inputs.shape[1], _bounded(task)
+    u, after, duration = ca.SX.sym("u", n_u), ca.SX.sym("after", n_u), ca.SX.sym("duration")
+    length, p = ca.SX.sym("length"), ca.SX.sym("p", len(task.costs) + 1)
+    h = length * duration
+    change = (after - u) / h
+    count = mesh.ends.size - 1
+    where = np.hstack([*_ends(layout, mesh), np.full((count, 1), layout.duration)])
+    places = each * np.arange(1, count + 1)[:, None] + np.arange(-len(jumps), 0)
+    return element(
+        (ca.vertcat(u, after, duration), length, p), p[-1] * h * ca.sumsqr(change),
+        ca.vertcat(ca.SX(0, 1), *(change[k] for k in jumps)), where, places,
+        np.diff(mesh.ends)[:, None],
+    )  # fmt: skip
+
+
+def _place(task: Task, place: Place, mesh: Mesh, layout: Layout) -> Piece:
+    """Return the rows of a goal or a way-point: conditions on inputs, states and unknowns."""
+    k = _nearest(place, mesh)
+    where = np.concatenate([layout.states[k, -1], layout.unknowns[k, -1],
+                            layout.inputs[k + task.continuous], [layout.duration]])  # fmt: skip
+    low, high = (np.array([getattr(limit, side) for limit in place.limits])
+                 for side in ("lower", "upper"))  # fmt: skip
+    return Piece(where[None], tuple(limit.label for limit in place.limits), low, high)
+
+
+def _nearest(place: Place, mesh: Mesh) -> int:
+    """Return the interval at whose end a place is."""
+    return max(int(np.abs(mesh.ends - place.fraction).argmin()) - 1, 0)
+
+
+def _met(task: Task, place: Place, mesh: Mesh, piece: Piece, begin: int) -> Element:
+    """Return what a goal or a way-point adds; its rows begin at a number."""
+    x, z, u = task.dae.columns()
     p, duration = ca.SX.sym("p", len(task.costs) + 1), ca.SX.sym("duration")
-    for place in task.places:
-        k = max(int(np.abs(mesh.ends - place.fraction).argmin()) - 1, 0)
-        rows = ca.vertcat(*(limit.expression for limit in place.limits))
-        rows = ca.substitute(rows, loop.dae.t, float(mesh.ends[k + 1]) * duration)
-        index = np.concatenate([layout.inputs[k], layout.states[k, -1], layout.unknowns[k, -1],
-                                [layout.duration]])  # fmt: skip
-        labels = tuple(limit.label for limit in place.limits)
-        low, high = (np.array([getattr(limit, side) for limit in place.limits])
-                     for side in ("lower", "upper"))  # fmt: skip
-        v = ca.vertcat(u, x, z, duration)
-        symbols = (v, ca.SX.sym("q", 0), p)
-        pieces.append(_piece(symbols, ca.SX(0), rows, index[None], np.zeros((0, 1)),
-                             (labels, low, high)))  # fmt: skip
-    return pieces
-
-
-def _piece(
-    symbols: tuple[ca.SX, ca.SX, ca.SX], cost: ca.SX, rows: ca.SX, index: Index, constants: Array,
-    bounds: tuple[tuple[Label, ...], Array, Array],
-) -> Piece:  # fmt: skip
-    """Return a piece with its derivatives, made here so that they are those of one interval."""
-    sigma, multipliers = ca.SX.sym("sigma"), ca.SX.sym("lambda", rows.numel())
-    lagrangian = sigma * cost + ca.dot(multipliers, rows)
-    hessian = ca.hessian(lagrangian, symbols[0])[0]
-    given = list(symbols)
-    return Piece(
-        ca.Function("values", given, [cost, rows]),
-        ca.Function("jacobian", given, [ca.jacobian(rows, symbols[0])]),
-        ca.Function("hessian", [*given, sigma, multipliers], [hessian]),
-        index, constants, *bounds,
+    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in place.limits))
+    rows = ca.substitute(rows, task.dae.t, mesh.ends[_nearest(place, mesh) + 1] * duration)
+    n_z = piece.where.size - x.numel() - u.numel() - 1
+    return element(
+        (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p), ca.SX(0), rows,
+        piece.where, begin + np.arange(len(piece.labels))[None], np.zeros((1, 0)),
     )  # fmt: skip
 
 
 def _scale(task: Task, layout: Layout) -> Array:
-    scale = np.ones(layout.duration + 1)
+    scale = np.ones(layout.duration + 1 + layout.roots.size)
     scale[layout.unknowns] = task.dae.scale[: layout.unknowns.shape[2]]
     return scale
 
@@ -417,71 +422,3 @@ def _bounds(
         lower[where], upper[where] = low, high
     lower[layout.duration], upper[layout.duration] = task.duration
     return lower, upper
-
-
-def _arguments(piece: Piece, w: ca.MX, p: ca.MX) -> list[Any]:
-    count, n_v = piece.where.shape
-    v = ca.reshape(w[piece.where.ravel().tolist()], n_v, count)
-    return [v, ca.DM(piece.constants), ca.repmat(p, 1, count)]
-
-
-def _values(pieces: Sequence[Piece], w: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
-    cost, rows = ca.MX(0), []
-    for piece in pieces:
-        paid, kept = piece.values.map(len(piece.where))(*_arguments(piece, w, p))
-        cost += ca.sum2(paid)
-        rows.append(ca.vec(kept))
-    return cost, ca.vertcat(*rows)
-
-
-def _jacobian(pieces: Sequence[Piece], w: ca.MX, p: ca.MX, scale: Array) -> ca.MX:
-    """Return the Jacobian of all rows, put together from those of the pieces."""
-    values, places, begin = [], [], 0
-    for piece in pieces:
-        count, each = len(piece.where), len(piece.labels)
-        found = piece.jacobian.map(count)(*_arguments(piece, w * scale, p))
-        row, column = (
-            np.array(part, dtype=np.intp) for part in piece.jacobian.sparsity_out(0).get_triplet()
-        )
-        rows = begin + each * np.arange(count)[:, None] + row
-        columns = piece.where[:, column]
-        values.append(ca.vec(found.nz[:]) * scale[columns].ravel())
-        places.append((rows.ravel(), columns.ravel()))
-        begin += each * count
-    return _assembled(values, places, (begin, w.numel()))
-
-
-def _hessian(
-    pieces: Sequence[Piece], w: ca.MX, p: ca.MX, scale: Array, sigma: ca.MX, multipliers: ca.MX
-) -> ca.MX:
-    """Return the upper half of the Lagrangian's Hessian, put together from those of the pieces."""
-    values, places, begin = [], [], 0
-    for piece in pieces:
-        count, each = len(piece.where), len(piece.labels)
-        own = ca.reshape(multipliers[begin : begin + each * count], each, count)
-        weights = ca.repmat(sigma, 1, count)
-        found = piece.hessian.map(count)(*_arguments(piece, w * scale, p), weights, own)
-        row, column = (
-            np.array(part, dtype=np.intp) for part in piece.hessian.sparsity_out(0).get_triplet()
-        )
-        rows, columns = piece.where[:, row].ravel(), piece.where[:, column].ravel()
-        # Of the two entries of a pair the upper one counts; a pair of equal places keeps both.
-        kept = np.flatnonzero(rows <= columns)
-        values.append(ca.vec(found.nz[kept.tolist()]) * (scale[rows] * scale[columns])[kept])
-        places.append((rows[kept], columns[kept]))
-        begin += each * count
-    return _assembled(values, places, (w.numel(), w.numel()))
-
-
-def _assembled(
-    values: list[ca.MX], places: list[tuple[Index, Index]], shape: tuple[int, int]
-) -> ca.MX:
-    """Return a sparse matrix of which several values may share a place."""
-    rows, columns = (np.concatenate(part) for part in zip(*places, strict=True))
-    key, where = np.unique(columns.astype(np.int64) * shape[0] + rows, return_inverse=True)
-    at = (key % shape[0]).tolist(), (key // shape[0]).tolist()
-    pattern = ca.Sparsity.triplet(shape[0], shape[1], *at)
-    total = scipy.sparse.csc_matrix((np.ones(where.size), (where, np.arange(where.size))))
-    starts, inside = total.indptr.tolist(), total.indices.tolist()
-    gather = ca.DM(ca.Sparsity(total.shape[0], total.shape[1], starts, inside), total.data)
-    return ca.MX(pattern, gather @ ca.vertcat(*values))

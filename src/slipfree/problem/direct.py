@@ -13,6 +13,7 @@ from slipfree.kinematics.follow import follow, straight
 from slipfree.kinematics.montana import montana_kinematics
 from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.kinematics.traction import Traction
+from slipfree.named import Array
 from slipfree.problem import schema
 from slipfree.problem.ground import at, build_ground
 from slipfree.problem.locate import ProblemError
@@ -72,7 +73,11 @@ def build_law(
             if driver.path is not None or driver.file is not None:
                 raise ModelError("driver: 'straight' takes no path; use name = 'follow'")
             return straight(dae, vehicle, start, speed=driver.speed)
-        if (driver.path is None) == (driver.file is None):
-            raise ModelError("driver: 'follow' needs either path, an array of [x, y], or file")
-        points = driver.path or read_columns(problem.folder / str(driver.file), "xy")
-        return follow(dae, vehicle, Path(np.array(points)), speed=driver.speed)
+        return follow(dae, vehicle, Path(way_of(problem, driver)), speed=driver.speed)
+
+
+def way_of(problem: Problem[S], driver: schema.Driver) -> Array:
+    """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
+    if (driver.path is None) == (driver.file is None):
+        raise ModelError("driver: 'follow' needs either path, an array of [x, y], or file")
+    return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError, SlipfreeError, SolverError
 from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow
 from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.named import Label, leaves
-from slipfree.plan.plan import Plan, limits_of, plan
+from slipfree.named import Array, Label
+from slipfree.plan.plan import Plan, plan
+from slipfree.plan.proof import rerun
+from slipfree.plan.reachable import unreachable
 from slipfree.plan.region import Disc, Polygon, Region
-from slipfree.plan.route import extents, route, traversability
+from slipfree.plan.route import routes
+from slipfree.plan.saved import Saved
 from slipfree.plan.solver import Iterate
+from slipfree.plan.task import limits_of
+from slipfree.plan.traversability import Traversability, extents, traversability
 from slipfree.problem import schema
-from slipfree.problem.direct import build_law
+from slipfree.problem.direct import build_law, way_of
 from slipfree.problem.ground import at, build_ground
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import (
@@ -33,56 +37,108 @@ from slipfree.problem.parts import (
     turned,
 )
 from slipfree.problem.read import Problem, S
+from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
-from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import Trajectory
-from slipfree.vehicle.chain import Vehicle
+from slipfree.trajectory import Trajectory, path_length
 
+FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
 Tell = Callable[[str], None]
+Model = Dae[Any, Any, Any, Any, Any]
+Place = tuple[str, float, float]
 
 
-def build_plan(problem: Problem[S], spec: schema.Plan) -> Setup:
+@dataclass(frozen=True, eq=False)
+class Planning(Setup):
+    """All that a plan needs before it is sought.
+
+    Attributes
+    ----------
+    layers : Traversability
+        Where the vehicle can go.
+    places : tuple of (str, float, float)
+        Start, way-points and goal, as far as they are places, by name. [m]
+    keep_out : tuple of Region
+        Where it must not go.
+    ways : tuple of ndarray, shape (n, 2)
+        Paths that start the search, if it starts along paths. [m]
+    starts : tuple of (record, float)
+        Inputs of the motions from which the search starts, and how long they last. [s]
+    """
+
+    layers: Traversability
+    places: tuple[Place, ...]
+    keep_out: tuple[Region, ...]
+    ways: tuple[Array, ...]
+    starts: tuple[tuple[Any, float], ...]
+
+
+def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     """Return the model, the settled start and the inputs that start the search."""
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle)
     terrain = build_terrain(problem, ground)
-    dae: Dae[Any, Any, Any, Any, Any]
     with at(problem, ("slip",)):
-        dae = direct_kinematics(vehicle, terrain, slip=spec.slip)
+        dae: Model = direct_kinematics(vehicle, terrain, slip=spec.slip)
     check_names(problem, dae, spec.inputs)
+    keep_out, places = regions(problem, spec), _places(spec)
+    layers = traversability(terrain, vehicle, keep_out=keep_out)
+    if wrong := [each for each in unreachable(layers, places) if each.sure]:
+        where = problem.source.where((wrong[0].place,))
+        raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     start = build_start(problem, dae)
     t, rates = samples(spec.time, spec.inputs or {})
+    ways = _ways(problem, spec, layers, places)
     if spec.driver is None:
         with at(problem, ("inputs",)):
-            inputs = dae.inputs(**rates)
-    elif spec.driver.name == "route":
-        inputs, lasts = _along_route(problem, spec, (dae, vehicle, terrain), start)
-        t = t[: max(int((t <= lasts).sum()), 2)]  # behind its end a path leads nowhere
+            starts = [(dae.inputs(**rates), float(t[-1]))]
+    elif ways:
+        with at(problem, ("driver",)):
+            starts = [_along(dae, vehicle, way, spec.driver.speed) for way in ways]
     else:
-        inputs = build_law(problem, spec.driver, dae, vehicle, start)
+        starts = [(build_law(problem, spec.driver, dae, vehicle, start), float(t[-1]))]
     goal = ", ".join(f"{name} {_words(value)}" for name, value in spec.goal.items())
-    return Setup(ground, terrain, vehicle, dae, dae, start, inputs, t, f"plan to {goal}")
+    return Planning(
+        ground, terrain, vehicle, dae, dae, start, starts[0][0], t, f"plan to {goal}", layers,
+        places, keep_out, ways, tuple(starts),
+    )  # fmt: skip
 
 
-def _along_route(
-    problem: Problem[S],
-    spec: schema.Plan,
-    model: tuple[Dae[Any, Any, Any, Any, Any], Vehicle, Bicubic],
-    start: Trajectory,
-) -> tuple[Any, float]:
-    """Return the law that follows a route to the middle of the goal, and how long that lasts."""
-    dae, vehicle, terrain = model
+def _places(spec: schema.Plan) -> tuple[Place, ...]:
+    """Return where the vehicle starts and is to go, in map coordinates, as far as known."""
+    start = ("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))
+    if not {"x", "y"} <= set(spec.goal):
+        return (start,)
+    return start, ("goal", sum(spec.goal["x"]) / 2, sum(spec.goal["y"]) / 2)
+
+
+def _ways(
+    problem: Problem[S], spec: schema.Plan, layers: Traversability, places: tuple[Place, ...]
+) -> tuple[Array, ...]:
+    """Return the paths that start the search: given ones, or routes over the ground."""
     driver = spec.driver
-    if driver is None or not {"x", "y"} <= set(spec.goal):
+    if driver is None or driver.name == "straight":
+        return ()
+    if driver.name == "follow":
+        with at(problem, ("driver",)):
+            if driver.paths is None:
+                return (way_of(problem, driver),)
+            if driver.path is not None or driver.file is not None:
+                raise ModelError("driver: expected one of path, paths and file, found two")
+            return tuple(np.array(path) for path in driver.paths)
+    if len(places) < 2:
         raise ProblemError(f"{problem.source.where(('goal',))}: a route needs a goal in x and y")
-    here = (float(start["x"][-1]), float(start["y"][-1]))
-    there = (sum(spec.goal["x"]) / 2, sum(spec.goal["y"]) / 2)
+    here, there = (np.array(place[1:]) for place in (places[0], places[-1]))
     with at(problem, ("driver",)):
-        layers = traversability(terrain, vehicle, keep_out=regions(problem, spec))
-        points = route(layers, here, there, turning_radius=driver.turning_radius)
-        path = Path(points)
-        return follow(dae, vehicle, path, speed=driver.speed), path.length / abs(driver.speed)
+        found = routes(layers, here, there, turning_radius=driver.turning_radius,
+                       count=driver.count)  # fmt: skip
+    return tuple(way.points for way in found)
+
+
+def _along(dae: Model, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
+    """Return the law that follows a path, and how long that lasts."""
+    path = Path(way)
+    return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
 
 
 def regions(problem: Problem[S], spec: schema.Plan) -> tuple[Region, ...]:
@@ -105,27 +161,40 @@ def _words(bounds: tuple[float, float]) -> str:
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
-def planned(problem: Problem[S], spec: schema.Plan, setup: Setup, tell: Tell | None) -> Trajectory:
-    """Return the motion that a plan leads to, simulated, with what the plan promised."""
+def planned(
+    problem: Problem[S],
+    spec: schema.Plan,
+    setup: Planning,
+    tell: Tell | None,
+    resume: Saved | None,
+) -> tuple[Trajectory, Mapping[str, Array]]:
+    """Return the motion that a plan leads to, simulated, and what another plan may start from."""
     with at(problem, ("driver" if spec.driver else "inputs",)):
-        guess = _guess(setup, spec)
+        guesses = [] if resume else [_guess(setup, spec, start) for start in setup.starts]
     goal = dict(spec.goal)
     if "heading" in goal:
         goal["heading"] = tuple(value + turned(problem) for value in goal["heading"])
-    length = float(guess.t[-1])
+    length = resume.course.duration if resume else float(guesses[0].t[-1])
     with at(problem, ("plan",)):
         found = plan(
-            setup.dae, setup.start, guess, goal=goal, costs=spec.costs,
+            setup.dae, setup.start, guesses, goal=goal, costs=spec.costs,
             duration=spec.plan.duration or (length, length), smooth=spec.plan.smooth,
-            limits=(*limits_of(setup.dae, spec.limits), *_kept_out(problem, spec, setup)),
+            continuous=spec.plan.continuous,
+            limits=(*limits_of(setup.dae, spec.limits), *_kept_out(setup)),
             inputs=spec.bounds, accelerations=spec.accelerations,
-            intervals=spec.plan.intervals, degree=spec.plan.degree,
-            tolerance=spec.solver.tolerance, progress=_telling(tell),
+            intervals=spec.plan.intervals, degree=spec.plan.degree, accuracy=spec.plan.accuracy,
+            tolerance=spec.solver.tolerance, step=spec.time.step, resume=resume,
+            progress=_telling(tell),
         )  # fmt: skip
-    return _motion(setup, spec, found)
+    run, stop = found.replay, found.run.stop
+    if stop is not None and not found.success:
+        run = replace(run, stop=stop._replace(t=float(run.t[-1])))
+    attributes = {**run.attributes, **_by_friction(setup, spec, found)}
+    statistics = {**run.statistics, **_statistics(found)}
+    return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
 
 
-def _kept_out(problem: Problem[S], spec: schema.Plan, setup: Setup) -> list[Limit]:
+def _kept_out(setup: Planning) -> list[Limit]:
     """Return that the circle around the wheels keeps out of the places that are named."""
     x, y = setup.dae.x.x, setup.dae.x.y
     o_x, o_y, _ = setup.terrain.origin
@@ -133,22 +202,24 @@ def _kept_out(problem: Problem[S], spec: schema.Plan, setup: Setup) -> list[Limi
     return [
         Limit(Label(f"keep_out_{k}", "m", f"the vehicle touches {region.words}"),
               region.outside(x + o_x, y + o_y), reach, np.inf)
-        for k, region in enumerate(regions(problem, spec))
+        for k, region in enumerate(setup.keep_out)
     ]  # fmt: skip
 
 
-def _guess(setup: Setup, spec: schema.Plan) -> Trajectory:
-    """Return the motion of the driving law, along a route up to where it is nearest to the goal."""
+def _guess(setup: Planning, spec: schema.Plan, start: tuple[Any, float]) -> Trajectory:
+    """Return the motion of a driving law, along a path up to where it is nearest to the goal."""
+    law, lasts = start
+    t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # behind its end a path leads nowhere
     try:
-        run = simulate(setup.dae, setup.start, setup.inputs, setup.t,
-                       tolerance=spec.solver.tolerance)  # fmt: skip
+        run = simulate(setup.dae, setup.start, law, t, tolerance=spec.solver.tolerance)
     except SolverError as error:
         if error.trajectory is None:
             raise
         run = error.trajectory
-    if spec.driver is None or spec.driver.name != "route":
+    if not setup.ways or len(setup.places) < 2:
         return run
-    away = np.hypot(*(run[name] - sum(spec.goal[name]) / 2 for name in ("x", "y")))
+    _, x, y = setup.places[-1]
+    away = np.hypot(run["x"] - x, run["y"] - y)
     return run.part(slice(max(int(away.argmin()), 1) + 1))
 
 
@@ -168,26 +239,29 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
     return progress
 
 
-def _motion(setup: Setup, spec: schema.Plan, found: Plan) -> Trajectory:
-    """Return the replay, sampled as the problem asks."""
-    ends = found.run.t[:: spec.plan.degree]
-    parts = max(int(np.ceil(np.diff(ends).max() / spec.time.step)), 1)
-    t = np.append(np.concatenate([np.linspace(a, b, parts, endpoint=False)
-                                  for a, b in pairwise(ends)]),
-                  ends[-1])  # fmt: skip
-    names = [label.full for label in leaves(setup.dae.labels.u)]
-    values = {name: np.repeat(value, parts)
-              for name, value in zip(names, leaves(found.inputs), strict=True)}  # fmt: skip
+def _by_friction(setup: Planning, spec: schema.Plan, found: Plan) -> dict[str, str]:
+    """Return what becomes of the plan's inputs where friction decides, in words."""
+    if not (found.success and setup.vehicle.mass and setup.terrain.has_friction):
+        return {}
+    model: Model = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
+    values: dict[str, Any] = {name: float(setup.start[name][0]) for name in spec.start}
     try:
-        run = simulate(setup.dae, setup.start, setup.dae.inputs(**values), t,
-                       tolerance=spec.solver.tolerance)  # fmt: skip
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        run = error.trajectory
-    if not found.success and found.run.stop is not None:
-        run = replace(run, stop=found.run.stop._replace(t=float(run.t[-1])))
-    return replace(run, statistics={**run.statistics, **_statistics(found)})
+        start = settle(model, **values)
+        run = rerun(model, start, found.course, step=spec.time.step,
+                    tolerance=max(spec.solver.tolerance, FRICTION_TOLERANCE))  # fmt: skip
+    except SlipfreeError as error:  # a plan stands without it, and the words say why it is missing
+        return {"by_friction": f"not simulated: {error}"}
+    if run.stop is not None:
+        return {"by_friction": f"stops at {run.t[-1]:.6g} s: {run.stop.words}"}
+    apart = np.hypot(*(run[name][-1] - found.replay[name][-1] for name in "xy"))
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    sliding = 1e3 * np.trapezoid(slip, run.t, axis=0).mean() / path_length(run)
+    used = run["utilisation"].max()
+    words = (
+        f"ends {apart:.3g} m from the plan, slips {sliding:.3g} mm a wheel and metre, uses at most "
+        f"{used:.3g} of the friction"
+    )
+    return {"by_friction": words}
 
 
 def _statistics(found: Plan) -> dict[str, float]:
@@ -199,4 +273,9 @@ def _statistics(found: Plan) -> dict[str, float]:
         "plan_seconds_functions": sum(each["functions"] for each in times),
         **{f"plan_cost_{name}": value for name, value in found.costs.items()},
         **{f"plan_difference_{name}": value for name, value in found.difference.items()},
+        **{
+            f"plan_violation_{name.replace('[', '_').rstrip(']')}": value
+            for name, value in found.violation.items()
+        },
+        "plan_intervals": float(found.course.mesh.ends.size - 1),
     }

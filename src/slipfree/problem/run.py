@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,15 +10,18 @@ from slipfree.errors import SolverError
 from slipfree.kinematics.hold import best_utilisation
 from slipfree.kinematics.montana import Difference, cross_check
 from slipfree.kinematics.records import is_determinate
+from slipfree.named import Array
+from slipfree.plan.saved import Saved
 from slipfree.problem import schema
 from slipfree.problem.direct import build_direct
 from slipfree.problem.ground import at, ground_facts
 from slipfree.problem.inverse import build_inverse, drive_along, finished, is_sought
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import Setup, vehicle_facts
-from slipfree.problem.plan import build_plan, planned
+from slipfree.problem.plan import Planning, build_plan, planned
 from slipfree.problem.read import Problem
 from slipfree.problem.summary import Facts
+from slipfree.result_file import NOTHING
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import Trajectory
 
@@ -26,10 +29,21 @@ Progress = Callable[[float], None]
 
 
 class Outcome(NamedTuple):
-    """What came of a problem: the motion, whole or to where it stopped, and what it ran on."""
+    """What came of a problem.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The motion, whole or to where it stopped.
+    setup : Setup
+        What it ran on.
+    arrays : mapping of str to ndarray
+        From which another plan may start, for the result file; empty if it is none.
+    """
 
     trajectory: Trajectory
     setup: Setup
+    arrays: Mapping[str, Array] = NOTHING
 
 
 def build(problem: Problem[schema.Motion]) -> Setup:
@@ -55,6 +69,7 @@ def run(
     problem: Problem[schema.Motion],
     progress: Progress | None = None,
     tell: Callable[[str], None] | None = None,
+    resume: Saved | None = None,
 ) -> Outcome:
     """Return the motion that a problem asks for.
 
@@ -66,6 +81,8 @@ def run(
         Called with the time reached. [s]
     tell : callable, optional
         Called with one line about every iterate of a plan.
+    resume : Saved, optional
+        The plan from which to start.
 
     Raises
     ------
@@ -76,9 +93,10 @@ def run(
         trajectory.
     """
     setup, tolerance = build(problem), problem.spec.solver.tolerance
+    arrays = NOTHING
     with at(problem, ("start",)):
-        if isinstance(problem.spec, schema.Plan):
-            found = planned(problem, problem.spec, setup, tell)
+        if isinstance(problem.spec, schema.Plan) and isinstance(setup, Planning):
+            found, arrays = planned(problem, problem.spec, setup, tell, resume)
         elif is_sought(problem.spec):
             found = drive_along(setup, tolerance, progress)
         else:
@@ -86,7 +104,7 @@ def run(
     if setup.vehicle.mass and not is_determinate(setup.vehicle):
         found = best_utilisation(setup.vehicle, setup.terrain, found)
     attributes = {**found.attributes, **_attributes(problem, setup)}
-    return Outcome(replace(finished(found), attributes=attributes), setup)
+    return Outcome(replace(finished(found), attributes=attributes), setup, arrays)
 
 
 def _integrated(setup: Setup, tolerance: float, progress: Progress | None) -> Trajectory:

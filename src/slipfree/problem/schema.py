@@ -85,6 +85,7 @@ class Ramp(Record):
     end: float
     rise: float
     smooth: bool = True
+    rounding: Radius = 0.0
 
 
 class Synthetic(Record):
@@ -248,10 +249,13 @@ Bound = Annotated[Any, PlainValidator(_bound)]
 
 
 class Guide(Driver):
-    """What starts the search: a driving law, along a route over the ground if there is none."""
+    """What starts the search: a driving law, along paths or along routes over the ground."""
 
     name: Literal["straight", "follow", "route"]  # type: ignore[assignment]
     turning_radius: Radius = 1.0
+    paths: Annotated[tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
+                     Field(strict=False, min_length=1)] = None  # fmt: skip
+    count: Annotated[int, Field(ge=1)] = 1
 
 
 class KeepOut(Record):
@@ -270,6 +274,8 @@ class Search(Record):
     degree: Annotated[int, Field(ge=1, le=5)] = 3
     duration: Bound = None
     smooth: Radius = 0.0
+    continuous: bool = True
+    accuracy: Length = 1e-3
 
 
 class Plan(Motion):

@@ -11,6 +11,7 @@ from slipfree.kinematics.margin import steering_note
 from slipfree.trajectory import Trajectory, path_length
 
 UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
+ROUNDING = 1e-6  # of a limit that a plan keeps to, in its unit
 Facts = list[tuple[str, str]]
 
 
@@ -91,7 +92,10 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
     gaps = [(name.removeprefix("plan_difference_"), size) for name, size in counts.items()
             if name.startswith("plan_difference_")]  # fmt: skip
     listed = ", ".join(f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps)
-    yield "simulated", f"differs from the plan by at most {listed}"
+    over = [f"{name.removeprefix('plan_violation_')} by {size:.1e}" for name, size in counts.items()
+            if name.startswith("plan_violation_") and size > ROUNDING]  # fmt: skip
+    kept = f"; it goes beyond {', '.join(over)}" if over else "; it keeps to all limits"
+    yield "simulated", f"differs from the plan by at most {listed}{kept}"
     slip = np.hypot(run["slip_along"], run["slip_across"])
     duration, length = run.t[-1] - run.t[0], path_length(run)
     total = np.trapezoid(slip, run.t, axis=0)
@@ -101,6 +105,8 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
         f"rms {np.sqrt(squares.mean() / duration):.3g} m/s a wheel, "
         f"{1e3 * total.mean() / length:.3g} mm a wheel and metre",
     )
+    if "by_friction" in run.attributes:
+        yield "driven by friction", run.attributes["by_friction"]
 
 
 def _slip(run: Trajectory) -> Iterator[tuple[str, str]]:

@@ -201,7 +201,7 @@ def _forces(run: Trajectory) -> Figure:
     drives(run, panels[2])
     if slides:
         drives(run, panels[3], "N")
-    return style.finished(_stacked(figure, panels), run, panels)
+    return style.finished(style.stacked(figure, panels), run, panels)
 
 
 def _utilisation(run: Trajectory) -> Figure:
@@ -212,7 +212,7 @@ def _utilisation(run: Trajectory) -> Figure:
     panels = list(figure.subplots(2, 1, sharex=True, height_ratios=(5, 2)))
     utilisation(run, panels[0])
     tip_over(run, panels[1])
-    return style.finished(_stacked(figure, panels), run, panels[:1])
+    return style.finished(style.stacked(figure, panels), run, panels[:1])
 
 
 def _utilisation_map(run: Trajectory, grid: Grid) -> Figure:
@@ -229,15 +229,7 @@ def _energy(run: Trajectory) -> Figure:
     panels = list(figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
     energy(run, panels[0])
     power(run, panels[1])
-    return style.finished(_stacked(figure, panels), run, panels)
-
-
-def _stacked(figure: Figure, panels: list[Axes]) -> Figure:
-    """Leave the label of a common axis to the lowest panel, and align the others."""
-    for ax in panels[:-1]:
-        ax.set_xlabel("")
-    figure.align_ylabels(panels)
-    return figure
+    return style.finished(style.stacked(figure, panels), run, panels)
 
 
 def _by_wheel(run: Trajectory, values: Array, ax: Axes, zeros: bool = True) -> None:

@@ -8,7 +8,7 @@ Angles are drawn in radians, with degrees on a second axis.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -326,11 +326,20 @@ def save_figures(
     ModelError
         As for `figures`, or if a format is not known.
     """
+    check_formats(formats)
+    return write(figures(run, grid), folder, formats)
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Refuse formats of files that are not known, before anything is drawn."""
     known = FigureCanvasBase.get_supported_filetypes()
     for name in formats:
         if name not in known:
             raise ModelError(f"formats: {name!r} is not known; known: {', '.join(sorted(known))}")
-    drawn = figures(run, grid)
+
+
+def write(drawn: Mapping[str, Figure], folder: str | Path, formats: Sequence[str]) -> list[Path]:
+    """Write figures to a folder, which is made if needed, and return their files."""
     Path(folder).mkdir(parents=True, exist_ok=True)
     files = [(Path(folder) / f"{name}.{end}", drawn[name]) for name in drawn for end in formats]
     with rc_context(STYLE):  # type: ignore[arg-type]

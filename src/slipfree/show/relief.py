@@ -73,10 +73,15 @@ def spacing(grid: Grid) -> tuple[float, float]:
 
 def around(run: Trajectory, grid: Grid, pad: float) -> Window:
     """Return the part of the map around the contacts, shaped like the map unless that is narrow."""
+    x, y = (np.concatenate([run[name], run[f"contact_{name}"].ravel()]) for name in "xy")
+    return about(x, y, grid, pad)
+
+
+def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
+    """Return the part of the map around places, shaped like the map unless that is narrow."""
     west, east, south, north = whole(grid)
     sides = []
-    for name, low, high in (("x", west, east), ("y", south, north)):
-        at = np.concatenate([run[name], run[f"contact_{name}"].ravel()])
+    for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):
         if at.max() < low or at.min() > high:
             raise ModelError(
                 f"the motion is not on this ground: {name} is {at.min():.6g} to {at.max():.6g} m, "

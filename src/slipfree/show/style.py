@@ -44,6 +44,14 @@ def figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def stacked(figure: Figure, panels: Sequence[Axes]) -> Figure:
+    """Leave the label of a common axis to the lowest panel, and align the others."""
+    for ax in panels[:-1]:
+        ax.set_xlabel("")
+    figure.align_ylabels(panels)
+    return figure
+
+
 def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str = "") -> Figure:
     """Put the legend of some axes on top, and below why the motion ended early."""
     entries: dict[str, Any] = {}

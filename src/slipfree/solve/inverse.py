@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.polynomial import legendre
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array, Label, Mask, leaves, unpack
 from slipfree.solve.loop import Loop, close
+from slipfree.solve.polynomial import Basis, basis
 from slipfree.solve.sample import Samples, followed, table
 from slipfree.solve.settle import first_violation, settle
 from slipfree.solve.simulate import _times, simulate
@@ -38,64 +38,6 @@ NEWTON = 20  # steps at most on one element
 CONVERGED = 1e-13  # residual of an element's equations
 ROUNDING = 1e-10  # the same, if it does not become less
 WEAK = 1e-2  # relative singular value below which a rate stays out of the first guess
-
-
-class Basis(NamedTuple):
-    """Polynomials on an element, by their values at collocation points of (0, 1].
-
-    Attributes
-    ----------
-    points : ndarray, shape (k,)
-        Radau points; the last is one.
-    tied : ndarray, shape (k, k + 1)
-        Derivatives at the points from values at zero and at the points.
-    free : ndarray, shape (k, k)
-        The same, of polynomials that have no value at zero.
-    """
-
-    points: Array
-    tied: Array
-    free: Array
-
-    def values(self, at: Array, *, tied: bool) -> Array:
-        """Return what leads from the nodal values to those at places of [0, 1]."""
-        nodes = np.append(0.0, self.points) if tied else self.points
-        return _lagrange(nodes, at)
-
-    def integrals(self, at: Array) -> Array:
-        """Return what leads from the values at the points to integrals from zero to places."""
-        nodes, weights = legendre.leggauss(len(self.points))
-        inner = _lagrange(self.points, np.outer(at, (1 + nodes) / 2).ravel())
-        means = weights / 2 @ inner.reshape(len(at), len(nodes), len(self.points))
-        return np.asarray(at[:, None] * means, dtype=np.float64)
-
-
-def basis(degree: int) -> Basis:
-    """Return the polynomials of collocation at that many Radau points."""
-    difference = np.zeros(degree + 1)
-    difference[-2:] = 1.0, -1.0  # of Legendre polynomials: its roots are Radau's points
-    points = np.append((1 + legendre.legroots(difference)[:-1].real) / 2, 1.0)
-    nodes = np.append(0.0, points)
-    return Basis(points, _derivative(nodes)[1:], _derivative(points))
-
-
-def _lagrange(nodes: Array, at: Array) -> Array:
-    """Return the Lagrange polynomials of nodes at places, shape (n_places, n_nodes)."""
-    rows = np.ones((len(at), len(nodes)))
-    for j, node in enumerate(nodes):
-        for other in np.delete(nodes, j):
-            rows[:, j] *= (at - other) / (node - other)
-    return rows
-
-
-def _derivative(nodes: Array) -> Array:
-    """Return the derivatives of the Lagrange polynomials at their nodes, row by row."""
-    gaps = nodes[:, None] - nodes + np.eye(len(nodes))
-    weights = 1 / gaps.prod(axis=1)
-    matrix: Array = weights / weights[:, None] / gaps
-    np.fill_diagonal(matrix, 0.0)
-    np.fill_diagonal(matrix, -matrix.sum(axis=1))
-    return matrix
 
 
 class Element(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae
+from slipfree.dae import Dae, Linear
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves, pack
 
@@ -50,8 +50,9 @@ class Loop(NamedTuple):
     ----------
     dae : Dae
         The model.
-    u : ndarray, shape (n_u, n)
-        Values of the inputs at every interval; unused where an expression rules.
+    u : ndarray, shape (n_u, n) or (2 n_u, n)
+        Values of the inputs at every interval, unused where an expression rules; with slopes after
+        them if inputs are linear in time.
     core : casadi Function
         ``(t, x, m, u) -> (ode, alg)``, the equations of the motion.
     quad : casadi Function
@@ -101,29 +102,45 @@ def close(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) -> Loo
     """
     u = dae.columns()[2]
     law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))
+    slopes = np.zeros_like(values)
     for index, (label, value) in enumerate(zip(leaves(dae.labels.u), leaves(inputs), strict=True)):
         if isinstance(value, ca.SX):
             law[index] = _checked(dae, label, value)
+        elif isinstance(value, Linear):
+            values[index] = _numbers(label, value.base, intervals)
+            slopes[index] = _numbers(label, value.slope, intervals)
         else:
             values[index] = _numbers(label, value, intervals)
-    ruled = any(isinstance(value, ca.SX) for value in leaves(inputs))
-    return (_compiled(dae, law) if ruled else _open(dae))._replace(u=values)
+    if any(isinstance(value, ca.SX) for value in leaves(inputs)):
+        return _compiled(dae, law, u)._replace(u=values)
+    if any(isinstance(value, Linear) for value in leaves(inputs)):
+        return _sloping(dae)._replace(u=np.concatenate([values, slopes]))
+    return _open(dae)._replace(u=values)
 
 
 @lru_cache(maxsize=8)
 def _open(dae: Dae[Any, Any, Any, Any, Any]) -> Loop:
     """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers."""
-    return _compiled(dae, list(leaves(dae.u)))
+    return _compiled(dae, list(leaves(dae.u)), dae.columns()[2])
 
 
-def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX]) -> Loop:
-    x, z, u = dae.columns()
+@lru_cache(maxsize=8)
+def _sloping(dae: Dae[Any, Any, Any, Any, Any]) -> Loop:
+    """Compile a model whose inputs are linear in time, given by values at zero and slopes."""
+    u = dae.columns()[2]
+    slopes = ca.SX.sym("slope", u.numel())
+    return _compiled(dae, ca.vertsplit(u + slopes * dae.t), ca.vertcat(u, slopes))
+
+
+def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX], u: ca.SX) -> Loop:
+    """Compile a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
+    x, z, inputs = dae.columns()
     limits = [limit.expression for limit in dae.limits]
     easing = ca.SX.sym("easing") if dae.easing is None else dae.easing.symbol
-    eased = [dae.ode, dae.quad, pack(dae.y), ca.vertcat(ca.SX(0, 1), *limits), u, *dae.alg]
-    eased = ca.substitute(eased, [u], [ca.vertcat(ca.SX(0, 1), *law)])
+    eased = [dae.ode, dae.quad, pack(dae.y), ca.vertcat(ca.SX(0, 1), *limits), inputs, *dae.alg]
+    eased = ca.substitute(eased, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
     meant = ca.SX(dae.easing.values[-1] if dae.easing else 0.0)
-    ode, quad, y, bounds, inputs, *parts = ca.substitute(eased, [easing], [meant])
+    ode, quad, y, bounds, driven, *parts = ca.substitute(eased, [easing], [meant])
     blocks = _blocks(dae, [dae.t, x, z, u, easing], eased[5:])
     first = _following(ode, parts, z, blocks)
     motion, after = blocks[:first], blocks[first:]
@@ -138,7 +155,7 @@ def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX]) -> Loop:
         motion,
         after,
         ca.Function("newton", symbols, [alg, ca.densify(ca.jacobian(alg, m))]),
-        ca.Function("outputs", [dae.t, x, z, u], [y, bounds, inputs]),
+        ca.Function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
         ca.Function("margin", symbols, [_least(dae, bounds, z[m.numel() :])]),
     )
 

@@ -212,11 +212,13 @@ def _at(loop: Loop, samples: Samples, u: Array) -> Samples:
     at = Samples(*(part[..., -1:] for part in samples))
     if np.array_equal(at.u[:, -1], u):
         return at
-    try:
-        z = consistent(loop, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=False)
-    except ModelError:  # the integrator tells
-        return at
-    return at._replace(z=z[:, None], u=u[:, None])
+    for eased in (False, True):
+        try:
+            z = consistent(loop, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=eased)
+        except ModelError:  # the integrator tells
+            continue
+        return at._replace(z=z[:, None], u=u[:, None])
+    return at
 
 
 def _after(samples: Samples, counts: dict[str, float], rest: March) -> March:

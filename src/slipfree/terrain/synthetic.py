@@ -210,7 +210,9 @@ def place_rocks(grid: Grid, placed: Iterable[Rock]) -> Grid:
     return Grid(grid.x, grid.y, grid.z + z)
 
 
-def ramp(grid: Grid, *, start: float, end: float, rise: float, smooth: bool = True) -> Grid:
+def ramp(
+    grid: Grid, *, start: float, end: float, rise: float, smooth: bool = True, rounding: float = 0.0
+) -> Grid:
     """Return the grid with a ramp along y added.
 
     Parameters
@@ -220,21 +222,44 @@ def ramp(grid: Grid, *, start: float, end: float, rise: float, smooth: bool = Tr
     start, end : float
         Where the ramp begins and ends, ``start < end``. [m]
     rise : float
-        Height beyond ``end``; it is zero before ``start``. [m]
+        Height beyond the ramp; it is zero before it. [m]
     smooth : bool
         True: slope and curvature are continuous, the steepest slope is 15/8 of the mean.
-        False: an even slope between two kinks.
+        False: an even slope between two edges.
+    rounding : float
+        Length over which either edge is round, ``start`` or ``end`` in its middle; zero for kinks.
+        Slope and curvature are continuous; the curvature is at most 3/2 of the slope between the
+        edges over this length. [m]
 
     Raises
     ------
     ModelError
-        If the ramp has no length.
+        If the ramp has no length or less than its edges, or is smooth and has edges.
     """
     if not start < end:
         raise ModelError(f"ramp: expected start < end, found {start:g} m and {end:g} m")
-    t = np.clip((grid.y - start) / (end - start), 0, 1)
-    profile = t**3 * (10 + t * (6 * t - 15)) if smooth else t
+    if not 0 <= rounding <= end - start:
+        raise ModelError(
+            f"ramp: expected a rounding from 0 to its length of {end - start:g} m, "
+            f"found {rounding:g} m"
+        )
+    if smooth and rounding:
+        raise ModelError("ramp: a smooth ramp has no edges; leave the rounding out or smooth off")
+    if smooth:
+        t = np.clip((grid.y - start) / (end - start), 0, 1)
+        profile = t**3 * (10 + t * (6 * t - 15))
+    else:
+        profile = _bend(grid.y - start, rounding) - _bend(grid.y - end, rounding)
+        profile /= end - start
     return Grid(grid.x, grid.y, grid.z + rise * profile)
+
+
+def _bend(y: Array, length: float) -> Array:
+    """Return heights of slope zero before and one behind a bend of some length around zero."""
+    if not length:
+        return np.maximum(y, 0)
+    t = np.clip(y / length + 0.5, 0, 1)
+    return length * t**3 * (1 - t / 2) + np.maximum(y - length / 2, 0)
 
 
 def _scatter(

@@ -1,0 +1,164 @@
+"""Plans against simulation: how far apart they are, what is violated between, and where."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Limit, Linear
+from slipfree.errors import SolverError
+from slipfree.named import Array, Mask, leaves
+from slipfree.plan.course import Course, course
+from slipfree.plan.transcribe import Index, Mesh, Model, Program
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import Trajectory
+
+LOOKS = 4  # samples of an interval at least
+
+
+class Proof(NamedTuple):
+    """A plan's inputs simulated, and compared to the plan.
+
+    Attributes
+    ----------
+    replay : Trajectory
+        The simulation, several samples on every interval.
+    difference : dict of str to float
+        Largest difference of every state from the plan. [m, rad]
+    violation : dict of str to float
+        By how much the simulation violates the limits of the plan, each in its unit; only those
+        that it violates.
+    worse : ndarray of bool, shape (n,)
+        Intervals on which the accuracy asked for is missed.
+    """
+
+    replay: Trajectory
+    difference: dict[str, float]
+    violation: dict[str, float]
+    worse: Mask
+
+
+def prove(
+    program: Program,
+    unknowns: Array,
+    start: Trajectory,
+    *,
+    accuracy: float,
+    step: float,
+    tolerance: float,
+) -> Proof:
+    """Return what the simulation of a plan shows.
+
+    Parameters
+    ----------
+    program : Program
+        What was solved.
+    unknowns : ndarray, shape (n_w,)
+        Its solution.
+    start : Trajectory
+        Its last sample is where the plan begins.
+    accuracy : float
+        What differences and violations may be, each in its unit.
+    step : float
+        Between samples at most. [s]
+    tolerance : float
+        Of the integrator.
+    """
+    found = course(program, unknowns)
+    replay = rerun(program.task.dae, start, found, step=step, tolerance=tolerance)
+    parts = replay.t / found.duration
+    x, z, u = (_rows(program.task.dae, record, replay) for record in "xzu")
+    gaps = x - found.states(np.minimum(parts, 1.0))
+    over = _over(program, (replay.t, x, z, u))
+    names = [label.full for label in leaves(program.task.dae.labels.x)]
+    ends = program.mesh.ends
+    where = np.clip(np.searchsorted(ends, parts - 1e-12) - 1, 0, ends.size - 2)
+    worse = np.zeros(ends.size - 1, dtype=bool)
+    worse[where[(over > accuracy).any(axis=0)]] = True
+    worse |= _arises(gaps, where, accuracy, ends.size - 1)
+    if replay.stop is not None:
+        worse[where[-1]] = True
+    labels = [limit.label.full for limit in program.task.limits]
+    violation = {name: float(most) for name, most in zip(labels, over.max(axis=1), strict=True)
+                 if most > 0}  # fmt: skip
+    return Proof(
+        replay, dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)), violation, worse
+    )
+
+
+def _rows(dae: Model, record: str, run: Trajectory) -> Array:
+    """Return states, unknowns or inputs of all samples in local coordinates, in columns."""
+    shift = {"x": dae.shift[0], "z": dae.shift[1]}.get(record)
+    rows = np.array([run.of(label) for label in leaves(getattr(dae.labels, record))])
+    return rows if shift is None else rows - shift[:, None]
+
+
+def _over(program: Program, samples: tuple[Array, Array, Array, Array]) -> Array:
+    """Return by how much every limit is violated at every sample, shape (n_limits, n)."""
+    limits, dae = program.task.limits, program.task.dae
+    values = _values(dae, limits, samples)
+    low, high = (np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
+                 for side in ("lower", "upper"))  # fmt: skip
+    return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
+
+
+def _values(
+    dae: Model, limits: tuple[Limit, ...], samples: tuple[Array, Array, Array, Array]
+) -> Array:
+    t, x, z, u = samples
+    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
+    f = ca.Function("limits", [dae.t, *dae.columns()], [rows])
+    return np.array(f.map(t.size)(t[None], x, z, u)).reshape(len(limits), t.size)
+
+
+def _arises(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
+    """Return on which intervals a difference that is too large arises.
+
+    What is off stays off, so that an interval counts by how much the difference changes on it; all
+    of them together make no more than the accuracy if each makes its share.
+    """
+    if np.abs(gaps).max(initial=0.0) <= accuracy:
+        return np.zeros(count, dtype=bool)
+    change = np.zeros(count)
+    for k in np.unique(where):
+        first = int(np.argmax(where == k))
+        before = gaps[:, max(first - 1, 0)]
+        change[k] = np.abs(gaps[:, where == k] - before[:, None]).max()
+    return np.asarray(change >= min(accuracy / count, change.max()))
+
+
+def refined(mesh: Mesh, worse: Mask) -> Mesh:
+    """Return a mesh with some of its intervals halved."""
+    middles = (mesh.ends[1:] + mesh.ends[:-1]) / 2
+    return mesh._replace(ends=np.sort(np.concatenate([mesh.ends, middles[worse]])))
+
+
+def inputs_along(dae: Model, found: Course, times: Array) -> Any:
+    """Return what drives a model along a plan, for ``simulate`` at times that hold all its ends."""
+    names = [label.full for label in leaves(dae.labels.u)]
+    ends, values = found.ends, found.unknowns[found.layout.inputs].T
+    k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
+    if not found.continuous:
+        return dae.inputs(**dict(zip(names, values[:, k], strict=True)))
+    slopes = np.diff(values) / np.diff(ends)
+    bases = values[:, :-1] - slopes * ends[:-1]
+    lines = [Linear(base[k], slope[k]) for base, slope in zip(bases, slopes, strict=True)]
+    return dae.inputs(**dict(zip(names, lines, strict=True)))
+
+
+def rerun(
+    dae: Model, start: Trajectory, found: Course, *, step: float, tolerance: float
+) -> Trajectory:
+    """Return the motion of a model under the inputs of a plan, or what is reached of it."""
+    parts = np.maximum(np.ceil(np.diff(found.ends) / step - 1e-9), LOOKS).astype(int)
+    times = [np.linspace(a, b, n, endpoint=False)
+             for a, b, n in zip(found.ends[:-1], found.ends[1:], parts, strict=True)]  # fmt: skip
+    t = np.append(np.concatenate(times), found.ends[-1])
+    try:
+        return simulate(dae, start, inputs_along(dae, found, t), t, tolerance=tolerance)
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory
