@@ -930,6 +930,32 @@ def test_rolling_bears_what_least_slip_bears():
     compare(stand(VEHICLE, HILLS, **start), stand(VEHICLE, HILLS, slip="rolling", **start))
 
 
+# Utilisation as a limit
+
+
+def test_the_square_of_the_utilisation_has_derivatives_at_zero_force():
+    """A root is the outermost operation, so that a planner can leave it out."""
+    for vehicle in (VEHICLE, three_wheeler(axle="fixed")):
+        dae = direct_kinematics(vehicle, Analytic(hills, mu=0.5))
+        for used in (*dae.y.forces.utilisation, *dae.y.forces.friction_needed):
+            assert used.op() == ca.OP_SQRT
+        along, across, normal = (ca.vertcat(*force) for force in dae.z.forces[:3])
+        square = dae.y.forces.utilisation[0].dep(0)
+        both = ca.vertcat(along[0], across[0])
+        hessian, gradient = ca.hessian(square, both)
+        f = ca.Function("f", [*dae.columns()], [square, gradient, hessian])
+        z = ca.vertcat(*leaves(dae.z))
+        at = np.zeros(z.numel())
+        at[[k for k in range(z.numel()) if ca.is_equal(z[k], normal[0])]] = 40.0
+        zero = [np.zeros(part.shape) for part in (dae.columns()[0], dae.columns()[2])]
+        value, slope, bend = (np.array(each) for each in f(zero[0], at, zero[1]))
+        assert_allclose(value, 0)
+        assert_allclose(slope, 0)
+        assert_allclose(bend, 2 / (0.5 * 40.0) ** 2 * np.eye(2))
+        at[:] = 0.0
+        assert float(f(zero[0], at, zero[1])[0]) == np.inf
+
+
 # What has no forces, and what is refused
 
 

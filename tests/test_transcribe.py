@@ -14,7 +14,7 @@ from slipfree.named import Label, symbols
 from slipfree.plan.conflicts import conflicts
 from slipfree.plan.explain import violations
 from slipfree.plan.solver import solve
-from slipfree.plan.transcribe import Cost, Mesh, Place, Task, transcribe
+from slipfree.plan.transcribe import Cost, Mesh, Place, Task, completed, transcribe
 
 
 class Values(NamedTuple):
@@ -179,6 +179,37 @@ def test_the_smoothest_continuous_input_is_known():
         found = solved(transcribe(task(dae, [0.0], places=[goal], smooth=1.0, continuous=True),
                                   mesh))  # fmt: skip
         assert found.cost == pytest.approx(3 / (1 - count**-2 / 4), abs=1e-8)
+
+
+def test_roots_of_a_cost_are_unknowns_and_change_nothing_but_the_search():
+    """Of squares of a formula and of an input, against the same written so that no root is seen."""
+    dae = toy(2, lambda t, x, z, u: [x[1] + ca.sin(t) * z, u])
+    (x, y), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
+    formula = x * y - z + u * ca.cos(dae.t) - 1
+    goal = Place(1.0, at_end((x, 1.0), (y, 0.5)))
+    mesh, found = Mesh(np.linspace(0, 1, 6), 3), []
+    for cost in (Cost(Label("miss", "", ""), formula**2 + u**2, 1.0),
+                 Cost(Label("miss", "", ""), (2 * formula**2 + 2 * u**2) / 2, 1.0)):  # fmt: skip
+        program = transcribe(task(dae, [0.1, 0.2], costs=[cost], places=[goal]), mesh)
+        found.append((program, solved(program)))
+    (program, one), (plain, other) = found
+    layout, w = program.layout, one.unknowns
+    assert layout.roots.shape == (5, 3, 1)
+    assert plain.layout.roots.shape == (5, 3, 0)
+    assert one.cost == pytest.approx(other.cost, abs=1e-9)
+    assert_allclose(w[: layout.duration + 1], other.unknowns, atol=1e-5)
+    value = ca.Function("value", [dae.t, ca.vertcat(x, y), z, u], [formula])
+    at = zip(mesh.nodes[1:], w[layout.states].reshape(-1, 2), w[layout.unknowns].ravel(),
+             np.repeat(w[layout.inputs], 3), strict=True)  # fmt: skip
+    expected = [float(value(*each)) for each in at]
+    assert_allclose(w[layout.roots].ravel(), expected, atol=1e-7)
+    blank = w.copy()
+    blank[layout.roots] = 9.0
+    assert_allclose(completed(program, blank)[layout.roots].ravel(), expected, atol=1e-13)
+    rows = np.array(program.jacobian(blank / program.scale, np.ones(2))[0]).ravel()
+    (told,) = violations(program, one._replace(unknowns=blank, rows=rows))
+    assert (told.label.full, told.role) == ("miss_root", "equation")
+    assert told.size == pytest.approx(9.0 - min(expected), abs=1e-6)
 
 
 def test_the_least_time_is_known():

@@ -387,9 +387,18 @@ def _save(outcome: Outcome, out: Path, csv: Path | None) -> None:
 
 
 def _draw(outcome: Outcome, folder: Path) -> None:
-    from slipfree.show.plot import save_figures
+    from slipfree.problem.plan import Planning, figure_options
 
-    paths = save_figures(outcome.trajectory, outcome.setup.ground.grid, folder)
+    grid = outcome.setup.ground.grid
+    if isinstance(outcome.setup, Planning):
+        from slipfree.show.plan import save_plan_figures
+
+        layers, options = outcome.setup.layers, figure_options(outcome.setup)
+        paths = save_plan_figures(outcome.trajectory, grid, layers, folder, **options)
+    else:
+        from slipfree.show.plot import save_figures
+
+        paths = save_figures(outcome.trajectory, grid, folder)
     typer.echo(f"drew {len(paths)} figures in {folder}")
 
 

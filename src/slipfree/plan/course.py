@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from slipfree.errors import ModelError
 from slipfree.named import Array, leaves
-from slipfree.plan.transcribe import Index, Layout, Mesh, Program
+from slipfree.plan.transcribe import Index, Layout, Mesh, Program, completed
+from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import close
 from slipfree.solve.polynomial import basis
 from slipfree.solve.sample import Samples, followed, table
@@ -102,7 +105,7 @@ def carried(former: Course, program: Program) -> Array:
         z = _followed(program, Samples(t, x, z, np.zeros((0, t.size)), u)).z[:need]
     unknowns[layout.unknowns] = z[:need, 1:].T.reshape(count, degree, -1)
     _put_inputs(program, unknowns, former)
-    return unknowns
+    return completed(program, unknowns)
 
 
 def _put_inputs(program: Program, unknowns: Array, former: Course) -> None:
@@ -163,6 +166,9 @@ def sampled(program: Program, unknowns: Array) -> Trajectory:
     z[:n_z] = np.column_stack([inner[:, :1], inner])
     x, u = found.states(nodes), found.inputs(nodes)
     t = nodes * found.duration
+    # The program has no unknowns at the beginning; a failed one may be no guess for them either.
+    with suppress(ModelError):
+        z[:, 0] = consistent(loop, 0.0, x[:, 0], z[:, 1], u[:, 0])
     rates = np.array(loop.quad.map(t.size)(t[None], x, z[: loop.moving], u))[:, 1:]
     q = _integrated(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))
     samples, report = followed(loop, Samples(t, x, z, q, u))

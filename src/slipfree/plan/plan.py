@@ -37,7 +37,8 @@ from slipfree.trajectory import Stop, Trajectory
 
 STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
 SLIP = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
-ROUNDS = 4  # of adding limits that a plan violates, and of refining its mesh
+ROUNDS = 4  # of adding limits that a plan violates
+REFINEMENTS = 6  # of the mesh at most
 STOPPED = "User_Requested_Stop"  # IPOPT's words when progress returns False
 WITHIN = 1e-6  # violation of a limit that is rounding, in its unit
 CLEAR = 1e-5  # by which plans keep clear of the model's limits, which end a simulation
@@ -343,7 +344,7 @@ def _refined(
     A program on a finer mesh that cannot be solved, or is stopped, leaves the solution before it.
     """
     proof = proved(search)
-    for _ in range(ROUNDS):
+    for _ in range(REFINEMENTS):
         if not (search.found.success and proof.worse.any()):
             break
         mesh = refined(search.program.mesh, proof.worse)

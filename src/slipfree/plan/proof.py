@@ -15,6 +15,7 @@ from slipfree.plan.transcribe import Index, Mesh, Model, Program
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import Trajectory
 
+NEAR = 0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
 LOOKS = 4  # samples of an interval at least
 
 
@@ -76,7 +77,8 @@ def prove(
     ends = program.mesh.ends
     where = np.clip(np.searchsorted(ends, parts - 1e-12) - 1, 0, ends.size - 2)
     worse = np.zeros(ends.size - 1, dtype=bool)
-    worse[where[(over > accuracy).any(axis=0)]] = True
+    if (over > accuracy).any():  # a finer mesh bulges elsewhere: what is near is refined as well
+        worse[where[(over > accuracy * NEAR).any(axis=0)]] = True
     worse |= _arises(gaps, where, accuracy, ends.size - 1)
     if replay.stop is not None:
         worse[where[-1]] = True

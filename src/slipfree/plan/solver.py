@@ -15,6 +15,7 @@ ITERATIONS = 500
 TOLERANCE = 1e-8
 FIRST_BARRIER = 1e-3  # of a warm start
 PUSH = 1e-9  # from the bounds in a warm start
+QUASI_DENSE = 6  # minimum degree ordering for matrices with a few full rows, as of a free duration
 Look = Callable[["Iterate"], bool]
 
 
@@ -146,6 +147,7 @@ def solve(
     quiet: dict[str, Any] = {
         "print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": iterations,
         "mu_strategy": "adaptive", "mumps_permuting_scaling": 0,
+        "mumps_pivot_order": QUASI_DENSE,
     }  # fmt: skip
     if warm is not None:
         quiet |= {"warm_start_init_point": "yes", "mu_strategy": "monotone",

@@ -299,10 +299,11 @@ def _bounded(task: Task) -> list[int]:
 
 
 def _whole(layout: Layout, mesh: Mesh) -> Index:
-    """Return the unknowns of every interval: states, inputs, unknowns, and the duration."""
+    """Return the unknowns of every interval: states, inputs, unknowns, roots and the duration."""
     count = mesh.ends.size - 1
-    parts = [_nodes(layout), *_ends(layout, mesh), layout.unknowns.reshape(count, -1)]
-    return np.hstack([*parts, np.full((count, 1), layout.duration)])
+    inner = [each.reshape(count, -1) for each in (layout.unknowns, layout.roots)]
+    last = np.full((count, 1), layout.duration)
+    return np.hstack([_nodes(layout), *_ends(layout, mesh), *inner, last])
 
 
 def _nodes(layout: Layout) -> Index:

@@ -63,6 +63,8 @@ class Planning(Setup):
         Paths that start the search, if it starts along paths. [m]
     starts : tuple of (record, float)
         Inputs of the motions from which the search starts, and how long they last. [s]
+    spec : Plan
+        What is asked for.
     """
 
     layers: Traversability
@@ -70,6 +72,7 @@ class Planning(Setup):
     keep_out: tuple[Region, ...]
     ways: tuple[Array, ...]
     starts: tuple[tuple[Any, float], ...]
+    spec: schema.Plan
 
 
 def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
@@ -100,7 +103,7 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     goal = ", ".join(f"{name} {_words(value)}" for name, value in spec.goal.items())
     return Planning(
         ground, terrain, vehicle, dae, dae, start, starts[0][0], t, f"plan to {goal}", layers,
-        places, keep_out, ways, tuple(starts),
+        places, keep_out, ways, tuple(starts), spec,
     )  # fmt: skip
 
 
@@ -192,6 +195,12 @@ def planned(
     attributes = {**run.attributes, **_by_friction(setup, spec, found)}
     statistics = {**run.statistics, **_statistics(found)}
     return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
+
+
+def figure_options(setup: Planning) -> dict[str, Any]:
+    """Return what the figures of a plan show besides its motion, as options of theirs."""
+    return {"places": setup.places, "found": setup.ways, "bounds": setup.spec.bounds,
+            "limits": setup.spec.limits}  # fmt: skip
 
 
 def _kept_out(setup: Planning) -> list[Limit]:
