@@ -269,10 +269,10 @@ def _resumed(task: Task, mesh: Mesh, resume: Saved, progress: Progress | None) -
         first = carried(former, program)
     alike = (first.size, program.g_lower.size) == (
         former.unknowns.size, resume.row_multipliers.size)  # fmt: skip
-    rows, bounds = resume.row_multipliers, resume.bound_multipliers
-    if not alike:
-        rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
-    warm = Solution(first, rows, np.nan, rows, bounds, "", True, 0, {})
+    warm = _without_multipliers(program, first)
+    if alike:
+        warm = warm._replace(row_multipliers=resume.row_multipliers,
+                             bound_multipliers=resume.bound_multipliers)  # fmt: skip
     return _solved(program, first, "resumed", 1.0, progress, warm)
 
 
@@ -316,8 +316,15 @@ def _again(
 ) -> _Search:
     """Return the search gone on with another task or mesh."""
     former, program = course(search.program, search.found.unknowns), transcribe(task, mesh)
-    more = _solved(program, carried(former, program), words, 1.0, progress)
+    first = carried(former, program)
+    more = _solved(program, first, words, 1.0, progress, _without_multipliers(program, first))
     return more._replace(stages=search.stages + more.stages)
+
+
+def _without_multipliers(program: Program, first: Array) -> Solution:
+    """Return unknowns of another program as a solution to start from."""
+    rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
+    return Solution(first, rows, np.nan, rows, bounds, "", True, 0, {})
 
 
 def _missed(program: Program, unknowns: Array, beyond: float) -> list[Limit]:
