@@ -115,12 +115,16 @@ class Plan:
 
 
 class _Search(NamedTuple):
-    """What has been solved so far, from which unknowns last, and on the way to it."""
+    """What has been solved so far, from which unknowns last, and on the way to it.
+
+    ``run`` is the solution at its points, once it has been looked at.
+    """
 
     program: Program
     found: Solution
     first: Array
     stages: tuple[Stage, ...]
+    run: Trajectory | None = None
 
 
 def plan(
@@ -264,7 +268,7 @@ def _resumed(task: Task, mesh: Mesh, resume: Saved, progress: Progress | None) -
         mesh = former.mesh
     program = transcribe(task, mesh)
     first = carried(former, program)
-    if reached := _missed(program, first, -2 * CLEAR):  # that plan may rest on them
+    if reached := _missed(task, sampled(program, first), -2 * CLEAR):  # that plan may rest on them
         program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh)
         first = carried(former, program)
     alike = (first.size, program.g_lower.size) == (
@@ -301,14 +305,14 @@ def _within_limits(search: _Search, progress: Progress | None) -> _Search:
     """Return the search with those of the model's limits that a plan would violate."""
     for _ in range(ROUNDS):
         program, found = search.program, search.found
-        missed = _missed(program, found.unknowns, WITHIN) if found.success else []
+        run = sampled(program, found.unknowns)
+        missed = _missed(program.task, run, WITHIN) if found.success else []
         if not missed:
-            break
-        task = program.task
+            return search._replace(run=run)
         words = f"with {', '.join(limit.label.full for limit in missed)}"
-        fuller = replace(task, limits=(*task.limits, *missed))
+        fuller = replace(program.task, limits=(*program.task.limits, *missed))
         search = _again(search, fuller, program.mesh, words, progress)
-    return search
+    return search._replace(run=sampled(search.program, search.found.unknowns))
 
 
 def _again(
@@ -327,15 +331,14 @@ def _without_multipliers(program: Program, first: Array) -> Solution:
     return Solution(first, rows, np.nan, rows, bounds, "", True, 0, {})
 
 
-def _missed(program: Program, unknowns: Array, beyond: float) -> list[Limit]:
-    """Return the model's own limits that a plan violates and that are not in the program yet.
+def _missed(task: Task, run: Trajectory, beyond: float) -> list[Limit]:
+    """Return the model's own limits that a plan violates and that are not in its task yet.
 
     They come somewhat narrower.
     """
-    have = {limit.label.full for limit in program.task.limits}
-    run = sampled(program, unknowns)
+    have = {limit.label.full for limit in task.limits}
     missed = []
-    for limit in program.task.dae.limits:
+    for limit in task.dae.limits:
         values = run.of(limit.label)
         over = np.maximum(limit.lower - values, values - limit.upper).max()
         if over > beyond and limit.label.full not in have:
@@ -364,13 +367,13 @@ def _refined(
 
 
 def _result(search: _Search, proof: Proof) -> Plan:
-    program, found, first, stages = search
-    run = sampled(program, found.unknowns)
+    program, found, first, stages, run = search
     values = ca.Function("f", [program.problem["x"], program.problem["p"]],
                          [program.problem["f"]])  # fmt: skip
     units = np.eye(program.problem["p"].numel())
     costs = {cost.label.name: float(values(found.unknowns / program.scale, unit))
              for cost, unit in zip(program.task.costs, units, strict=False)}  # fmt: skip
+    run = sampled(program, found.unknowns) if run is None else run
     if not found.success:
         words = f"the plan is not solved; this is its last iterate: " \
                 f"{explanation(program, found, first)}"  # fmt: skip
