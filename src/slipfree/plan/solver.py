@@ -12,6 +12,7 @@ from slipfree.named import Array
 from slipfree.plan.transcribe import Program, completed
 
 ITERATIONS = 500
+GROWTH = 10.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
 TOLERANCE = 1e-8
 FIRST_BARRIER = 1e-3  # of a warm start
 PUSH = 1e-9  # from the bounds in a warm start
@@ -147,7 +148,7 @@ def solve(
     quiet: dict[str, Any] = {
         "print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": iterations,
         "mu_strategy": "adaptive", "mumps_permuting_scaling": 0,
-        "mumps_pivot_order": QUASI_DENSE,
+        "mumps_pivot_order": QUASI_DENSE, "theta_max_fact": GROWTH,
     }  # fmt: skip
     if warm is not None:
         quiet |= {"warm_start_init_point": "yes", "mu_strategy": "monotone",

@@ -41,6 +41,7 @@ from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import Trajectory, path_length
 
+ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
 FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
 Tell = Callable[[str], None]
 Model = Dae[Any, Any, Any, Any, Any]
@@ -173,7 +174,7 @@ def planned(
 ) -> tuple[Trajectory, Mapping[str, Array]]:
     """Return the motion that a plan leads to, simulated, and what another plan may start from."""
     with at(problem, ("driver" if spec.driver else "inputs",)):
-        guesses = [] if resume else [_guess(setup, spec, start) for start in setup.starts]
+        guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
     goal = dict(spec.goal)
     if "heading" in goal:
         goal["heading"] = tuple(value + turned(problem) for value in goal["heading"])
@@ -215,12 +216,12 @@ def _kept_out(setup: Planning) -> list[Limit]:
     ]  # fmt: skip
 
 
-def _guess(setup: Planning, spec: schema.Plan, start: tuple[Any, float]) -> Trajectory:
+def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
     """Return the motion of a driving law, along a path up to where it is nearest to the goal."""
     law, lasts = start
     t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # behind its end a path leads nowhere
     try:
-        run = simulate(setup.dae, setup.start, law, t, tolerance=spec.solver.tolerance)
+        run = simulate(setup.dae, setup.start, law, t, tolerance=ROUGH)
     except SolverError as error:
         if error.trajectory is None:
             raise
