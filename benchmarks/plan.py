@@ -9,7 +9,8 @@ from (0, 0, 0) to (0.6, 2.6) in 20 s:
 2. Time against that of the prototype, run now, on its problem: the weights are its own.
 3. Time and memory of an iteration over the number of intervals; a process each.
 4. Iterations from a plan that is at hand: the same, another mesh, a goal moved by 5 %.
-5. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
+5. The ramp of the tests, too steep to climb straight with its friction, from several starts.
+6. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
    hills, and ours on that map; a process each, since the stock node may crash.
 """
 
@@ -45,11 +46,13 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
+from slipfree.kinematics.hold import best_utilisation
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.proof import rerun
 from slipfree.trajectory import Trajectory, path_length
 
 sys.path.insert(0, str(File(__file__).parent.parent / "tests"))
+import test_climb
 from cases import hills
 
 PROTOTYPE = File(__file__).parents[2] / "shared" / "lab" / "planning" / "rigid.py"
@@ -316,6 +319,36 @@ def warm() -> None:
         print(f"{words:46} {cold:16}  {resumed:13}")
 
 
+def ramp() -> None:
+    """Print the climb of a ramp of 20 degrees with a coefficient of friction of 0.5."""
+    flat, law = test_climb.model("least"), test_climb.model("traction")
+    places = [settle(flat, x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
+    best = [best_utilisation(test_climb.VEHICLE, test_climb.GROUND, place)["utilisation_best"][0]
+            for place in places]  # fmt: skip
+    print(
+        f"straight up: friction needed over that of the ground, load-weighted "
+        f"{max(place['utilisation'].max() for place in places):.3f}, at best {max(best):.3f}"
+    )
+    task = test_climb.Task(test_climb.START, test_climb.GOAL, test_climb.DURATION, 24, 3)
+    for words, ways in (("straight", (0.0,)), ("bow to the right", (2.0,)),
+                        ("bow to the left", (-2.0,)), ("all three", (0.0, 2.0, -2.0))):  # fmt: skip
+        begin = time.perf_counter()
+        found = test_climb.planned(task, [test_climb.bow(way) for way in ways])
+        seconds, run = time.perf_counter() - begin, found.run
+        names = ("x", "y", "heading", "steer")
+        held = [settle(law, **{name: run[name][k] for name in names}) for k in range(run.t.size)]
+        used = max(place["utilisation"].max() for place in held)
+        slip = max(np.hypot(place["slip_along"], place["slip_across"]).max() for place in held)
+        count = sum(stage.iterations for stage in found.stages)
+        print(
+            f"  from {words}: {'solved' if found.success else 'not solved'}, "
+            f"{test_climb.length(found.replay):.2f} m, load-weighted "
+            f"{run['utilisation'].max():.3f}; by friction at rest at all {run.t.size} nodes "
+            f"{used:.3f}, creep {slip / test_climb.CREEP:.2f} eps; {count} iterations, "
+            f"{seconds:.1f} s"
+        )
+
+
 def apart(*words: str) -> Any:
     """Return what this file finds in a process of its own, or words on how that failed."""
     command = [sys.executable, __file__, *words]
@@ -448,7 +481,7 @@ def beside() -> None:
 def main() -> None:
     """Print all tables."""
     heading()
-    for part in (table, prototype, growth, warm, beside):
+    for part in (table, prototype, growth, warm, ramp, beside):
         print()
         part()
 

@@ -54,3 +54,65 @@ def test_what_keeps_a_route_from_being_found_is_told(settings, words):
     with pytest.raises(ProblemError) as error:
         build(read(FIELD, settings))
     assert words in str(error.value)
+
+
+def test_a_way_point_is_passed():
+    between = "way_points=[{ at = 0.5, x = 17.0, y = [18.0, 20.0] }]"
+    outcome = run(read(FIELD, [*SHORT, "keep_out=[]", between]))
+    motion = outcome.trajectory
+    assert motion.stop is None
+    halfway = motion.t[-1] / 2
+    x, y = (np.interp(halfway, motion.t, motion[name]) for name in "xy")
+    assert abs(x - 17.0) < 0.01
+    assert 18.0 - 0.01 < y < 20.0 + 0.01
+    assert [name for name, *_ in outcome.setup.places] == ["start", "way-point at 0.5", "goal"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points: expected at, a fraction of"),
+        (["way_points=[{ at = 1.0, x = 17.0 }]"], "found at = 1"),
+        (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "way-point at 0.5 (17, 99)"),
+        (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
+        (['driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
+          'paths = [[[17, 14], [17, 24]]] }'], "expected one of path, paths and file"),
+        (["traction={ creep = 1e-3 }"], "traction: expected slip = 'traction', found 'least'"),
+        (["goal.y=45.0"], "the vehicle cannot be at the goal (20, 45)"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
+    with pytest.raises(ProblemError) as error:
+        build(read(FIELD, settings))
+    assert words in str(error.value)
+
+
+def test_several_routes_start_the_search():
+    setup = build(read(FIELD, ["driver.count=2"]))
+    assert len(setup.ways) == len(setup.starts) == 2
+
+
+def test_friction_too_low_for_the_slope_is_refused_before_anything_is_solved():
+    with pytest.raises(ProblemError, match=r"slope of .* degrees .* the ground offers 0\.2"):
+        build(read(FIELD.with_name("plan_real_dem.toml"), ["terrain.friction=0.2"]))
+
+
+def test_the_law_of_friction_plans_a_gentle_ground():
+    """The motion is a prediction then, so that nothing is left to drive by friction again."""
+    hills = FIELD.with_name("plan_rigid_hills.toml")
+    settings = ['slip="traction"', "traction.creep=1e-2", "terrain.friction=0.6",
+                "costs.slip=1e3", "plan.intervals=8", "time.duration=10.0", "goal.x=0.1",
+                "goal.y=1.3"]  # fmt: skip
+    motion = run(read(hills, settings)).trajectory
+    assert motion.stop is None
+    assert "friction_used_along" in motion.columns
+    assert "by_friction" not in motion.attributes
+    assert abs(motion["y"][-1] - 1.3) < 1e-4
+
+
+def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
+    motion = run(read(FIELD.with_name("plan_tilt_limits.toml"))).trajectory
+    assert motion.stop is None
+    for wheel in ("right", "left"):
+        assert np.abs(motion[f"tilt_{wheel}"]).max() < 0.031
+    assert np.hypot(motion["slip_along"], motion["slip_across"]).max() < 1e-12

@@ -358,4 +358,5 @@ def node_at(layers: Traversability, x: float, y: float) -> tuple[int, int]:
 
 def placed(point: Point) -> str:
     """Return a point as it is printed."""
-    return f"({float(point[0]):.9g}, {float(point[1]):.9g})"
+    x, y = (round(float(each), 2) for each in point)
+    return f"({x:.10g}, {y:.10g})"

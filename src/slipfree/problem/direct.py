@@ -27,6 +27,7 @@ from slipfree.problem.parts import (
     samples,
 )
 from slipfree.problem.read import Problem, S
+from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
 
@@ -38,12 +39,7 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
         vehicle = build_vehicle(spec.vehicle)
     terrain = build_terrain(problem, ground)
     dae: Dae[Any, Any, Any, Any, Any]
-    if spec.traction is not None and spec.slip != "traction":
-        where = problem.source.where(("traction",))
-        raise ProblemError(f"{where}: traction: expected slip = 'traction', found {spec.slip!r}")
-    law = Traction(**dict(spec.traction or schema.Traction()))
-    with at(problem, ("slip",)):
-        model = dae = direct_kinematics(vehicle, terrain, slip=spec.slip, traction=law)
+    model = dae = build_model(problem, spec, vehicle, terrain)
     check_names(problem, dae, spec.inputs)
     start = build_start(problem, dae)
     t, rates = samples(spec.time, spec.inputs or {})
@@ -58,6 +54,18 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
         driven = f"driver {spec.driver.name}"
         inputs = build_law(problem, spec.driver, dae, vehicle, start)
     return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven)
+
+
+def build_model(
+    problem: Problem[S], spec: schema.Direct | schema.Plan, vehicle: Vehicle, terrain: Terrain
+) -> Dae[Any, Any, Any, Any, Any]:
+    """Return the model of a vehicle on a ground by the law of slip that a problem asks for."""
+    if spec.traction is not None and spec.slip != "traction":
+        where = problem.source.where(("traction",))
+        raise ProblemError(f"{where}: traction: expected slip = 'traction', found {spec.slip!r}")
+    law = Traction(**dict(spec.traction or schema.Traction()))
+    with at(problem, ("slip",)):
+        return direct_kinematics(vehicle, terrain, slip=spec.slip, traction=law)
 
 
 def build_law(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,13 @@ from slipfree.plan.plan import Plan, plan
 from slipfree.plan.proof import rerun
 from slipfree.plan.reachable import unreachable
 from slipfree.plan.region import Disc, Polygon, Region
-from slipfree.plan.route import routes
+from slipfree.plan.route import route, routes
 from slipfree.plan.saved import Saved
 from slipfree.plan.solver import Iterate
 from slipfree.plan.task import limits_of
 from slipfree.plan.traversability import Traversability, extents, traversability
 from slipfree.problem import schema
-from slipfree.problem.direct import build_law, way_of
+from slipfree.problem.direct import build_law, build_model, way_of
 from slipfree.problem.ground import at, build_ground
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import (
@@ -46,6 +47,7 @@ FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may
 Tell = Callable[[str], None]
 Model = Dae[Any, Any, Any, Any, Any]
 Place = tuple[str, float, float]
+Wanted = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,8 @@ class Planning(Setup):
         Inputs of the motions from which the search starts, and how long they last. [s]
     spec : Plan
         What is asked for.
+    between : mapping of float to mapping
+        What is asked for at fractions of the duration.
     """
 
     layers: Traversability
@@ -74,6 +78,7 @@ class Planning(Setup):
     ways: tuple[Array, ...]
     starts: tuple[tuple[Any, float], ...]
     spec: schema.Plan
+    between: Mapping[float, Wanted]
 
 
 def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
@@ -82,13 +87,14 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle)
     terrain = build_terrain(problem, ground)
-    with at(problem, ("slip",)):
-        dae: Model = direct_kinematics(vehicle, terrain, slip=spec.slip)
+    dae: Model = build_model(problem, spec, vehicle, terrain)
     check_names(problem, dae, spec.inputs)
-    keep_out, places = regions(problem, spec), _places(spec)
+    keep_out, between = regions(problem, spec), _way_points(problem, spec)
+    places = _places(spec, between)
     layers = traversability(terrain, vehicle, keep_out=keep_out)
     if wrong := [each for each in unreachable(layers, places) if each.sure]:
-        where = problem.source.where((wrong[0].place,))
+        name = wrong[0].place
+        where = problem.source.where((name if name in ("start", "goal") else "way_points",))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     start = build_start(problem, dae)
     t, rates = samples(spec.time, spec.inputs or {})
@@ -104,16 +110,40 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     goal = ", ".join(f"{name} {_words(value)}" for name, value in spec.goal.items())
     return Planning(
         ground, terrain, vehicle, dae, dae, start, starts[0][0], t, f"plan to {goal}", layers,
-        places, keep_out, ways, tuple(starts), spec,
+        places, keep_out, ways, tuple(starts), spec, between,
     )  # fmt: skip
 
 
-def _places(spec: schema.Plan) -> tuple[Place, ...]:
+def _places(spec: schema.Plan, between: Mapping[float, Wanted]) -> tuple[Place, ...]:
     """Return where the vehicle starts and is to go, in map coordinates, as far as known."""
-    start = ("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))
-    if not {"x", "y"} <= set(spec.goal):
-        return (start,)
-    return start, ("goal", sum(spec.goal["x"]) / 2, sum(spec.goal["y"]) / 2)
+    places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
+    named = [(f"way-point at {part:g}", wanted) for part, wanted in between.items()]
+    for name, wanted in (*named, ("goal", spec.goal)):
+        if {"x", "y"} <= set(wanted):
+            places.append((name, sum(wanted["x"]) / 2, sum(wanted["y"]) / 2))
+    return tuple(places)
+
+
+def _way_points(problem: Problem[S], spec: schema.Plan) -> dict[float, Wanted]:
+    """Return what is asked for on the way, by the fraction of the duration."""
+    found: dict[float, Wanted] = {}
+    for index, each in enumerate(spec.way_points):
+        wanted = dict(each)
+        with at(problem, ("way_points", index)):
+            low, high = wanted.pop("at", (0.0, 0.0))
+            if not 0 < low == high < 1:
+                raise ModelError(
+                    "way_points: expected at, a fraction of the duration between 0 and 1, and "
+                    f"values by name, found at = {_words((low, high))}"
+                )
+            found[low] = _turned(problem, wanted)
+    return dict(sorted(found.items()))
+
+
+def _turned(problem: Problem[S], wanted: Wanted) -> Wanted:
+    """Return what is asked for, with headings that count from the y axis."""
+    return {name: (low + turned(problem), high + turned(problem)) if name == "heading"
+            else (low, high) for name, (low, high) in wanted.items()}  # fmt: skip
 
 
 def _ways(
@@ -130,13 +160,25 @@ def _ways(
             if driver.path is not None or driver.file is not None:
                 raise ModelError("driver: expected one of path, paths and file, found two")
             return tuple(np.array(path) for path in driver.paths)
-    if len(places) < 2:
+    if places[-1][0] != "goal":
         raise ProblemError(f"{problem.source.where(('goal',))}: a route needs a goal in x and y")
-    here, there = (np.array(place[1:]) for place in (places[0], places[-1]))
+    return _routes(problem, driver, layers, [np.array(place[1:]) for place in places])
+
+
+def _routes(
+    problem: Problem[S], driver: schema.Guide, layers: Traversability, places: list[Array]
+) -> tuple[Array, ...]:
+    """Return ways over the ground through all places; several of them only without way-points."""
     with at(problem, ("driver",)):
-        found = routes(layers, here, there, turning_radius=driver.turning_radius,
-                       count=driver.count)  # fmt: skip
-    return tuple(way.points for way in found)
+        if len(places) == 2:
+            found = routes(layers, places[0], places[1], driver.count,
+                           turning_radius=driver.turning_radius)  # fmt: skip
+            return tuple(way.points for way in found)
+        if driver.count > 1:
+            raise ModelError("driver: several routes are sought without way-points only; count = 1")
+        legs = [route(layers, one, other, turning_radius=driver.turning_radius)
+                for one, other in pairwise(places)]  # fmt: skip
+        return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
 
 
 def _along(dae: Model, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
@@ -175,13 +217,11 @@ def planned(
     """Return the motion that a plan leads to, simulated, and what another plan may start from."""
     with at(problem, ("driver" if spec.driver else "inputs",)):
         guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
-    goal = dict(spec.goal)
-    if "heading" in goal:
-        goal["heading"] = tuple(value + turned(problem) for value in goal["heading"])
     length = resume.course.duration if resume else float(guesses[0].t[-1])
     with at(problem, ("plan",)):
         found = plan(
-            setup.dae, setup.start, guesses, goal=goal, costs=spec.costs,
+            setup.dae, setup.start, guesses, goal=_turned(problem, spec.goal), costs=spec.costs,
+            way_points=setup.between,
             duration=spec.plan.duration or (length, length), smooth=spec.plan.smooth,
             continuous=spec.plan.continuous,
             limits=(*limits_of(setup.dae, spec.limits), *_kept_out(setup)),
@@ -193,7 +233,7 @@ def planned(
     run, stop = found.replay, found.run.stop
     if stop is not None and not found.success:
         run = replace(run, stop=stop._replace(t=float(run.t[-1])))
-    attributes = {**run.attributes, **_by_friction(setup, spec, found)}
+    attributes = {**run.attributes, **_by_friction(setup, found)}
     statistics = {**run.statistics, **_statistics(found)}
     return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
 
@@ -226,7 +266,7 @@ def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
         if error.trajectory is None:
             raise
         run = error.trajectory
-    if not setup.ways or len(setup.places) < 2:
+    if not setup.ways or setup.places[-1][0] != "goal":
         return run
     _, x, y = setup.places[-1]
     away = np.hypot(run["x"] - x, run["y"] - y)
@@ -249,16 +289,17 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
     return progress
 
 
-def _by_friction(setup: Planning, spec: schema.Plan, found: Plan) -> dict[str, str]:
+def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     """Return what becomes of the plan's inputs where friction decides, in words."""
-    if not (found.success and setup.vehicle.mass and setup.terrain.has_friction):
+    able = setup.vehicle.mass and setup.terrain.has_friction
+    if not (found.success and able and setup.spec.slip != "traction"):
         return {}
     model: Model = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
-    values: dict[str, Any] = {name: float(setup.start[name][0]) for name in spec.start}
+    values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
     try:
         start = settle(model, **values)
-        run = rerun(model, start, found.course, step=spec.time.step,
-                    tolerance=max(spec.solver.tolerance, FRICTION_TOLERANCE))  # fmt: skip
+        run = rerun(model, start, found.course, step=setup.spec.time.step,
+                    tolerance=max(setup.spec.solver.tolerance, FRICTION_TOLERANCE))  # fmt: skip
     except SlipfreeError as error:  # a plan stands without it, and the words say why it is missing
         return {"by_friction": f"not simulated: {error}"}
     if run.stop is not None:

@@ -289,9 +289,11 @@ class Plan(Motion):
     accelerations: dict[str, Bound] = {}
     plan: Search = Search()
     keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = ()
+    way_points: Annotated[tuple[dict[str, Bound], ...], Field(strict=False)] = ()
     inputs: dict[str, Rate] | None = None
     driver: Guide | None = None
-    slip: Literal["least", "rolling"] = "least"
+    slip: Literal["least", "rolling", "traction"] = "least"
+    traction: Traction | None = None
 
 
 class Compared(Vehicle):

@@ -1,0 +1,152 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: py:percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Planning a climb
+#
+# A three-wheeler with a rigid rear axle, driven at the rear, is to get up a ramp of 20 degrees. The
+# coefficient of friction is 0.5, more than the tangent of the slope, 0.364; yet it cannot drive
+# straight up: the front wheel carries weight and does not push. Obliquely the rear wheels bear less
+# of the slope's pull along them, and the vehicle gets up, if the plan knows about forces.
+#
+# We plan wheel rates twice, without and with a limit on the friction that any wheel uses, and then
+# drive both plans where friction decides: the same inputs, in a model with Coulomb friction.
+# All motions are quasi-static, inertia is left out.
+
+# %%
+# %matplotlib inline
+from pathlib import Path
+
+import numpy as np
+
+import slipfree
+from slipfree import direct_kinematics, settle
+from slipfree.plan.proof import rerun
+from slipfree.plan.saved import from_arrays
+from slipfree.problem.read import read
+from slipfree.problem.run import run
+from slipfree.show import relief, style
+from slipfree.show.plan import plan_figures
+from slipfree.trajectory import path_length
+
+above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
+problems = next(path / "problems" for path in above if (path / "problems").is_dir())
+ramp = problems / "plan_climb_ramp.toml"
+
+# %% [markdown]
+# ## The shortest way, and the shortest that friction allows
+#
+# The cost is effort, the squared rates over a fixed time: the shorter the way, the less. A little of
+# it is slip. The search for the second plan starts from three motions, straight on and in a bow to
+# either side; the cheapest of the plans they lead to counts.
+
+# %%
+outcomes = {
+    "without a limit": run(read(ramp, ["limits.utilisation="])),
+    "friction used up to 95 %": run(read(ramp)),
+}
+for words, outcome in outcomes.items():
+    found = outcome.trajectory
+    print(
+        f"{words}: {path_length(found):.2f} m, needs up to {found['utilisation'].max():.2f} times "
+        f"the friction there is; {found.statistics['plan_iterations']:.0f} iterations"
+    )
+
+# %% [markdown]
+# More than once the friction there is means that the motion cannot be held. What does happen then? The
+# planned rates drive the same vehicle in a model in which wheels slip as friction lets them.
+
+
+# %%
+def by_friction(outcome):
+    """Return the motion under the planned rates where friction decides."""
+    setup, plan = outcome.setup, from_arrays(outcome.arrays, "the plan")
+    model = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
+    start = settle(model, **{name: setup.start[name][0] for name in ("x", "y", "heading")})
+    return rerun(model, start, plan.course, step=0.1, tolerance=1e-6)
+
+
+driven = {words: by_friction(outcome) for words, outcome in outcomes.items()}
+for words, motion in driven.items():
+    planned = outcomes[words].trajectory
+    apart = np.hypot(motion["x"][-1] - planned["x"][-1], motion["y"][-1] - planned["y"][-1])
+    print(f"{words}: ends {apart:.2f} m from where it was planned to")
+
+# %%
+ground = outcomes["without a limit"].setup.ground.grid
+looks = {"color": "black", "lw": 2.5}, {"color": style.PALETTE[1], "lw": 1.5, "ls": "--"}
+figure = style.figure(7.2, 4.4)
+for k, (words, outcome) in enumerate(outcomes.items()):
+    ax = figure.add_subplot(1, 2, k + 1, title=words, aspect="equal")
+    relief.shade(*relief.patch(ground, relief.whole(ground), relief.HEATMAP), ax)
+    for motion, look in ((outcome.trajectory, looks[0]), (driven[words], looks[1])):
+        ax.plot(motion["x"], motion["y"], **look)
+    ax.set_xlabel("east x [m]")
+    ax.set_ylabel("north y [m]")
+handles = [ax.plot([], [], **look)[0] for look in looks]
+figure.legend(handles, ["planned", "driven by friction"], loc="outside lower center", ncols=2)
+figure
+
+# %% [markdown]
+# ## What the plan does
+#
+# The inputs with their bounds, the limits, and slip. The rear wheels use all that they may on the
+# slope, and only there.
+
+# %%
+climb = outcomes["friction used up to 95 %"]
+figures = plan_figures(
+    climb.trajectory,
+    ground,
+    climb.setup.layers,
+    places=climb.setup.places,
+    bounds=climb.setup.spec.bounds,
+    limits=climb.setup.spec.limits,
+)
+figures["plan"]
+
+# %% [markdown]
+# ## When there is no plan
+#
+# With walls to either side the vehicle has to go straight. The search fails, and says what stands
+# against what: which wheel, when, and by how much it would have to use more friction.
+
+# %%
+refused = run(read(ramp, ["limits.x=[-0.2, 0.2]", "plan.intervals=12"])).trajectory
+print(refused.stop.words)
+
+# %% [markdown]
+# Less friction than the tangent of the slope is refused before anything is solved: no heading helps.
+
+# %%
+try:
+    run(read(ramp, ["terrain.friction=0.3"]))
+except slipfree.SlipfreeError as error:
+    print(str(error).partition("goal: ")[2])
+
+# %% [markdown]
+# ## Across a field of craters
+#
+# Where the ground is large, a search over a map comes first: steep, rough and hollow places cost, what
+# the vehicle cannot cross is left out. Ways are followed by a driving law, and from there the plan is
+# sought.
+
+# %%
+field = run(read(problems / "plan_crater_field.toml"))
+plan_figures(
+    field.trajectory,
+    field.setup.ground.grid,
+    field.setup.layers,
+    places=field.setup.places,
+    found=field.setup.ways,
+)["traversability"]
+
+# %%
+print(field.trajectory.attributes["by_friction"])
