@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cases import hills
-from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
 from slipfree.dae import Limit
 from slipfree.named import Label
 from slipfree.plan.course import carried, course
@@ -167,3 +167,28 @@ def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
     assert not found.accurate
     assert_allclose(found.run["x"], coarse.run["x"], atol=1e-9)
     assert found.stages[-1].status == "User_Requested_Stop"
+
+
+def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
+    """Half the way later, on a model whose local coordinates begin there."""
+    half = coarse.course.states(np.array([0.5]))[:, 0]
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    start = settle(dae, **dict(zip(("x", "y", "heading", "steer"), half, strict=True)))
+    found = asked((dae, start), duration=5.0, resume=coarse.saved)
+    assert found.success
+    cold = asked((dae, start), guess((dae, start), duration=5.0), duration=5.0)
+    assert sum(each.iterations for each in found.stages) < sum(
+        each.iterations for each in cold.stages)  # fmt: skip
+    assert_allclose([found.run["x"][-1], found.run["y"][-1]], [0.1, 1.3], atol=1e-6)
+
+
+def test_the_plan_of_another_vehicle_is_refused(coarse):
+    dae = direct_kinematics(three_wheeler(), Analytic(hills))
+    with pytest.raises(ModelError, match="expected the plan of a vehicle with the same wheels"):
+        asked((dae, settle(dae)), guess((dae, settle(dae))), resume=coarse.saved)
+
+
+def test_a_goal_that_the_simulation_misses_is_told(model):
+    found = asked(model, intervals=2, degree=1, accuracy=1e-9, costs={"effort": 1.0})
+    assert not found.accurate
+    assert found.violation["y at the goal"] == pytest.approx(abs(found.replay["y"][-1] - 1.3))

@@ -104,6 +104,7 @@ class Labels(NamedTuple):
 class Dae(Generic[X, Z, Q, U, Y]):
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
 
+    ``z`` and ``alg`` may be empty: then it is an ordinary differential equation.
     The algebraic equations come in blocks, one for each field of ``z``; a block determines its
     field, given the fields before it. Last blocks on which neither the rates of the states nor
     other blocks depend, such as forces that a given motion needs, are solved at the samples only;

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from slipfree.errors import ModelError
 
+GRAVITY = 9.81  # [m/s2]
 AXLES = ("rear", "middle", "front")
 
 

@@ -16,6 +16,7 @@ from slipfree.solve.polynomial import basis
 from slipfree.solve.sample import Samples, followed, table
 from slipfree.trajectory import Trajectory
 
+NEAR = 1e-6  # distance of states within which a motion begins where another does [m, rad]
 ROUNDING = 1e-12  # part of the duration by which a place may miss the end of an interval
 
 
@@ -87,16 +88,18 @@ def course(program: Program, unknowns: Array) -> Course:
     return Course(program.mesh, program.layout, unknowns)
 
 
-def carried(former: Course, program: Program) -> Array:
+def carried(former: Course, program: Program, after: float = 0.0) -> Array:
     """Return unknowns of a program that mean the motion of another mesh, goal or ground.
 
-    Unknowns that only the new program has are taken from its model.
+    Of the former motion what comes after a part of its duration counts. Unknowns that only the new
+    program has are taken from its model.
     """
-    task, layout, nodes = program.task, program.layout, program.mesh.nodes
+    task, layout = program.task, program.layout
+    nodes = after + (1 - after) * program.mesh.nodes
     count, degree = len(layout.states), program.mesh.degree
     unknowns = np.zeros(program.scale.size)
     unknowns[layout.first] = task.start
-    unknowns[layout.duration] = np.clip(former.duration, *task.duration)
+    unknowns[layout.duration] = np.clip((1 - after) * former.duration, *task.duration)
     x, u, z = former.states(nodes), former.inputs(nodes), former.algebraic(nodes)
     unknowns[layout.states] = x[:, 1:].T.reshape(count, degree, -1)
     have, need = len(z), layout.unknowns.shape[2]
@@ -104,12 +107,12 @@ def carried(former: Course, program: Program) -> Array:
         t = nodes * former.duration
         z = _followed(program, Samples(t, x, z, np.zeros((0, t.size)), u)).z[:need]
     unknowns[layout.unknowns] = z[:need, 1:].T.reshape(count, degree, -1)
-    _put_inputs(program, unknowns, former)
+    _put_inputs(program, unknowns, former, after)
     return completed(program, unknowns)
 
 
-def _put_inputs(program: Program, unknowns: Array, former: Course) -> None:
-    ends, where = program.mesh.ends, program.layout.inputs
+def _put_inputs(program: Program, unknowns: Array, former: Course, after: float) -> None:
+    ends, where = after + (1 - after) * program.mesh.ends, program.layout.inputs
     at = ends if len(where) == ends.size else (ends[1:] + ends[:-1]) / 2
     bounds = program.task.inputs
     unknowns[where] = np.clip(former.inputs(at).T, bounds[:, 0], bounds[:, 1])
@@ -121,6 +124,16 @@ def _followed(program: Program, samples: Samples) -> Samples:
     z = np.full((dae.scale.size, samples.t.size), np.nan)
     z[: len(samples.z)] = samples.z
     return followed(open_loop(program), samples._replace(z=z))[0]
+
+
+def nearest(former: Course, start: Array) -> float:
+    """Return the part of the duration after which a motion is nearest to a state, its first ones.
+
+    Zero if the motion begins there.
+    """
+    nodes = former.mesh.nodes
+    away = np.linalg.norm(former.states(nodes) - start[:, None], axis=0)
+    return 0.0 if away[0] < NEAR else float(nodes[: away.size - 1][away[:-1].argmin()])
 
 
 def open_loop(program: Program) -> Any:

@@ -19,11 +19,11 @@ from slipfree.dae import Limit
 from slipfree.errors import ModelError
 from slipfree.named import Array
 from slipfree.plan.conflicts import conflicts
-from slipfree.plan.course import Course, carried, course, sampled, unknowns_of
+from slipfree.plan.course import Course, carried, course, nearest, sampled, unknowns_of
 from slipfree.plan.explain import explanation
 from slipfree.plan.proof import Proof, inputs_along, prove, refined
-from slipfree.plan.saved import Saved, saved
-from slipfree.plan.solver import Iterate, Solution, solve
+from slipfree.plan.saved import Saved, local, saved
+from slipfree.plan.solver import Iterate, Solution, solve, violation
 from slipfree.plan.task import (
     Range,
     bounds_of,
@@ -59,12 +59,15 @@ class Stage(NamedTuple):
         IPOPT's words.
     seconds : dict of str to float
         Wall time in all, in functions, in the rest. [s]
+    cost : float
+        What it reached, all terms weighted as in this stage.
     """
 
     words: str
     iterations: int
     status: str
     seconds: dict[str, float]
+    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +87,16 @@ class Plan:
     difference : dict of str to float
         Largest difference between plan and replay in every state. [m, rad]
     violation : dict of str to float
-        By how much the replay violates limits of the plan, by name, each in its unit.
+        By how much the replay violates limits of the plan and what is asked for at goal and
+        way-points, by name, each in its unit.
     costs : dict of str to float
-        Integrals of the terms of the cost, in their units.
+        Integrals of the terms of the cost, in their units; that of the squared rates of the
+        inputs as ``"smoothness"``.
     success : bool
         Whether the program was solved; a plan that was not is the best iterate.
     accurate : bool
-        Whether differences and violations are within the accuracy asked for.
+        Whether differences and violations are within the accuracy asked for, and the replay
+        reaches the end.
     program, solution : Program, Solution
         What was solved last.
     stages : tuple of Stage
@@ -188,7 +194,8 @@ def plan(
     tolerance, step : float
         Of the integrator that simulates the plan, and between its samples at most. [s]
     resume : Saved, optional
-        A plan from which to start instead, on another mesh, ground or goal as well.
+        A plan from which to start instead, on another mesh, ground or goal as well; from another
+        place, what comes after the nearest one on its way counts.
     progress : callable, optional
         Called with words and every iterate; returning False ends the search, the best iterate kept.
 
@@ -232,7 +239,7 @@ def _best(program: Program, guesses: Sequence[Trajectory], progress: Progress | 
         of = f"start {number} of {len(guesses)}, " if len(guesses) > 1 else ""
         search = _staged(program, unknowns_of(program, guess), of, progress)
         stages += search.stages
-        if best is None or _is_better(search.found, best.found):
+        if best is None or _is_better(program, search.found, best.found):
             best = search
         if search.found.status == STOPPED:
             break
@@ -241,10 +248,12 @@ def _best(program: Program, guesses: Sequence[Trajectory], progress: Progress | 
     return best._replace(stages=stages)
 
 
-def _is_better(one: Solution, other: Solution) -> bool:
+def _is_better(program: Program, one: Solution, other: Solution) -> bool:
     if one.success != other.success:
         return one.success
-    return one.success and one.cost < other.cost
+    if not one.success:
+        return violation(program, one.rows) < violation(program, other.rows)
+    return one.cost < other.cost
 
 
 def _staged(program: Program, first: Array, of: str, progress: Progress | None) -> _Search:
@@ -257,22 +266,28 @@ def _staged(program: Program, first: Array, of: str, progress: Progress | None) 
             break
         found = search.found
         more = _solved(program, found.unknowns, f"{of}with slip", part, progress, found)
-        search = more._replace(stages=search.stages + more.stages)
+        stages = search.stages + more.stages
+        if not more.found.success and violation(program, more.found.rows) > WITHIN:
+            # The plan of the stage before keeps to everything; only its slip is not the least.
+            kept = found._replace(success=False, status=more.found.status)
+            return search._replace(found=kept, first=first, stages=stages)
+        search = more._replace(stages=stages)
     return search._replace(first=first)
 
 
 def _resumed(task: Task, mesh: Mesh, resume: Saved, progress: Progress | None) -> _Search:
     """Return the solution, sought from another plan: with its multipliers if they are as many."""
-    former = resume.course
+    former = local(resume, task.dae)
+    after = nearest(former, task.start)
     if former.mesh.degree == mesh.degree and set(mesh.ends) <= set(former.mesh.ends):
         mesh = former.mesh
     program = transcribe(task, mesh)
-    first = carried(former, program)
+    first = carried(former, program, after)
     if reached := _missed(task, sampled(program, first), -2 * CLEAR):  # that plan may rest on them
         program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh)
-        first = carried(former, program)
-    alike = (first.size, program.g_lower.size) == (
-        former.unknowns.size, resume.row_multipliers.size)  # fmt: skip
+        first = carried(former, program, after)
+    alike = (first.size, program.g_lower.size, after) == (
+        former.unknowns.size, resume.row_multipliers.size, 0.0)  # fmt: skip
     warm = _without_multipliers(program, first)
     if alike:
         warm = warm._replace(row_multipliers=resume.row_multipliers,
@@ -290,7 +305,7 @@ def _solved(
 ) -> _Search:
     look = None if progress is None else lambda iterate: progress(words, iterate)
     found = solve(program, _weights(program, part), first, warm=warm, look=look)
-    stage = Stage(words, found.iterations, found.status, found.seconds)
+    stage = Stage(words, found.iterations, found.status, found.seconds, found.cost)
     return _Search(program, found, first, (stage,))
 
 
@@ -373,6 +388,8 @@ def _result(search: _Search, proof: Proof) -> Plan:
     units = np.eye(program.problem["p"].numel())
     costs = {cost.label.name: float(values(found.unknowns / program.scale, unit))
              for cost, unit in zip(program.task.costs, units, strict=False)}  # fmt: skip
+    if program.task.smooth:
+        costs["smoothness"] = float(values(found.unknowns / program.scale, units[-1]))
     run = sampled(program, found.unknowns) if run is None else run
     if not found.success:
         words = f"the plan is not solved; this is its last iterate: " \
@@ -381,6 +398,6 @@ def _result(search: _Search, proof: Proof) -> Plan:
     way = course(program, found.unknowns)
     return Plan(
         run, inputs_along(program.task.dae, way, way.ends), way, proof.replay, proof.difference,
-        proof.violation, costs, found.success, not proof.worse.any(), program, found, stages,
+        proof.violation, costs, found.success, proof.accurate, program, found, stages,
         saved(program, found),
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -10,13 +11,14 @@ import numpy as np
 from slipfree.dae import Limit, Linear
 from slipfree.errors import SolverError
 from slipfree.named import Array, Mask, leaves
-from slipfree.plan.course import Course, course
+from slipfree.plan.course import ROUNDING, Course, course
 from slipfree.plan.transcribe import Index, Mesh, Model, Program
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import Trajectory
 
+PART = 0.01  # of the width between the bounds of a limit that counts, if that is less
 NEAR = 0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
-LOOKS = 4  # samples of an interval at least
+LOOKS = 8  # samples of an interval at least; the denser, the nearer its ends
 
 
 class Proof(NamedTuple):
@@ -29,16 +31,19 @@ class Proof(NamedTuple):
     difference : dict of str to float
         Largest difference of every state from the plan. [m, rad]
     violation : dict of str to float
-        By how much the simulation violates the limits of the plan, each in its unit; only those
-        that it violates.
+        By how much the simulation violates the limits of the plan, and what is asked for at the
+        goal and at way-points, each in its unit; only what it violates.
     worse : ndarray of bool, shape (n,)
-        Intervals on which the accuracy asked for is missed.
+        Intervals on which the accuracy asked for is missed, and that may be refined.
+    accurate : bool
+        Whether the accuracy is reached: by states, limits and goal.
     """
 
     replay: Trajectory
     difference: dict[str, float]
     violation: dict[str, float]
     worse: Mask
+    accurate: bool
 
 
 def prove(
@@ -68,26 +73,63 @@ def prove(
         Of the integrator.
     """
     found = course(program, unknowns)
-    replay = rerun(program.task.dae, start, found, step=step, tolerance=tolerance)
-    parts = replay.t / found.duration
-    x, z, u = (_rows(program.task.dae, record, replay) for record in "xzu")
-    gaps = x - found.states(np.minimum(parts, 1.0))
-    over = _over(program, (replay.t, x, z, u))
-    names = [label.full for label in leaves(program.task.dae.labels.x)]
+    dae, limits = program.task.dae, program.task.limits
+    replay = rerun(dae, start, found, step=step, tolerance=tolerance)
+    parts = np.minimum(replay.t / found.duration, 1.0)
+    x, z, u = (_rows(dae, record, replay) for record in "xzu")
+    samples = replay.t, x, z, u
+    gaps = x - found.states(parts)
+    over, allowed = _over(dae, limits, samples), _allowed(limits, accuracy)[:, None]
     ends = program.mesh.ends
-    where = np.clip(np.searchsorted(ends, parts - 1e-12) - 1, 0, ends.size - 2)
+    where = np.clip(np.searchsorted(ends, parts - ROUNDING) - 1, 0, ends.size - 2)
     worse = np.zeros(ends.size - 1, dtype=bool)
-    if (over > accuracy).any():  # a finer mesh bulges elsewhere: what is near is refined as well
-        worse[where[(over > accuracy * NEAR).any(axis=0)]] = True
+    if (over > allowed).any():  # a finer mesh bulges elsewhere: what is near is refined as well
+        worse[where[(over > allowed * NEAR).any(axis=0)]] = True
     worse |= _arises(gaps, where, accuracy, ends.size - 1)
     if replay.stop is not None:
-        worse[where[-1]] = True
-    labels = [limit.label.full for limit in program.task.limits]
-    violation = {name: float(most) for name, most in zip(labels, over.max(axis=1), strict=True)
-                 if most > 0}  # fmt: skip
+        # Where a limit ends it that the program does not know, a finer mesh is of no use.
+        worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
+    missed = _missed(program, samples, parts)
+    violation = _named(limits, over.max(axis=1)) | missed
+    names = [label.full for label in leaves(dae.labels.x)]
+    met = max(missed.values(), default=0.0) <= accuracy
     return Proof(
-        replay, dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)), violation, worse
-    )
+        replay, dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)), violation, worse,
+        met and replay.stop is None and not worse.any(),
+    )  # fmt: skip
+
+
+def _named(limits: Sequence[Limit], most: Array) -> dict[str, float]:
+    """Return what is violated by name, the most of those that share one."""
+    found: dict[str, float] = {}
+    for limit, size in zip(limits, most, strict=True):
+        if size > 0:
+            name = limit.label.full.replace("_limit", "")
+            found[name] = max(found.get(name, 0.0), float(size))
+    return found
+
+
+def _missed(
+    program: Program, samples: tuple[Array, Array, Array, Array], parts: Array
+) -> dict[str, float]:
+    """Return by how much the simulation misses what is asked for at way-points and goal."""
+    found: dict[str, float] = {}
+    for place in program.task.places:
+        k = int(np.abs(parts - place.fraction).argmin())
+        if abs(parts[k] - place.fraction) > 1e-6:  # the simulation ended before
+            continue
+        t, x, z, u = (rows[..., k : k + 1] for rows in samples)
+        role = "goal" if place.fraction == 1 else f"way-point at {place.fraction:g}"
+        over = _over(program.task.dae, place.limits, (t, x, z, u))[:, 0]
+        found |= {f"{name} at the {role}": size
+                  for name, size in _named(place.limits, over).items()}  # fmt: skip
+    return found
+
+
+def _allowed(limits: Sequence[Limit], accuracy: float) -> Array:
+    """Return by how much each limit may be violated: less than the accuracy if it is narrow."""
+    widths = np.array([limit.upper - limit.lower for limit in limits])
+    return np.where(widths > 0, np.minimum(accuracy, PART * np.abs(widths)), accuracy)
 
 
 def _rows(dae: Model, record: str, run: Trajectory) -> Array:
@@ -97,9 +139,8 @@ def _rows(dae: Model, record: str, run: Trajectory) -> Array:
     return rows if shift is None else rows - shift[:, None]
 
 
-def _over(program: Program, samples: tuple[Array, Array, Array, Array]) -> Array:
+def _over(dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
     """Return by how much every limit is violated at every sample, shape (n_limits, n)."""
-    limits, dae = program.task.limits, program.task.dae
     values = _values(dae, limits, samples)
     low, high = (np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
                  for side in ("lower", "upper"))  # fmt: skip
@@ -107,7 +148,7 @@ def _over(program: Program, samples: tuple[Array, Array, Array, Array]) -> Array
 
 
 def _values(
-    dae: Model, limits: tuple[Limit, ...], samples: tuple[Array, Array, Array, Array]
+    dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
 ) -> Array:
     t, x, z, u = samples
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
@@ -154,9 +195,11 @@ def rerun(
     dae: Model, start: Trajectory, found: Course, *, step: float, tolerance: float
 ) -> Trajectory:
     """Return the motion of a model under the inputs of a plan, or what is reached of it."""
-    parts = np.maximum(np.ceil(np.diff(found.ends) / step - 1e-9), LOOKS).astype(int)
-    times = [np.linspace(a, b, n, endpoint=False)
-             for a, b, n in zip(found.ends[:-1], found.ends[1:], parts, strict=True)]  # fmt: skip
+    # Limits are crossed just behind the kinks of the inputs: samples of Chebyshev's.
+    lengths = np.diff(found.ends)
+    counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), LOOKS).astype(int)
+    inside = [(1 - np.cos(np.pi * np.arange(n) / n)) / 2 for n in counts]
+    times = [a + h * part for a, h, part in zip(found.ends[:-1], lengths, inside, strict=True)]
     t = np.append(np.concatenate(times), found.ends[-1])
     try:
         return simulate(dae, start, inputs_along(dae, found, t), t, tolerance=tolerance)

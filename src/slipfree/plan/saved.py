@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.errors import DataError
-from slipfree.named import Array
+from slipfree.errors import DataError, ModelError
+from slipfree.named import Array, leaves
 from slipfree.plan.course import Course
 from slipfree.plan.solver import Solution
-from slipfree.plan.transcribe import Layout, Mesh, Program, positions
+from slipfree.plan.transcribe import Layout, Mesh, Model, Program, positions
 
 PREFIX = "plan_"  # of the names of the arrays
 
@@ -29,6 +30,10 @@ class Saved(NamedTuple):
         Unknowns, not scaled, and multipliers of their bounds.
     row_multipliers : ndarray, shape (n_g,)
         Multipliers of the rows.
+    shift : ndarray, shape (n_x + n_z,)
+        Map minus local values of states and algebraic unknowns, local ones being saved.
+    model : ndarray, shape (1,)
+        A number made of the names of states, unknowns and inputs.
     """
 
     ends: Array
@@ -36,6 +41,8 @@ class Saved(NamedTuple):
     unknowns: Array
     bound_multipliers: Array
     row_multipliers: Array
+    shift: Array
+    model: Array
 
     @property
     def course(self) -> Course:
@@ -57,7 +64,36 @@ def saved(program: Program, found: Solution) -> Saved:
     sizes = [program.mesh.degree, layout.first.size, layout.unknowns.shape[2],
              layout.inputs.shape[1], len(layout.inputs) == program.mesh.ends.size]  # fmt: skip
     return Saved(program.mesh.ends, np.array(sizes, dtype=float), found.unknowns,
-                 found.bound_multipliers, found.row_multipliers)  # fmt: skip
+                 found.bound_multipliers, found.row_multipliers,
+                 np.concatenate(program.task.dae.shift), _model(program.task.dae))  # fmt: skip
+
+
+def _model(dae: Model) -> Array:
+    names = " ".join(label.full for part in (dae.labels.x, dae.labels.z, dae.labels.u)
+                     for label in leaves(part))  # fmt: skip
+    return np.array([float(zlib.crc32(names.encode()))])
+
+
+def local(former: Saved, dae: Model) -> Course:
+    """Return a saved motion in the local coordinates of a model.
+
+    Raises
+    ------
+    ModelError
+        If the model has other states, unknowns or inputs.
+    """
+    if not np.array_equal(former.model, _model(dae)):
+        raise ModelError(
+            "plan: expected the plan of a vehicle with the same wheels and joints, and of the same "
+            "law of slip, to start from, found another one's; start without it"
+        )
+    found, away = former.course, former.shift - np.concatenate(dae.shift)
+    unknowns, n_x = found.unknowns.copy(), dae.shift[0].size
+    count = found.layout.unknowns.shape[2]
+    unknowns[found.layout.first] += away[:n_x]
+    unknowns[found.layout.states] += away[:n_x]
+    unknowns[found.layout.unknowns] += away[n_x : n_x + count]
+    return found._replace(unknowns=unknowns)
 
 
 def from_arrays(arrays: Mapping[str, Array], where: str) -> Saved:

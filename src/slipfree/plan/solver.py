@@ -11,6 +11,7 @@ import numpy as np
 from slipfree.named import Array
 from slipfree.plan.transcribe import Program, completed
 
+INFEASIBLE = "Infeasible_Problem_Detected"
 ITERATIONS = 500
 GROWTH = 10.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
 TOLERANCE = 1e-8
@@ -74,12 +75,16 @@ class Solution(NamedTuple):
 
 
 class _Watch(ca.Callback):
-    """Sees every iterate; stops IPOPT when asked to. What is raised in it is kept."""
+    """Sees every iterate, keeps the one that violates least, and stops IPOPT when asked to.
+
+    What is raised in it is kept.
+    """
 
     def __init__(self, program: Program, look: Look) -> None:
         ca.Callback.__init__(self)
         self.program, self.look, self.count = program, look, 0
         self.raised: BaseException | None = None
+        self.best: tuple[Iterate, Array] | None = None
         self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
         self.construct("watch", {})
 
@@ -110,12 +115,11 @@ class _Watch(ca.Callback):
         values = dict(zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments,
                           strict=True))  # fmt: skip
         rows = np.array(values["g"]).ravel()
-        program = self.program
-        over = np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0)
-        iterate = Iterate(
-            self.count, float(values["f"]), float(max(over, 0.0)),
-            np.array(values["x"]).ravel() * program.scale,
-        )  # fmt: skip
+        unknowns = np.array(values["x"]).ravel() * self.program.scale
+        over = violation(self.program, rows)
+        iterate = Iterate(self.count, float(values["f"]), over, unknowns)
+        if self.best is None or over < self.best[0].violation:
+            self.best = iterate, rows
         self.count += 1
         try:
             return [0.0 if self.look(iterate) else 1.0]
@@ -124,11 +128,18 @@ class _Watch(ca.Callback):
             return [1.0]
 
 
+def violation(program: Program, rows: Array) -> float:
+    """Return by how much the rows miss their bounds at most, each in its unit."""
+    return float(np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0))
+
+
 def solve(
     program: Program, weights: Array, first: Array, *,
     warm: Solution | None = None, iterations: int = ITERATIONS, look: Look | None = None,
 ) -> Solution:  # fmt: skip
-    """Return the solution of a program, or where its iteration ended.
+    """Return the solution of a program, or else the iterate that violates it least.
+
+    Where IPOPT found it infeasible, that is its last one.
 
     Parameters
     ----------
@@ -160,19 +171,23 @@ def solve(
         "ipopt": quiet, "print_time": False, "error_on_fail": False,
         "jac_g": program.jacobian, "hess_lag": program.hessian, "record_time": True,
     }  # fmt: skip
-    watch = None if look is None else _Watch(program, look)
-    if watch is not None:
-        options["iteration_callback"] = watch
-    solver = ca.nlpsol("plan", "ipopt", program.problem, options)
+    watch = _Watch(program, look or (lambda _: True))
+    solver = ca.nlpsol("plan", "ipopt", program.problem, options | {"iteration_callback": watch})
     given = {"x0": completed(program, first) / program.scale, "p": weights,
              "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
              "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
     if warm is not None:
         given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
     found = solver(**given)
-    if watch is not None and watch.raised is not None:
+    if watch.raised is not None:
         raise watch.raised
-    return _solution(program, found, solver.stats())
+    solution = _solution(program, found, solver.stats())
+    if solution.success or solution.status == INFEASIBLE or watch.best is None:
+        return solution
+    best, rows = watch.best
+    if best.violation >= violation(program, solution.rows):
+        return solution
+    return solution._replace(unknowns=best.unknowns, rows=rows, cost=best.cost)
 
 
 def _solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:

@@ -26,7 +26,7 @@ from slipfree.solve.loop import Loop, close
 from slipfree.solve.polynomial import Basis, basis
 from slipfree.solve.sample import Samples, followed, table
 from slipfree.solve.settle import first_violation, settle
-from slipfree.solve.simulate import _times, simulate
+from slipfree.solve.simulate import simulate, usable_times
 from slipfree.trajectory import Stop, Trajectory
 
 Model = Dae[Any, Any, Any, Any, Any]
@@ -224,7 +224,7 @@ def drive(
     SolverError
         If there is no such motion.
     """
-    t, names = _times(t), [label.full for label in leaves(inverse.labels.x)]
+    t, names = usable_times(t), [label.full for label in leaves(inverse.labels.x)]
     if not set(sought) <= set(names):
         raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
     clock, loop = time.process_time(), close(inverse, inputs, 0)

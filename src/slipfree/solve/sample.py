@@ -46,8 +46,10 @@ def corrected(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
 
     The integrator's interpolation leaves the algebraic equations satisfied to its tolerance only;
     the step is as large as that error. Where it does not do, others follow. With it comes the
-    report of `followed`.
+    report of `followed`. A motion without algebraic unknowns needs none of this.
     """
+    if not loop.moving:
+        return samples, {}
     z, n = samples.z.copy(), loop.moving
     alg, jac = _linearised(loop, samples)
     step, size = _steps(jac, alg), _largest(alg)

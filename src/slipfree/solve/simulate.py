@@ -1,4 +1,4 @@
-"""Integration of a DAE with SUNDIALS IDAS through CasADi."""
+"""Integration of a DAE with SUNDIALS, IDAS or CVODES, through CasADi."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from io import StringIO
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 import numpy as np
@@ -32,6 +32,7 @@ BEYOND = 1e-6  # in a limit's unit; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
 CHUNK = 2000  # samples looked at together, for the sake of memory
 Progress = Callable[[float], None]
+Method = Literal["idas", "cvodes"]
 
 
 def simulate(
@@ -41,11 +42,12 @@ def simulate(
     t: Array,
     *,
     tolerance: float = 1e-8,
+    method: Method | None = None,
     progress: Progress | None = None,
 ) -> Trajectory:
     """Return the motion from a start under given inputs.
 
-    IDAS integrates in one call; at every sample the algebraic unknowns then get one Newton step,
+    The integrator takes one call; at every sample the algebraic unknowns then get one Newton step,
     and the limits and checks of the model are looked at. The first violation ends the motion: the
     crossing is located between the samples and the rest is cut off.
 
@@ -61,7 +63,10 @@ def simulate(
     t : ndarray, shape (n,)
         Ascending times of the samples. [s]
     tolerance : float
-        Relative and absolute tolerance of IDAS. [m, rad]
+        Relative and absolute tolerance of the integrator. [m, rad]
+    method : {"idas", "cvodes"}, optional
+        CVODES by default where the motion has no algebraic unknowns, which it cannot solve for;
+        its error test then includes the quadratures. IDAS otherwise.
     progress : callable, optional
         Called with the time reached, once for each step or so. It does not change the motion.
 
@@ -73,19 +78,20 @@ def simulate(
     Raises
     ------
     ModelError
-        If times, tolerance or inputs are not usable or the start is not valid under the inputs.
+        If times, tolerance, method or inputs are not usable or the start is not valid under the
+        inputs.
     SolverError
-        If IDAS fails; ``trajectory`` holds what was reached.
+        If the integrator fails; ``trajectory`` holds what was reached.
     """
-    t = _times(t)
+    t = usable_times(t)
     if not FINEST <= tolerance < 1:
         raise ModelError(
             f"tolerance: expected a number from {FINEST:g} to below 1, found {tolerance}"
         )
     loop = close(dae, inputs, t.size - 1)
+    task = _Task(loop, tolerance, _method(loop, method), progress, guarded=True)
     first = _state(loop, start, t[0])
     clock = time.process_time()
-    task = _Task(loop, tolerance, progress, guarded=True)
     march = _integrate(task, first, t, loop.u)
     run, samples, fault = _looked_at(task, march.samples, progress)
     if march.beyond and fault is None:  # a limit was only grazed: go on without looking
@@ -113,7 +119,8 @@ def simulate(
     return run
 
 
-def _times(t: Array) -> Array:
+def usable_times(t: Array) -> Array:
+    """Return times as they are, or refuse what are no ascending times."""
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0).all():
         raise ModelError(
@@ -121,6 +128,20 @@ def _times(t: Array) -> Array:
             f"{np.array2string(t, threshold=6)}"
         )
     return t
+
+
+def _method(loop: Loop, method: Method | None) -> Method:
+    """Return how to integrate, or refuse what cannot be."""
+    if method is None:
+        return "idas" if loop.moving else "cvodes"
+    if method not in get_args(Method):
+        raise ModelError(f"method: expected one of {', '.join(get_args(Method))}, found {method!r}")
+    if method == "cvodes" and loop.moving:
+        raise ModelError(
+            f"method: 'cvodes' cannot solve for the {loop.moving} algebraic unknowns of this "
+            "model; use 'idas'"
+        )
+    return method
 
 
 def _state(loop: Loop, start: Trajectory, t: float) -> Samples:
@@ -157,6 +178,7 @@ class _Task(NamedTuple):
 
     loop: Loop
     tolerance: float
+    method: Method
     progress: Progress | None
     guarded: bool
 
@@ -269,19 +291,22 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
         "reltol": task.tolerance,
         "abstol": task.tolerance,
         "max_num_steps": STEPS,
-        "suppress_algebraic": dae.suppress_algebraic,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    integrator = ca.integrator("motion", "idas", system, float(t[0]), t, options)
+    if task.method == "idas":
+        options["suppress_algebraic"] = dae.suppress_algebraic
+    else:
+        options["quad_err_con"] = True
+    integrator = ca.integrator("motion", task.method, system, float(t[0]), t, options)
     try:
         # one column for each output time, that of the interval which it ends
-        with _quiet():
+        with hushed():
             found = integrator(x0=at.x, z0=at.z[: loop.moving], u=np.column_stack([u[:, :1], u]))
     except RuntimeError as error:
         if spy.raised is not None:
             raise spy.raised from None
-        raise SolverError(_reason(str(error))) from error
+        raise SolverError(reason(str(error))) from error
     x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
     z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
     x[:, :1], z[:, :1] = at.x, at.z
@@ -292,8 +317,8 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep from the screen what an exception says anyway: IDAS's words, and the spy's traceback."""
+def hushed() -> Iterator[None]:
+    """Keep off the screen what an exception says anyway: SUNDIALS's words, the spy's traceback."""
     hook, sys.excepthook = sys.excepthook, lambda *_: None
     try:
         with redirect_stderr(StringIO()):
@@ -302,9 +327,14 @@ def _quiet() -> Iterator[None]:
         sys.excepthook = hook
 
 
-def _reason(message: str) -> str:
-    """Return what IDAS said, out of CasADi's message, in words."""
+def reason(message: str) -> str:
+    """Return what the integrator said, out of CasADi's message, in words."""
     words = {
+        "CV_CONV_FAILURE": "the equations of a step could not be solved",
+        "CV_ERR_FAILURE": "the error test failed at the smallest step",
+        "CV_TOO_MUCH_WORK": "too many steps between two samples",
+        "CV_TOO_CLOSE": "the samples are too close for the digits of the time",
+        "RHSFUNC": "the rates have no finite value",
         "IDA_CONV_FAIL": "the algebraic equations could not be solved",
         "IDA_ERR_FAIL": "the error test failed at the smallest step",
         "IDA_TOO_MUCH_WORK": "too many steps between two samples",
@@ -324,8 +354,8 @@ def _reason(message: str) -> str:
 class _Spy(ca.Callback):
     """A quadrature that is always zero and looks on: it tells the time and stops beyond limits.
 
-    IDAS evaluates quadratures once a step, outside Newton's method and the error test, so that
-    looking on does not change the motion.
+    Both integrators evaluate quadratures once a step, outside Newton's method, and zero passes
+    every error test, so that looking on does not change the motion.
     """
 
     raised: BaseException | None

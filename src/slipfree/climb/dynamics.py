@@ -1,0 +1,279 @@
+"""Motion of a vehicle that climbs: inertia, contacts and control as one ordinary ODE."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.climb.contact import Contact, direction, pressed
+from slipfree.climb.control import Control, Torques, check_period, torques
+from slipfree.climb.profile import Profile
+from slipfree.climb.records import Inputs, OnSolid, Outputs, State, Totals, labels_of
+from slipfree.climb.reference import PerAxle, reference, seen_directions
+from slipfree.climb.vehicle import AXLES, GRAVITY, Climber
+from slipfree.dae import Dae, Limit
+from slipfree.named import Array, Label, pack, symbols
+
+OVERTURNED = 1.4  # tilt of a body [rad]
+
+
+class Frame(NamedTuple):
+    """The vehicle as a mechanism; q are place of the joint and tilts, v their rates."""
+
+    q: ca.SX
+    v: ca.SX
+    axles: PerAxle
+    mass: ca.SX
+    energy: ca.SX
+    force: ca.SX
+
+
+class Commands(NamedTuple):
+    """What the controller does: references [rad/s], torques, and the rates of its own states."""
+
+    references: PerAxle
+    torques: Torques
+    rates: tuple[ca.SX, ...]
+
+
+def climbing(
+    climber: Climber,
+    profile: Profile,
+    control: Control = Control(),  # noqa: B008 - a frozen record
+    contact: Contact = Contact(),  # noqa: B008
+    *,
+    period: float | None = None,
+) -> Dae[State, tuple[()], Totals, Inputs, Outputs]:
+    """Return the motion of a vehicle that climbs under control of its wheels.
+
+    Seven degrees of freedom without constraints: two bodies on a joint, three axles, and a
+    compliant contact of every wheel with every solid, so that impacts and the change from floor to
+    wall need no events. The torque of a motor turns its wheel forward and its body nose up.
+
+    Parameters
+    ----------
+    climber : Climber
+        The vehicle.
+    profile : Profile
+        The ground.
+    control : Control
+        How the wheels are driven; it measures their rates against the ground's frame.
+    contact : Contact
+        The law of the contacts.
+    period : float, optional
+        Sample time of the controller; its torques are inputs then, to be held from sample to
+        sample at what ``y.torques`` says, as `slipfree.solve.sampled` does. [s]
+
+    Returns
+    -------
+    Dae
+        Without algebraic unknowns, and stiff: friction over a wheel's inertia reaches 1e5 1/s.
+
+    Raises
+    ------
+    ModelError
+        If a sampled controller would make the wheels' rates swing up.
+
+    Notes
+    -----
+    Left out: contacts of the bodies, roll, play of the side wheels' rollers, lag of tilt sensors,
+    and noise.
+    """
+    if period is not None:
+        check_period(period, control, climber)
+    labels = labels_of(profile, control, sampled=period is not None)
+    x, q, u, t = symbols(labels.x), symbols(labels.q), symbols(labels.u), ca.SX.sym("t")
+    frame = _frame(climber, x)
+    velocities = PerAxle(*(ca.jtimes(axle, frame.q, frame.v) for axle in frame.axles))
+    contacts = PerAxle(*(
+        pressed(profile, contact, climber.radius, axle, velocity, spin)
+        for axle, velocity, spin in zip(frame.axles, velocities, x.spins, strict=True)
+    ))  # fmt: skip
+    seen = PerAxle(*(direction(each) for each in contacts))
+    asked = _commands(climber, control, x, seen, u.speed)
+    driven = _driven(climber, u.torques or asked.torques.out)
+    return Dae(
+        t, x, (), q, u,
+        ode=ca.vertcat(
+            frame.v, _accelerations(climber, frame, contacts, driven), *asked.rates,
+        ),
+        alg=(),
+        quad=ca.vertcat(*x.spins, *_powers(x, contacts, driven)),
+        y=_outputs(frame, velocities, contacts, seen, asked,
+                   frame.energy + _stored(climber, x, contacts)),
+        labels=labels,
+        limits=_limits(x),
+        checks=(),
+        guess=ca.SX(0, 1),
+        scale=np.zeros(0),
+        shift=(np.zeros(pack(x).numel()), np.zeros(0)),
+    )  # fmt: skip
+
+
+def _frame(climber: Climber, x: State) -> Frame:
+    """Return places, inertia, energy and the forces of gravity and of turning axes."""
+    q = ca.vertcat(x.x, x.z, *x.tilts)
+    v = ca.vertcat(x.velocity_x, x.velocity_z, *x.rates)
+    bodies = (climber.rear_body, climber.front_body)
+    joint, tilts = q[:2], (x.tilts.rear, x.tilts.front)
+    axles = PerAxle(*(
+        _at(joint, tilt, axle.ahead, 0.0)
+        for axle, tilt in zip(climber.axles, (tilts[0], *tilts), strict=True)
+    ))  # fmt: skip
+    mass, height = ca.SX(ca.diag([0, 0, *(body.inertia for body in bodies)])), ca.SX(0)
+    for body, tilt in zip(bodies, tilts, strict=True):
+        center = _at(joint, tilt, body.ahead, body.above)
+        arm = ca.jacobian(center, q)
+        mass = mass + body.mass * arm.T @ arm
+        height += body.mass * GRAVITY * center[1]
+    kinetic = ca.dot(v, mass @ v) / 2
+    turning = ca.jtimes(mass @ v, q, v) - ca.gradient(kinetic, q)
+    force = -ca.gradient(height, q) - turning
+    return Frame(q, v, axles, mass, kinetic + height, force)
+
+
+def _at(joint: ca.SX, tilt: ca.SX, ahead: float, above: float) -> ca.SX:
+    cosine, sine = ca.cos(tilt), ca.sin(tilt)
+    place: ca.SX = joint + ca.vertcat(ahead * cosine - above * sine, ahead * sine + above * cosine)
+    return place
+
+
+def _driven(climber: Climber, wheel: PerAxle) -> PerAxle:
+    """Return the torques of all motors of each axle. [N m]."""
+    return PerAxle(
+        *(axle.wheels * torque for axle, torque in zip(climber.axles, wheel, strict=True))
+    )
+
+
+def _accelerations(climber: Climber, frame: Frame, contacts: PerAxle, driven: PerAxle) -> ca.SX:
+    """Return the accelerations of joint, tilts and wheels."""
+    force = frame.force + ca.vertcat(0, 0, driven.rear + driven.middle, driven.front)
+    spins = []
+    for axle, place, touches, torque in zip(
+        climber.axles, frame.axles, contacts, driven, strict=True
+    ):
+        ground = sum(each.load * each.normal + each.friction * each.tangent for each in touches)
+        rubbing = sum(each.friction for each in touches)
+        force += ca.jtimes(place, frame.q, ground, True)
+        spins.append((torque - climber.radius * rubbing) / axle.inertia)
+    found: ca.SX = ca.vertcat(ca.inv(frame.mass) @ force, *spins)
+    return found
+
+
+def _commands(
+    climber: Climber, control: Control, x: State, seen: PerAxle, speed: ca.SX
+) -> Commands:
+    """Return references and torques, and the rates of the controller's states."""
+    told = x.directions if control.senses else PerAxle(*(control.share * each for each in seen))
+    relative = reference(climber, x.tilts, PerAxle(*told), control.law, control.cap)
+    wanted = PerAxle(*(speed / climber.radius * each for each in relative))
+    errors = PerAxle(*(aim - spin for aim, spin in zip(wanted, x.spins, strict=True)))
+    rises = [(now - late) / control.lag for now, late in zip(errors, x.lagging, strict=False)]
+    asked = torques(control, climber.torque, errors, x.integrals, rises)
+    unwinding = control.unwinding / control.integral
+    rates = [
+        error - unwinding * (torque - out)
+        for error, torque, out in zip(errors, asked.wanted, asked.out, strict=True)
+    ]
+    if control.senses:
+        raw = seen_directions(climber, x.tilts, x.rates, x.spins)
+        rates += [(new - old) / control.smoothing
+                  for new, old in zip(raw, x.directions, strict=True)]  # fmt: skip
+    return Commands(wanted, asked, (*rates, *rises))
+
+
+def _powers(x: State, contacts: PerAxle, driven: PerAxle) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the powers of the motors, of friction and of damping. [W]."""
+    turning = [spin + rate for spin, rate in zip(x.spins, (x.rates[0], *x.rates), strict=True)]
+    motors = sum(torque * rate for torque, rate in zip(driven, turning, strict=True))
+    touches = [each for on_axle in contacts for each in on_axle]
+    rubbed = -sum(each.friction * each.slip for each in touches)
+    return motors, rubbed, sum(each.damped for each in touches)
+
+
+def _stored(climber: Climber, x: State, contacts: PerAxle) -> ca.SX:
+    """Return the energy of spinning wheels and compressed contacts. [J]."""
+    stored: ca.SX = sum(each.stored for on_axle in contacts for each in on_axle)
+    for axle, spin in zip(climber.axles, x.spins, strict=True):
+        stored += axle.inertia * spin**2 / 2
+    return stored
+
+
+def _outputs(
+    frame: Frame, velocities: PerAxle, contacts: PerAxle, seen: PerAxle, asked: Commands,
+    energy: ca.SX,
+) -> Outputs:  # fmt: skip
+    solids = tuple(
+        OnSolid(*(
+            PerAxle(*(getattr(each, name) for each in touches))
+            for name in ("gap", "load", "friction", "slip")
+        ))
+        for touches in zip(*contacts, strict=True)
+    )  # fmt: skip
+    return Outputs(
+        axle_x=PerAxle(*(place[0] for place in frame.axles)),
+        axle_z=PerAxle(*(place[1] for place in frame.axles)),
+        axle_velocity_x=PerAxle(*(velocity[0] for velocity in velocities)),
+        axle_velocity_z=PerAxle(*(velocity[1] for velocity in velocities)),
+        directions=seen,
+        references=asked.references,
+        torques=asked.torques.out,
+        scale=asked.torques.scale,
+        solids=solids,
+        energy=energy,
+    )
+
+
+def _limits(x: State) -> tuple[Limit, ...]:
+    return tuple(
+        Limit(
+            Label(f"{name}_overturned", "rad", f"the {name} body is overturned: its tilt"),
+            tilt, -OVERTURNED, OVERTURNED,
+        )
+        for name, tilt in zip(("rear", "front"), x.tilts, strict=True)
+    )  # fmt: skip
+
+
+def standing(
+    climber: Climber, contact: Contact, front: float, speed: float = 0.0
+) -> dict[str, float]:
+    """Return the start on a level floor at height zero, in equilibrium, by names of the states.
+
+    Parameters
+    ----------
+    climber : Climber
+        The vehicle.
+    contact : Contact
+        The law of the contacts, which it has sunk into under its weight.
+    front : float
+        Place of the front axle. [m]
+    speed : float
+        At which it rolls. [m/s]
+    """
+    rear, middle, ahead = (
+        climber.radius - load / contact.stiffness for load in floor_loads(climber)
+    )
+    link = climber.middle.ahead - climber.rear.ahead
+    tilt_rear = math.asin((middle - rear) / link)
+    joint = middle - climber.middle.ahead * math.sin(tilt_rear)
+    tilt_front = math.asin((ahead - joint) / climber.front.ahead)
+    spin = speed / climber.radius
+    return {
+        "x": front - climber.front.ahead * math.cos(tilt_front), "z": joint,
+        "tilt_rear": tilt_rear, "tilt_front": tilt_front, "velocity_x": speed,
+        **{f"wheel_rate[{axle}]": spin for axle in AXLES},
+    }  # fmt: skip
+
+
+def floor_loads(climber: Climber) -> Array:
+    """Return the loads of rear, middle and front axle at rest on a level floor, shape (3,). [N].
+
+    Moments about the joint of either body, and the weight of both.
+    """
+    rear, front = climber.rear_body, climber.front_body
+    arms = [[climber.rear.ahead, climber.middle.ahead, 0], [0, 0, climber.front.ahead], [1, 1, 1]]
+    moments = [rear.mass * rear.ahead, front.mass * front.ahead, climber.mass]
+    return np.asarray(GRAVITY * np.linalg.solve(np.array(arms), np.array(moments)))

@@ -1,0 +1,301 @@
+"""The ground of a climb: a union of convex solids in the plane of the motion.
+
+x is forward, z up. The distance of a wheel's center to a convex solid is continuously
+differentiable, round its corners too, so that a wheel has one contact with each solid: on the floor
+and against a wall together, and over an edge, without a change of equations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from slipfree.errors import ModelError
+from slipfree.named import Array
+
+Point = tuple[float, float]
+REACH = 100.0  # of floor and plateaus, from where they begin [m]
+ROOT = 0.5  # of solids below the floor, so that their feet are no corners [m]
+STRAIGHT = 1e-9  # sine of the turn at a corner that is none
+TINY = 1e-24  # keeps the slope of a root finite [m2]
+
+
+class Touch(NamedTuple):
+    """A disc near a solid.
+
+    Attributes
+    ----------
+    solid : int
+        Which one of the profile.
+    gap : float
+        Distance of the disc's rim to it, negative where it reaches into it. [m]
+    normal : ndarray, shape (2,)
+        Unit vector from the solid's nearest point to the disc's center.
+    """
+
+    solid: int
+    gap: float
+    normal: Array
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A convex polygon.
+
+    Attributes
+    ----------
+    points : tuple of (x, z), three or more
+        Corners in order, either way round; counter-clockwise when stored. [m]
+
+    Raises
+    ------
+    ModelError
+        If the points are fewer than three, not finite, or do not bound a convex polygon.
+    """
+
+    points: tuple[Point, ...]
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, dtype=float)
+        if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3:
+            raise ModelError(
+                f"solid: expected three or more points (x, z), found shape {points.shape}"
+            )
+        if not np.isfinite(points).all():
+            raise ModelError(f"solid: expected finite points, found {points.tolist()}")
+        stored = tuple((float(x), float(z)) for x, z in _counter_clockwise(points))
+        object.__setattr__(self, "points", stored)
+
+    @cached_property
+    def edges(self) -> Array:
+        """Unit vectors along the faces, shape (n, 2); face i begins at point i."""
+        points = np.array(self.points)
+        edges = np.roll(points, -1, axis=0) - points
+        return np.asarray(edges / np.linalg.norm(edges, axis=1, keepdims=True))
+
+    @cached_property
+    def normals(self) -> Array:
+        """Outward unit normals of the faces, shape (n, 2)."""
+        return np.stack([self.edges[:, 1], -self.edges[:, 0]], axis=1)
+
+    def gap(self, x: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the distance of a point to the solid, negative inside, and its gradient.
+
+        It is the largest of the distances to the lines of the faces and, within their normal
+        cones, to the corners: each is a lower bound, and the nearest feature attains it.
+
+        Parameters
+        ----------
+        x, z : SX
+            The point. [m]
+
+        Returns
+        -------
+        distance : SX, shape (1, 1)
+            Continuously differentiable outside. [m]
+        normal : SX, shape (2, 1)
+            Outward unit vector.
+        """
+        place = ca.vertcat(x, z)
+        distance, normal = ca.SX(-np.inf), ca.SX.zeros(2)
+        for point, outward in zip(self.points, self.normals, strict=True):
+            face = ca.dot(place - ca.DM(point), ca.DM(outward))
+            normal = ca.if_else(face > distance, ca.DM(outward), normal)
+            distance = ca.fmax(face, distance)
+        for k, point in enumerate(self.points):
+            from_corner = place - ca.DM(point)
+            past = ca.dot(from_corner, ca.DM(self.edges[k - 1])) > 0
+            before = ca.dot(from_corner, ca.DM(self.edges[k])) < 0
+            away = ca.sqrt(ca.sumsqr(from_corner) + TINY)
+            in_cone = ca.logic_and(past, before)
+            distance = ca.if_else(in_cone, away, distance)
+            normal = ca.if_else(in_cone, from_corner / away, normal)
+        return distance, normal
+
+    def distance(self, x: npt.ArrayLike, z: npt.ArrayLike) -> tuple[Array, Array]:
+        """Return distances and normals as `gap` does, of arrays of points.
+
+        Parameters
+        ----------
+        x, z : array_like, shape (...)
+            Points. [m]
+
+        Returns
+        -------
+        distance : ndarray, shape (...)
+            Negative inside. [m]
+        normal : ndarray, shape (..., 2)
+            Outward unit vectors.
+        """
+        place = np.stack(np.broadcast_arrays(np.asarray(x, float), np.asarray(z, float)), axis=-1)
+        from_corners = place[..., None, :] - np.array(self.points)
+        faces = (from_corners * self.normals).sum(axis=-1)
+        past = (from_corners * np.roll(self.edges, 1, axis=0)).sum(axis=-1) > 0
+        before = (from_corners * self.edges).sum(axis=-1) < 0
+        away = np.linalg.norm(from_corners, axis=-1)
+        corners = np.where(past & before, away, -np.inf)
+        all_of_them = np.concatenate([faces, corners], axis=-1)
+        directions = np.concatenate(
+            [np.broadcast_to(self.normals, from_corners.shape),
+             from_corners / np.maximum(away, math.sqrt(TINY))[..., None]], axis=-2,
+        )  # fmt: skip
+        nearest = all_of_them.argmax(axis=-1)[..., None]
+        normal = np.take_along_axis(directions, nearest[..., None], axis=-2)[..., 0, :]
+        return np.take_along_axis(all_of_them, nearest, axis=-1)[..., 0], normal
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A union of convex solids; the first one is the floor from which a climb starts.
+
+    Attributes
+    ----------
+    solids : tuple of Solid
+        One or more; they may overlap.
+
+    Raises
+    ------
+    ModelError
+        If there is no solid.
+    """
+
+    solids: tuple[Solid, ...]
+
+    def __post_init__(self) -> None:
+        if not self.solids:
+            raise ModelError("profile: expected one solid or more, found none")
+
+    @property
+    def summit(self) -> Point:
+        """Where the highest level begins, (x, z). [m]."""
+        points = [point for solid in self.solids for point in solid.points]
+        top = max(z for _, z in points)
+        return min(x for x, z in points if z == top), top
+
+    def touching(self, x: float, z: float, radius: float, within: float = 0.0) -> tuple[Touch, ...]:
+        """Return the solids that a disc touches.
+
+        Parameters
+        ----------
+        x, z : float
+            The disc's center. [m]
+        radius : float
+            Of the disc. [m]
+        within : float
+            Gap up to which it counts as touching. [m]
+        """
+        found = []
+        for index, solid in enumerate(self.solids):
+            distance, normal = solid.distance(x, z)
+            if distance - radius <= within:
+                found.append(Touch(index, float(distance) - radius, normal))
+        return tuple(found)
+
+
+def flat() -> Profile:
+    """Return a level floor at height zero."""
+    return Profile((_block(-REACH, 0.0, REACH),))
+
+
+def ramp(angle: float, height: float) -> Profile:
+    """Return a floor, and from x = 0 on a ramp up to a plateau.
+
+    Parameters
+    ----------
+    angle : float
+        Of the ramp, above zero, up to a right angle. [rad]
+    height : float
+        Of the plateau. [m]
+
+    Raises
+    ------
+    ModelError
+        If angle or height are out of range.
+    """
+    _positive(height=height)
+    if not 0 < angle <= math.pi / 2:
+        raise ModelError(f"ramp: expected an angle above 0 up to pi/2, found {angle}")
+    slope = math.cos(angle) / math.sin(angle)
+    if ROOT * slope > REACH / 2 or height * slope > REACH / 2:
+        raise ModelError(
+            f"ramp: the floor reaches {REACH:g} m, which a ramp of {math.degrees(angle):.3g} "
+            "degrees would leave; take a steeper or a lower one"
+        )
+    edge = height * slope
+    wedge = Solid(((-ROOT * slope, -ROOT), (REACH, -ROOT), (REACH, height), (edge, height)))
+    return Profile((*flat().solids, wedge))
+
+
+def step(height: float) -> Profile:
+    """Return a floor, and a plateau of the height given from x = 0 on. [m]."""
+    _positive(height=height)
+    return Profile((*flat().solids, _block(0.0, height, REACH)))
+
+
+def kerb(height: float, length: float) -> Profile:
+    """Return a floor with a block of the height and length given, from x = 0 on. [m]."""
+    _positive(height=height, length=length)
+    return Profile((*flat().solids, _block(0.0, height, length)))
+
+
+def stairs(height: float, depth: float, count: int) -> Profile:
+    """Return a floor and stairs from x = 0 on, the last step a plateau.
+
+    Parameters
+    ----------
+    height, depth : float
+        Of a step. [m]
+    count : int
+        Number of steps.
+
+    Raises
+    ------
+    ModelError
+        If a number is not positive.
+    """
+    _positive(height=height, depth=depth, count=count)
+    blocks = (_block(k * depth, (k + 1) * height, REACH) for k in range(count))
+    return Profile((*flat().solids, *blocks))
+
+
+def _block(start: float, height: float, length: float) -> Solid:
+    end = start + length if length < REACH else REACH
+    return Solid(((start, -ROOT), (end, -ROOT), (end, height), (start, height)))
+
+
+def _positive(**sizes: float) -> None:
+    for name, value in sizes.items():
+        if not (value > 0 and math.isfinite(value)):
+            raise ModelError(f"profile: {name} must be positive and finite, found {value}")
+
+
+def _counter_clockwise(points: Array) -> Sequence[Array]:
+    """Return the corners counter-clockwise, or refuse what is no convex polygon."""
+    edges = np.roll(points, -1, axis=0) - points
+    lengths = np.linalg.norm(edges, axis=1)
+    if not (lengths > 0).all():
+        k = int(np.argmin(lengths))
+        raise ModelError(f"solid: points {k} and {(k + 1) % len(points)} coincide, {points[k]}")
+    before, after = np.roll(edges / lengths[:, None], 1, axis=0), edges / lengths[:, None]
+    sines = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    cosines = (before * after).sum(axis=1)
+    if (np.abs(sines) < STRAIGHT).any():
+        k = int(np.argmin(np.abs(sines)))
+        raise ModelError(f"solid: point {k}, {points[k]}, is no corner: leave it out")
+    turns = np.arctan2(sines, cosines)
+    way = 1.0 if turns.sum() > 0 else -1.0
+    if (way * turns < 0).any():
+        k = int(np.argmin(way * turns))
+        raise ModelError(f"solid: not convex at point {k}, {points[k]}: divide it into convex ones")
+    if abs(turns.sum()) > 2 * np.pi + 1e-6:
+        raise ModelError(
+            "solid: its faces cross one another; give the corners in order, once round"
+        )
+    return list(points if way > 0 else points[::-1])

@@ -1,0 +1,134 @@
+"""The ground of a climb: distances to convex solids."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from slipfree.climb.profile import Profile, Solid, flat, kerb, ramp, stairs, step
+from slipfree.errors import ModelError
+
+SQUARE = Solid(((0, 0), (1, 0), (1, 1), (0, 1)))
+KITE = Solid(((0.0, -0.3), (0.8, 0.1), (0.5, 0.9), (-0.2, 0.6), (-0.4, 0.1)))
+
+
+def symbolic(solid):
+    place = ca.SX.sym("place", 2)
+    return ca.Function("gap", [place], list(solid.gap(place[0], place[1])))
+
+
+def nearest(solid, place):
+    """Distance to the boundary, by projection on every face."""
+    corners = np.array(solid.points)
+    ends = np.roll(corners, -1, axis=0)
+    part = ((place - corners) * (ends - corners)).sum(1) / ((ends - corners) ** 2).sum(1)
+    feet = corners + np.clip(part, 0, 1)[:, None] * (ends - corners)
+    k = np.linalg.norm(place - feet, axis=1).argmin()
+    return np.linalg.norm(place - feet[k]), feet[k]
+
+
+def test_the_distance_is_that_to_the_nearest_point():
+    rng = np.random.default_rng(0)
+    for solid in (SQUARE, KITE):
+        function = symbolic(solid)
+        for place in rng.uniform(-1.5, 2.5, (300, 2)):
+            distance, normal = (np.array(out).ravel() for out in function(place))
+            away, foot = nearest(solid, place)
+            assert_allclose(np.abs(distance[0]), away, atol=1e-13)
+            assert_allclose(place - distance * normal, foot, atol=1e-12)
+            assert_allclose(np.linalg.norm(normal), 1, atol=1e-12)
+            inside = solid.normals @ (place - np.array(solid.points)).T
+            assert (distance[0] < 0) == (np.diag(inside) < 0).all()
+
+
+def test_numbers_and_expressions_agree():
+    rng = np.random.default_rng(1)
+    places = rng.uniform(-1.5, 2.5, (400, 2))
+    for solid in (SQUARE, KITE, *ramp(np.pi / 4, 0.09).solids):
+        distance, normal = symbolic(solid).map(400)(places.T)
+        found = solid.distance(places[:, 0].reshape(20, 20), places[:, 1].reshape(20, 20))
+        assert_allclose(found[0].ravel(), np.array(distance).ravel(), atol=1e-13)
+        assert_allclose(found[1].reshape(-1, 2), np.array(normal).T, atol=1e-12)
+
+
+def test_the_normal_is_the_gradient_and_continuous():
+    place = ca.SX.sym("place", 2)
+    distance, normal = KITE.gap(place[0], place[1])
+    slope = ca.Function("slope", [place], [ca.gradient(distance, place), normal])
+    angle = np.linspace(0, 2 * np.pi, 4001)
+    around = np.array([0.2, 0.3]) + 1.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    gradient, normals = (np.array(out) for out in slope.map(angle.size)(around.T))
+    assert_allclose(gradient, normals, atol=1e-10)
+    assert np.linalg.norm(np.diff(normals, axis=1), axis=0).max() < 3 * 1.5 * np.diff(angle)[0]
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (((0, 0), (1, 0)), "three or more"),
+        (((0, 0), (1, 0), (np.nan, 1)), "finite"),
+        (((0, 0), (1, 0), (1, 0), (0, 1)), "points 1 and 2 coincide"),
+        (((0, 0), (1, 0), (2, 0), (0, 1)), "point 1, .* is no corner"),
+        (((0, 0), (1, 0), (0.2, 0.2), (0, 1)), "not convex at point 2"),
+        (((0, 0), (1, 1), (1, 0), (0, 1)), "not convex"),
+        ([(np.cos(0.8 * np.pi * k), np.sin(0.8 * np.pi * k)) for k in range(5)], "cross"),
+    ],
+)
+def test_what_is_no_convex_polygon_is_refused(points, words):
+    with pytest.raises(ModelError, match=words):
+        Solid(tuple(points))
+
+
+def test_corners_are_stored_counter_clockwise():
+    assert Solid(SQUARE.points[::-1]).points == SQUARE.points
+    assert_allclose(SQUARE.normals, [(0, -1), (1, 0), (0, 1), (-1, 0)])
+
+
+def test_a_wheel_on_the_floor_against_a_step_touches_both():
+    floor, wall = step(0.09).touching(-0.066, 0.066, 0.066, 1e-9)
+    assert (floor.solid, wall.solid) == (0, 1)
+    assert_allclose([floor.gap, wall.gap], 0, atol=1e-15)
+    assert_allclose([floor.normal, wall.normal], [(0, 1), (-1, 0)])
+    assert step(0.09).touching(-0.1, 0.066, 0.066, 1e-3)[0].solid == 0
+    assert step(0.09).touching(-0.1, 0.1, 0.066, 1e-3) == ()
+
+
+def test_a_wheel_rolls_over_the_edge_of_a_ramp():
+    """On the slope, round the corner and on the plateau its center keeps its distance."""
+    profile, r = ramp(np.pi / 4, 0.09), 0.066
+    slope = np.array([-1, 1]) / np.sqrt(2)
+    arc = [np.array([0.09, 0.09]) + r * np.array([-np.sin(a), np.cos(a)]) for a in (0.1, 0.4, 0.7)]
+    for place in (np.array([0.05, 0.05]) + r * slope, *arc, np.array([0.3, 0.09 + r])):
+        (touch,) = profile.touching(*place, r, 1e-12)
+        assert touch.solid == 1
+        assert_allclose(place - r * touch.normal, nearest(profile.solids[1], place)[1], atol=1e-12)
+
+
+def test_makers():
+    assert len(flat().solids) == 1
+    assert step(0.09).summit == (0, 0.09)
+    assert_allclose(ramp(np.pi / 4, 0.09).summit, (0.09, 0.09))
+    assert_allclose(ramp(np.pi / 2, 0.09).summit, (0, 0.09), atol=1e-15)
+    assert kerb(0.1, 0.5).summit == (0, 0.1)
+    assert kerb(0.1, 0.5).touching(0.7, 0.066, 0.066, 1e-9)[0].normal[1] == 1
+    flight = stairs(0.15, 0.3, 3)
+    assert len(flight.solids) == 4
+    assert_allclose(flight.summit, (0.6, 0.45))
+    touches = flight.touching(0.3 - 0.066, 0.15 + 0.066, 0.066, 1e-9)
+    assert [touch.solid for touch in touches] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: step(0.0), "height"),
+        (lambda: kerb(0.1, -1), "length"),
+        (lambda: stairs(0.1, 0.3, 0), "count"),
+        (lambda: ramp(2.0, 0.1), "angle"),
+        (lambda: ramp(1e-3, 0.1), "steeper"),
+        (lambda: Profile(()), "none"),
+    ],
+)
+def test_unusable_sizes_are_refused(make, words):
+    with pytest.raises(ModelError, match=words):
+        make()
