@@ -11,10 +11,11 @@ from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheele
 from slipfree.dae import Limit
 from slipfree.named import Label
 from slipfree.plan.conflicts import conflicts
+from slipfree.plan.course import unknowns_of
 from slipfree.plan.explain import explanation, violations, words
-from slipfree.plan.plan import limits_of, unknowns_of
 from slipfree.plan.relax import relax
 from slipfree.plan.solver import solve
+from slipfree.plan.task import limits_of
 from slipfree.plan.transcribe import Cost, Mesh, Place, Task, transcribe
 from test_transcribe import task, toy
 

@@ -254,8 +254,8 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
         (["vehicle.axle=prismatic"], "axle cannot roll without slip, as inverse"),
         (["start.sail=1"], "--set start.sail: expected one of x, y, heading, tilt_right"),
         (["inputs.right_rate=1"], "--set inputs: expected one of verb, title, "),
-        (["verb=drive"], "--set verb: expected 'direct' or 'inverse' or 'plan' for this command, "
-         "found 'drive'\n"),
+        (["verb=drive"], "--set verb: expected 'direct' or 'inverse' or 'plan' or 'climb' for this "
+         "command, found 'drive'\n"),
         (["verb=compare"], "found 'compare'; use slipfree compare p.toml"),
     ],
 )  # fmt: skip

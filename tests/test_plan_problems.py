@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slipfree.problem.locate import ProblemError
-from slipfree.problem.plan import regions
+from slipfree.problem.places import regions
 from slipfree.problem.read import read
 from slipfree.problem.run import build, run
 
@@ -73,12 +73,17 @@ def test_a_way_point_is_passed():
     [
         (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points: expected at, a fraction of"),
         (["way_points=[{ at = 1.0, x = 17.0 }]"], "found at = 1"),
-        (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "way-point at 0.5 (17, 99)"),
+        (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "at 0.5 lies off the map: y is 99 m"),
         (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
         (['driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
           'paths = [[[17, 14], [17, 24]]] }'], "expected one of path, paths and file"),
         (["traction={ creep = 1e-3 }"], "traction: expected slip = 'traction', found 'least'"),
-        (["goal.y=45.0"], "the vehicle cannot be at the goal (20, 45)"),
+        (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map reaches"),
+        (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
+        (["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"], "found two; put them together"),
+        (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
+        (["costs.foo=1.0"], "the model has no 'foo'"),
+        (["goal={}"], "a route needs a goal in x and y"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
@@ -116,3 +121,39 @@ def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
     for wheel in ("right", "left"):
         assert np.abs(motion[f"tilt_{wheel}"]).max() < 0.031
     assert np.hypot(motion["slip_along"], motion["slip_across"]).max() < 1e-12
+
+
+HILLS = FIELD.with_name("plan_rigid_hills.toml")
+QUICK = ("plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3")
+
+
+def test_of_a_range_what_lies_on_the_map_counts():
+    motion = run(read(HILLS, [*QUICK, "goal.y=[1.2, 60.0]"])).trajectory
+    assert motion.stop is None
+    assert motion["y"][-1] > 1.2 - 1e-4
+
+
+def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason():
+    settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
+    stop = run(read(HILLS, settings)).trajectory.stop
+    assert stop.name == "plan_accuracy"
+    assert "the plan is solved, but its simulation misses x by" in stop.words
+    assert "where an accuracy of 1e-07 was asked for: its mesh was not refined" in stop.words
+
+
+def test_work_of_the_drives_is_planned_with():
+    motion = run(read(HILLS, [*QUICK, "costs.energy=1.0"])).trajectory
+    counts = motion.statistics
+    powers = np.maximum(motion["drive_torque"] * motion["wheel_rate"], 0.0).sum(axis=1)
+    work = np.trapezoid(powers, motion.t)
+    assert abs(counts["plan_cost_energy"] - work) < 0.1 * 2 * 10.0  # blended by 0.1 W a wheel
+    assert counts["plan_cost_energy"] > 0
+
+
+@pytest.mark.parametrize("name", ["map_margin", "tip_over_margin", "slip_across"])
+def test_limits_of_the_model_and_of_its_outputs_have_names(name):
+    lower = {"map_margin": 1.0, "tip_over_margin": 0.9, "slip_across": -1e-3}[name]
+    upper = {"map_margin": 30.0, "tip_over_margin": 3.0, "slip_across": 1e-3}[name]
+    motion = run(read(HILLS, [*QUICK, f"limits.{name}=[{lower}, {upper}]"])).trajectory
+    assert motion.stop is None
+    assert motion[name].min() > lower - 1e-3 * abs(lower)

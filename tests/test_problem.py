@@ -105,8 +105,8 @@ def test_lines_of_keys() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ('"direct"', '"drive"', "p.toml:1: verb: expected 'direct' or 'inverse' or 'plan' for "
-         "this command, found 'drive'"),
+        ('"direct"', '"drive"', "p.toml:1: verb: expected 'direct' or 'inverse' or 'plan' or "
+         "'climb' for this command, found 'drive'"),
         ("spacing = 0.5", "spacing = -1", "p.toml:6: terrain.synthetic.spacing: expected a number "
          "greater than 0, found -1"),
         ("r1 = 0.05", "r1 = -0.05", "p.toml:11: vehicle.r1: expected a number of at least 0, "
@@ -251,7 +251,7 @@ def test_settings_that_do_not_fit(tmp_path: Path) -> None:
         "--set time: time.stp: expected one of duration, step, found the unknown key 'stp'; "
         "did you mean 'step'?",
         "--set vehicle.r1: expected a number of at least 0, found -1",
-        "--set foo: expected one of verb, title, terrain, start, time, solver, frame, vehicle, "
+        "--set foo: expected one of verb, title, time, solver, terrain, start, frame, vehicle, "
         "output, inputs, driver, formulation, slip, traction, found the unknown key 'foo'",
     ]
 

@@ -271,7 +271,7 @@ def test_derivatives_are_exact(vehicle_program, rng):
     dae = program.task.dae
     run = simulate(dae, start, dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1),
                    program.mesh.nodes * 7.0)  # fmt: skip
-    from slipfree.plan.plan import unknowns_of
+    from slipfree.plan.course import unknowns_of
 
     w = unknowns_of(program, run) / program.scale + 1e-3 * rng.normal(size=program.scale.size)
     x, p = program.problem["x"], program.problem["p"]

@@ -93,7 +93,11 @@ def climbing(
         for axle, velocity, spin in zip(frame.axles, velocities, x.spins, strict=True)
     ))  # fmt: skip
     seen = PerAxle(*(direction(each) for each in contacts))
-    asked = _commands(climber, control, x, seen, u.speed)
+    if isinstance(control, Control):
+        asked = _commands(climber, control, x, seen, u.speed)
+    else:
+        refs, wanted, out, scale = control.asked(climber, x, frame.axles, velocities, u.speed)
+        asked = Commands(refs, Torques(wanted, out, scale), ())
     driven = _driven(climber, u.torques or asked.torques.out)
     return Dae(
         t, x, (), q, u,

@@ -119,23 +119,35 @@ def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:
     ModelError
         If the front wheel touches nothing but the floor.
     """
-    touching = np.zeros(run.t.size, dtype=bool)
-    for k in range(1, len(profile.solids)):
-        touching |= run[f"gap_{k}", "front"] < 0
+    touching = meeting(run, profile)
     if not touching.any():
         raise ModelError(
             "metrics: the front wheel touches nothing but the floor until "
             f"t = {run.t[-1]:g} s; simulate longer or start nearer"
         )
-    edge, top = profile.summit
-    up = (run["axle_x", "rear"] > edge + PAST) & (
-        run["axle_z", "rear"] > top + climber.radius - BELOW
-    )
+    up = come_up(run, climber, profile)
     climbed = bool(up.any())
     end = float(run.t[up.argmax()]) if climbed else float(run.t[-1])
     begin = float(run.t[touching.argmax()])
     ends = np.searchsorted(run.t, [begin - BEFORE - 1e-9, end + AFTER - 1e-9])
     return Window(slice(int(ends[0]), int(ends[1])), climbed, end)
+
+
+def meeting(run: Trajectory, profile: Profile) -> Mask:
+    """Return when the front wheel touches more than the floor, shape (n,)."""
+    touching = np.zeros(run.t.size, dtype=bool)
+    for k in range(1, len(profile.solids)):
+        touching |= run[f"gap_{k}", "front"] < 0
+    return touching
+
+
+def come_up(run: Trajectory, climber: Climber, profile: Profile) -> Mask:
+    """Return when the rear axle is up, as `climb_window` has it, shape (n,)."""
+    edge, top = profile.summit
+    up: Mask = (run["axle_x", "rear"] > edge + PAST) & (
+        run["axle_z", "rear"] > top + climber.radius - BELOW
+    )
+    return up
 
 
 def slip_ratio(run: Trajectory, climber: Climber) -> Array:

@@ -24,8 +24,8 @@ import numpy.typing as npt
 import scipy.sparse
 
 from slipfree.climb.profile import Profile
-from slipfree.climb.quasi import GRAVITY, MOST, center, cross, equilibrium, least
-from slipfree.climb.vehicle import AXLES, Climber
+from slipfree.climb.quasi import MOST, center, cross, equilibrium, least
+from slipfree.climb.vehicle import AXLES, GRAVITY, Climber
 from slipfree.climb.way import Leg, Way, sample, turned
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label

@@ -103,7 +103,8 @@ def labels_of(profile: Profile, control: Control, *, sampled: bool) -> Labels:
         Tilts(*(Label(f"tilt_{name}_rate", "rad s-1", f"rate of the {tilt.format(name)}")
                 for name in ("rear", "front"))),
         _each("wheel_rate", "rad s-1", "rate of the wheels, forward positive"),
-        _each("error_sum", "rad", "integral of the error of the wheels' rate"),
+        _each("error_sum", "rad", "integral of the error of the wheels' rate")
+        if control.integral else (),
         _each("direction_seen", "rad", "direction of the axle that the sensors see, smoothed")
         if control.senses else (),
         _each("error_lag", "rad s-1", "error of the wheels' rate behind the derivative's filter")

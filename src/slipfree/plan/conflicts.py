@@ -23,7 +23,7 @@ from slipfree.plan.groups import (
     shift_of,
 )
 from slipfree.plan.transcribe import Place, Task
-from slipfree.plan.wording import MODEL, bounds_words, number, rate_of, subject
+from slipfree.plan.wording import LIMITED, MODEL, bounds_words, number, rate_of, subject
 from slipfree.trajectory import Trajectory
 
 ROUNDING = 1e-9  # by which bounds may miss each other, in their unit
@@ -141,7 +141,7 @@ def _outside(task: Task, along: list[_Bounds], role: str, known: Array) -> Itera
         value = float(here(np.nan_to_num(known), 0.0, 0.0))
         if max(bounds.lower - value, value - bounds.upper) > WITHIN:
             plain = plain_of(task, bounds.expression) is not None
-            what = "" if plain else f" ({bounds.label.words})"
+            what = "" if plain else f" ({bounds.label.words.removesuffix(LIMITED)})"
             yield (f"{_must(bounds)}, but the {role} has "
                    f"{number(bounds.label, value + bounds.shift)}{what}: {_remedy(role)} or "
                    f"{_remedy(bounds.role)}")  # fmt: skip

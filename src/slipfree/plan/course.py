@@ -182,7 +182,10 @@ def sampled(program: Program, unknowns: Array) -> Trajectory:
     # The program has no unknowns at the beginning; a failed one may be no guess for them either.
     with suppress(ModelError):
         z[:, 0] = consistent(loop, 0.0, x[:, 0], z[:, 1], u[:, 0])
-    rates = np.array(loop.quad.map(t.size)(t[None], x, z[: loop.moving], u))[:, 1:]
+    try:
+        rates = np.array(loop.quad.map(t.size)(t[None], x, z[: loop.moving], u))[:, 1:]
+    except RuntimeError:  # the forces of a failed iterate may not be found
+        rates = np.full((program.task.dae.quad.numel(), t.size - 1), np.nan)
     q = _integrated(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))
     samples, report = followed(loop, Samples(t, x, z, q, u))
     return table(loop, samples, report)

@@ -18,20 +18,12 @@ import numpy as np
 from slipfree.dae import Limit
 from slipfree.errors import ModelError
 from slipfree.named import Array
-from slipfree.plan.conflicts import conflicts
 from slipfree.plan.course import Course, carried, course, nearest, sampled, unknowns_of
 from slipfree.plan.explain import explanation
 from slipfree.plan.proof import Proof, inputs_along, prove, refined
 from slipfree.plan.saved import Saved, local, saved
 from slipfree.plan.solver import Iterate, Solution, solve, violation
-from slipfree.plan.task import (
-    Range,
-    bounds_of,
-    costs_of,
-    duration_of,
-    limits_of,
-    places_of,
-)
+from slipfree.plan.task import Range, task_of
 from slipfree.plan.transcribe import Cost, Mesh, Model, Program, Task, transcribe
 from slipfree.trajectory import Stop, Trajectory
 
@@ -172,8 +164,9 @@ def plan(
         conditions in the model's symbols. [m, rad]
     costs : mapping of str to float, or sequence of Cost
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
-        of the drives), or the name of any quantity of the model, whose square is integrated over
-        time and summed over the wheels.
+        of the wheels' drives; what braking would give back is not counted), or the name of any
+        quantity of the model, whose square is integrated over time and summed over the wheels
+        (places in local coordinates).
     duration : float or (least, largest)
         How long it takes. [s]
     smooth : float
@@ -185,7 +178,7 @@ def plan(
     way_points : mapping of float to mapping, optional
         Conditions like those of the goal at fractions of the duration.
     inputs, accelerations : mapping of str to (low, high), optional
-        Bounds of inputs and of their rates. [1/s, 1/s2]
+        Bounds of inputs and of their rates; the inputs may begin with any value. [1/s, 1/s2]
     intervals, degree : int
         Of the collocation, to begin with.
     accuracy : float
@@ -205,13 +198,13 @@ def plan(
         If a name is not known, or start, goal and limits contradict each other.
     """
     clock = time.process_time()
-    task = Task(
-        dae, dae.rows("x", start, -1), duration_of(duration), costs_of(dae, costs),
-        tuple(places_of(dae, goal, way_points or {})), limits_of(dae, limits),
-        bounds_of(dae, inputs or {}), bounds_of(dae, accelerations or {}), smooth, continuous,
+    task = task_of(
+        dae, start, goal=goal, costs=costs, duration=duration, smooth=smooth,
+        continuous=continuous, limits=limits, way_points=way_points, inputs=inputs,
+        accelerations=accelerations,
     )  # fmt: skip
-    if wrong := conflicts(task, start):
-        raise ModelError("plan: " + "; ".join(wrong))
+    if intervals < 1:
+        raise ModelError(f"plan: expected one interval or more, found {intervals}")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     mesh = Mesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
     guesses = [guess] if isinstance(guess, Trajectory) else list(guess)
@@ -320,14 +313,16 @@ def _within_limits(search: _Search, progress: Progress | None) -> _Search:
     """Return the search with those of the model's limits that a plan would violate."""
     for _ in range(ROUNDS):
         program, found = search.program, search.found
+        if not found.success:
+            return search
         run = sampled(program, found.unknowns)
-        missed = _missed(program.task, run, WITHIN) if found.success else []
+        missed = _missed(program.task, run, WITHIN)
         if not missed:
             return search._replace(run=run)
         words = f"with {', '.join(limit.label.full for limit in missed)}"
         fuller = replace(program.task, limits=(*program.task.limits, *missed))
         search = _again(search, fuller, program.mesh, words, progress)
-    return search._replace(run=sampled(search.program, search.found.unknowns))
+    return search
 
 
 def _again(

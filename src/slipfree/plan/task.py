@@ -11,9 +11,13 @@ import numpy as np
 from slipfree.dae import Limit
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves
-from slipfree.plan.transcribe import Cost, Model, Place
+from slipfree.plan.conflicts import conflicts
+from slipfree.plan.transcribe import Cost, Model, Place, Task
+from slipfree.plan.wording import LIMITED
+from slipfree.trajectory import Trajectory
 
 Range = tuple[float, float]
+IDLE = 0.1  # power around which work and braking blend [W]
 ROUND = 0.01  # part of a bound over which the tip of a root at zero is rounded
 
 
@@ -47,9 +51,16 @@ def _term(dae: Model, name: str) -> tuple[Label, ca.SX]:
         parts = [*dae.named("slip_along"), *dae.named("slip_across")]
         return Label(name, "m2 s-1", "squared slip of all wheels"), ca.sumsqr(ca.vertcat(*parts))
     if name == "energy":
-        return Label(name, "J", "work of the drives"), ca.SX(sum(dae.named("power")))
+        return Label(name, "J", "work of the drives, braking not counted"), _work(dae)
     squares = ca.SX(sum(_square(each) for each in dae.named(name)))
     return Label(name, _squared_unit(dae, name), f"squared {name}, integrated over time"), squares
+
+
+def _work(dae: Model) -> ca.SX:
+    """Return the power of the drives that work, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
+    powers = [torque * rate for torque, rate in
+              zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)]  # fmt: skip
+    return ca.SX(sum((p + ca.sqrt(p**2 + IDLE**2) - IDLE) / 2 for p in powers))
 
 
 def _square(expression: ca.SX) -> ca.SX:
@@ -85,10 +96,14 @@ def _conditions(dae: Model, name: str, bounds: float | Range) -> Iterator[Limit]
         ):
             if name in (label.name, label.full):
                 away = 0.0 if shift is None else float(shift[k])
-                words = f"{label.words} is limited by the plan"
+                words = f"{label.words}{LIMITED}"
                 own = replace(label, name=f"{label.name}_limit", words=words)
                 yield _rounded(Limit(own, expression, low - away, high - away))
                 found = True
+    for limit in dae.limits:
+        if name in (limit.label.name, limit.label.full):
+            yield limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))
+            found = True
     if not found:
         dae.named(name)  # says which names there are
 
@@ -137,3 +152,37 @@ def bounds_of(dae: Model, given: Mapping[str, Range]) -> Array:
             raise ModelError(f"plan: bounds of {name} must ascend, found {low} to {high}")
         bounds[names.index(name)] = low, high
     return bounds
+
+
+def task_of(
+    dae: Model,
+    start: Trajectory,
+    *,
+    goal: Mapping[str, float | Range] | Sequence[Limit],
+    costs: Mapping[str, float] | Sequence[Cost],
+    duration: float | Range,
+    smooth: float = 0.0,
+    continuous: bool = True,
+    limits: Mapping[str, Range] | Sequence[Limit] = (),
+    way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
+    inputs: Mapping[str, Range] | None = None,
+    accelerations: Mapping[str, Range] | None = None,
+) -> Task:
+    """Return the optimal control problem of a plan; arguments are those of ``plan``.
+
+    Raises
+    ------
+    ModelError
+        If a name is not known, nothing is asked for at the goal, or start, goal and limits
+        contradict each other.
+    """
+    if not goal:
+        raise ModelError("plan: expected a goal, values or ranges by name, found none")
+    task = Task(
+        dae, dae.rows("x", start, -1), duration_of(duration), costs_of(dae, costs),
+        tuple(places_of(dae, goal, way_points or {})), limits_of(dae, limits),
+        bounds_of(dae, inputs or {}), bounds_of(dae, accelerations or {}), smooth, continuous,
+    )  # fmt: skip
+    if wrong := conflicts(task, start):
+        raise ModelError("plan: " + "; ".join(wrong))
+    return task

@@ -9,6 +9,8 @@ from slipfree.plan.groups import EQUATION, INPUT, LIMIT
 
 MODEL = "model"  # the role of the model's own limits, before they are in the program
 DURATION = "duration"
+LIMITED = " is limited by the plan"  # ends the words of a limit that was asked for
+LARGE = 1000.0  # from which on four digits are too few
 
 
 def rate_of(label: Label) -> Label:
@@ -32,7 +34,13 @@ def subject(label: Label, role: str) -> str:
 def number(label: Label, value: float) -> str:
     """Return a value with its unit."""
     unit = _unit(label.unit)
-    return f"{round(value, 9) + 0.0:.4g}{unit and ' '}{unit}"
+    return f"{_digits(value)}{unit and ' '}{unit}"
+
+
+def _digits(value: float) -> str:
+    """Return a value to four digits, large ones, as of places on a map, to three decimals."""
+    value = round(value, 9) + 0.0
+    return f"{value:.4g}" if abs(value) < LARGE else f"{round(value, 3):.15g}"
 
 
 def bounds_words(label: Label, low: float, high: float) -> str:
@@ -40,7 +48,7 @@ def bounds_words(label: Label, low: float, high: float) -> str:
     if low == high:
         return number(label, low)
     if np.isfinite(low) and np.isfinite(high):
-        return f"{low:.4g} to {number(label, high)}"
+        return f"{_digits(low)} to {number(label, high)}"
     return f"at least {number(label, low)}" if np.isfinite(low) else \
         f"at most {number(label, high)}"  # fmt: skip
 

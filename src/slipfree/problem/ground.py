@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.errors import DataError, ModelError
 from slipfree.problem import schema
 from slipfree.problem.locate import Place, ProblemError
-from slipfree.problem.read import Problem, S
+from slipfree.problem.read import A, Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.terrain.base import Grid
 from slipfree.terrain.dem import jacksboro, read_grid
@@ -47,7 +47,7 @@ class Ground(NamedTuple):
 
 
 @contextmanager
-def at(problem: Problem[S], place: Place) -> Iterator[None]:
+def at(problem: Problem[A], place: Place) -> Iterator[None]:
     """Say which line of the problem an error of the library concerns."""
     try:
         yield

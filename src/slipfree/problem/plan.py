@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from slipfree.dae import Dae, Limit
-from slipfree.errors import ModelError, SlipfreeError, SolverError
+from slipfree.errors import SlipfreeError, SolverError
 from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow
 from slipfree.kinematics.rolling import direct_kinematics
@@ -18,14 +18,13 @@ from slipfree.named import Array, Label
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.proof import rerun
 from slipfree.plan.reachable import unreachable
-from slipfree.plan.region import Disc, Polygon, Region
-from slipfree.plan.route import route, routes
+from slipfree.plan.region import Region
 from slipfree.plan.saved import Saved
 from slipfree.plan.solver import Iterate
-from slipfree.plan.task import limits_of
+from slipfree.plan.task import limits_of, task_of
 from slipfree.plan.traversability import Traversability, extents, traversability
 from slipfree.problem import schema
-from slipfree.problem.direct import build_law, build_model, way_of
+from slipfree.problem.direct import build_law, build_model
 from slipfree.problem.ground import at, build_ground
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import (
@@ -35,19 +34,29 @@ from slipfree.problem.parts import (
     build_vehicle,
     check_names,
     samples,
-    turned,
+)
+from slipfree.problem.places import (
+    Place,
+    Wanted,
+    facing,
+    key_of,
+    places_of,
+    regions,
+    spelled,
+    way_points_of,
+    ways_of,
 )
 from slipfree.problem.read import Problem, S
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import Trajectory, path_length
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Stop, Trajectory, path_length
+from slipfree.vehicle.chain import Vehicle
 
 ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
 FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
 Tell = Callable[[str], None]
 Model = Dae[Any, Any, Any, Any, Any]
-Place = tuple[str, float, float]
-Wanted = dict[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,16 +98,16 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     terrain = build_terrain(problem, ground)
     dae: Model = build_model(problem, spec, vehicle, terrain)
     check_names(problem, dae, spec.inputs)
-    keep_out, between = regions(problem, spec), _way_points(problem, spec)
-    places = _places(spec, between)
+    keep_out, between = regions(problem, spec), way_points_of(problem, spec)
+    places, exact = places_of(problem, spec, between, terrain.domain)
     layers = traversability(terrain, vehicle, keep_out=keep_out)
-    if wrong := [each for each in unreachable(layers, places) if each.sure]:
-        name = wrong[0].place
-        where = problem.source.where((name if name in ("start", "goal") else "way_points",))
+    wrong = [each for each in unreachable(layers, places) if each.sure and each.place in exact]
+    if wrong:
+        where = problem.source.where((key_of(wrong[0].place),))
         raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
     start = build_start(problem, dae)
     t, rates = samples(spec.time, spec.inputs or {})
-    ways = _ways(problem, spec, layers, places)
+    ways = ways_of(problem, spec, layers, places)
     if spec.driver is None:
         with at(problem, ("inputs",)):
             starts = [(dae.inputs(**rates), float(t[-1]))]
@@ -107,104 +116,20 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
             starts = [_along(dae, vehicle, way, spec.driver.speed) for way in ways]
     else:
         starts = [(build_law(problem, spec.driver, dae, vehicle, start), float(t[-1]))]
-    goal = ", ".join(f"{name} {_words(value)}" for name, value in spec.goal.items())
+    with at(problem, ("plan",)):
+        task_of(dae, start, **_asked(problem, spec, keep_out, (dae, vehicle, terrain), between),
+                duration=spec.plan.duration or spec.time.duration)  # fmt: skip
+    goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
     return Planning(
         ground, terrain, vehicle, dae, dae, start, starts[0][0], t, f"plan to {goal}", layers,
         places, keep_out, ways, tuple(starts), spec, between,
     )  # fmt: skip
 
 
-def _places(spec: schema.Plan, between: Mapping[float, Wanted]) -> tuple[Place, ...]:
-    """Return where the vehicle starts and is to go, in map coordinates, as far as known."""
-    places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
-    named = [(f"way-point at {part:g}", wanted) for part, wanted in between.items()]
-    for name, wanted in (*named, ("goal", spec.goal)):
-        if {"x", "y"} <= set(wanted):
-            places.append((name, sum(wanted["x"]) / 2, sum(wanted["y"]) / 2))
-    return tuple(places)
-
-
-def _way_points(problem: Problem[S], spec: schema.Plan) -> dict[float, Wanted]:
-    """Return what is asked for on the way, by the fraction of the duration."""
-    found: dict[float, Wanted] = {}
-    for index, each in enumerate(spec.way_points):
-        wanted = dict(each)
-        with at(problem, ("way_points", index)):
-            low, high = wanted.pop("at", (0.0, 0.0))
-            if not 0 < low == high < 1:
-                raise ModelError(
-                    "way_points: expected at, a fraction of the duration between 0 and 1, and "
-                    f"values by name, found at = {_words((low, high))}"
-                )
-            found[low] = _turned(problem, wanted)
-    return dict(sorted(found.items()))
-
-
-def _turned(problem: Problem[S], wanted: Wanted) -> Wanted:
-    """Return what is asked for, with headings that count from the y axis."""
-    return {name: (low + turned(problem), high + turned(problem)) if name == "heading"
-            else (low, high) for name, (low, high) in wanted.items()}  # fmt: skip
-
-
-def _ways(
-    problem: Problem[S], spec: schema.Plan, layers: Traversability, places: tuple[Place, ...]
-) -> tuple[Array, ...]:
-    """Return the paths that start the search: given ones, or routes over the ground."""
-    driver = spec.driver
-    if driver is None or driver.name == "straight":
-        return ()
-    if driver.name == "follow":
-        with at(problem, ("driver",)):
-            if driver.paths is None:
-                return (way_of(problem, driver),)
-            if driver.path is not None or driver.file is not None:
-                raise ModelError("driver: expected one of path, paths and file, found two")
-            return tuple(np.array(path) for path in driver.paths)
-    if places[-1][0] != "goal":
-        raise ProblemError(f"{problem.source.where(('goal',))}: a route needs a goal in x and y")
-    return _routes(problem, driver, layers, [np.array(place[1:]) for place in places])
-
-
-def _routes(
-    problem: Problem[S], driver: schema.Guide, layers: Traversability, places: list[Array]
-) -> tuple[Array, ...]:
-    """Return ways over the ground through all places; several of them only without way-points."""
-    with at(problem, ("driver",)):
-        if len(places) == 2:
-            found = routes(layers, places[0], places[1], driver.count,
-                           turning_radius=driver.turning_radius)  # fmt: skip
-            return tuple(way.points for way in found)
-        if driver.count > 1:
-            raise ModelError("driver: several routes are sought without way-points only; count = 1")
-        legs = [route(layers, one, other, turning_radius=driver.turning_radius)
-                for one, other in pairwise(places)]  # fmt: skip
-        return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
-
-
 def _along(dae: Model, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
     """Return the law that follows a path, and how long that lasts."""
     path = Path(way)
     return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
-
-
-def regions(problem: Problem[S], spec: schema.Plan) -> tuple[Region, ...]:
-    """Return the places to keep out of."""
-    found: list[Region] = []
-    for index, each in enumerate(spec.keep_out):
-        with at(problem, ("keep_out", index)):
-            disc = (each.x, each.y, each.radius)
-            if each.points is not None and disc == (None, None, None):
-                found.append(Polygon(each.points))
-            elif each.points is None and None not in disc:
-                found.append(Disc(*(float(value or 0.0) for value in disc)))
-            else:
-                raise ModelError("keep_out: expected either x, y and radius, or points")
-    return tuple(found)
-
-
-def _words(bounds: tuple[float, float]) -> str:
-    low, high = bounds
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 def planned(
@@ -220,19 +145,19 @@ def planned(
     length = resume.course.duration if resume else float(guesses[0].t[-1])
     with at(problem, ("plan",)):
         found = plan(
-            setup.dae, setup.start, guesses, goal=_turned(problem, spec.goal), costs=spec.costs,
-            way_points=setup.between,
-            duration=spec.plan.duration or (length, length), smooth=spec.plan.smooth,
-            continuous=spec.plan.continuous,
-            limits=(*limits_of(setup.dae, spec.limits), *_kept_out(setup)),
-            inputs=spec.bounds, accelerations=spec.accelerations,
-            intervals=spec.plan.intervals, degree=spec.plan.degree, accuracy=spec.plan.accuracy,
+            setup.dae, setup.start, guesses,
+            **_asked(problem, spec, setup.keep_out, (setup.dae, setup.vehicle, setup.terrain),
+                     setup.between),
+            duration=spec.plan.duration or (length, length), intervals=spec.plan.intervals,
+            degree=spec.plan.degree, accuracy=spec.plan.accuracy,
             tolerance=spec.solver.tolerance, step=spec.time.step, resume=resume,
             progress=_telling(tell),
         )  # fmt: skip
     run, stop = found.replay, found.run.stop
     if stop is not None and not found.success:
         run = replace(run, stop=stop._replace(t=float(run.t[-1])))
+    elif run.stop is None and not found.accurate:
+        run = replace(run, stop=_inaccurate(spec, found))
     attributes = {**run.attributes, **_by_friction(setup, found)}
     statistics = {**run.statistics, **_statistics(found)}
     return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
@@ -244,16 +169,49 @@ def figure_options(setup: Planning) -> dict[str, Any]:
             "limits": setup.spec.limits}  # fmt: skip
 
 
-def _kept_out(setup: Planning) -> list[Limit]:
+def _asked(
+    problem: Problem[S], spec: schema.Plan, keep_out: tuple[Region, ...],
+    model: tuple[Model, Vehicle, Bicubic], between: Mapping[float, Wanted],
+) -> dict[str, Any]:  # fmt: skip
+    """Return what a plan is asked for, as arguments of `plan`."""
+    limits = (*limits_of(model[0], spec.limits), *_kept_out(keep_out, *model))
+    return {
+        "goal": facing(problem, spec.goal), "costs": spec.costs, "smooth": spec.plan.smooth,
+        "continuous": spec.plan.continuous, "limits": limits, "way_points": between,
+        "inputs": spec.bounds, "accelerations": spec.accelerations,
+    }  # fmt: skip
+
+
+def _kept_out(
+    keep_out: tuple[Region, ...], dae: Model, vehicle: Vehicle, terrain: Bicubic
+) -> list[Limit]:
     """Return that the circle around the wheels keeps out of the places that are named."""
-    x, y = setup.dae.x.x, setup.dae.x.y
-    o_x, o_y, _ = setup.terrain.origin
-    _, _, reach = extents(setup.vehicle)
+    x, y = dae.x.x, dae.x.y
+    o_x, o_y, _ = terrain.origin
+    _, _, reach = extents(vehicle)
     return [
-        Limit(Label(f"keep_out_{k}", "m", f"the vehicle touches {region.words}"),
+        Limit(Label(f"keep_out_{k}", "m",
+                    f"the circle around the wheels touches {region.words}"),
               region.outside(x + o_x, y + o_y), reach, np.inf)
-        for k, region in enumerate(setup.keep_out)
+        for k, region in enumerate(keep_out)
     ]  # fmt: skip
+
+
+def _inaccurate(spec: schema.Plan, found: Plan) -> Stop:
+    """Return in words that a plan is solved, but simulated less exactly than was asked for."""
+    parts = {name: size for name, size in (found.difference | found.violation).items()
+             if size > spec.plan.accuracy}  # fmt: skip
+    worst = ", ".join(f"{name} by {size:.1e}" for name, size in parts.items())
+    last = found.stages[-1]
+    why = {"Solve_Succeeded": "its mesh was not refined any further"}.get(
+        last.status, f"its mesh of {last.words} was not solved ({last.status})"
+    )
+    words = (
+        f"the plan is solved, but its simulation misses {worst or 'a narrow limit'}, where an "
+        f"accuracy of {spec.plan.accuracy:g} was asked for: {why}; raise plan.intervals or "
+        "plan.accuracy"
+    )
+    return Stop("plan_accuracy", float(found.replay.t[-1]), words)
 
 
 def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
@@ -325,8 +283,8 @@ def _statistics(found: Plan) -> dict[str, float]:
         **{f"plan_cost_{name}": value for name, value in found.costs.items()},
         **{f"plan_difference_{name}": value for name, value in found.difference.items()},
         **{
-            f"plan_violation_{name.replace('[', '_').rstrip(']')}": value
-            for name, value in found.violation.items()
+            f"plan_violation_{re.sub('[^a-zA-Z0-9.]+', '_', name).strip('_')}": size
+            for name, size in found.violation.items()
         },
         "plan_intervals": float(found.course.mesh.ends.size - 1),
     }

@@ -9,12 +9,25 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from slipfree.problem.locate import Place, ProblemError, Source, key_lines, key_path
-from slipfree.problem.schema import ALTERNATIVES, Compare, Direct, Inverse, Motion, Plan, Task
+from slipfree.problem.schema import (
+    ALTERNATIVES,
+    Asked,
+    Climb,
+    Compare,
+    Direct,
+    Inverse,
+    Motion,
+    Plan,
+    Task,
+)
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
 
 MOST_SAMPLES = 1_000_000
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a --set value that may stand without quotes
@@ -37,18 +50,19 @@ EXPECTED = {
 }
 
 
-COMMANDS: dict[str, tuple[type[Task], ...]] = {
-    "run": (Direct, Inverse, Plan),
+COMMANDS: dict[str, tuple[type[Asked], ...]] = {
+    "run": (Direct, Inverse, Plan, Climb),
     "compare": (Compare,),
 }
 S = TypeVar("S", bound=Task)
+A = TypeVar("A", bound=Asked)
 
 
 @dataclass(frozen=True)
-class Problem(Generic[S]):
+class Problem(Generic[A]):
     """A validated problem, and where each of its values comes from."""
 
-    spec: S
+    spec: A
     source: Source
 
     @property
@@ -65,9 +79,20 @@ class Fault(NamedTuple):
     found: str
 
 
-def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion]:
-    """Return the problem of a motion in a TOML file: direct, inverse or a plan; see `read_as`."""
+def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion] | Problem[Climb]:
+    """Return the problem of a motion in a TOML file, a climb among them; see `read_as`."""
+    found = _read(COMMANDS["run"], path, settings)
+    return cast("Problem[Motion] | Problem[Climb]", found)
+
+
+def read_motion(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion]:
+    """Return the problem of a motion over terrain: direct, inverse or a plan; see `read_as`."""
     return _read((Direct, Inverse, Plan), path, settings)
+
+
+def climbs(problem: Problem[Motion] | Problem[Climb]) -> TypeIs[Problem[Climb]]:
+    """Return whether a problem is that of a climb."""
+    return isinstance(problem.spec, Climb)
 
 
 def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> Problem[S]:
@@ -91,7 +116,7 @@ def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> 
     return _read((schema,), path, settings)
 
 
-def _read(schemas: Sequence[type[S]], path: str | Path, settings: Sequence[str]) -> Problem[S]:
+def _read(schemas: Sequence[type[A]], path: str | Path, settings: Sequence[str]) -> Problem[A]:
     """Return the problem in a TOML file, by the schema that its verb names."""
     path = Path(path)
     text = _text(path)
@@ -114,7 +139,7 @@ def _read(schemas: Sequence[type[S]], path: str | Path, settings: Sequence[str])
     raise problem_error(source, faults)
 
 
-def _by_verb(schemas: Sequence[type[S]], data: Mapping[str, Any], source: Source) -> type[S]:
+def _by_verb(schemas: Sequence[type[A]], data: Mapping[str, Any], source: Source) -> type[A]:
     """Return the schema of the verb, the first if there is none; refuse one of another command."""
     verbs = {_verb(schema): schema for schema in schemas}
     if "verb" not in data:
@@ -132,7 +157,7 @@ def _by_verb(schemas: Sequence[type[S]], data: Mapping[str, Any], source: Source
     raise problem_error(source, [Fault(("verb",), expected, _shown(data["verb"]) + hint)])
 
 
-def _verb(schema: type[Task]) -> str:
+def _verb(schema: type[Asked]) -> str:
     (verb,) = get_args(schema.model_fields["verb"].annotation)
     return str(verb)
 
@@ -237,7 +262,7 @@ def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
     return [path]
 
 
-def _alternatives(schema: type[Task], data: dict[str, Any]) -> Iterator[Fault]:
+def _alternatives(schema: type[Asked], data: dict[str, Any]) -> Iterator[Fault]:
     """Yield a fault where a table has none, or several, of keys that exclude each other."""
     for place, keys in ALTERNATIVES[schema].items():
         table: Any = data
@@ -251,7 +276,7 @@ def _alternatives(schema: type[Task], data: dict[str, Any]) -> Iterator[Fault]:
             yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
 
 
-def _path(spec: Task) -> Iterator[Fault]:
+def _path(spec: Asked) -> Iterator[Fault]:
     """Yield the faults of a path: columns beside a file, missing, or not as long as the times."""
     path = spec.path if isinstance(spec, Inverse) else None
     if path is None:
@@ -266,7 +291,7 @@ def _path(spec: Task) -> Iterator[Fault]:
             yield Fault(place, expected, f"{len(column)}" if column is not None else "none")
 
 
-def _time(spec: Task) -> Iterator[Fault]:
+def _time(spec: Asked) -> Iterator[Fault]:
     time = spec.time
     if time.step > time.duration:
         yield Fault(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import inf
+from math import inf, pi
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
 from pydantic_core import PydanticCustomError
 
+from slipfree.climb.control import Directions
+from slipfree.climb.reference import Law
 from slipfree.vehicle.catalog import Axle
 
 Piecewise = tuple[tuple[float, float], ...]
@@ -178,15 +180,20 @@ class Output(Record):
     file: Annotated[str, Field(min_length=1)]
 
 
-class Task(Record):
-    """What every problem has: a ground, a start on it, and a time."""
+class Asked(Record):
+    """What every problem has: what is asked for, and for what time."""
 
     verb: str
     title: str | None = None
-    terrain: Terrain
-    start: dict[str, float]
     time: Time
     solver: Solver = Solver()
+
+
+class Task(Asked):
+    """What every problem has that happens on terrain: a ground, and a start on it."""
+
+    terrain: Terrain
+    start: dict[str, float]
 
 
 class Motion(Task):
@@ -311,10 +318,158 @@ class Compare(Task):
     driver: Driver
 
 
+class Incline(Record):
+    """A ramp up to a plateau, from x = 0 on."""
+
+    angle: Annotated[float, Field(gt=0, le=pi / 2)]
+    height: Length
+
+
+class Step(Record):
+    """A plateau, from x = 0 on."""
+
+    height: Length
+
+
+class Kerb(Record):
+    """A block, from x = 0 on."""
+
+    height: Length
+    length: Length
+
+
+class Stairs(Record):
+    """Stairs, from x = 0 on, the last step a plateau."""
+
+    height: Length
+    depth: Length
+    count: Annotated[int, Field(ge=1)]
+
+
+class Solid(Record):
+    """A convex polygon of the ground."""
+
+    points: Annotated[tuple[Pair, ...], Field(strict=False)]
+
+
+class Profile(Record):
+    """The ground of a climb: a floor with one obstacle, or solids, here or in a file."""
+
+    ramp: Incline | None = None
+    step: Step | None = None
+    kerb: Kerb | None = None
+    stairs: Stairs | None = None
+    solids: Annotated[tuple[Solid, ...], Field(strict=False)] | None = None
+    file: str | None = None
+
+
+class ClimberBody(Record):
+    """A body of a vehicle that climbs; the defaults are the catalogue's."""
+
+    mass: Length | None = None
+    ahead: float | None = None
+    above: float | None = None
+    inertia: Length | None = None
+
+
+class ClimberAxle(Record):
+    """Wheels of a vehicle that climbs; the defaults are the catalogue's."""
+
+    ahead: float | None = None
+    wheels: Annotated[int, Field(ge=1)] | None = None
+    inertia: Length | None = None
+
+
+class Climber(Record):
+    """A vehicle that climbs, of the catalogue, and its dimensions."""
+
+    catalog: Literal["seven_wheels"]
+    joint: float = 0.0
+    torque: Length = inf
+    radius: Length | None = None
+    rear_body: ClimberBody = ClimberBody()
+    front_body: ClimberBody = ClimberBody()
+    rear: ClimberAxle = ClimberAxle()
+    middle: ClimberAxle = ClimberAxle()
+    front: ClimberAxle = ClimberAxle()
+
+
+class Friction(Record):
+    """Coefficients of friction of a climb: at rest, and at speed."""
+
+    static: Length
+    kinetic: Length
+
+
+class Compliance(Record):
+    """How contacts give way; the defaults are those of `slipfree.climb.contact.Contact`."""
+
+    stiffness: Length | None = None
+    damping: Radius | None = None
+    creep: Length | None = None
+    stribeck: Length | None = None
+
+
+class Control(Record):
+    """How wheels are driven; the defaults are those of `slipfree.climb.control.Control`."""
+
+    speed: Length
+    law: Law | None = None
+    directions: Directions | None = None
+    smoothing: Length | None = None
+    share: Radius | None = None
+    cap: Annotated[float, Field(ge=1)] | None = None
+    proportional: Length | None = None
+    integral: Length | None = None
+    derivative: Radius | None = None
+    lag: Length | None = None
+    unwinding: Radius | None = None
+    period: Length | None = None
+
+
+class Approach(Record):
+    """Where a climb begins: how far the front wheels are from the obstacle, and how fast."""
+
+    distance: float
+    speed: Radius | None = None
+
+
+class Stiff(Solver):
+    """What is asked of the integrator of a stiff motion."""
+
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    method: Literal["cvodes", "idas"] | None = None
+
+
+class Legs(Record):
+    """What a climb is planned for, leg by leg."""
+
+    cost: Literal["time", "friction", "slip"] = "time"
+    nodes: Annotated[int, Field(ge=3)] = 60
+    friction: Length | None = None
+    speed: Length | None = None
+
+
+class Climb(Asked):
+    """A vehicle of two bodies climbs an obstacle: the motion under control of its wheels."""
+
+    verb: Literal["climb"]
+    solver: Stiff = Stiff()
+    profile: Profile
+    vehicle: Climber
+    friction: Friction
+    contact: Compliance = Compliance()
+    control: Control
+    start: Approach
+    plan: Legs | None = None
+    output: Output | None = None
+
+
 GROUNDS = ("file", "sample", "synthetic")
-ALTERNATIVES: dict[type[Task], dict[tuple[str, ...], tuple[str, ...]]] = {
+ALTERNATIVES: dict[type[Asked], dict[tuple[str, ...], tuple[str, ...]]] = {
     Direct: {(): ("inputs", "driver"), ("terrain",): GROUNDS},
     Plan: {(): ("inputs", "driver"), ("terrain",): GROUNDS},
     Inverse: {(): ("given", "path"), ("terrain",): GROUNDS, ("path",): ("t", "file")},
     Compare: {("terrain",): GROUNDS},
+    Climb: {("profile",): ("ramp", "step", "kerb", "stairs", "solids", "file")},
 }  # of each of these keys a table has exactly one

@@ -95,6 +95,8 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
     over = [f"{name.removeprefix('plan_violation_')} by {size:.1e}" for name, size in counts.items()
             if name.startswith("plan_violation_") and size > ROUNDING]  # fmt: skip
     kept = f"; it goes beyond {', '.join(over)}" if over else "; it keeps to all limits"
+    if run.stop is not None and run.stop.name == "plan":
+        kept = ""  # which limits matter the reasons say
     yield "simulated", f"differs from the plan by at most {listed}{kept}"
     slip = np.hypot(run["slip_along"], run["slip_across"])
     duration, length = run.t[-1] - run.t[0], path_length(run)
