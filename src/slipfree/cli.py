@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from slipfree.problem.compare import Drive
     from slipfree.problem.read import Problem
     from slipfree.problem.run import Outcome
-    from slipfree.problem.schema import Motion
+    from slipfree.problem.schema import Climb, Motion
 
 STOPPED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 REFRESH = 0.1  # between two updates of the progress bar [s]
@@ -107,15 +107,21 @@ def run(
             help="Start a plan from the one in a result file, whatever its mesh, ground or goal.",
         ),
     ] = None,
+    animation: Annotated[
+        Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as a moving picture.")
+    ] = None,
 ) -> None:
     """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
     with _reported():
+        from slipfree.problem.read import climbs
         from slipfree.problem.run import check_cross
 
         problem = _read(file, settings)
         out = out or Path(_output(problem))
         folder = (figures or out.with_name(f"{out.stem}_figures")) if draw else None
-        _check_places([out, csv], folder, problem)
+        _check_places([out, csv, animation], folder, problem)
+        if animation is not None:
+            _check_animation(animation, problem)
         if cross_check:
             check_cross(problem)
         former = _former(problem, resume)
@@ -124,10 +130,12 @@ def run(
         _save(outcome, out, csv)
         _print_outcome(outcome)
         typer.echo(f"wrote {out}" + (f", {csv}" if csv else ""))
-        if cross_check:
+        if cross_check and not climbs(problem):
             _cross_check(problem, outcome)
         if folder is not None:
             _draw(outcome, folder)
+        if animation is not None:
+            _animate(outcome, animation)
         if motion.stop is not None:
             _say_stopped(motion.stop, out)
             raise typer.Exit(STOPPED)
@@ -137,10 +145,14 @@ def run(
 def check(file: File, settings: Settings = None) -> None:
     """Check a problem and stand the vehicle on its start, without solving."""
     with _reported():
+        from slipfree.problem.read import climbs
         from slipfree.problem.run import build, setup_facts
         from slipfree.problem.summary import certificate
 
         problem = _read(file, settings)
+        if climbs(problem):
+            _check_climb(problem)
+            return
         setup = build(problem)
         start, spec = setup.start, problem.spec
         names = [*spec.start, "z", "pitch", "roll"]
@@ -155,14 +167,26 @@ def check(file: File, settings: Settings = None) -> None:
         typer.echo("ok")
 
 
+def _check_climb(problem: Problem[Climb]) -> None:
+    """Stand the vehicle of a climb before its obstacle."""
+    from slipfree.problem.climb import build_climb
+
+    setup = build_climb(problem)
+    place = ", ".join(f"{name} {setup.start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
+    samples = f"{setup.t.size} to {setup.t[-1]:g} s"
+    _print([*setup.facts, ("start", f"{place} (m, m/s)"), ("samples", samples)])
+    typer.echo("ok")
+
+
 @app.command()
 def vehicle(file: File, settings: Settings = None) -> None:
     """Describe the vehicle of a problem: parts, unknowns, equations, and whether it can roll."""
     with _reported():
         from slipfree.problem.describe import conditioning, counts, tree
+        from slipfree.problem.read import read_motion
         from slipfree.problem.run import build
 
-        setup = build(_read(file, settings))
+        setup = build(read_motion(file, settings or []))
         typer.echo("\n".join([setup.vehicle.name, *tree(setup.vehicle), ""]))
         _print(counts(setup.vehicle, setup.model) + conditioning(setup.start))
 
@@ -256,23 +280,25 @@ def _reported() -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from error
 
 
-def _read(file: Path, settings: list[str] | None) -> Problem[Motion]:
+def _read(file: Path, settings: list[str] | None) -> Problem[Motion] | Problem[Climb]:
     from slipfree.problem.read import read
 
     return read(file, settings or [])
 
 
-def _output(problem: Problem[Motion]) -> str:
+def _output(problem: Problem[Motion] | Problem[Climb]) -> str:
     spec = problem.spec.output
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
-def _check_places(files: list[Path | None], folder: Path | None, problem: Problem[Motion]) -> None:
+def _check_places(
+    files: list[Path | None], folder: Path | None, problem: Problem[Motion] | Problem[Climb]
+) -> None:
     """Refuse places that cannot be written to, or that are read, before anything is computed."""
     spec = problem.spec
-    tables = (spec.terrain, getattr(spec, "driver", None), getattr(spec, "path", None))
+    tables = [getattr(spec, name, None) for name in ("terrain", "driver", "path", "profile")]
     names = [table.file for table in tables if table is not None]
-    names += [spec.terrain.friction] if isinstance(spec.terrain.friction, str) else []
+    names += [each for each in (getattr(tables[0], "friction", None),) if isinstance(each, str)]
     taken = {problem.source.path.resolve(): "the problem file"}
     taken |= {(problem.folder / name).resolve(): f"the input {name}" for name in names if name}
     for path in files:
@@ -298,7 +324,7 @@ def _check_writable(path: Path, folder: Path) -> None:
         raise DataError(f"{path}: expected a folder {folder} that may be written to")
 
 
-def _solve(problem: Problem[Motion], former: Saved | None) -> Outcome:
+def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> Outcome:
     """Return the outcome; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.progress import Progress
@@ -310,7 +336,9 @@ def _solve(problem: Problem[Motion], former: Saved | None) -> Outcome:
         if not console.is_terminal:
             return solve(problem, lambda _: poll(), lambda _: poll(), former)
         with Progress(console=console, transient=True) as bar:
-            task = bar.add_task("solving", total=problem.spec.time.duration)
+            task = bar.add_task(
+                "solving", total=None if problem.spec.verb == "plan" else problem.spec.time.duration
+            )
             show = _throttled(lambda t: bar.update(task, completed=t))
             show_line = _throttled(lambda line: bar.update(task, description=line))
 
@@ -365,7 +393,7 @@ def _throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
     return seldom
 
 
-def _former(problem: Problem[Motion], file: Path | None) -> Saved | None:
+def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> Saved | None:
     """Return the plan to start from, if one is named."""
     from slipfree.plan.saved import from_arrays
     from slipfree.result_file import read_arrays
@@ -386,9 +414,34 @@ def _save(outcome: Outcome, out: Path, csv: Path | None) -> None:
         write_csv(csv, outcome.trajectory)
 
 
+def _check_animation(file: Path, problem: Problem[Motion] | Problem[Climb]) -> None:
+    if problem.spec.verb != "climb":
+        where = problem.source.where(("verb",))
+        raise DataError(f"{where}: expected 'climb' for --animation, found {problem.spec.verb!r}")
+    if file.suffix != ".gif":
+        raise DataError(f"{file}: expected a name that ends in .gif for an animation")
+
+
+def _animate(outcome: Outcome, file: Path) -> None:
+    from slipfree.problem.climb import Climbing
+    from slipfree.show.climb import animate
+
+    if isinstance(outcome.setup, Climbing):
+        animate(outcome.trajectory, outcome.setup.climber, outcome.setup.profile, file)
+        typer.echo(f"wrote {file}")
+
+
 def _draw(outcome: Outcome, folder: Path) -> None:
+    from slipfree.problem.climb import Climbing
     from slipfree.problem.plan import Planning, figure_options
 
+    if isinstance(outcome.setup, Climbing):
+        from slipfree.show.climb import save_climb_figures
+
+        climber, profile = outcome.setup.climber, outcome.setup.profile
+        paths = save_climb_figures(outcome.trajectory, climber, profile, folder)
+        typer.echo(f"drew {len(paths)} figures in {folder}")
+        return
     grid = outcome.setup.ground.grid
     if isinstance(outcome.setup, Planning):
         from slipfree.show.plan import save_plan_figures

@@ -32,15 +32,16 @@ class Course:
     slope: Array
     speeds: Array
     torques: Array
+    along: Array
 
 
 def course(climber, plans) -> Course:
     parts = [_places(climber, plan, unknowns) for plan, unknowns in plans]
-    p, square, slope, speeds, torques = (np.concatenate(each) for each in zip(*parts, strict=True))
+    p, square, slope, speeds, torques, along = (np.concatenate(each) for each in zip(*parts, strict=True))
     # two legs meet in one place, with two torques there
     for k in range(1, p.size):
         p[k] = max(p[k], p[k - 1] + CLOSEST)
-    return Course(p, square, slope, speeds, torques)
+    return Course(p, square, slope, speeds, torques, along)
 
 
 def _progress(climber, q):
@@ -62,8 +63,9 @@ def _places(climber, plan, unknowns):
         return np.stack([np.interp(s, x, c) for c in np.atleast_2d(y.T)], axis=-1)
     q = np.empty((s.size, 4)); q[0::2], q[1::2] = nodes.q, middles.q
     v = np.empty((s.size, 3)); v[0::2], v[1::2] = nodes.speeds, middles.speeds
+    n = np.empty((s.size, 3, 2)); n[0::2], n[1::2] = nodes.normals, middles.normals
     p = _progress(climber, q)
-    return p, np.interp(s, nodes.s, b), np.gradient(p, s), v, all_(middles.s, torque)
+    return p, np.interp(s, nodes.s, b), np.gradient(p, s), v, all_(middles.s, torque), np.arctan2(-n[..., 0], n[..., 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ class Tracking:
 
     def asked(self, climber, x, axles, velocities, speed):
         c = self.course
-        rows = np.column_stack([c.square, c.speeds, self.scale * c.torques, c.slope])
+        rows = np.column_stack([c.square, c.speeds, self.scale * c.torques, c.slope, c.along])
         f = ca.interpolant("plan", "linear", [c.p.tolist()], rows.ravel().tolist())
         at = ca.MX.sym("p")
         table = ca.Function("plan", [at], [f(at)], {"never_inline": True})
@@ -104,10 +106,15 @@ class Tracking:
         arriving = ca.fmin(speed, ca.sqrt(2 * self.braking * ca.fmax(c.p[0] - p, 0) + self.slowest**2))
         leaving = ca.fmin(speed, ca.sqrt(c.square[-1] + 2 * self.braking * ca.fmax(p - c.p[-1], 0) + self.slowest**2))
         pace = ca.if_else(before, arriving, ca.if_else(after, leaving, rest))
-        pace = ca.fmin(pace, going + self.spare)
+        pace = ca.fmin(pace, ca.fmax(going, 0) + self.spare) if self.sensed else pace
         refs, out = [], []
         for k in range(3):
-            refs.append(pace * ratios[k] / climber.radius)
+            direction = ca.if_else(outside, 0, row[8 + k])
+            along = velocities[k][0] * ca.cos(direction) + velocities[k][1] * ca.sin(direction)
+            wish = pace * ratios[k]
+            if not self.sensed:
+                wish = ca.fmin(wish, along + self.spare)
+            refs.append(wish / climber.radius)
             ahead = ca.if_else(outside, 0, row[4 + k])
             out.append(ahead + self.proportional * (refs[-1] - x.spins[k]))
         wanted = PerAxle(*out)

@@ -25,7 +25,7 @@ from slipfree.vehicle.chain import Vehicle, actuated
 
 CATALOG = {"three_wheeler": three_wheeler}
 NEAR = 1e-9  # times closer than this part of the duration are one
-COUNTS = {2: "two", 4: "four"}
+COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +85,15 @@ def build_start(problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any]) -> Traje
         return settle(dae, **values)
 
 
-def read_columns(file: Path, columns: Sequence[str]) -> list[tuple[float, ...]]:
+def read_columns(
+    file: Path, columns: Sequence[str], what: str = "way-points"
+) -> list[tuple[float, ...]]:
     """Return the rows of a CSV file of numbers; a first line of names may reorder the columns."""
     wanted = f"{COUNTS[len(columns)]} numbers {','.join(columns)}"
     try:
         text = file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{file}: expected way-points as CSV, found no text file") from error
+        raise DataError(f"{file}: expected {what} as CSV, found no text file") from error
     rows, order = [], list(range(len(columns)))
     for number, line in enumerate(text.splitlines(), 1):
         cells = [cell.strip() for cell in line.split(",")]

@@ -13,13 +13,14 @@ from slipfree.kinematics.records import is_determinate
 from slipfree.named import Array
 from slipfree.plan.saved import Saved
 from slipfree.problem import schema
+from slipfree.problem.climb import Climbing, build_climb, climbed
 from slipfree.problem.direct import build_direct
 from slipfree.problem.ground import at, ground_facts
 from slipfree.problem.inverse import build_inverse, drive_along, finished, is_sought
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import Setup, vehicle_facts
 from slipfree.problem.plan import Planning, build_plan, planned
-from slipfree.problem.read import Problem
+from slipfree.problem.read import Problem, climbs
 from slipfree.problem.summary import Facts
 from slipfree.result_file import NOTHING
 from slipfree.solve.simulate import simulate
@@ -35,14 +36,14 @@ class Outcome(NamedTuple):
     ----------
     trajectory : Trajectory
         The motion, whole or to where it stopped.
-    setup : Setup
+    setup : Setup or Climbing
         What it ran on.
     arrays : mapping of str to ndarray
         From which another plan may start, for the result file; empty if it is none.
     """
 
     trajectory: Trajectory
-    setup: Setup
+    setup: Setup | Climbing
     arrays: Mapping[str, Array] = NOTHING
 
 
@@ -66,7 +67,7 @@ def build(problem: Problem[schema.Motion]) -> Setup:
 
 
 def run(
-    problem: Problem[schema.Motion],
+    problem: Problem[schema.Motion] | Problem[schema.Climb],
     progress: Progress | None = None,
     tell: Callable[[str], None] | None = None,
     resume: Saved | None = None,
@@ -92,6 +93,8 @@ def run(
         If the integrator fails before the first sample; later failures are a stop of the
         trajectory.
     """
+    if climbs(problem):
+        return _climbed(problem, progress)
     setup, tolerance = build(problem), problem.spec.solver.tolerance
     arrays = NOTHING
     with at(problem, ("start",)):
@@ -107,6 +110,14 @@ def run(
     return Outcome(replace(finished(found), attributes=attributes), setup, arrays)
 
 
+def _climbed(problem: Problem[schema.Climb], progress: Progress | None) -> Outcome:
+    setup = build_climb(problem)
+    with at(problem, ("start",)):
+        found = climbed(problem, setup, progress)
+    attributes = {**found.attributes, **_attributes(problem, setup)}
+    return Outcome(replace(found, attributes=attributes), setup)
+
+
 def _integrated(setup: Setup, tolerance: float, progress: Progress | None) -> Trajectory:
     """Return the motion, or what the integrator reached of it."""
     try:
@@ -119,7 +130,7 @@ def _integrated(setup: Setup, tolerance: float, progress: Progress | None) -> Tr
         return error.trajectory
 
 
-def check_cross(problem: Problem[schema.Motion]) -> schema.Direct:
+def check_cross(problem: Problem[schema.Motion] | Problem[schema.Climb]) -> schema.Direct:
     """Return the problem's record if there is another formulation of it; else say so."""
     if not isinstance(problem.spec, schema.Direct):
         where = problem.source.where(("verb",))
@@ -141,21 +152,24 @@ def other_formulation(spec: schema.Direct) -> str:
     return "montana" if spec.formulation == "closure" else "closure"
 
 
-def setup_facts(setup: Setup) -> Facts:
+def setup_facts(setup: Setup | Climbing) -> Facts:
     """Return what to tell about ground, vehicle and what drives it."""
+    if isinstance(setup, Climbing):
+        return setup.facts
     facts = ground_facts(setup.ground) + vehicle_facts(setup.vehicle)
     return [*facts, ("driven by", setup.driven)]
 
 
-def _attributes(problem: Problem[schema.Motion], setup: Setup) -> dict[str, str]:
+def _attributes(
+    problem: Problem[schema.Motion] | Problem[schema.Climb], setup: Setup | Climbing
+) -> dict[str, str]:
     """Return what a result must know about its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
-    facts = dict(setup_facts(setup))
     return {
         "title": problem.spec.title or source.path.stem,
         "problem_file": source.path.name,
         "problem": source.text,
         **(settings if source.settings else {}),
-        **{name.replace(" ", "_"): words for name, words in facts.items()},
+        **{name.replace(" ", "_"): words for name, words in setup_facts(setup)},
     }

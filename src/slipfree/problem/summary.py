@@ -8,6 +8,7 @@ import numpy as np
 
 from slipfree.contact.certify import NONE
 from slipfree.kinematics.margin import steering_note
+from slipfree.problem.climb_summary import climb_facts, is_climb
 from slipfree.trajectory import Trajectory, path_length
 
 UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
@@ -17,6 +18,8 @@ Facts = list[tuple[str, str]]
 
 def motion_facts(run: Trajectory) -> Facts:
     """Return name and value of what matters about a motion, ready to print."""
+    if is_climb(run):
+        return [*climb_facts(run)]
     return [
         *_way(run), *_inverse(run), *_planned(run), *_slip(run), *_tilt(run), *_forces(run),
         *_trust(run), *_cost(run), *_end(run),

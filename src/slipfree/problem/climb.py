@@ -1,0 +1,353 @@
+"""From a problem of a climb to a model, a start, a plan and a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import groupby
+from math import degrees, isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar
+
+from slipfree.climb.contact import Contact
+from slipfree.climb.control import Control, check_period
+from slipfree.climb.dynamics import climbing, floor_loads, standing
+from slipfree.climb.metrics import climb_window, metrics
+from slipfree.climb.outcome import outcome
+from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
+from slipfree.climb.quasi import least_friction
+from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
+from slipfree.dae import Dae
+from slipfree.errors import ModelError, SolverError
+from slipfree.named import Array
+from slipfree.problem import schema
+from slipfree.problem.ground import at
+from slipfree.problem.locate import Place
+from slipfree.problem.parts import read_columns, samples
+from slipfree.problem.read import Fault, Problem, problem_error
+from slipfree.problem.summary import Facts
+from slipfree.solve.sampled import simulate_sampled
+from slipfree.solve.settle import settle
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import Trajectory
+
+OBSTACLES: Mapping[str, Callable[..., Profile]] = {
+    "ramp": ramp, "step": step, "kerb": kerb, "stairs": stairs,
+}  # fmt: skip
+SLACK = 1e-5  # by which wheels may be off their equilibrium on the floor [m]
+EVEN = 1e-6  # relative difference of times that counts as none
+MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Climbing:
+    """All that a climb needs before it is simulated.
+
+    Attributes
+    ----------
+    climber, profile, contact, control : Climber, Profile, Contact, Control
+        What climbs what, and by which laws.
+    dae : Dae
+        Its model.
+    start : Trajectory
+        The vehicle on the floor before the obstacle.
+    inputs : record
+        Reference speed; laws of the torques of a sampled controller.
+    t : ndarray, shape (n,)
+        Times of the samples. [s]
+    every : int
+        Samples of the controller from one of the result to the next; zero if it is continuous.
+    facts : Facts
+        What to tell about all of it.
+    """
+
+    climber: Climber
+    profile: Profile
+    contact: Contact
+    control: Control
+    dae: Dae[Any, Any, Any, Any, Any]
+    start: Trajectory
+    inputs: Any
+    t: Array
+    every: int
+    facts: Facts
+
+
+def build_climb(problem: Problem[schema.Climb]) -> Climbing:
+    """Return the model, the start and the inputs of a problem.
+
+    Raises
+    ------
+    ProblemError
+        If a polygon is not convex, the vehicle cannot stand at its start, the controller samples
+        too slowly, or laws and vehicle are not possible.
+    """
+    spec = problem.spec
+    profile = _profile(problem)
+    with at(problem, ("vehicle",)):
+        climber = _climber(spec.vehicle)
+    with at(problem, ("friction",)):
+        given = spec.contact.model_dump(exclude_none=True)
+        contact = Contact(static=spec.friction.static, dynamic=spec.friction.kinetic, **given)
+    with at(problem, ("control",)):
+        options = spec.control.model_dump(exclude_none=True, exclude={"speed", "period"})
+        control = Control(**options)
+    times = _times(problem, control, climber)
+    dae = climbing(climber, profile, control, contact, period=spec.control.period)
+    start = _start(problem, dae, climber, profile, contact)
+    held = {}
+    if spec.control.period is not None:
+        held = {f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)}
+    inputs = dae.inputs(speed=spec.control.speed, **held)
+    return Climbing(climber, profile, contact, control, dae, start, inputs, *times,
+                    _facts(spec, climber, contact, control))  # fmt: skip
+
+
+class _Times(NamedTuple):
+    """Times at which a motion is computed, and of how many of them one is kept."""
+
+    t: Array
+    every: int
+
+
+def _times(problem: Problem[schema.Climb], control: Control, climber: Climber) -> _Times:
+    """Return when samples are taken; those of a sampled controller where there is one."""
+    period, time = problem.spec.control.period, problem.spec.time
+    if period is None:
+        return _Times(samples(time, {})[0], 0)
+    with at(problem, ("control", "period")):
+        check_period(period, control, climber)
+    if problem.spec.solver.method == "idas":
+        fault = Fault(("solver", "method"), "'cvodes' for a sampled controller", "'idas'")
+        raise problem_error(problem.source, [fault])
+    every = round(time.step / period)
+    if every < 1 or abs(every * period - time.step) > EVEN * period:
+        fault = Fault(("time", "step"), f"a multiple of control.period, {period:g} s",
+                      f"{time.step:g}")  # fmt: skip
+        raise problem_error(problem.source, [fault])
+    count = every * int(time.duration / time.step) + 1
+    return _Times(np.asarray(period * np.arange(count)), every)
+
+
+def _profile(problem: Problem[schema.Climb]) -> Profile:
+    """Return the ground; a polygon that cannot be is named by its line."""
+    spec = problem.spec.profile
+    for name, make in OBSTACLES.items():
+        given = getattr(spec, name)
+        if given is not None:
+            with at(problem, ("profile", name)):
+                return make(**dict(given))
+    if spec.file is not None:
+        with at(problem, ("profile", "file")):
+            return Profile(_from_file(problem, spec.file))
+    solids = []
+    for k, each in enumerate(spec.solids or ()):
+        with at(problem, ("profile", "solids", k)):
+            solids.append(Solid(each.points))
+    with at(problem, ("profile", "solids")):
+        return Profile(tuple(solids))
+
+
+def _from_file(problem: Problem[schema.Climb], name: str) -> tuple[Solid, ...]:
+    """Return the polygons of a CSV file with the columns solid, x, z: the corners in order."""
+    rows = read_columns(problem.folder / name, ("solid", "x", "z"), "corners of solids")
+    found = []
+    for number, corners in groupby(rows, key=lambda row: row[0]):
+        try:
+            found.append(Solid(tuple((x, z) for _, x, z in corners)))
+        except ModelError as error:
+            raise ModelError(f"{name}: solid {number:g}: {error}") from error
+    return tuple(found)
+
+
+def _climber(spec: schema.Climber) -> Climber:
+    """Return a vehicle of the catalogue with what the problem replaces."""
+    plain = seven_wheels(spec.joint, spec.torque)
+    parts = {
+        name: getattr(plain, name)._replace(**getattr(spec, name).model_dump(exclude_none=True))
+        for name in ("rear_body", "front_body", *AXLES)
+    }
+    return replace(plain, radius=spec.radius or plain.radius, **parts)
+
+
+def _start(
+    problem: Problem[schema.Climb], dae: Dae[Any, Any, Any, Any, Any], climber: Climber,
+    profile: Profile, contact: Contact,
+) -> Trajectory:  # fmt: skip
+    """Return the vehicle on the floor, the front wheels at their distance from the obstacle."""
+    spec = problem.spec.start
+    with at(problem, ("profile",)):
+        front = _first_contact(climber, profile) - spec.distance
+    speed = problem.spec.control.speed if spec.speed is None else spec.speed
+    with at(problem, ("start",)):
+        start = settle(dae, guess=None, **standing(climber, contact, front, speed))
+    sunk = floor_loads(climber) / contact.stiffness
+    faults = [fault for k in range(len(profile.solids))
+              if (fault := _misplaced(start, k, sunk, spec.distance)) is not None]  # fmt: skip
+    if faults:
+        raise problem_error(problem.source, faults)
+    return start
+
+
+def _first_contact(climber: Climber, profile: Profile) -> float:
+    """Return where the front axle is when its wheels, on the floor, first meet a solid. [m].
+
+    The distance to a convex solid along a line is convex, so that it falls to zero once.
+    """
+    radius, found = climber.radius, []
+    for solid in profile.solids[1:]:
+
+        def gap(x: float, solid: Solid = solid) -> float:
+            return float(solid.distance(x, radius)[0]) - radius
+
+        places = [x for x, _ in solid.points]
+        ends = min(places) - 2 * radius, max(places) + 2 * radius
+        nearest = float(minimize_scalar(gap, bounds=ends, method="bounded").x)
+        if gap(nearest) < 0:
+            found.append(float(brentq(gap, ends[0], nearest)))
+    if not found:
+        raise ModelError(
+            "profile: expected a solid in the way of wheels on the floor, which is the first "
+            f"solid, level at height 0; found none of {len(profile.solids) - 1} that they meet"
+        )
+    return min(found)
+
+
+def _misplaced(start: Trajectory, k: int, sunk: Any, distance: float) -> Fault | None:
+    """Return what is wrong with the start if wheels are inside a solid or off the floor."""
+    off = start[f"gap_{k}"][0] + sunk
+    wrong = np.abs(off) > SLACK if k == 0 else off < -SLACK
+    if not wrong.any():
+        return None
+    axle = int(np.flatnonzero(wrong)[-1])  # the front wheels are told first
+    x, size = start["axle_x"][0, axle], 1e3 * abs(off[axle])
+    wheels = f"the {AXLES[axle]} wheels, at x = {x:.4g} m,"
+    if k == 0:
+        side = "above it" if off[axle] > 0 else "inside it"
+        place: Place = ("profile",)
+        return Fault(place, "the first solid to be a floor, level at height 0 under the vehicle",
+                     f"{wheels} {size:.3g} mm {side}")  # fmt: skip
+    inside = f"{wheels} {size:.3g} mm inside solid {k}"
+    if AXLES[axle] == "front":
+        return Fault(("start", "distance"), "at least 0 m, so that the vehicle starts outside of "
+                     "all solids", f"{distance:g} m: {inside}")  # fmt: skip
+    return Fault(("start",), "a vehicle that starts outside of all solids", inside)
+
+
+def climbed(
+    problem: Problem[schema.Climb], setup: Climbing, progress: Progress | None
+) -> Trajectory:
+    """Return the motion of a climb, how it ended and what it averages to.
+
+    Raises
+    ------
+    SolverError
+        If the integrator fails at the first sample; later failures are a stop of the trajectory.
+    """
+    run = _simulated(problem.spec, setup, progress)
+    end = outcome(run, setup.climber, setup.profile)
+    words = f"{end.name}: {end.words}"
+    slow = _slow(setup)
+    statistics = {**run.statistics, **_averages(run, setup), **slow[0]}
+    attributes = {**run.attributes, "outcome": words, "slow_climb": slow[1]}
+    if setup.every:
+        run = run.part(slice(0, None, setup.every), run.stop)
+    return replace(run, statistics=statistics, attributes=attributes)
+
+
+def _simulated(
+    spec: schema.Climb, setup: Climbing, progress: Progress | None
+) -> Trajectory:  # fmt: skip
+    solver = spec.solver
+    try:
+        if setup.every:
+            return simulate_sampled(
+                setup.dae, setup.start, setup.inputs, setup.t, tolerance=solver.tolerance
+            )
+        return simulate(
+            setup.dae, setup.start, setup.inputs, setup.t, tolerance=solver.tolerance,
+            method=solver.method, progress=progress,
+        )  # fmt: skip
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory
+
+
+def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:
+    """Return averages over the climb by name, none if the vehicle does not reach it."""
+    try:
+        window = climb_window(run, setup.climber, setup.profile)
+    except ModelError:
+        return {}
+    found = metrics(run, setup.climber, setup.profile)
+    ends = run.t[window.span][[0, -1]]
+    values = {"climb_from": float(ends[0]), "climb_to": float(ends[1]),
+              "climb_up": float(window.climbed), "climb_limited": found.limited}  # fmt: skip
+    for measure in MEASURES:
+        for axle, value in zip(AXLES, getattr(found, measure), strict=True):
+            values[f"climb_{measure}_{axle}"] = float(value)
+    return values
+
+
+def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
+    """Return the least friction of a slow climb, and in words which axle needs it."""
+    try:
+        need = least_friction(setup.climber, setup.profile)
+    except (ModelError, SolverError) as error:
+        return {}, str(error)
+    if not isfinite(need.mu):
+        return {}, f"no forces hold the vehicle where the {need.axle} wheels climb"
+    where = f"where the {need.axle} wheels climb"
+    tilts = ", ".join(f"{name} body {round(degrees(tilt))}" for name, tilt in
+                      zip(("rear", "front"), need.q[2:], strict=True))  # fmt: skip
+    words = (
+        f"needs a coefficient of {need.mu:.3f}, {where} ({tilts} degrees nose-up), with forces "
+        "shared for the best"
+    )
+    return {"slow_climb_friction": need.mu}, words
+
+
+def _facts(
+    spec: schema.Climb, climber: Climber, contact: Contact, control: Control
+) -> Facts:  # fmt: skip
+    """Return what to tell about ground, vehicle and laws of a climb."""
+    axles = ", ".join(
+        f"{name} {axle.wheels} x {climber.radius:g} m at {axle.ahead + 0:g} m"
+        for name, axle in zip(AXLES, climber.axles, strict=True)
+    )
+    limit = f"{climber.torque:g} N m a wheel" if isfinite(climber.torque) else "never limits"
+    told = "" if control.law == "fixed" else f", directions from {control.directions}"
+    told += f", of which it is told {control.share:g}" if told and control.share != 1 else ""
+    rhythm = "continuous" if spec.control.period is None else f"every {spec.control.period:g} s"
+    return [
+        ("profile", _profile_words(spec.profile)),
+        ("vehicle", f"{spec.vehicle.catalog}: wheels {axles} ahead of the joint"),
+        ("mass", f"rear body {climber.rear_body.mass:g} kg, front body "
+                 f"{climber.front_body.mass:g} kg"),
+        ("motors", limit),
+        ("friction", f"{contact.static:g} at rest, {contact.dynamic:g} at speed; full at a slip of "
+                     f"{contact.creep:g} m/s"),
+        ("contact", f"stiffness {contact.stiffness:g} N/m, damping {contact.damping:g} s/m"),
+        ("control", f"{control.law} references for {spec.control.speed:g} m/s{told}; gains "
+                    f"{control.proportional:g} N m s/rad, {control.integral:g} N m/rad, "
+                    f"{control.derivative:g} N m s2/rad; {rhythm}"),
+    ]  # fmt: skip
+
+
+def _profile_words(spec: schema.Profile) -> str:
+    if spec.ramp is not None:
+        return f"ramp of {degrees(spec.ramp.angle):.4g} degrees, {spec.ramp.height:g} m high"
+    if spec.step is not None:
+        return f"step, {spec.step.height:g} m high"
+    if spec.kerb is not None:
+        return f"kerb, {spec.kerb.height:g} m high, {spec.kerb.length:g} m long"
+    if spec.stairs is not None:
+        steps = spec.stairs
+        return f"{steps.count} steps, {steps.height:g} m high, {steps.depth:g} m deep"
+    if spec.file is not None:
+        return f"convex solids of {spec.file}"
+    return f"{len(spec.solids or ())} convex solids"

@@ -1,0 +1,90 @@
+"""What to tell about a climb in a few lines, from its samples and averages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from slipfree.trajectory import Trajectory
+
+AVERAGES = {
+    "slip": "slip, eq. (20)",
+    "true_slip": "true slip",
+    "disturbance": "disturbance, eq. (21)",
+}
+SHARES = {"bearing": "share of the load", "effort": "share of the torques"}
+WINDOW = (
+    "50 ms before the front wheels first touch more than the floor to {} the rear axle is up; "
+    "eq. (20) takes the middle axle's speed for all, so that wheels that roll have some"
+)
+
+
+def is_climb(run: Trajectory) -> bool:
+    """Return whether a trajectory is the motion of a climb."""
+    return "torque_scale" in run.columns
+
+
+def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield name and value of what matters about a climb, ready to print."""
+    yield "outcome", run.attributes["outcome"]
+    duration = run.t[-1] - run.t[0]
+    yield "duration", f"{duration:g} s, {run.t.size} samples"
+    tilts = ", ".join(f"{name} body {run[f'tilt_{name}'].min():.3f} to "
+                      f"{run[f'tilt_{name}'].max():.3f}" for name in ("rear", "front"))  # fmt: skip
+    yield "tilts, nose up", f"{tilts} rad"
+    yield from _averages(run)
+    yield "slow climb", _slippery(run)
+    yield "energy", _energy(run)
+    yield "integrator", _cost(run)
+    if run.stop is not None:
+        yield "stopped early", f"at {run.stop.t:.6g} s by {run.stop.name}: {run.stop.words}"
+    else:
+        yield "end", "reached the time asked for"
+
+
+def _averages(run: Trajectory) -> Iterator[tuple[str, str]]:
+    counts = run.statistics
+    if "climb_from" not in counts:
+        yield "averages", "none: the front wheels have met only the floor"
+        return
+    last = "100 ms after" if counts["climb_up"] else "the end, before"
+    yield (
+        "averages",
+        f"of sizes, t = {counts['climb_from']:.3f} to {counts['climb_to']:.3f} s: from "
+        f"{WINDOW.format(last)}",
+    )
+    for measure, words in (AVERAGES | SHARES).items():
+        values = {axle: counts[f"climb_{measure}_{axle}"] for axle in reversed(run.wheels)}
+        listed = ", ".join(f"{axle} {100 * value:.1f} %" for axle, value in values.items())
+        mean = f"; mean {100 * np.mean(list(values.values())):.1f} %"
+        yield f"  {words}", listed + (mean if measure in AVERAGES else "")
+    yield "  motors", f"at their limit {100 * counts['climb_limited']:.1f} % of the time"
+
+
+def _slippery(run: Trajectory) -> str:
+    """Return how much friction a slow climb needs, beside what there is."""
+    words = run.attributes["slow_climb"]
+    if "slow_climb_friction" not in run.statistics:
+        return words
+    return f"{words}; there is {run.attributes['friction']}"
+
+
+def _energy(run: Trajectory) -> str:
+    work, rubbed, damped = (run[name][-1] - run[name][0] for name in ("work", "rubbed", "damped"))
+    gained = run["energy"] - run["energy"][0]
+    given = sum(sign * (run[name] - run[name][0])
+                for name, sign in (("work", 1), ("rubbed", -1), ("damped", -1)))  # fmt: skip
+    return (
+        f"motors {work:.4g} J, lost to friction {rubbed:.3g} J, to damping {damped:.3g} J, gained "
+        f"{gained[-1]:.4g} J; balance within {np.abs(gained - given).max():.1e} J"
+    )
+
+
+def _cost(run: Trajectory) -> str:
+    counts, duration = run.statistics, run.t[-1] - run.t[0]
+    return (
+        f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "
+        f"{counts['cpu_seconds']:.3g} s CPU, {duration / counts['cpu_seconds']:.3g} x real time, "
+        f"tolerance {counts['tolerance']:g}"
+    )
