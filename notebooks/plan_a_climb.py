@@ -31,9 +31,9 @@ from slipfree import direct_kinematics, settle
 from slipfree.plan.proof import rerun
 from slipfree.plan.saved import from_arrays
 from slipfree.problem.read import read
-from slipfree.problem.run import run
+from slipfree.problem.run import build, run
 from slipfree.show import relief, style
-from slipfree.show.plan import plan_figures
+from slipfree.show.plan import cost_map, plan_figures, ways
 from slipfree.trajectory import path_length
 
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
@@ -132,21 +132,18 @@ except slipfree.SlipfreeError as error:
     print(str(error).partition("goal: ")[2])
 
 # %% [markdown]
-# ## Across a field of craters
+# ## Where the ground is large
 #
-# Where the ground is large, a search over a map comes first: steep, rough and hollow places cost, what
-# the vehicle cannot cross is left out. Ways are followed by a driving law, and from there the plan is
-# sought.
+# A search over a map comes first: steep, rough and hollow places cost, what the vehicle cannot cross is
+# left out. Ways over the ground are followed by a driving law, and from there a plan is sought:
+# `slipfree run problems/plan_crater_field.toml`. Here are three ways over that field.
 
 # %%
-field = run(read(problems / "plan_crater_field.toml"))
-plan_figures(
-    field.trajectory,
-    field.setup.ground.grid,
-    field.setup.layers,
-    places=field.setup.places,
-    found=field.setup.ways,
-)["traversability"]
-
-# %%
-print(field.trajectory.attributes["by_friction"])
+field = build(read(problems / "plan_crater_field.toml", ["driver.count=3"]))
+grid = field.ground.grid
+figure = style.figure(5.6, 5.6)
+ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
+cost_map(field.layers, grid, ax, relief.whole(grid))
+ways(field.ways, ax)
+figure.legend(loc="outside upper center", ncols=3)
+figure

@@ -80,7 +80,7 @@ def test_a_way_point_is_passed():
         (["traction={ creep = 1e-3 }"], "traction: expected slip = 'traction', found 'least'"),
         (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map reaches"),
         (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
-        (["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"], "found two; put them together"),
+        (["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"], "two; put them together"),
         (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
         (["costs.foo=1.0"], "the model has no 'foo'"),
         (["goal={}"], "a route needs a goal in x and y"),
@@ -133,7 +133,8 @@ def test_of_a_range_what_lies_on_the_map_counts():
     assert motion["y"][-1] > 1.2 - 1e-4
 
 
-def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason():
+def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
+    monkeypatch.setattr("slipfree.plan.plan.REFINEMENTS", 1)
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
     stop = run(read(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"

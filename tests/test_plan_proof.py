@@ -96,7 +96,8 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
     assert finer.violation.get("disc", 0.0) <= 1e-3
 
 
-def test_an_accuracy_that_is_not_reached_is_said(model):
+def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
+    monkeypatch.setattr("slipfree.plan.plan.REFINEMENTS", 1)
     found = asked(model, accuracy=1e-13, intervals=1, degree=1, costs={"effort": 1.0})
     assert found.success
     assert not found.accurate
