@@ -1,10 +1,10 @@
 """The step climber's motion against the figures that it must reach.
 
-``python benchmarks/climb.py`` (about a minute) prints a line for every figure: what is asked,
-what is found. The figures are those of a prototype with its own equations; see
-`slipfree.climb`. Slip is the mean over the axles of (20), *true* that of the wheels' own slip,
-*disturbance* that of (21), all in percent; ratios are to fixed references. Times are the least of
-three runs.
+``python benchmarks/climb.py`` (some minutes) prints a line for every figure: what is asked, what is
+found; names of parts, such as ``thresholds`` or ``random``, are for these alone. The figures are
+those of a prototype with its own equations; see `slipfree.climb`. Slip is the mean over the axles
+of (20), *true* that of the wheels' own slip, *disturbance* that of (21), all in percent; ratios are
+to fixed references. Times are the least of three runs.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+import climb_random
+import climb_track
+from climb_track import FINE, climbed
+
 import climb_stepping as stepping
 from climb_cases import (
     AMPLE,
@@ -54,7 +58,6 @@ from climb_cases import (
 from test_climb_dynamics import sensitive_start
 from test_climb_reference import BASE, closure
 
-FINE = 0.005  # to which critical friction is located
 CONTROLS = {
     "fixed": FIXED, "exact": EXACT, "exact .95": EXACT_95, "sensed": SENSED,
     "printed (6)+(8)": PRINTED_6_8, "printed (16)": PRINTED_16, "printed (14)": PRINTED_14,
@@ -308,14 +311,6 @@ def friction() -> None:
             "/".join(f"{each:.3f}" for each in found), True)  # fmt: skip
 
 
-def climbed(profile: Profile, control: Control, contact: Contact, **options: Any) -> bool:
-    """Return whether it climbs; what the integrator gives up on does not."""
-    try:
-        return climb(profile, control, contact, **options).metrics.window.climbed
-    except SolverError:
-        return False
-
-
 def sensitivities() -> None:
     """Print forward sensitivities against differences."""
     p, final = sensitive_start()
@@ -376,15 +371,12 @@ def least_time(task: Callable[[], Any]) -> float:
     return min(times)
 
 
+PARTS = (kinematics, statics, accuracy, acceptance, failures, sensitivities, speed, rigid, friction,
+         climb_track.thresholds, climb_track.robustness, climb_track.noise, climb_random.random,
+         sets)  # fmt: skip
+
 if __name__ == "__main__":
     heading()
-    kinematics()
-    statics()
-    accuracy()
-    acceptance()
-    failures()
-    sensitivities()
-    speed()
-    rigid()
-    friction()
-    sets()
+    for part in PARTS:
+        if part.__name__ in sys.argv[1:] or not sys.argv[1:]:
+            part()

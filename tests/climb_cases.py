@@ -11,14 +11,20 @@ from slipfree.climb.contact import Contact
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.metrics import Metrics, metrics
+from slipfree.climb.path import climb as program
 from slipfree.climb.profile import Profile, ramp, step
+from slipfree.climb.track import Course, Tracking, course
 from slipfree.climb.vehicle import Climber, seven_wheels
+from slipfree.climb.way import legs
+from slipfree.plan.nlp import solve_nlp
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import Trajectory
 
 AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time
 SPEED, HEIGHT, EVERY, AHEAD = 0.25, 0.09, 2e-3, 0.05
+CLIMBER = seven_wheels(torque=AMPLE)
+MARGIN = 0.96  # part of the friction that a plan may use
 RAMP, STEP = ramp(np.pi / 4, HEIGHT), step(HEIGHT)
 TABLE_I, TWICE = Contact(static=0.4, dynamic=0.3), Contact(static=0.9, dynamic=0.675)
 FIXED = Control("fixed")
@@ -65,10 +71,27 @@ def begin(climber, profile, control, contact, speed=SPEED, **options):
 
 @lru_cache(maxsize=32)
 def climb(
-    profile, control, contact, *, torque=AMPLE, until=3.6, tolerance=1e-6, speed=SPEED, every=EVERY
-) -> Climb:
-    climber = seven_wheels(torque=torque)
+    profile, control, contact, *, torque=AMPLE, until=3.6, tolerance=1e-6, speed=SPEED, every=EVERY,
+    climber=None,
+) -> Climb:  # fmt: skip
+    climber = climber or seven_wheels(torque=torque)
     dae, start = begin(climber, profile, control, contact, speed)
     t = np.arange(round(until / every) + 1) * every
     run = simulate(dae, start, dae.inputs(speed=speed), t, tolerance=tolerance)
     return Climb(climber, profile, run)
+
+
+@lru_cache(maxsize=32)
+def planned(profile, mu=None, speed=SPEED, climber=CLIMBER) -> Course:
+    """The climb of least slip within a friction, or that of least friction, all legs in one."""
+    cost = "friction" if mu is None else "slip"
+    ways, found = legs(climber, profile), []
+    for leg in ways:
+        plan = program(climber, profile, leg, cost, mu=mu, speed=speed, halt=leg is not ways[-1])
+        found.append((plan, solve_nlp(plan.nlp).unknowns))
+    return course(found)
+
+
+def tracking(profile, mu, speed=SPEED) -> Tracking:
+    """A plan for a little less friction than there is."""
+    return Tracking(planned(profile, round(MARGIN * mu, 6), speed))

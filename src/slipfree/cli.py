@@ -438,8 +438,10 @@ def _draw(outcome: Outcome, folder: Path) -> None:
     if isinstance(outcome.setup, Climbing):
         from slipfree.show.climb import save_climb_figures
 
-        climber, profile = outcome.setup.climber, outcome.setup.profile
-        paths = save_climb_figures(outcome.trajectory, climber, profile, folder)
+        setup = outcome.setup
+        paths = save_climb_figures(
+            outcome.trajectory, setup.climber, setup.profile, folder, plan=setup.plan
+        )
         typer.echo(f"drew {len(paths)} figures in {folder}")
         return
     grid = outcome.setup.ground.grid

@@ -7,15 +7,43 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import casadi as ca
 
+from slipfree.climb.noise import Noise
 from slipfree.climb.reference import Law, PerAxle
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.errors import ModelError
 
 Directions = Literal["contact", "sensors"]
+
+
+class Driver(Protocol):
+    """What a model of a climb asks of whatever drives its wheels: which states that has, and gains.
+
+    See `Control` for them, and `slipfree.climb.track.Tracking`.
+    """
+
+    @property
+    def senses(self) -> bool:
+        """Whether directions that sensors see are states."""
+
+    @property
+    def proportional(self) -> float:
+        """Gain of the wheels' rates. [N m s/rad]."""
+
+    @property
+    def integral(self) -> float:
+        """Gain of their integrals; these are states unless it is zero. [N m/rad]."""
+
+    @property
+    def derivative(self) -> float:
+        """Gain of their derivatives; filters are states unless it is zero. [N m s2/rad]."""
+
+    @property
+    def lag(self) -> float:
+        """Time constant of the filters. [s]."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +70,8 @@ class Control:
     unwinding : float
         Rate at which torque beyond the limit is taken back from the integral; none if zero, as in
         the paper. [1/s]
+    noise : Noise or None
+        Of the sensors of tilts and rates, on which references and torques depend.
 
     Raises
     ------
@@ -59,6 +89,7 @@ class Control:
     derivative: float = 0.0
     lag: float = 0.005
     unwinding: float = 0.0
+    noise: Noise | None = None
 
     def __post_init__(self) -> None:
         for name, known in (("law", Law), ("directions", Directions)):
@@ -105,6 +136,14 @@ class Torques(NamedTuple):
     scale: ca.SX
 
 
+class Commands(NamedTuple):
+    """What the controller does: references [rad/s], torques, and the rates of its own states."""
+
+    references: PerAxle
+    torques: Torques
+    rates: tuple[ca.SX, ...]
+
+
 def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rises: Any) -> Torques:
     """Return the torques of the wheels, (17), within the motors' limit, (18) and (19).
 
@@ -126,13 +165,18 @@ def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rise
     if control.derivative:
         found = [torque + control.derivative * rise
                  for torque, rise in zip(found, rises, strict=True)]  # fmt: skip
+    return limited(limit, PerAxle(*found))
+
+
+def limited(limit: float, wanted: PerAxle) -> Torques:
+    """Return torques of the wheels within the motors' limit, (18) and (19). [N m]."""
     if math.isinf(limit):
-        return Torques(PerAxle(*found), PerAxle(*found), ca.SX(1))
-    scale = limit / ca.fmax(limit, ca.mmax(ca.fabs(ca.vertcat(*found))))
-    return Torques(PerAxle(*found), PerAxle(*(scale * torque for torque in found)), scale)
+        return Torques(wanted, wanted, ca.SX(1))
+    scale = limit / ca.fmax(limit, ca.mmax(ca.fabs(ca.vertcat(*wanted))))
+    return Torques(wanted, PerAxle(*(scale * torque for torque in wanted)), scale)
 
 
-def largest_period(control: Control, climber: Climber) -> float:
+def largest_period(control: Driver, climber: Climber) -> float:
     """Return the sample time from which on a sampled controller is unstable. [s].
 
     A wheel that spins freely, of inertia J/n, under torque held from sample to sample, changes its
@@ -142,7 +186,7 @@ def largest_period(control: Control, climber: Climber) -> float:
     return min(2 * axle.inertia / (axle.wheels * gain) for axle in climber.axles)
 
 
-def check_period(period: float, control: Control, climber: Climber) -> None:
+def check_period(period: float, control: Driver, climber: Climber) -> None:
     """Refuse a sample time at which the wheels' rates would swing up.
 
     Raises

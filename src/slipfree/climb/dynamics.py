@@ -9,10 +9,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree.climb.contact import Contact, direction, pressed
-from slipfree.climb.control import Control, Torques, check_period, torques
+from slipfree.climb.control import Commands, Control, check_period, torques
+from slipfree.climb.noise import Noise, measured
 from slipfree.climb.profile import Profile
 from slipfree.climb.records import Inputs, OnSolid, Outputs, State, Totals, labels_of
 from slipfree.climb.reference import PerAxle, reference, seen_directions
+from slipfree.climb.track import Tracking, tracked
 from slipfree.climb.vehicle import AXLES, GRAVITY, Climber
 from slipfree.dae import Dae, Limit
 from slipfree.named import Array, Label, pack, symbols
@@ -31,18 +33,10 @@ class Frame(NamedTuple):
     force: ca.SX
 
 
-class Commands(NamedTuple):
-    """What the controller does: references [rad/s], torques, and the rates of its own states."""
-
-    references: PerAxle
-    torques: Torques
-    rates: tuple[ca.SX, ...]
-
-
 def climbing(
     climber: Climber,
     profile: Profile,
-    control: Control = Control(),  # noqa: B008 - a frozen record
+    control: Control | Tracking = Control(),  # noqa: B008 - a frozen record
     contact: Contact = Contact(),  # noqa: B008
     *,
     period: float | None = None,
@@ -59,8 +53,9 @@ def climbing(
         The vehicle.
     profile : Profile
         The ground.
-    control : Control
-        How the wheels are driven; it measures their rates against the ground's frame.
+    control : Control or Tracking
+        How the wheels are driven: by reference rates, measured against the ground's frame, or as
+        planned.
     contact : Contact
         The law of the contacts.
     period : float, optional
@@ -79,8 +74,8 @@ def climbing(
 
     Notes
     -----
-    Left out: contacts of the bodies, roll, play of the side wheels' rollers, lag of tilt sensors,
-    and noise.
+    Left out: contacts of the bodies, roll, play of the side wheels' rollers, and lag of tilt
+    sensors.
     """
     if period is not None:
         check_period(period, control, climber)
@@ -93,11 +88,11 @@ def climbing(
         for axle, velocity, spin in zip(frame.axles, velocities, x.spins, strict=True)
     ))  # fmt: skip
     seen = PerAxle(*(direction(each) for each in contacts))
-    if isinstance(control, Control):
-        asked = _commands(climber, control, x, seen, u.speed)
-    else:
-        refs, wanted, out, scale = control.asked(climber, x, frame.axles, velocities, u.speed)
-        asked = Commands(refs, Torques(wanted, out, scale), ())
+    asked = (
+        tracked(control, climber, x, frame.axles, velocities, u.speed)
+        if isinstance(control, Tracking)
+        else _commands(climber, control, _as_measured(control.noise, t, x), seen, u.speed)
+    )
     driven = _driven(climber, u.torques or asked.torques.out)
     return Dae(
         t, x, (), q, u,
@@ -167,6 +162,14 @@ def _accelerations(climber: Climber, frame: Frame, contacts: PerAxle, driven: Pe
     return found
 
 
+def _as_measured(noise: Noise | None, t: ca.SX, x: State) -> State:
+    """Return the states as the controller knows them."""
+    if noise is None:
+        return x
+    tilts, rates, spins = measured(noise, t, x.tilts, x.rates, x.spins)
+    return x._replace(tilts=tilts, rates=rates, spins=spins)
+
+
 def _commands(
     climber: Climber, control: Control, x: State, seen: PerAxle, speed: ca.SX
 ) -> Commands:
@@ -176,7 +179,7 @@ def _commands(
     wanted = PerAxle(*(speed / climber.radius * each for each in relative))
     errors = PerAxle(*(aim - spin for aim, spin in zip(wanted, x.spins, strict=True)))
     rises = [(now - late) / control.lag for now, late in zip(errors, x.lagging, strict=False)]
-    asked = torques(control, climber.torque, errors, x.integrals, rises)
+    asked = torques(control, climber.torque, errors, PerAxle(*x.integrals), rises)
     unwinding = control.unwinding / control.integral
     rates = [
         error - unwinding * (torque - out)

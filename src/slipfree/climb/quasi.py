@@ -27,6 +27,7 @@ from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
 
 MOST = 10.0  # a larger coefficient of friction counts as none
+UNLOADED = 1e-9  # normal force that counts as none in a ratio [weight]
 REACH = 1e3  # normal forces stay below this, so that jammed wheels have an optimum [weight]
 CLOSE = 1e-9  # reserve of friction, relative, that counts as none
 ROUNDS = 60  # most iterations; 5 to 9 are usual
@@ -154,7 +155,8 @@ def least(matrix: Array, load: Array) -> Hold:
         if not open_.size:
             break
         best[open_], relative[open_] = forces, forces[:, :3]
-        mu[open_] = (np.abs(forces[:, 3:]) / forces[:, :3]).max(axis=1)
+        bearing = np.maximum(forces[:, :3], UNLOADED * load[open_, 1:2])
+        mu[open_] = (np.abs(forces[:, 3:]) / bearing).max(axis=1)
     else:
         raise SolverError(f"climb: the least friction was not found in {ROUNDS} rounds")
     mu[np.isnan(best[:, 0])] = np.inf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from slipfree.climb.control import Control
+from slipfree.climb.control import Driver
 from slipfree.climb.profile import Profile
 from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.vehicle import AXLES
@@ -27,7 +27,7 @@ class State(NamedTuple):
         Of the tilts. [rad/s]
     spins : PerAxle
         Rates of the wheels, forward positive. [rad/s]
-    integrals : PerAxle
+    integrals : PerAxle or ()
         Of the errors of these. [rad]
     directions : PerAxle or ()
         Of the axles, as the sensors see them, smoothed. [rad]
@@ -42,7 +42,7 @@ class State(NamedTuple):
     velocity_z: Any
     rates: Tilts
     spins: PerAxle
-    integrals: PerAxle
+    integrals: PerAxle | tuple[()]
     directions: PerAxle | tuple[()]
     lagging: PerAxle | tuple[()]
 
@@ -91,7 +91,7 @@ def _each(name: str, unit: str, words: str) -> PerAxle:
     return PerAxle(*(Label(name, unit, words, axle) for axle in AXLES))
 
 
-def labels_of(profile: Profile, control: Control, *, sampled: bool) -> Labels:
+def labels_of(profile: Profile, control: Driver, *, sampled: bool) -> Labels:
     """Return names, units and words of all that a climb's model holds."""
     joint, tilt = "of the joint", "tilt of the {} body, nose up positive"
     x = State(

@@ -1,124 +1,214 @@
-"""Planned climbs driven: torques of the plan ahead, rates of the plan back.
+"""Planned climbs driven: the plan's torques ahead, and its rates back.
 
-Where a climb is, is told by how far the vehicle has come, not by time: a vehicle that lags behind
-gets the torques of the place where it is. The measure of it is
+Where a climb is, is told by how far the vehicle has come, not by time, so that a vehicle that lags
+behind gets the torques of the place where it is. The measure of it is
 
     p = mean over the axles of x + z,
 
-which grows along every way that does not lead steeply down, at least as fast as the axles go.
+which grows along every way that does not lead steeply down, at least as fast as the mean axle goes.
+The torques are those of the plan, which share friction among the wheels as no control of rates
+does. What is missing, each wheel gets from its rate; its reference is that of the plan, but never
+more than what its axle goes, and a little. A wheel that is left behind regains its grip in this
+way, even if it rolls back.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from slipfree.climb.path import spin_inertia
+from slipfree.climb.control import Commands, limited
+from slipfree.climb.path import Climb, history
+from slipfree.climb.records import State
 from slipfree.climb.reference import PerAxle
+from slipfree.climb.vehicle import Climber
 from slipfree.climb.way import axle_arms
+from slipfree.errors import ModelError
 from slipfree.named import Array
 
-SLOWEST = 0.01  # speed of the reference where the plan rests, so that it gets away [m/s]
-CLOSEST = 1e-7  # of places between which the plan is interpolated [m]
+SLOWEST = 0.01  # reference where the plan rests, so that it gets away from there [m/s]
+BRAKING = 0.3  # before the plan begins, and of the speeding up behind it [m/s2]
+APART = 1e-7  # of legs that meet, whose torques differ there [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
+    """A planned climb over the progress p, linear between n places.
+
+    Attributes
+    ----------
+    p : ndarray, shape (n,)
+        Progress, increasing. [m]
+    square : ndarray, shape (n,)
+        Square of the speed along the way. [m2/s2]
+    speeds : ndarray, shape (n, 3)
+        Speeds of the axles over that along the way.
+    directions : ndarray, shape (n, 3)
+        Of the axles' motion, up from the horizontal. [rad]
+    torques : ndarray, shape (n, 3)
+        Of a wheel's motor. [N m]
+    """
+
     p: Array
     square: Array
-    slope: Array
     speeds: Array
+    directions: Array
     torques: Array
-    along: Array
 
 
-def course(climber, plans) -> Course:
-    parts = [_places(climber, plan, unknowns) for plan, unknowns in plans]
-    p, square, slope, speeds, torques, along = (np.concatenate(each) for each in zip(*parts, strict=True))
-    # two legs meet in one place, with two torques there
-    for k in range(1, p.size):
-        p[k] = max(p[k], p[k - 1] + CLOSEST)
-    return Course(p, square, slope, speeds, torques, along)
+class _Place(NamedTuple):
+    """The row of a course where the vehicle is, and whether that is before or behind it."""
 
-
-def _progress(climber, q):
-    arms = axle_arms(climber, q)
-    return q[:, :2].sum(axis=1) + arms.sum(axis=2).mean(axis=1)
-
-
-def _places(climber, plan, unknowns):
-    where = plan.nlp.where
-    b = np.maximum(unknowns[where["b"]], 0)
-    nodes, middles = plan.nodes, plan.middles
-    steps = np.diff(nodes.s)
-    a, mean = np.diff(b) / (2 * steps), (b[:-1] + b[1:]) / 2
-    spinning = middles.speeds * a[:, None] + middles.slopes * mean[:, None]
-    wheels = np.array([axle.wheels for axle in climber.axles])
-    torque = (climber.radius * unknowns[where["tangential"]] + spin_inertia(climber) * spinning) / wheels
-    s = np.sort(np.concatenate([nodes.s, middles.s]))
-    def all_(x, y):
-        return np.stack([np.interp(s, x, c) for c in np.atleast_2d(y.T)], axis=-1)
-    q = np.empty((s.size, 4)); q[0::2], q[1::2] = nodes.q, middles.q
-    v = np.empty((s.size, 3)); v[0::2], v[1::2] = nodes.speeds, middles.speeds
-    n = np.empty((s.size, 3, 2)); n[0::2], n[1::2] = nodes.normals, middles.normals
-    p = _progress(climber, q)
-    return p, np.interp(s, nodes.s, b), np.gradient(p, s), v, all_(middles.s, torque), np.arctan2(-n[..., 0], n[..., 1])
+    square: ca.SX
+    speeds: PerAxle
+    directions: PerAxle
+    torques: PerAxle
+    before: ca.SX
+    behind: ca.SX
 
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    course: Course
-    proportional: float = 4.0
-    lead: float = 1e-3
-    slowest: float = SLOWEST
-    braking: float = 0.3
-    spare: float = 1e3
-    sensed: bool = False
-    scale: float = 1.0
-    senses = False
-    derivative = 0.0
-    integral = 0.0
-    lag = 1.0
+    """How a planned climb is driven; `slipfree.climb.dynamics.climbing` takes it for a control.
 
-    def asked(self, climber, x, axles, velocities, speed):
-        c = self.course
-        rows = np.column_stack([c.square, c.speeds, self.scale * c.torques, c.slope, c.along])
-        f = ca.interpolant("plan", "linear", [c.p.tolist()], rows.ravel().tolist())
-        at = ca.MX.sym("p")
-        table = ca.Function("plan", [at], [f(at)], {"never_inline": True})
-        p = sum(place[0] + place[1] for place in axles) / 3
-        rise = sum(place[0] + place[1] for place in velocities) / 3
-        p = p + self.lead
-        inside = ca.fmin(ca.fmax(p, c.p[0]), c.p[-1])
-        row = table(inside)
-        before = p < c.p[0]
-        after = p > c.p[-1]
-        outside = ca.logic_or(before, after)
-        ratios = [ca.if_else(outside, 1, row[1 + k]) for k in range(3)]
-        if self.sensed:
-            going = ca.mmin(ca.vertcat(*(climber.radius * x.spins[k] / ratios[k] for k in range(3))))
-        else:
-            going = rise / ca.if_else(outside, 1, row[7])
-        rest = ca.sqrt(ca.fmax(row[0], 0) + self.slowest**2)
-        arriving = ca.fmin(speed, ca.sqrt(2 * self.braking * ca.fmax(c.p[0] - p, 0) + self.slowest**2))
-        leaving = ca.fmin(speed, ca.sqrt(c.square[-1] + 2 * self.braking * ca.fmax(p - c.p[-1], 0) + self.slowest**2))
-        pace = ca.if_else(before, arriving, ca.if_else(after, leaving, rest))
-        pace = ca.fmin(pace, ca.fmax(going, 0) + self.spare) if self.sensed else pace
-        refs, out = [], []
-        for k in range(3):
-            direction = ca.if_else(outside, 0, row[8 + k])
-            along = velocities[k][0] * ca.cos(direction) + velocities[k][1] * ca.sin(direction)
-            wish = pace * ratios[k]
-            if not self.sensed:
-                wish = ca.fmin(wish, along + self.spare)
-            refs.append(wish / climber.radius)
-            ahead = ca.if_else(outside, 0, row[4 + k])
-            out.append(ahead + self.proportional * (refs[-1] - x.spins[k]))
-        wanted = PerAxle(*out)
-        if math.isinf(climber.torque):
-            return PerAxle(*refs), wanted, wanted, ca.SX(1)
-        scale = climber.torque / ca.fmax(climber.torque, ca.mmax(ca.fabs(ca.vertcat(*out))))
-        return PerAxle(*refs), wanted, PerAxle(*(scale * t for t in out)), scale
+    It knows places and speeds of the axles, which only a simulation does.
+
+    Attributes
+    ----------
+    course : Course
+        The plan.
+    proportional : float
+        Gain of the wheels' rates. [N m s/rad]
+    spare : float
+        Slip that the references allow a wheel: about where friction is largest. [m/s]
+    lead : float
+        By which the plan is read ahead: more than wheels sink into the ground, lest they be held
+        in front of what they are to push against. [m]
+
+    Raises
+    ------
+    ModelError
+        If a number is not positive.
+    """
+
+    course: Course
+    proportional: float = 20.0
+    spare: float = 3e-3
+    lead: float = 1e-3
+    # It has no states of its own.
+    senses: ClassVar[bool] = False
+    integral: ClassVar[float] = 0.0
+    derivative: ClassVar[float] = 0.0
+    lag: ClassVar[float] = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("proportional", "spare", "lead"):
+            if not getattr(self, name) > 0:
+                raise ModelError(f"tracking: {name} must be positive, found {getattr(self, name)}")
+
+
+def course(plans: Sequence[tuple[Climb, Array]]) -> Course:
+    """Return planned legs, one after the other, over the progress.
+
+    Parameters
+    ----------
+    plans : sequence of (Climb, ndarray)
+        Every leg's program from `slipfree.climb.path.climb`, and its solution; all but the last
+        one planned with a halt.
+
+    Raises
+    ------
+    ModelError
+        If a way leads down so steeply that the progress does not grow.
+    """
+    p, *rest = (np.concatenate(each) for each in zip(*map(_leg, plans), strict=True))
+    joints = np.cumsum([2 * plan.nodes.s.size - 1 for plan, _ in plans])[:-1]
+    p[joints] = np.maximum(p[joints], p[joints - 1] + APART)
+    if not (np.diff(p) > 0).all():
+        k = int(np.argmin(np.diff(p)))
+        raise ModelError(
+            "course: expected a way on which the mean of place and height of the axles grows, "
+            f"found that it falls at {p[k]:.3g} m: take a plan that does not lead steeply down"
+        )
+    return Course(p, *rest)
+
+
+def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
+    """Return the fields of a leg's course, at its nodes and in their middles."""
+    plan, unknowns = plan_and_unknowns
+    nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns)["torque"]
+    square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
+    at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
+    parts = []
+    for way, squares, torques in ((nodes, square, at_nodes),
+                                  (middles, (square[1:] + square[:-1]) / 2, torque)):  # fmt: skip
+        axles = way.q[:, None, :2] + axle_arms(plan.climber, way.q)
+        directions = np.arctan2(-way.normals[..., 0], way.normals[..., 1])
+        progress = axles.sum(axis=2).mean(axis=1)
+        parts.append((progress, squares, way.speeds, directions, torques))
+    order = np.argsort(np.concatenate([nodes.s, middles.s]))
+    return tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True))
+
+
+def tracked(
+    control: Tracking, climber: Climber, x: State, axles: PerAxle, velocities: PerAxle,
+    speed: ca.SX,
+) -> Commands:  # fmt: skip
+    """Return references and torques of a planned climb.
+
+    Before the plan begins, and behind its end, all wheels are driven at the vehicle's speed; before
+    it they brake, since plans begin at rest.
+
+    Parameters
+    ----------
+    control : Tracking
+        The plan, and how it is tracked.
+    climber : Climber
+        The vehicle.
+    x : State
+        Of its motion.
+    axles, velocities : PerAxle of SX, shape (2, 1)
+        Places and velocities of its axles. [m, m/s]
+    speed : SX
+        Of the vehicle off the plan. [m/s]
+    """
+    p = sum(place[0] + place[1] for place in axles) / 3 + control.lead
+    at = _place(control.course, p)
+    pace = _pace(control.course, p, at, speed)
+    references, wanted = [], []
+    for ratio, angle, torque, velocity, spin in zip(
+        at.speeds, at.directions, at.torques, velocities, x.spins, strict=True
+    ):
+        gone = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
+        references.append(ca.fmin(pace * ratio, gone + control.spare) / climber.radius)
+        wanted.append(torque + control.proportional * (references[-1] - spin))
+    return Commands(PerAxle(*references), limited(climber.torque, PerAxle(*wanted)), ())
+
+
+def _place(course: Course, p: ca.SX) -> _Place:
+    columns = [course.square, course.speeds, course.directions, course.torques]
+    rows, inside = np.column_stack(columns), ca.fmin(ca.fmax(p, course.p[0]), course.p[-1])
+    table = ca.interpolant("table", "linear", [course.p.tolist()], rows.ravel().tolist())
+    at = ca.MX.sym("p")
+    row = ca.vertsplit(ca.Function("course", [at], [table(at)], {"never_inline": True})(inside))
+    before, behind = p < course.p[0], p > course.p[-1]
+    off = ca.logic_or(before, behind)
+    speeds, directions, torques = (
+        PerAxle(*(ca.if_else(off, value, each) for each in row[k : k + 3]))
+        for k, value in ((1, 1.0), (4, 0.0), (7, 0.0))
+    )
+    return _Place(row[0], speeds, directions, torques, before, behind)
+
+
+def _pace(course: Course, p: ca.SX, at: _Place, speed: ca.SX) -> ca.SX:
+    """Return the reference of the speed along the way, on the plan and off it. [m/s]."""
+    arriving = 2 * BRAKING * ca.fmax(course.p[0] - p, 0)
+    leaving = at.square + 2 * BRAKING * ca.fmax(p - course.p[-1], 0)
+    square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))
+    pace = ca.sqrt(square + SLOWEST**2)
+    found: ca.SX = ca.if_else(ca.logic_or(at.before, at.behind), ca.fmin(speed, pace), pace)
+    return found

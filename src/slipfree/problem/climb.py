@@ -18,16 +18,19 @@ from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.outcome import outcome
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.quasi import least_friction
+from slipfree.climb.track import Tracking, course
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
 from slipfree.problem import schema
+from slipfree.problem.climb_plan import Planned, arrays_of, plan_climb, plan_statistics
 from slipfree.problem.ground import at
 from slipfree.problem.locate import Place
 from slipfree.problem.parts import read_columns, samples
 from slipfree.problem.read import Fault, Problem, problem_error
 from slipfree.problem.summary import Facts
+from slipfree.result_file import NOTHING
 from slipfree.solve.sampled import simulate_sampled
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
@@ -37,6 +40,7 @@ OBSTACLES: Mapping[str, Callable[..., Profile]] = {
     "ramp": ramp, "step": step, "kerb": kerb, "stairs": stairs,
 }  # fmt: skip
 SLACK = 1e-5  # by which wheels may be off their equilibrium on the floor [m]
+SUNK = 0.1  # of a radius, by which wheels at rest may sink in
 EVEN = 1e-6  # relative difference of times that counts as none
 MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
 Progress = Callable[[float], None]
@@ -48,8 +52,10 @@ class Climbing:
 
     Attributes
     ----------
-    climber, profile, contact, control : Climber, Profile, Contact, Control
-        What climbs what, and by which laws.
+    climber, profile, contact : Climber, Profile, Contact
+        What climbs what, and the law of the contacts.
+    control : Control or Tracking
+        How its wheels are driven.
     dae : Dae
         Its model.
     start : Trajectory
@@ -62,18 +68,21 @@ class Climbing:
         Samples of the controller from one of the result to the next; zero if it is continuous.
     facts : Facts
         What to tell about all of it.
+    plan : Trajectory or None
+        What is tracked, if it was planned.
     """
 
     climber: Climber
     profile: Profile
     contact: Contact
-    control: Control
+    control: Control | Tracking
     dae: Dae[Any, Any, Any, Any, Any]
     start: Trajectory
     inputs: Any
     t: Array
     every: int
     facts: Facts
+    plan: Trajectory | None = None
 
 
 def build_climb(problem: Problem[schema.Climb]) -> Climbing:
@@ -95,6 +104,8 @@ def build_climb(problem: Problem[schema.Climb]) -> Climbing:
     with at(problem, ("control",)):
         options = spec.control.model_dump(exclude_none=True, exclude={"speed", "period"})
         control = Control(**options)
+    if spec.plan is not None:
+        _check_tracking(problem)
     times = _times(problem, control, climber)
     dae = climbing(climber, profile, control, contact, period=spec.control.period)
     start = _start(problem, dae, climber, profile, contact)
@@ -104,6 +115,20 @@ def build_climb(problem: Problem[schema.Climb]) -> Climbing:
     inputs = dae.inputs(speed=spec.control.speed, **held)
     return Climbing(climber, profile, contact, control, dae, start, inputs, *times,
                     _facts(spec, climber, contact, control))  # fmt: skip
+
+
+def _check_tracking(problem: Problem[schema.Climb]) -> None:
+    """Refuse what a planned climb, whose torques and rates are tracked, makes no use of."""
+    spec = problem.spec
+    given = spec.control.model_dump(exclude_none=True, exclude={"speed", "proportional"})
+    words = "speed and proportional alone beside [plan], which is tracked"
+    faults = [Fault(("control", name), words, f"{value}") for name, value in given.items()]
+    mu = spec.plan.friction if spec.plan else None
+    if mu is not None and mu > spec.friction.static:
+        expected = f"at most friction.static, {spec.friction.static:g}"
+        faults.append(Fault(("plan", "friction"), expected, f"{mu:g}"))
+    if faults:
+        raise problem_error(problem.source, faults)
 
 
 class _Times(NamedTuple):
@@ -179,17 +204,34 @@ def _start(
 ) -> Trajectory:  # fmt: skip
     """Return the vehicle on the floor, the front wheels at their distance from the obstacle."""
     spec = problem.spec.start
+    sunk = _sunk(problem, climber, contact)
     with at(problem, ("profile",)):
         front = _first_contact(climber, profile) - spec.distance
     speed = problem.spec.control.speed if spec.speed is None else spec.speed
     with at(problem, ("start",)):
         start = settle(dae, guess=None, **standing(climber, contact, front, speed))
-    sunk = floor_loads(climber) / contact.stiffness
     faults = [fault for k in range(len(profile.solids))
               if (fault := _misplaced(start, k, sunk, spec.distance)) is not None]  # fmt: skip
     if faults:
         raise problem_error(problem.source, faults)
     return start
+
+
+def _sunk(problem: Problem[schema.Climb], climber: Climber, contact: Contact) -> Array:
+    """Return how far the axles sink into a level floor; refuse what does not stand on it. [m]."""
+    loads, faults = floor_loads(climber), []
+    softest = float(loads.max()) / (SUNK * climber.radius)
+    if not (loads > 0).all():
+        axle = int(loads.argmin())
+        faults.append(Fault(("vehicle",), "centers of mass such that all axles bear on a level "
+                            "floor", f"{loads[axle]:.3g} N on the {AXLES[axle]} axle"))  # fmt: skip
+    elif contact.stiffness < softest:
+        expected = f"at least {softest:.3g} N/m, so that wheels sink in by at most a tenth of their"
+        faults.append(Fault(("contact", "stiffness"), f"{expected} radius",
+                            f"{contact.stiffness:g}"))  # fmt: skip
+    if faults:
+        raise problem_error(problem.source, faults)
+    return loads / contact.stiffness
 
 
 def _first_contact(climber: Climber, profile: Profile) -> float:
@@ -216,38 +258,81 @@ def _first_contact(climber: Climber, profile: Profile) -> float:
     return min(found)
 
 
-def _misplaced(start: Trajectory, k: int, sunk: Any, distance: float) -> Fault | None:
+def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault | None:
     """Return what is wrong with the start if wheels are inside a solid or off the floor."""
-    off = start[f"gap_{k}"][0] + sunk
+    gap = start[f"gap_{k}"][0]
+    off = gap + sunk
     wrong = np.abs(off) > SLACK if k == 0 else off < -SLACK
     if not wrong.any():
         return None
     axle = int(np.flatnonzero(wrong)[-1])  # the front wheels are told first
-    x, size = start["axle_x"][0, axle], 1e3 * abs(off[axle])
-    wheels = f"the {AXLES[axle]} wheels, at x = {x:.4g} m,"
+    wheels = f"the {AXLES[axle]} wheels, at x = {start['axle_x'][0, axle]:.4g} m,"
     if k == 0:
         side = "above it" if off[axle] > 0 else "inside it"
         place: Place = ("profile",)
         return Fault(place, "the first solid to be a floor, level at height 0 under the vehicle",
-                     f"{wheels} {size:.3g} mm {side}")  # fmt: skip
-    inside = f"{wheels} {size:.3g} mm inside solid {k}"
+                     f"{wheels} {1e3 * abs(off[axle]):.3g} mm {side}")  # fmt: skip
+    inside = f"{wheels} {-1e3 * gap[axle]:.3g} mm inside solid {k}"
     if AXLES[axle] == "front":
         return Fault(("start", "distance"), "at least 0 m, so that the vehicle starts outside of "
                      "all solids", f"{distance:g} m: {inside}")  # fmt: skip
     return Fault(("start",), "a vehicle that starts outside of all solids", inside)
 
 
+class Climbed(NamedTuple):
+    """What came of a climb.
+
+    Attributes
+    ----------
+    run : Trajectory
+        The motion.
+    setup : Climbing
+        What it ran on: that of a planned climb tracks the plan.
+    arrays : mapping of str to ndarray
+        The plan, for the result file; empty if there is none.
+    """
+
+    run: Trajectory
+    setup: Climbing
+    arrays: Mapping[str, Array]
+
+
 def climbed(
     problem: Problem[schema.Climb], setup: Climbing, progress: Progress | None
-) -> Trajectory:
+) -> Climbed:  # fmt: skip
     """Return the motion of a climb, how it ended and what it averages to.
 
     Raises
     ------
     SolverError
-        If the integrator fails at the first sample; later failures are a stop of the trajectory.
+        If there is no plan, or the integrator fails at the first sample; later failures are a stop
+        of the trajectory.
     """
-    run = _simulated(problem.spec, setup, progress)
+    spec = problem.spec
+    if spec.plan is None:
+        return Climbed(_judged(_simulated(spec, setup, progress), setup), setup, NOTHING)
+    with at(problem, ("plan",)):
+        plan = plan_climb(setup.climber, setup.profile, spec.plan, setup.contact.static,
+                          spec.control.speed)  # fmt: skip
+    setup = _tracking(problem, setup, plan)
+    run = _judged(_simulated(spec, setup, progress), setup)
+    statistics = {**run.statistics, **plan_statistics(plan, run)}
+    return Climbed(replace(run, statistics=statistics), setup, arrays_of(plan.run))
+
+
+def _tracking(problem: Problem[schema.Climb], setup: Climbing, plan: Planned) -> Climbing:
+    """Return the same climb with its plan tracked."""
+    given = problem.spec.control.model_dump(exclude_none=True, include={"proportional"})
+    with at(problem, ("plan",)):
+        control = Tracking(course(plan.parts), **given)
+    dae = climbing(setup.climber, setup.profile, control, setup.contact)
+    start = _start(problem, dae, setup.climber, setup.profile, setup.contact)
+    inputs = dae.inputs(speed=problem.spec.control.speed)
+    return replace(setup, control=control, dae=dae, start=start, inputs=inputs, plan=plan.run)
+
+
+def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
+    """Return a motion with how it ended, its averages and what a slow climb needs."""
     end = outcome(run, setup.climber, setup.profile)
     words = f"{end.name}: {end.words}"
     slow = _slow(setup)
@@ -320,9 +405,6 @@ def _facts(
         for name, axle in zip(AXLES, climber.axles, strict=True)
     )
     limit = f"{climber.torque:g} N m a wheel" if isfinite(climber.torque) else "never limits"
-    told = "" if control.law == "fixed" else f", directions from {control.directions}"
-    told += f", of which it is told {control.share:g}" if told and control.share != 1 else ""
-    rhythm = "continuous" if spec.control.period is None else f"every {spec.control.period:g} s"
     return [
         ("profile", _profile_words(spec.profile)),
         ("vehicle", f"{spec.vehicle.catalog}: wheels {axles} ahead of the joint"),
@@ -332,10 +414,22 @@ def _facts(
         ("friction", f"{contact.static:g} at rest, {contact.dynamic:g} at speed; full at a slip of "
                      f"{contact.creep:g} m/s"),
         ("contact", f"stiffness {contact.stiffness:g} N/m, damping {contact.damping:g} s/m"),
-        ("control", f"{control.law} references for {spec.control.speed:g} m/s{told}; gains "
-                    f"{control.proportional:g} N m s/rad, {control.integral:g} N m/rad, "
-                    f"{control.derivative:g} N m s2/rad; {rhythm}"),
+        ("control", _control_words(spec, control)),
     ]  # fmt: skip
+
+
+def _control_words(spec: schema.Climb, control: Control) -> str:
+    if spec.plan is not None:
+        allowed = "" if spec.plan.friction is None else f", friction {spec.plan.friction:g}"
+        return f"a plan of least {spec.plan.cost}{allowed}, its torques and rates tracked"
+    told = "" if control.law == "fixed" else f", directions from {control.directions}"
+    told += f", of which it is told {control.share:g}" if told and control.share != 1 else ""
+    rhythm = "continuous" if spec.control.period is None else f"every {spec.control.period:g} s"
+    return (
+        f"{control.law} references for {spec.control.speed:g} m/s{told}; gains "
+        f"{control.proportional:g} N m s/rad, {control.integral:g} N m/rad, "
+        f"{control.derivative:g} N m s2/rad; {rhythm}"
+    )
 
 
 def _profile_words(spec: schema.Profile) -> str:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
+
+import numpy as np
 
 from slipfree.climb.path import Climb, climb, history, in_sequence
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import Climber
 from slipfree.climb.way import Leg, legs
 from slipfree.errors import SolverError
-from slipfree.named import Array
+from slipfree.named import Array, Label
 from slipfree.plan.nlp import solve_nlp
 from slipfree.problem import schema
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Column, Trajectory
+
+PROGRESS = Label("progress", "m", "mean of place and height of the axles")
 
 
 class Planned(NamedTuple):
@@ -24,7 +29,7 @@ class Planned(NamedTuple):
     parts : tuple of (Climb, ndarray)
         Program and solution of every leg.
     run : Trajectory
-        All legs, one after the other.
+        All legs, one after the other, and their ``progress``.
     least : tuple of float
         Coefficients of friction without which no leg can be climbed. [1]
     iterations, seconds : float
@@ -73,9 +78,54 @@ def plan_climb(
         chosen = _solved(climber, profile, found, spec.cost, mu, fastest, spec.nodes)
     return Planned(
         tuple((plan, unknowns) for plan, _, unknowns, *_ in chosen),
-        in_sequence([run for _, run, *_ in chosen]), least,
+        _with_progress(in_sequence([run for _, run, *_ in chosen]), climber), least,
         sum(each.iterations for each in chosen), sum(each.seconds for each in chosen),
     )  # fmt: skip
+
+
+def _with_progress(run: Trajectory, climber: Climber) -> Trajectory:
+    """Return a plan with how far the vehicle has come, as it is told from the motion as well."""
+    tilts = (run["tilt_rear"], run["tilt_rear"], run["tilt_front"])
+    ahead = [axle.ahead * (np.cos(tilt) + np.sin(tilt))
+             for axle, tilt in zip(climber.axles, tilts, strict=True)]  # fmt: skip
+    come = np.asarray(run["x"] + run["z"] + np.mean(ahead, axis=0))
+    return replace(run, columns={**run.columns, PROGRESS.name: Column(PROGRESS, come)})
+
+
+def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
+    """Return figures of a plan, and of the motion that tracks it, by name.
+
+    Parameters
+    ----------
+    plan : Planned
+        The plan.
+    run : Trajectory
+        The motion.
+    """
+    begin, end = plan.run[PROGRESS.name][[0, -1]]
+    come = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    found = {
+        "climb_plan_duration": plan.run.statistics["duration"],
+        "climb_plan_friction": plan.run.statistics["mu"],
+        "climb_plan_iterations": plan.iterations, "climb_plan_seconds": plan.seconds,
+    }  # fmt: skip
+    found |= {f"climb_plan_least_{k + 1}": mu for k, mu in enumerate(plan.least)}
+    if come[-1] > end:
+        took = run.t[(come > end).argmax()] - run.t[(come > begin).argmax()]
+        found["climb_plan_driven"] = float(took)
+    return found
+
+
+def arrays_of(plan: Trajectory) -> dict[str, Array]:
+    """Return the samples of a plan by name, one array for each axle, for a result file."""
+    found = {"plan_time": plan.t}
+    for name, column in plan.columns.items():
+        if column.values.ndim == 1:
+            found[f"plan_{name}"] = column.values
+        else:
+            found |= {f"plan_{name}_{axle}": column.values[:, k]
+                      for k, axle in enumerate(plan.wheels)}  # fmt: skip
+    return found
 
 
 class _Solved(NamedTuple):

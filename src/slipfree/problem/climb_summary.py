@@ -34,6 +34,7 @@ def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
                       f"{run[f'tilt_{name}'].max():.3f}" for name in ("rear", "front"))  # fmt: skip
     yield "tilts, nose up", f"{tilts} rad"
     yield from _averages(run)
+    yield from _planned(run)
     yield "slow climb", _slippery(run)
     yield "energy", _energy(run)
     yield "integrator", _cost(run)
@@ -60,6 +61,23 @@ def _averages(run: Trajectory) -> Iterator[tuple[str, str]]:
         mean = f"; mean {100 * np.mean(list(values.values())):.1f} %"
         yield f"  {words}", listed + (mean if measure in AVERAGES else "")
     yield "  motors", f"at their limit {100 * counts['climb_limited']:.1f} % of the time"
+
+
+def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield what a plan promised, and how long the motion that tracks it took."""
+    counts = run.statistics
+    if "climb_plan_duration" not in counts:
+        return
+    yield (
+        "plan",
+        f"{counts['climb_plan_duration']:.3g} s from the first contact on, at rest wherever wheels "
+        f"meet a solid; uses a coefficient of {counts['climb_plan_friction']:.3f}; "
+        f"{counts['climb_plan_iterations']:.0f} iterations, {counts['climb_plan_seconds']:.2g} s",
+    )
+    least = [value for name, value in counts.items() if name.startswith("climb_plan_least_")]
+    yield "  least friction", "leg by leg " + ", ".join(f"{value:.3f}" for value in least)
+    took = f"{counts['climb_plan_driven']:.3g} s" if "climb_plan_driven" in counts else "not done"
+    yield "  the same, driven", took
 
 
 def _slippery(run: Trajectory) -> str:

@@ -113,9 +113,9 @@ def run(
 def _climbed(problem: Problem[schema.Climb], progress: Progress | None) -> Outcome:
     setup = build_climb(problem)
     with at(problem, ("start",)):
-        found = climbed(problem, setup, progress)
-    attributes = {**found.attributes, **_attributes(problem, setup)}
-    return Outcome(replace(found, attributes=attributes), setup)
+        run, setup, arrays = climbed(problem, setup, progress)
+    attributes = {**run.attributes, **_attributes(problem, setup)}
+    return Outcome(replace(run, attributes=attributes), setup, arrays)
 
 
 def _integrated(setup: Setup, tolerance: float, progress: Progress | None) -> Trajectory:

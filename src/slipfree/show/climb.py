@@ -129,7 +129,7 @@ def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
 
 def slip(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     """Draw the paper's slip ratio of every axle over time, its equation (20)."""
-    return _ratios(run, slip_ratio(run, climber), "slip, eq. (20) [%]", ax)
+    return _ratios(run, slip_ratio(run, climber), "slip (20) [%]", ax)
 
 
 def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> Axes:
@@ -146,7 +146,7 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
 
 def disturbance(run: Trajectory, ax: Axes) -> Axes:
     """Draw the error of the wheels' rates over time, the paper's equation (21)."""
-    return _ratios(run, disturbance_ratio(run), "disturbance, eq. (21) [%]", ax)
+    return _ratios(run, disturbance_ratio(run), "disturbance (21) [%]", ax)
 
 
 def _ratios(run: Trajectory, ratios: Array, words: str, ax: Axes) -> Axes:
@@ -187,6 +187,62 @@ def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     return _over_time(run, ax)
 
 
+def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes) -> Axes:
+    """Draw the rims' speeds over the way: planned, and thin driven.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion that tracks a plan.
+    plan : Trajectory
+        The plan, with its ``progress``.
+    climber : Climber
+        The vehicle.
+    ax : Axes
+        Where to draw.
+    """
+    come, plan_speeds = _progress(run), climber.radius * plan["wheel_rate"]
+    speeds = climber.radius * run["wheel_rate"]
+    ax.set_ylabel("rim speed [m/s]")
+    return _over_way(come, speeds, plan, plan_speeds, ax)
+
+
+def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Axes) -> Axes:
+    """Draw the friction that wheels use over the way, on the solid that bears most, and planned.
+
+    Parameters
+    ----------
+    run, plan, ax
+        As for `planned_speeds`.
+    profile : Profile
+        The ground.
+    """
+    normal = np.array([run[f"load_{k}"] for k in range(len(profile.solids))])
+    along = np.array([run[f"friction_{k}"] for k in range(len(profile.solids))])
+    most = normal.argmax(axis=0)[None]
+    force, load = (np.take_along_axis(each, most, axis=0)[0] for each in (along, normal))
+    used = np.where(load > LOADED, np.abs(force) / np.maximum(load, LOADED), np.nan)
+    wanted = np.abs(plan["friction"]) / np.maximum(plan["load"], LOADED)
+    ax.axhline(plan.statistics["mu"], color="0.4", lw=0.8, ls="--")
+    ax.set_ylabel("friction used [1]")
+    return _over_way(_progress(run), used, plan, wanted, ax)
+
+
+def _progress(run: Trajectory) -> Array:
+    return np.asarray((run["axle_x"] + run["axle_z"]).mean(axis=1))
+
+
+def _over_way(come: Array, driven: Array, plan: Trajectory, planned: Array, ax: Axes) -> Axes:
+    """Draw what is planned over the progress, and thin what is driven."""
+    for k, axle in enumerate(AXLES):
+        look = style.look(k)
+        ax.plot(come, driven[:, k], **look | {"lw": 0.6, "alpha": 0.6})
+        ax.plot(plan["progress"], planned[:, k], label=axle, **look)
+    ax.set_xlabel("progress: mean over the axles of $x + z$ [m]")
+    ax.margins(x=0.02)
+    return ax
+
+
 def _over_time(run: Trajectory, ax: Axes) -> Axes:
     """Label the axis of time, and shade what is left out of the averages."""
     counts = run.statistics
@@ -196,7 +252,9 @@ def _over_time(run: Trajectory, ax: Axes) -> Axes:
     return style.time_axis(run, ax)
 
 
-def climb_figures(run: Trajectory, climber: Climber, profile: Profile) -> dict[str, Figure]:
+def climb_figures(
+    run: Trajectory, climber: Climber, profile: Profile, plan: Trajectory | None = None
+) -> dict[str, Figure]:
     """Return the figures of a climb, by name.
 
     Parameters
@@ -205,11 +263,13 @@ def climb_figures(run: Trajectory, climber: Climber, profile: Profile) -> dict[s
         A motion of `slipfree.climb.dynamics.climbing`.
     climber, profile : Climber, Profile
         What climbed what.
+    plan : Trajectory, optional
+        The plan that the motion tracks.
 
     Returns
     -------
     dict of str to Figure
-        ``strobe, references, slip, forces``, 180 mm wide.
+        ``strobe, references, slip, forces``, 180 mm wide; ``plan`` if there is one.
     """
     with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
         return {
@@ -217,18 +277,18 @@ def climb_figures(run: Trajectory, climber: Climber, profile: Profile) -> dict[s
             "references": _references(run, climber),
             "slip": _slip(run, climber, profile),
             "forces": _forces(run, climber, profile),
-        }
+        } | ({} if plan is None else {"plan": _plan(run, plan, climber, profile)})
 
 
 def save_climb_figures(
     run: Trajectory, climber: Climber, profile: Profile, folder: str | Path,
-    formats: Sequence[str] = ("png",),
+    formats: Sequence[str] = ("png",), plan: Trajectory | None = None,
 ) -> list[Path]:  # fmt: skip
     """Write the figures of a climb to a folder, which is made if needed, and return their files.
 
     Parameters
     ----------
-    run, climber, profile
+    run, climber, profile, plan
         As for `climb_figures`.
     folder : str or Path
         Where the files go, as ``strobe.png`` and so on.
@@ -241,19 +301,21 @@ def save_climb_figures(
         If a format is not known.
     """
     check_formats(formats)
-    return write(climb_figures(run, climber, profile), folder, formats)
+    return write(climb_figures(run, climber, profile, plan), folder, formats)
 
 
 def _strobe(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
     figure = style.figure(PAGE, 70 * MM)
     ax = strobe(run, climber, profile, figure.subplots())
     _sized(figure, ax)
-    note = f"Dots every {EVERY:g} s, the vehicle every {POSES * EVERY:g} s, from violet to green; + "
+    note = (
+        f"Dots every {EVERY:g} s, the vehicle every {POSES * EVERY:g} s, from violet to green; + "
+    )
     note += "centers of mass."
     return style.finished(figure, run, [], note + _outcome(run))
 
 
-def _sized(figure: Figure, ax: Axes, room: float = 22 * MM) -> None:
+def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
     """Make a figure as high as its axes of equal aspect need."""
     width, height = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
     figure.set_figheight((PAGE - 14 * MM) * float(height / width) + room)
@@ -290,6 +352,15 @@ def _forces(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
                           "Short peaks of impacts are cut off. Shaded: not averaged.")  # fmt: skip
 
 
+def _plan(run: Trajectory, plan: Trajectory, climber: Climber, profile: Profile) -> Figure:
+    figure = style.figure(PAGE, 2 * ROW + 24 * MM)
+    panels = figure.subplots(2, 1, sharex=True)
+    planned_speeds(run, plan, climber, panels[0])
+    planned_friction(run, plan, profile, panels[1])
+    return style.finished(style.stacked(figure, panels), run, panels[:1],
+                          "Thin: driven. Dashed: the friction that the plan uses.")  # fmt: skip
+
+
 def _outcome(run: Trajectory) -> str:
     """Return how a climb ended, as its problem says, in a sentence."""
     words = run.attributes.get("outcome", "")
@@ -316,7 +387,7 @@ def animate(
         figure = style.figure(PAGE, 70 * MM)
         FigureCanvasAgg(figure)
         ax = _framed(run, climber, ground(profile, figure.subplots()))
-        _sized(figure, ax, 14 * MM)
+        _sized(figure, ax, 12 * MM)
         film = _Film(climber, ax)
         writer = PillowWriter(fps=rate)
         times = np.arange(run.t[0], run.t[-1], 1 / rate)

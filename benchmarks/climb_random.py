@@ -1,0 +1,74 @@
+"""Climbs drawn at random, each in a process of its own: how they end.
+
+``python benchmarks/climb.py random`` runs 200, two at a time, and prints how many climb, stall,
+slide back or tip over, and which are not finished or fail: by an error, by a crash, by numbers that
+are not finite, or by taking too long. ``python benchmarks/climb_random.py 3 4``
+prints what becomes of the seeds 3 and 4.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from climb_drawn import drawn, drive, finite
+from slipfree.climb.outcome import outcome
+
+COUNT, LONGEST = 200, 120.0  # seconds of a run
+
+
+def one(seed: int) -> dict[str, object]:
+    """Return what becomes of a seed."""
+    case, clock = drawn(seed), time.process_time()
+    run = drive(case)
+    told = outcome(run, case.climber, case.profile)
+    return {
+        "name": told.name if finite(run) else "not finite", "words": told.words,
+        "seconds": time.process_time() - clock, "real": float(run.t[-1]),
+        "sampled": case.period is not None,
+    }  # fmt: skip
+
+
+def apart(seed: int) -> dict[str, object]:
+    """Return what becomes of a seed in a process of its own, whatever happens to that."""
+    command = [sys.executable, __file__, str(seed)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST, check=False)
+    except subprocess.TimeoutExpired:
+        return {"name": "too long", "words": f"more than {LONGEST:g} s"}
+    if done.returncode:
+        return {"name": "fails", "words": done.stderr.strip().splitlines()[-1:]}
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def random(count: int = COUNT) -> None:
+    """Print how climbs end."""
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(apart, range(count)))
+    ends = Counter(str(each["name"]) for each in found)
+    print(
+        f"{count} climbs at random: " + ", ".join(f"{n} {name}" for name, n in ends.most_common())
+    )
+    done = [each for each in found if "seconds" in each]
+    for sampled in (False, True):
+        factors = [each["real"] / each["seconds"] for each in done if each["sampled"] == sampled]
+        if factors:
+            print(f"  {'sampled' if sampled else 'continuous'}: {len(factors)}, times real time "
+                  f"{min(factors):.1f} to {max(factors):.0f}")  # fmt: skip
+    for seed, each in enumerate(found):
+        if each["name"] not in ("climbs", "stalls", "slides back", "tips over"):
+            print(f"  seed {seed}: {each['name']}: {each['words']}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        for given in sys.argv[1:]:
+            print(json.dumps(one(int(given))))
+    else:
+        random()

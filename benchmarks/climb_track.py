@@ -1,0 +1,152 @@
+"""Friction that climbs of the 90 mm step need, by what drives them; how exact that must be; noise.
+
+``python benchmarks/climb.py thresholds robustness noise`` prints all of it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from slipfree.climb.contact import Contact
+from slipfree.climb.control import Control
+from slipfree.climb.noise import Noise
+from slipfree.climb.profile import Profile, step
+from slipfree.climb.track import Tracking
+from slipfree.climb.vehicle import Climber
+from slipfree.errors import SolverError
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from climb_cases import (
+    CLIMBER,
+    EXACT,
+    EXACT_95,
+    FIXED,
+    MARGIN,
+    RAMP,
+    SENSED,
+    STEP,
+    TABLE_I,
+    TWICE,
+    climb,
+    planned,
+    tracking,
+)
+
+FINE, LOWEST, HIGHEST = 0.005, 0.5, 1.2
+MORE = (0.01, 0.02, 0.05, 0.1, 0.2)
+Driver = Callable[[float, float], Control | Tracking]
+DRIVERS: dict[str, Driver] = {
+    "fixed": lambda _mu, _speed: FIXED,
+    "exact": lambda _mu, _speed: EXACT,
+    "exact .95": lambda _mu, _speed: EXACT_95,
+    "sensed": lambda _mu, _speed: SENSED,
+    f"plan for {MARGIN:g} mu": lambda mu, speed: tracking(STEP, mu, speed),
+    "plan of least mu": lambda _mu, speed: Tracking(planned(STEP, None, speed)),
+}
+
+
+class Threshold(NamedTuple):
+    """Who drives, with which part of the static friction at speed, and how fast."""
+
+    driver: Driver
+    part: float
+    speed: float
+
+
+def thresholds() -> None:
+    """Print the least static friction that climbs the 90 mm step, by what drives.
+
+    Plans know the friction, but that of least friction, which does not; both rest between their
+    legs. What climbs at some friction may fail with more: the last column tries that.
+    """
+    print(f"\nleast mu_s on the 90 mm step to {FINE:g}; what of mu_s + {MORE} does not climb")
+    for part, speed in ((0.75, 0.25), (0.75, 0.05), (1.0, 0.25), (1.0, 0.05)):
+        for name, driver in DRIVERS.items():
+            case = Threshold(driver, part, speed)
+            what = f"  mu_d = {part:g} mu_s, {speed:g} m/s, {name:18}"
+            low, high = LOWEST, HIGHEST
+            if not holds(case, high):
+                print(f"{what} not even {high:g}", flush=True)
+                continue
+            while high - low > FINE:
+                mu = (low + high) / 2
+                low, high = (low, mu) if holds(case, mu) else (mu, high)
+            fails = [f"{more:g}" for more in MORE if not holds(case, high + more)]
+            print(f"{what} {high:.3f}   {', '.join(fails) or 'none'}", flush=True)
+
+
+def holds(case: Threshold, mu: float) -> bool:
+    """Return whether the 90 mm step is climbed at a friction."""
+    try:
+        control = case.driver(mu, case.speed)
+    except SolverError:  # no plan
+        return False
+    contact = Contact(static=mu, dynamic=case.part * mu)
+    until = 1.0 / case.speed + (14 if isinstance(control, Tracking) else 2)
+    return climbed(STEP, control, contact, speed=case.speed, until=until, every=0.01)
+
+
+def climbed(profile: Profile, control: Control | Tracking, contact: Contact, **how: Any) -> bool:
+    """Return whether it climbs; what the integrator gives up on does not."""
+    try:
+        return climb(profile, control, contact, **how).metrics.window.climbed
+    except SolverError:
+        return False
+
+
+def robustness() -> None:
+    """Print what tracked plans for mu_s 0.69, and of least friction, bear; mu_d = .75 mu_s."""
+    for name, course in (("plan for 0.69", planned(STEP, 0.69)), ("least mu", planned(STEP))):
+        base = Tracking(course)
+        print(f"\n{name}: what climbs, and what does not")
+        _line("true mu_s", ((mu, base, STEP, mu, CLIMBER)
+                            for mu in (0.70, 0.72, 0.74, 0.8, 0.9, 1.0, 1.2)))  # fmt: skip
+        for field, factor, values in (
+            ("lead", 1e-3, (0.2, 0.5, 1, 2, 3, 5)), ("spare", 1e-3, (1, 2, 3, 4, 6, 8, 20)),
+            ("proportional", 1, (2, 4, 8, 20, 60)),
+        ):  # fmt: skip
+            _line(f"{field} [{factor:g}], mu_s .74",
+                  ((value, replace(base, **{field: factor * value}), STEP, 0.74, CLIMBER)
+                   for value in values))  # fmt: skip
+        heights = ((mm, base, step(mm / 1000), 0.76, CLIMBER) for mm in (80, 85, 88, 92, 95))
+        _line("height [mm], mu_s .76", heights)
+        centers = ((mm, base, STEP, 0.76, _shifted(mm / 1000)) for mm in (-20, -10, 10, 20))
+        _line("place of the rear body's center [mm], mu_s .76", centers)
+
+
+def _line(what: str, cases: Iterable[tuple[float, Tracking, Profile, float, Climber]]) -> None:
+    ends: dict[bool, list[str]] = {True: [], False: []}
+    for value, control, profile, mu, climber in cases:
+        contact = Contact(static=mu, dynamic=0.75 * mu)
+        up = climbed(profile, control, contact, climber=climber, until=16.0, every=0.01)
+        ends[up].append(f"{value:g}")
+    print(f"  {what:48} {' '.join(ends[True]):36} not {' '.join(ends[False]) or '-'}", flush=True)
+
+
+def _shifted(ahead: float) -> Climber:
+    body = CLIMBER.rear_body
+    return replace(CLIMBER, rear_body=body._replace(ahead=body.ahead + ahead))
+
+
+def noise() -> None:
+    """Print slip with noisy sensors."""
+    print(
+        "\nnoise of tilts [rad], their rates, wheels' rates [rad/s]: slip, true slip, disturbance"
+    )
+    sizes = ((0.0, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.1, 0.0), (0.0, 0.3, 0.0),
+             (0.0, 0.0, 0.1), (0.0, 0.0, 0.3), (0.01, 0.1, 0.1))  # fmt: skip
+    for name, profile, contact in (("ramp", RAMP, TABLE_I), ("step", STEP, TWICE)):
+        for control in (FIXED, SENSED):
+            for each in sizes:
+                rows = [climb(profile, replace(control, noise=Noise(*each, seed=seed)), contact)
+                        .metrics for seed in range(3)]  # fmt: skip
+                words = [f"{100 * min(values):5.1f} - {100 * max(values):4.1f}" for values in zip(
+                    *((row.slip.mean(), row.true_slip.mean(), row.disturbance.mean())
+                      for row in rows), strict=True)]  # fmt: skip
+                up = sum(row.window.climbed for row in rows)
+                print(f"  {name} {control.law:10} {each!s:18} {'  '.join(words)}  {up} of 3 climb",
+                      flush=True)  # fmt: skip
