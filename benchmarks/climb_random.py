@@ -53,14 +53,14 @@ def random(count: int = COUNT) -> None:
         found = list(pool.map(apart, range(count)))
     ends = Counter(str(each["name"]) for each in found)
     print(
-        f"{count} climbs at random: " + ", ".join(f"{n} {name}" for name, n in ends.most_common())
+        f"{count} climbs at random: " + ", ".join(f"{name} {n}" for name, n in ends.most_common())
     )
     done = [each for each in found if "seconds" in each]
     for sampled in (False, True):
         factors = [each["real"] / each["seconds"] for each in done if each["sampled"] == sampled]
         if factors:
             print(f"  {'sampled' if sampled else 'continuous'}: {len(factors)}, times real time "
-                  f"{min(factors):.1f} to {max(factors):.0f}")  # fmt: skip
+                  f"{min(factors):.1f} to {max(factors):.1f}")  # fmt: skip
     for seed, each in enumerate(found):
         if each["name"] not in ("climbs", "stalls", "slides back", "tips over"):
             print(f"  seed {seed}: {each['name']}: {each['words']}")

@@ -25,7 +25,7 @@ class Outcome(NamedTuple):
     name : {"climbs", "stalls", "slides back", "tips over", "unfinished"}
         Unfinished is what still gets on when the motion ends, or has met nothing to climb.
     t : float
-        When the rear axle comes up, when the vehicle was farthest, or when the motion ends. [s]
+        When the rear axle comes up, when it gets stuck, or when the motion ends. [s]
     words : str
         What happened.
     """
@@ -72,11 +72,10 @@ def outcome(run: Trajectory, climber: Climber, profile: Profile) -> Outcome:
 
 def _not_up(run: Trajectory, way: Array, end: float) -> Outcome:
     """Return how what did not come up ends."""
-    before = way[run.t <= end - LAST]
-    if not before.size or way.max() - before.max() > ON:
+    k = int(np.argmax(way > way.max() - ON))
+    t, x, back = float(run.t[k]), float(run["axle_x", "front"][k]), float(way.max() - way[-1])
+    if t > end - LAST:
         return Outcome("unfinished", end, _ending(run, "the vehicle was still getting on"))
-    k = int(way.argmax())
-    t, x, back = float(run.t[k]), float(run["axle_x", "front"][k]), float(way[k] - way[-1])
     words = f"from t = {t:.3g} s on it gets no farther, the front axle at x = {x:.3g} m"
     if back > BACK:
         return Outcome("slides back", t, f"{words}: it ends {1e3 * back:.0f} mm behind")
