@@ -20,6 +20,7 @@ from slipfree.errors import ModelError
 from slipfree.named import Array
 from slipfree.plan.course import Course, carried, course, nearest, sampled, unknowns_of
 from slipfree.plan.explain import explanation
+from slipfree.plan.groups import WITHIN
 from slipfree.plan.proof import Proof, inputs_along, prove, refined
 from slipfree.plan.saved import Saved, local, saved
 from slipfree.plan.solver import Iterate, Solution, solve, violation
@@ -32,7 +33,6 @@ SLIP = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in 
 ROUNDS = 4  # of adding limits that a plan violates
 REFINEMENTS = 6  # of the mesh at most
 STOPPED = "User_Requested_Stop"  # IPOPT's words when progress returns False
-WITHIN = 1e-6  # violation of a limit that is rounding, in its unit
 CLEAR = 1e-5  # by which plans keep clear of the model's limits, which end a simulation
 STEP = 0.25  # between samples of the simulation at most [s]
 Progress = Callable[[str, Iterate], bool]
