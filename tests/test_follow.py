@@ -142,7 +142,7 @@ def skid_steered():
 def test_differential_drive_follows_too():
     vehicle, path = skid_steered(), Path(WAY[:2])
     dae = direct_kinematics(vehicle, FLAT)
-    plan = laws._plan(vehicle)
+    plan = laws._plan(vehicle, {})
     assert plan.ahead == pytest.approx(-0.2)  # the ball is a fixed wheel: the axis lies between
     start = settle(dae, heading=heading_at_start(path, plan.ahead))
     run = simulate(dae, start, follow(dae, vehicle, path, speed=0.3), np.linspace(0, 60, 61))

@@ -1,5 +1,6 @@
 """Vehicles are checked when they are built; frames agree with textbook rotations."""
 
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -10,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
-from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
+from slipfree.kinematics.montana import montana_kinematics
+from slipfree.vehicle.chain import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 VEHICLE = three_wheeler()
@@ -113,7 +115,7 @@ def test_only_vehicles_with_enough_freedom_can_be_made_to_roll():
 
 def test_a_sliding_joint_moves_its_part_along_its_axis():
     axle = Joint("axle", "platform", "x", (0.1, 0.2, 0.3), "reach", "slide")
-    assert_allclose(numbers(axle.pose(ca.SX(0.5)).origin).ravel(), [0.6, 0.2, 0.3])
+    assert_allclose(numbers(axle.pose({"reach": ca.SX(0.5)}).origin).ravel(), [0.6, 0.2, 0.3])
     vehicle = replace(
         VEHICLE, joints=(replace(VEHICLE.joints[0], motion="slide"), *VEHICLE.joints[1:])
     )
@@ -140,7 +142,7 @@ def changed(**parts):
         (lambda: three_wheeler(tilt_stop=-0.1), "stops must ascend"),
         (changed(wheels=VEHICLE.wheels[:2]), "three wheels or more to stand, found 2"),
         (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels are called 'right'"),
-        (changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], coordinate="tilt_left"))),
+        (changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="tilt_left"))),
          "coordinate steer moves no joint"),
         (changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
          "coordinate steer both turns and slides"),
@@ -149,7 +151,7 @@ def changed(**parts):
          "joint right_hub: its parent 'boom' is not known; known so far: platform"),
         (changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"), *VEHICLE.wheels[1:])),
          "wheel right: its parent 'hub' is not known"),
-        (changed(joints=(replace(VEHICLE.joints[0], coordinate="lean"), *VEHICLE.joints[1:])),
+        (changed(joints=(replace(VEHICLE.joints[0], value="lean"), *VEHICLE.joints[1:])),
          "its coordinate 'lean' is not known"),
     ],
 )  # fmt: skip
@@ -174,3 +176,121 @@ def test_a_motion_that_no_contact_feels_is_named():
     dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
     with pytest.raises(ModelError, match=r"nothing determines pivot_rate \(rate of pivot of the"):
         settle(dae)
+
+
+def test_axes_may_point_anywhere(rng):
+    for _ in range(20):
+        axis, angle = rng.normal(size=3), rng.uniform(-3, 3)
+        expected = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        assert_allclose(numbers(turn(tuple(axis), angle).rotation), expected, atol=1e-15)
+
+
+def test_a_part_is_turned_about_x_then_y_then_z(rng):
+    angles = rng.uniform(-1, 1, 3)
+    joint = Joint("arm", "platform", "z", (0.1, 0.2, 0.3), "0", turned=tuple(angles))
+    pose = joint.pose({})
+    assert_allclose(numbers(pose.rotation), Rotation.from_euler("xyz", angles).as_matrix(),
+                    atol=1e-15)  # fmt: skip
+    assert_allclose(numbers(pose.origin).ravel(), [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("axle", [(1, 0, 0), (-1, 0, 0), (0, -2, 0), (0.3, 0.4, -0.5)])
+def test_an_axle_may_point_anywhere(axle):
+    wheel = Wheel("wheel", "platform", (1.0, 2.0, 3.0), 0.0, 0.2, driven=True, axle=axle)
+    rotation = numbers(wheel.mount.rotation)
+    assert_allclose(rotation[:, 0], np.array(axle) / np.linalg.norm(axle), atol=1e-15)
+    assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-15)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    assert_allclose(numbers(wheel.mount.origin).ravel(), [1, 2, 3])
+
+
+def test_a_joint_follows_a_formula_of_coordinates():
+    """A differential and a camera mast: two parts by one coordinate, one by two."""
+    joints = (
+        *VEHICLE.joints,
+        Joint("mirror", "platform", "x", (0, 0, 0), "-0.5*steer + tilt_left"),
+    )
+    parts = replace(VEHICLE, joints=joints)._parts(
+        Pose(ca.SX.eye(3), ca.SX.zeros(3)),
+        {"steer": ca.SX(0.3), "tilt_left": ca.SX(0.1), "tilt_right": ca.SX(0)},
+    )
+    assert_allclose(numbers(parts["mirror"].rotation),
+                    Rotation.from_euler("x", -0.05).as_matrix(), atol=1e-15)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda: Joint("boom", "platform", (0, 0, 0), (0, 0, 0), "a"),
+         "joint boom: an axis must be x, y, z or a vector other than zero"),
+        (lambda: Joint("boom", "platform", "w", (0, 0, 0), "a"), "joint boom: an axis must be"),
+        (lambda: Joint("boom", "platform", "x", (0, 0, np.nan), "a"),
+         "joint boom: at must be three finite numbers"),
+        (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a", turned=(0, 0)),
+         "joint boom: turned must be three finite numbers"),
+        (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a b"), "joint boom: formula 'a b'"),
+        (lambda: Wheel("w", "platform", (0, 0, 0), 0.0, 0.2, driven=True, axle=(0, 0, 0)),
+         "wheel w: axle: an axis must be"),
+        (lambda: Wheel("w", "platform", (0, np.inf, 0), 0.0, 0.2, driven=True),
+         "wheel w: at must be three finite numbers"),
+        (lambda: replace(VEHICLE, joints=(*VEHICLE.joints[:2],
+                                          replace(VEHICLE.joints[2], value="steer + stear"))),
+         "joint fork: its coordinate 'stear' is not known; known so far: steer, tilt_left"),
+    ],
+)  # fmt: skip
+def test_joints_and_wheels_that_are_none_are_refused(build, words):
+    with pytest.raises(ModelError, match=re.escape(words)):
+        build()
+
+
+def omni_cart(*, rollers):
+    """Three wheels at 120 degrees, each driven along the rim of the platform."""
+    wheels = []
+    for k in range(3):
+        angle = 2 * np.pi * k / 3
+        at = (0.4 * np.cos(angle), 0.4 * np.sin(angle), 0.0)
+        wheels.append(Wheel(f"w{k}", "platform", at, 0.02, 0.08, driven=True, mass=1.0,
+                            axle=(np.cos(angle), np.sin(angle), 0.0), rollers=rollers))  # fmt: skip
+    return Vehicle("omni_cart", (), (), tuple(wheels), Body(10.0))
+
+
+def test_a_cart_on_rollers_goes_anywhere_without_slip(rng):
+    """Three omni wheels: any plane motion, each wheel turns as its rim's forward speed asks."""
+    vehicle = omni_cart(rollers=True)
+    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5))
+    velocity, turning = rng.uniform(-0.2, 0.2, 2), 0.3
+    rates = {}
+    for k in range(3):
+        angle = 2 * np.pi * k / 3
+        forward = np.array([-np.sin(angle), np.cos(angle)])
+        rates[f"w{k}_rate"] = (forward @ velocity + 0.4 * turning) / 0.1
+    start = settle(dae)
+    run = simulate(dae, start, dae.inputs(**rates), np.linspace(0, 1e-3, 11))
+    found = [np.gradient(run[name], run.t)[5] for name in ("x", "y", "heading")]
+    assert_allclose(found, [*velocity, turning], rtol=2e-3)
+    assert np.abs(run["slip_along"]).max() < 1e-12
+    assert np.abs(run["slip_across"]).max() < 1e-15
+    assert np.abs(run["force_across"]).max() < 1e-9
+    stuck = direct_kinematics(omni_cart(rollers=False), Analytic(lambda x, _: 0 * x))
+    run = simulate(stuck, settle(stuck), stuck.inputs(**rates), np.linspace(0, 1e-3, 11))
+    assert np.abs(run["slip_across"]).max() > 0.01
+
+
+def test_rollers_bear_no_force_across_them_on_a_side_slope():
+    """Across a slope only the wheel whose rim points downhill can hold, as much as friction."""
+    slope = 0.05
+    ground = Analytic(lambda x, _: slope * x, mu=0.5)
+    dae = direct_kinematics(omni_cart(rollers=True), ground, slip="traction")
+    start = settle(dae)
+    weight = 13 * 9.81 * np.sin(np.arctan(slope))
+    assert_allclose(start["force_across"], 0, atol=1e-12)
+    uphill = -start["force_along"][-1] @ np.sin(2 * np.pi * np.arange(3) / 3)
+    assert uphill == pytest.approx(weight, rel=1e-6)
+
+
+def test_rollers_are_refused_where_they_are_not_modelled():
+    flat = Analytic(lambda x, _: 0 * x)
+    with pytest.raises(ModelError, match="omni_cart has wheels with rollers"):
+        direct_kinematics(omni_cart(rollers=True), flat, slip="rolling")
+    with pytest.raises(ModelError, match="Montana's form takes wheels without rollers"):
+        montana_kinematics(omni_cart(rollers=True), flat)

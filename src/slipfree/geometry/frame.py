@@ -2,11 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import hypot, inf, isfinite
 from typing import NamedTuple
 
 import casadi as ca
 
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+from slipfree.errors import ModelError
+
+Vector = tuple[float, float, float]
+Axis = str | Vector
+AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+def unit_vector(axis: Axis) -> Vector:
+    """Return the unit vector of an axis, by its name or along any vector.
+
+    Raises
+    ------
+    ModelError
+        If the name is unknown or the vector has no direction.
+    """
+    given = AXES.get(axis) if isinstance(axis, str) else axis
+    size = hypot(*given) if given is not None and len(given) == 3 else 0.0
+    if given is None or not 0 < size < inf:
+        raise ModelError(f"an axis must be x, y, z or a vector other than zero, found {axis!r}")
+    x, y, z = (each / size for each in given)
+    return x, y, z
+
+
+def check_vector(what: str, vector: Sequence[float]) -> None:
+    """Raise ModelError if a vector is not three finite numbers."""
+    if len(vector) != 3 or not all(map(isfinite, vector)):
+        raise ModelError(f"{what} must be three finite numbers, found {vector}")
 
 
 class Twist(NamedTuple):
@@ -53,17 +81,17 @@ def translation(x: ca.SX | float, y: ca.SX | float, z: ca.SX | float) -> Pose:
     return Pose(ca.SX.eye(3), ca.SX(ca.vertcat(x, y, z)))
 
 
-def turn(axis: str, angle: ca.SX | float) -> Pose:
+def turn(axis: Axis, angle: ca.SX | float) -> Pose:
     """Return the pose of a frame turned about a fixed axis.
 
     Parameters
     ----------
-    axis : {"x", "y", "z"}
-        The axis.
+    axis : {"x", "y", "z"} or tuple of 3 floats
+        The axis, by name or as a vector.
     angle : SX or float
         Right-handed angle. [rad]
     """
-    k = ca.skew(ca.SX(ca.DM(AXES[axis])))
+    k = ca.skew(ca.SX(ca.DM(unit_vector(axis))))
     rotation = ca.sparsify(ca.SX.eye(3) + ca.sin(angle) * k + (1 - ca.cos(angle)) * (k @ k))
     return Pose(ca.densify(rotation), ca.SX.zeros(3))
 

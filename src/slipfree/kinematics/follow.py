@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -11,38 +12,64 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.path import Path
-from slipfree.named import unpack
+from slipfree.named import Array, unpack
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 LARGEST_STEER = 0.5  # steering angle that the law asks for at most [rad]
 STEER_GAIN = 4.0  # rate of the steering per base length driven
+NEAR = 1e-9  # lengths and effects below this are none [m, 1]
 SLOW = 0.1  # part of the speed below which the steering no longer follows the turning wanted
 TILT_GAIN = 2.0  # decay of the mean tilt per base length driven
 
 
 class _Foot(NamedTuple):
-    """A wheel in the plan of the vehicle: offsets from the middle of its turning axis. [m]."""
+    """A wheel in the plan of the vehicle, as expressions of the commanded coordinates.
+
+    Attributes
+    ----------
+    wheel : Wheel
+        The wheel.
+    right, forward : SX
+        Where it is, from the middle of the turning axis. [m]
+    angle : SX
+        Heading of the wheel in the platform's plan, left positive. [rad]
+    effects : mapping of str to SX
+        How much each commanded coordinate turns it. [rad/rad, rad/m]
+    leans : str or None
+        The passive coordinate that leans it sideways, if it is driven.
+    """
 
     wheel: Wheel
-    right: float
-    forward: float
-    steer: str | None
-    tilt: str | None
+    right: ca.SX
+    forward: ca.SX
+    angle: ca.SX
+    effects: dict[str, ca.SX]
+    leans: str | None
 
 
 class _Plan(NamedTuple):
-    """The plan of a vehicle: its wheels, its base length, and where its centre lies. [m]."""
+    """The plan of a vehicle.
+
+    Attributes
+    ----------
+    feet, steered : tuple of _Foot
+        Its wheels, and those whose steering makes it turn.
+    base : float
+        Its base length. [m]
+    ahead : float
+        How far its centre lies ahead of the turning axis. [m]
+    gain : float
+        Difference of the wheels' speeds for that of a vehicle that turns without slip: above one
+        where unsteered wheels have to slip across. [1]
+    """
 
     feet: tuple[_Foot, ...]
+    steered: tuple[_Foot, ...]
     base: float
     ahead: float
-
-    @property
-    def steered(self) -> tuple[_Foot, ...]:
-        """The wheels whose steering makes the vehicle turn."""
-        return tuple(f for f in self.feet if f.steer and abs(f.forward) > 1e-9)
+    gain: float
 
 
 def straight(
@@ -91,26 +118,22 @@ def follow(dae: Dae[Any, Any, Any, Any, Any], vehicle: Vehicle, path: Path, *, s
     """
     if not np.isfinite(speed) or speed == 0:
         raise ModelError(f"driver: the speed must be finite and not zero, found {speed} m/s")
-    plan = _plan(vehicle)
-    v, wanted = _guidance(dae, path, plan, speed)
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
-    pace, rates, turning = abs(speed) / plan.base, {}, wanted
+    plan = _plan(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
+    v, wanted = _guidance(dae, path, plan, speed)
+    pace, turning = abs(speed) / plan.base, wanted
+    rates = dict.fromkeys((c.name for c in vehicle.of("commanded")), ca.SX(0))
     if plan.steered:
-        turning = _turning(plan, states, v)
-        for foot in plan.steered:
-            way = v + foot.right * wanted
-            # the slope wanted / way, but smooth where the way changes its sign
-            slope = foot.forward * wanted * way / (way**2 + (SLOW * speed) ** 2)
-            angle = ca.atan(slope)
-            angle = LARGEST_STEER * ca.tanh(angle / LARGEST_STEER)
-            rates[foot.steer] = STEER_GAIN * pace * (angle - states[str(foot.steer)])
-    tilts = [states[foot.tilt] for foot in plan.feet if foot.tilt]
+        turning = _turning(plan, v)
+        rates |= _steering(plan, v, wanted, speed)
+    tilts = [states[foot.leans] for foot in plan.feet if foot.leans]
     if tilts:
-        radius = float(np.mean([foot.wheel.radius for foot in plan.feet if foot.tilt]))
+        radius = float(np.mean([foot.wheel.radius for foot in plan.feet if foot.leans]))
         turning -= TILT_GAIN * pace * radius / plan.base * sum(tilts) / len(tilts)
-    wheels = [_rate(foot, v, turning, states) for foot in plan.feet if foot.wheel.driven]
-    joints = [rates.get(c.name, ca.SX(0)) for c in vehicle.of("commanded")]
-    return unpack(dae.u, [*wheels, *joints])
+    moving = {states[name]: rate for name, rate in rates.items()}
+    wheels = [_rate(foot, v, plan.gain * turning, moving) for foot in plan.feet
+              if foot.wheel.driven]  # fmt: skip
+    return unpack(dae.u, [*wheels, *rates.values()])
 
 
 def _guidance(
@@ -133,67 +156,113 @@ def _guidance(
     return v, turning
 
 
-def _turning(plan: _Plan, states: dict[str, ca.SX], v: ca.SX) -> ca.SX:
+def _steering(plan: _Plan, v: ca.SX, wanted: ca.SX, speed: float) -> dict[str, ca.SX]:
+    """Return rates that turn the steered wheels to where the turning wanted needs them."""
+    errors: dict[str, ca.SX] = {}
+    sizes: dict[str, ca.SX] = {}
+    for foot in plan.steered:
+        way = v + foot.right * wanted
+        # the slope wanted / way, but smooth where the way changes its sign
+        slope = foot.forward * wanted * way / (way**2 + (SLOW * speed) ** 2)
+        angle = ca.atan(slope)
+        error = LARGEST_STEER * ca.tanh(angle / LARGEST_STEER) - foot.angle
+        for name, effect in foot.effects.items():
+            errors[name] = errors.get(name, 0) + effect * error
+            sizes[name] = sizes.get(name, 0) + effect**2
+    pace = abs(speed) / plan.base
+    return {name: STEER_GAIN * pace * error / sizes[name] for name, error in errors.items()}
+
+
+def _turning(plan: _Plan, v: ca.SX) -> ca.SX:
     """Return the rate at which the steered wheels make the vehicle turn on a plane. [rad/s]."""
     total = ca.SX(0)
     for foot in plan.steered:
-        slope = ca.tan(states[str(foot.steer)])
+        slope = ca.tan(foot.angle)
         total += v * slope / (foot.forward - foot.right * slope)
     return total / len(plan.steered)
 
 
-def _rate(foot: _Foot, v: ca.SX, turning: ca.SX, states: dict[str, ca.SX]) -> ca.SX:
+def _rate(foot: _Foot, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:
     """Return the rate of a driven wheel that fits a plane motion. [rad/s]."""
-    v_forward, v_left = v + foot.right * turning, foot.forward * turning
-    if foot.steer is None:
-        return v_forward / foot.wheel.radius
-    angle = states[foot.steer]
-    return (ca.cos(angle) * v_forward + ca.sin(angle) * v_left) / foot.wheel.radius
+    place = ca.vertcat(foot.right, foot.forward)
+    shift = ca.SX.zeros(2)
+    for coordinate, rate in moving.items():
+        shift += ca.jacobian(place, coordinate) * rate
+    v_forward, v_left = v + foot.right * turning + shift[1], foot.forward * turning - shift[0]
+    along = ca.cos(foot.angle) * v_forward + ca.sin(foot.angle) * v_left
+    return along / foot.wheel.radius
 
 
-def _plan(vehicle: Vehicle) -> _Plan:
+def _plan(vehicle: Vehicle, states: dict[str, ca.SX]) -> _Plan:
     """Return the plan of a vehicle in its zero configuration, or say why it cannot be driven.
 
-    The vehicle turns about an axis through the wheels that are neither steered nor castors; if
-    there are none, through its centre.
+    The vehicle turns about an axis through the wheels that are neither steered nor castors nor
+    have rollers; if there are none, through its centre.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    states : dict of str to SX
+        Symbols of its commanded coordinates.
     """
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    places = [np.array(ca.evalf(pose.origin)).ravel() for pose in poses]
-    turned = [_turned(vehicle, wheel) for wheel in vehicle.wheels]
-    passive = {c.name for c in vehicle.of("passive")}
-    fixed = [place[1] for place, by in zip(places, turned, strict=True) if "z" not in by]
-    axis = float(np.mean(fixed)) if fixed else 0.0
-    feet = []
-    for wheel, place, by in zip(vehicle.wheels, places, turned, strict=True):
-        steer, tilt = by.get("z"), by.get("y")
-        feet.append(
-            _Foot(
-                wheel,
-                float(place[0]),
-                float(place[1]) - axis,
-                steer if steer not in passive else None,
-                tilt if tilt in passive and wheel.driven else None,
-            )
-        )
-    sides = {np.sign(f.right) for f in feet if f.wheel.driven and f.steer is None}
-    plan = _Plan(tuple(feet), 1.0, -axis)
-    if not plan.steered and not {-1.0, 1.0} <= sides:
+    feet, fixed = [], []
+    for wheel, (pose, effects, leans, swivels) in zip(
+        vehicle.wheels, _placed(vehicle, states), strict=True
+    ):
+        angle = ca.atan2(-pose.rotation[0, 1], pose.rotation[1, 1])
+        foot = _Foot(wheel, pose.origin[0], pose.origin[1], angle, effects, leans)
+        feet.append(foot)
+        if not (effects or swivels or wheel.rollers):
+            fixed.append(foot)
+    zeros = ca.vertcat(ca.SX(0, 1), *states.values()), ca.DM.zeros(len(states))
+
+    def now(value: ca.SX) -> float:
+        return float(ca.evalf(ca.substitute(value, *zeros)))
+
+    axis = float(np.mean([now(foot.forward) for foot in fixed])) if fixed else 0.0
+    feet = [foot._replace(forward=foot.forward - axis) for foot in feet]
+    steered = tuple(f for f in feet if f.effects and abs(now(f.forward)) > NEAR)
+    sides = {np.sign(now(f.right)) for f in feet if f.wheel.driven and not f.effects}
+    if not steered and not {-1.0, 1.0} <= sides:
         raise ModelError(
             f"driver: {vehicle.name} has no steered wheel, nor driven wheels on both sides"
         )
-    lengths = [abs(f.forward) for f in plan.steered] or [abs(f.right) for f in feet]
-    return plan._replace(base=float(max(lengths)))
+    lengths = [abs(now(f.forward)) for f in steered] or [abs(now(f.right)) for f in feet]
+    gain = 1.0
+    if not steered:
+        fixed = [foot._replace(forward=foot.forward - axis) for foot in fixed]
+        rights = sum(now(f.right) ** 2 for f in fixed)
+        gain = (rights + sum(now(f.forward) ** 2 for f in fixed)) / rights
+    return _Plan(tuple(feet), steered, float(max(lengths)), -axis, gain)
 
 
-def _turned(vehicle: Vehicle, wheel: Wheel) -> dict[str, str]:
-    """Return the coordinates that turn a wheel, by axis."""
-    joints = {joint.name: joint for joint in vehicle.joints}
-    turned: dict[str, str] = {}
-    part = wheel.parent
-    while part in joints:
-        joint = joints[part]
-        if joint.motion == "turn":
-            turned.setdefault(joint.axis, joint.coordinate)
-        part = joint.parent
-    return turned
+def _placed(
+    vehicle: Vehicle, states: dict[str, ca.SX]
+) -> Iterator[tuple[Pose, dict[str, ca.SX], str | None, bool]]:
+    """Yield, for every wheel, its pose in the level platform's frame and what turns it.
+
+    What commanded coordinates turn it by; the passive coordinate that leans it, if it is driven;
+    and whether it swivels about the vertical by a passive one.
+    """
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    passive = {c.name: ca.SX.sym(c.name) for c in vehicle.of("passive")}
+    values = {c.name: ca.SX(0) for c in vehicle.coordinates} | states | passive
+    symbols = ca.vertcat(ca.SX(0, 1), *states.values(), *passive.values())
+    level = ca.vertcat(ca.SX(0, 1), *passive.values())
+    for wheel, pose in zip(vehicle.wheels, vehicle.carriers(rest, values), strict=True):
+        angle = ca.atan2(-pose.rotation[0, 1], pose.rotation[1, 1])
+
+        def at_zero(value: ca.SX) -> Array:
+            return np.array(ca.evalf(ca.substitute(value, symbols, ca.DM.zeros(symbols.numel()))))
+
+        turns = at_zero(ca.jacobian(angle, symbols)).ravel()
+        tilts = at_zero(ca.jacobian(pose.rotation[0, 2], level)).ravel()
+        leaning = [name for name, tilt in zip(passive, tilts, strict=True) if abs(tilt) > NEAR]
+        upright = Pose(*ca.substitute(list(pose), [level], [ca.SX.zeros(level.numel())]))
+        angle = ca.atan2(-upright.rotation[0, 1], upright.rotation[1, 1])
+        effects = {name: ca.jacobian(angle, symbol) for (name, symbol), turn
+                   in zip(states.items(), turns[: len(states)], strict=True)
+                   if abs(turn) > NEAR}  # fmt: skip
+        leans = leaning[0] if leaning and wheel.driven else None
+        yield upright, effects, leans, bool((np.abs(turns[len(states) :]) > NEAR).any())

@@ -170,6 +170,11 @@ def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Labe
                     for axis in ("along", "across")]  # fmt: skip
         return (*_equilibrium_labels(rates), *touching, *friction[0], *friction[1])
     given, needed = len(rates.passive) + len(rates.free), 2 * len(vehicle.wheels) - 3
+    if any(wheel.rollers for wheel in vehicle.wheels):
+        raise ModelError(
+            f"{vehicle.name} has wheels with rollers, whose motion is that of least slip: use "
+            "slip='least'"
+        )
     if given != needed:
         raise ModelError(
             f"{vehicle.name} cannot be made to roll: {needed} conditions of no slip need as many "

@@ -143,8 +143,8 @@ def _angles(vehicle: Vehicle, direct: Direct) -> tuple[ca.SX, tuple[str, ...]]:
 
 
 def _slides(vehicle: Vehicle, rate: str) -> bool:
-    names = {j.coordinate for j in vehicle.joints if j.motion == "slide"}
-    return rate.removesuffix("_rate") in names
+    name = rate.removesuffix("_rate")
+    return any(name in j.coordinates and j.motion == "slide" for j in vehicle.joints)
 
 
 def _extent(vehicle: Vehicle) -> float:
@@ -267,7 +267,7 @@ def _reasons(vehicle: Vehicle) -> dict[str, str]:
     for c in vehicle.of("commanded"):
         moved: set[str] = set()
         for joint in vehicle.joints:
-            if joint.coordinate == c.name or joint.parent in moved:
+            if c.name in joint.coordinates or joint.parent in moved:
                 moved.add(joint.name)
         wheels = [wheel.name for wheel in vehicle.wheels if wheel.parent in moved]
         who = f"the contact of wheel {wheels[0]} lies" if len(wheels) == 1 else (

@@ -209,6 +209,8 @@ def montana_kinematics(
 def _check(vehicle: Vehicle, kappa: float, slip: SlipLaw) -> None:
     if slip == "traction":
         raise ModelError("Montana's form takes slip = 'least' or 'rolling', found 'traction'")
+    if any(wheel.rollers for wheel in vehicle.wheels):
+        raise ModelError("Montana's form takes wheels without rollers; use the closure")
     if not (np.isfinite(kappa) and kappa >= 0):
         raise ModelError(f"kappa: expected a rate of zero or more per second, found {kappa}")
     for wheel in vehicle.wheels:

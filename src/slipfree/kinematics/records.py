@@ -158,7 +158,12 @@ def kept(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def is_determinate(vehicle: Vehicle) -> bool:
-    """Return whether equilibrium alone determines the contact forces, three a wheel."""
+    """Return whether equilibrium alone determines the contact forces, three a wheel.
+
+    A wheel with rollers bears no force across it, so that they are not three a wheel.
+    """
+    if any(wheel.rollers for wheel in vehicle.wheels):
+        return False
     free = sum(not wheel.driven for wheel in vehicle.wheels)
     wheels, others = len(vehicle.wheels), len(vehicle.of("passive")) + free
     return others == 2 * wheels - 3

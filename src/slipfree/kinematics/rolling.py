@@ -95,8 +95,8 @@ def direct_kinematics(
     turning, joints = spins(vehicle, z.rates, u), joint_rates(vehicle, z.rates, u)
     q = pack((*x, z.position[:4]))
     q_dot = pack((*z.rates[:2], z.rates.heading, joints, z.rates.z, *z.rates[4:7]))
-    slips = [slip_velocity(pose, contact, q, q_dot, spin)
-             for pose, contact, spin in zip(poses, contacts, turning, strict=True)]  # fmt: skip
+    slips = [slip_velocity(wheel, pose, contact, q, q_dot, spin) for wheel, pose, contact, spin
+             in zip(vehicle.wheels, poses, contacts, turning, strict=True)]  # fmt: skip
     touching = touch_function(x, z, poses, contacts)
     scale, shift = sizes(vehicle, terrain, labels)
     parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u)

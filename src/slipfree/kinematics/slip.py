@@ -13,15 +13,18 @@ from slipfree.geometry.frame import Pose, platform, turn
 from slipfree.named import Array
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.wheel import Wheel
 
 
 def slip_velocity(
-    carrier: Pose, contact: Touch, q: ca.SX, q_dot: ca.SX, wheel_rate: ca.SX
+    wheel: Wheel, carrier: Pose, contact: Touch, q: ca.SX, q_dot: ca.SX, wheel_rate: ca.SX
 ) -> ca.SX:
     """Return the velocity of a wheel's material contact point over the ground, shape (3, 1).
 
     Parameters
     ----------
+    wheel : Wheel
+        The wheel. With rollers, its contact point moves across it as the ground does.
     carrier : Pose
         Pose of the part that carries the wheel, at the wheel's centre, as a function of ``q``.
     contact : Touch
@@ -38,7 +41,8 @@ def slip_velocity(
     """
     twist = carrier.twist(q, q_dot)
     omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
-    return twist.v + ca.cross(omega, contact.point - carrier.origin)
+    slip = twist.v + ca.cross(omega, contact.point - carrier.origin)
+    return slip - contact.across * ca.dot(contact.across, slip) if wheel.rollers else slip
 
 
 def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
@@ -46,7 +50,8 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
 
     The material point that touches the ground at a sample is carried along with the wheel to the
     samples around, by the poses and wheel angles there, and its velocity is the difference
-    quotient over five samples. It shares nothing with the rates of the model but the poses.
+    quotient over five samples. It shares nothing with the rates of the model but the poses. Of a
+    wheel with rollers, what they take up counts as slip here.
 
     Parameters
     ----------

@@ -87,8 +87,8 @@ def mechanics(
     poses = carriers(vehicle, x, position)
     slips = [
         ca.horzcat(touch.along, touch.across, touch.normal).T
-        @ slip_velocity(pose, touch, q, q_dot, spin)
-        for pose, touch, spin in zip(poses, contacts, turning, strict=True)
+        @ slip_velocity(wheel, pose, touch, q, q_dot, spin)
+        for wheel, pose, touch, spin in zip(vehicle.wheels, poses, contacts, turning, strict=True)
     ]
     unknown, given = pack(rates.motion), pack(u)
     potential = _potential(vehicle, x, position)

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from typing import Any
 
 from slipfree.dae import Dae
+from slipfree.geometry.frame import AXES, unit_vector
 from slipfree.kinematics.records import is_determinate
 from slipfree.named import leaves
 from slipfree.problem.summary import Facts
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.chain import Coordinate, Vehicle
+from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
 
 
 def tree(vehicle: Vehicle) -> list[str]:
@@ -20,10 +21,7 @@ def tree(vehicle: Vehicle) -> list[str]:
     def below(part: str, indent: str) -> Iterator[str]:
         for joint in vehicle.joints:
             if joint.parent == part:
-                c, does = kinds[joint.coordinate], "turns about" if joint.motion == "turn" else (
-                    "slides along"
-                )  # fmt: skip
-                yield f"{indent}{joint.name}: {does} {joint.axis} by {c.name} ({_kind(c)})"
+                yield f"{indent}{joint.name}: {_joint(joint, kinds)}"
                 yield from below(joint.name, indent + "  ")
         for wheel in vehicle.wheels:
             if wheel.parent == part:
@@ -31,12 +29,26 @@ def tree(vehicle: Vehicle) -> list[str]:
                 size = f"r1 {wheel.r1:g}, r2 {wheel.r2:g} m"
                 more = f", {wheel.mass:g} kg" if wheel.mass else ""
                 more += f", grip {wheel.grip:g}" if wheel.grip != 1 else ""
+                more += ", rollers" if wheel.rollers else ""
                 yield f"{indent}wheel {wheel.name}: {drive}, {size}{more}"
 
     body = vehicle.body
     at = ", ".join(f"{each:g}" for each in body.at)
     mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
     return [f"platform{mass}", *below("platform", "  ")]
+
+
+def _joint(joint: Joint, kinds: dict[str, Coordinate]) -> str:
+    """Return how a joint moves and what moves it."""
+    moved = [f"{name}: {_kind(kinds[name])}" for name in sorted(joint.coordinates)]
+    if not moved:
+        return "rigid"
+    axis = next((n for n, vector in AXES.items() if vector == joint.axis), None)
+    along = axis or f"({', '.join(f'{each:.3g}' for each in unit_vector(joint.axis))})"
+    does = "turns about" if joint.motion == "turn" else "slides along"
+    if joint.value in joint.coordinates:
+        return f"{does} {along} by {joint.value} ({_kind(kinds[joint.value])})"
+    return f"{does} {along} by {joint.value} ({'; '.join(moved)})"
 
 
 def _kind(c: Coordinate) -> str:

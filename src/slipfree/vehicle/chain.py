@@ -10,8 +10,9 @@ from typing import Literal
 import casadi as ca
 
 from slipfree.errors import ModelError
-from slipfree.geometry.frame import AXES, Pose, translation, turn
-from slipfree.vehicle.wheel import Wheel
+from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
+from slipfree.vehicle.formula import evaluate, names_in
+from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
 GRAVITY = 9.81  # [m/s^2]
@@ -35,8 +36,7 @@ class Body:
     def __post_init__(self) -> None:
         if not 0 <= self.mass < math.inf:
             raise ModelError(f"body: mass must be zero or more kilograms, found {self.mass}")
-        if len(self.at) != 3 or not all(map(math.isfinite, self.at)):
-            raise ModelError(f"body: its centre of mass must be three metres, found {self.at}")
+        check_vector("body: its centre of mass", self.at)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Joint:
-    """A part that turns about, or slides along, an axis of its parent.
+    """A part that turns about, or slides along, an axis.
 
     Attributes
     ----------
@@ -117,32 +117,55 @@ class Joint:
         Unique in the vehicle.
     parent : str
         An earlier joint, or ``"platform"``.
-    axis : {"x", "y", "z"}
-        Axis of the parent's frame: right, forward, up.
+    axis : {"x", "y", "z"} or tuple of 3 floats
+        Axis in the part's frame: right, forward, up, or any direction.
     at : tuple of 3 floats
         Origin of the part in the parent's frame. [m]
-    coordinate : str
-        The coordinate whose value is the right-handed angle or the length.
+    value : str
+        The right-handed angle or the length: a coordinate, or a formula of coordinates such as
+        ``"-rocker"`` (see `slipfree.vehicle.formula.evaluate`); ``"0"`` for a rigid joint.
     motion : {"turn", "slide"}
         Which of the two.
     body : Body
         Its mass, that of the wheels apart.
+    turned : tuple of 3 floats
+        How the part is turned in the parent's frame at value zero: angles about the parent's x,
+        then y, then z. [rad]
     """
 
     name: str
     parent: str
-    axis: Literal["x", "y", "z"]
-    at: tuple[float, float, float]
-    coordinate: str
+    axis: Axis
+    at: Vector
+    value: str
     motion: Literal["turn", "slide"] = "turn"
     body: Body = Body()
+    turned: Vector = ORIGIN
 
-    def pose(self, value: ca.SX) -> Pose:
-        """Return the pose of the part in its parent's frame at a value of its coordinate."""
+    def __post_init__(self) -> None:
+        for key in ("at", "turned"):
+            check_vector(f"joint {self.name}: {key}", getattr(self, key))
+        try:
+            object.__setattr__(self, "axis", unit_vector(self.axis))
+            names_in(self.value)
+        except ModelError as error:
+            raise ModelError(f"joint {self.name}: {error}") from error
+
+    @property
+    def coordinates(self) -> frozenset[str]:
+        """The coordinates that move it."""
+        return names_in(self.value)
+
+    def pose(self, values: Mapping[str, ca.SX]) -> Pose:
+        """Return the pose of the part in its parent's frame at values of the coordinates."""
+        value = evaluate(self.value, values)
+        x, y, z = self.turned
+        place = translation(*self.at)
+        if any(self.turned):
+            place = place @ turn("z", z) @ turn("y", y) @ turn("x", x)
         if self.motion == "turn":
-            return translation(*self.at) @ turn(self.axis, value)
-        x, y, z = (at + value * along for at, along in zip(self.at, AXES[self.axis], strict=True))
-        return translation(x, y, z)
+            return place @ turn(self.axis, value)
+        return place @ translation(*(value * along for along in unit_vector(self.axis)))
 
 
 @dataclass(frozen=True)
@@ -183,15 +206,16 @@ class Vehicle:
         known, names = {"platform"}, {c.name for c in self.coordinates}
         for joint in self.joints:
             _found("joint", joint.name, "parent", joint.parent, known)
-            _found("joint", joint.name, "coordinate", joint.coordinate, names)
+            for used in sorted(joint.coordinates):
+                _found("joint", joint.name, "coordinate", used, names)
             known.add(joint.name)
         for wheel in self.wheels:
             _found("wheel", wheel.name, "parent", wheel.parent, known)
-        turning = {j.coordinate for j in self.joints if j.motion == "turn"}
-        for joint in self.joints:
-            if joint.motion == "slide" and joint.coordinate in turning:
-                raise ModelError(f"coordinate {joint.coordinate} both turns and slides: use two")
-        unused = names - {joint.coordinate for joint in self.joints}
+        turning = {c for j in self.joints if j.motion == "turn" for c in j.coordinates}
+        sliding = {c for j in self.joints if j.motion == "slide" for c in j.coordinates}
+        if turning & sliding:
+            raise ModelError(f"coordinate {min(turning & sliding)} both turns and slides: use two")
+        unused = names - turning - sliding
         if unused:
             raise ModelError(f"coordinate {min(unused)} moves no joint: remove it or use it")
         if len(self.wheels) < 3:
@@ -212,7 +236,7 @@ class Vehicle:
 
     def unit(self, name: str) -> Literal["rad", "m"]:
         """Return the unit of a coordinate, as its joints use it."""
-        slides = any(j.coordinate == name and j.motion == "slide" for j in self.joints)
+        slides = any(name in j.coordinates and j.motion == "slide" for j in self.joints)
         return "m" if slides else "rad"
 
     @property
@@ -237,7 +261,7 @@ class Vehicle:
             Value of every coordinate, by name. [rad or m]
         """
         parts = self._parts(platform, values)
-        return tuple(parts[wheel.parent] @ translation(*wheel.at) for wheel in self.wheels)
+        return tuple(parts[wheel.parent] @ wheel.mount for wheel in self.wheels)
 
     def masses(self, platform: Pose, values: Mapping[str, ca.SX]) -> Iterator[tuple[float, ca.SX]]:
         """Yield the mass and the centre of every part that has one. [kg, m].
@@ -254,7 +278,7 @@ class Vehicle:
     def _parts(self, platform: Pose, values: Mapping[str, ca.SX]) -> dict[str, Pose]:
         parts = {"platform": platform}
         for joint in self.joints:
-            parts[joint.name] = parts[joint.parent] @ joint.pose(values[joint.coordinate])
+            parts[joint.name] = parts[joint.parent] @ joint.pose(values)
         return parts
 
 

@@ -1,0 +1,96 @@
+"""Formulas: the value of a joint as an expression of coordinates, written as text."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+import casadi as ca
+
+from slipfree.errors import ModelError
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
+    "sin": (1, ca.sin), "cos": (1, ca.cos), "tan": (1, ca.tan),
+    "asin": (1, ca.asin), "acos": (1, ca.acos), "atan": (1, ca.atan), "atan2": (2, ca.atan2),
+    "sqrt": (1, ca.sqrt), "exp": (1, ca.exp), "log": (1, ca.log), "abs": (1, ca.fabs),
+}  # fmt: skip
+CONSTANTS = {"pi": math.pi}
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b,
+    ast.UAdd: lambda a: a, ast.USub: lambda a: -a,
+}  # fmt: skip
+LONGEST = 1000  # characters of a formula: it is nested no deeper than the parser bears
+
+
+def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the value of a formula.
+
+    Parameters
+    ----------
+    text : str
+        Numbers, names, ``+ - * / **``, parentheses, ``pi`` and the functions ``sin cos tan asin
+        acos atan atan2 sqrt exp log abs``. Angles in radians.
+    values : mapping of str to SX
+        What the names stand for. [rad or m]
+
+    Raises
+    ------
+    ModelError
+        If the text is no such formula, or a name is unknown.
+    """
+    return ca.SX(_value(_parsed(text), text, values))
+
+
+@cache
+def names_in(text: str) -> frozenset[str]:
+    """Return the names that a formula depends on; ModelError if it is none."""
+    tree = _parsed(text)
+    found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    names = frozenset(found - set(CONSTANTS) - set(FUNCTIONS))
+    _value(tree, text, {name: ca.SX.sym(name) for name in names})
+    return names
+
+
+def _parsed(text: str) -> ast.expr:
+    try:
+        if len(text) <= LONGEST:
+            return ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        pass
+    raise _refused(text, text[:60])
+
+
+def _value(node: ast.expr, text: str, values: Mapping[str, ca.SX]) -> Any:
+    """Return the value of a node of a formula."""
+    match node:
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            return float(number)
+        case ast.Name(id=name) if name in values:
+            return values[name]
+        case ast.Name(id=name) if name in CONSTANTS:
+            return CONSTANTS[name]
+        case ast.Name(id=name) if name not in FUNCTIONS:
+            raise ModelError(
+                f"formula {text!r}: {name!r} is not known; known: {', '.join(sorted(values))}"
+            )
+        case ast.UnaryOp(op=op, operand=only) if type(op) in OPERATORS:
+            return OPERATORS[type(op)](_value(only, text, values))
+        case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
+            pair = _value(left, text, values), _value(right, text, values)
+            return OPERATORS[type(op)](*map(ca.SX, pair))
+        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
+            count, function = FUNCTIONS[name]
+            if len(args) == count:
+                return function(*(_value(each, text, values) for each in args))
+    raise _refused(text, ast.unparse(node))
+
+
+def _refused(text: str, part: str) -> ModelError:
+    return ModelError(
+        f"formula {text!r}: expected numbers, coordinates, + - * / **, pi and "
+        f"{', '.join(FUNCTIONS)}, found {part!r}"
+    )
