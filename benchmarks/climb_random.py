@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from climb_drawn import drawn, drive, finite
 from slipfree.climb.outcome import outcome
 
-COUNT, LONGEST = 200, 120.0  # seconds of a run
+COUNT, LONGEST = 200, 300.0  # seconds of a run
 
 
 def one(seed: int) -> dict[str, object]:

@@ -151,7 +151,7 @@ def test_sensitivities_agree_with_differences():
     for k, unit in enumerate(np.eye(2)):
         difference = np.array(outcome(at + size * unit) - outcome(at - size * unit)).ravel()
         difference /= 2 * size
-        assert_allclose(slopes[:, k], difference, atol=1e-3 * np.abs(difference).max())
+        assert_allclose(slopes[:, k], difference, rtol=1e-3, atol=1e-5 * np.abs(difference).max())
         assert np.abs(difference).max() > 1e-3
 
 
@@ -250,8 +250,8 @@ def test_the_slip_of_the_paper_is_not_zero_without_slip(profile, most, floor, wi
 # Sampled and other control
 
 
-def sampled(period, control, start=None, until=3.4):
-    climber = seven_wheels(torque=AMPLE)
+def sampled(period, control, start=None, until=3.4, torque=AMPLE):
+    climber = seven_wheels(torque=torque)
     dae, rolling = begin(climber, RAMP, control, TABLE_I, period=2e-3)
     held = dict(zip(HELD, dae.y.torques, strict=True))
     t = np.arange(round(until / period) + 1) * period
@@ -277,6 +277,21 @@ def test_too_slow_a_sampled_controller_is_refused_since_free_wheels_swing_up():
     swings = wild["torque_held"][-6:-1]
     assert_allclose(np.abs(swings), AMPLE)
     assert (np.sign(swings[1:]) == -np.sign(swings[:-1])).all()
+
+
+def test_too_large_an_integral_makes_free_wheels_swing_up():
+    """From T = 2 kp / ki = 2.22 ms on, where the proportional gain alone would allow 2.5 ms."""
+    control = replace(FIXED, integral=3600.0)
+    sizes = []
+    for period in (2.1e-3, 2.35e-3):
+        run = sampled(period, control, {"x": -2.0, "z": 1.0}, 0.2, np.inf)
+        error = np.abs(run["wheel_rate", "rear"] - SPEED / 0.066)
+        sizes.append((error[10:30].max(), error[-20:].max()))
+    (early, late), (before, after) = sizes
+    assert late < early / 2
+    assert after > 2 * before
+    with pytest.raises(ModelError, match=r"between 0 and 0\.00195122 s = 2 kp / ki"):
+        climbing(seven_wheels(), RAMP, replace(FIXED, integral=4100.0), period=2e-3)
 
 
 def test_held_inputs_are_checked():

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from climb_cases import AMPLE, RAMP, SENSED, TABLE_I, climb, foot
 from slipfree.cli import app
+from slipfree.climb.noise import Noise
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.problem.climb import build_climb
 from slipfree.problem.locate import ProblemError
@@ -183,6 +184,11 @@ def test_a_sampled_controller_climbs_as_the_continuous_one():
     assert sampled.attributes["control"].endswith("every 0.002 s")
 
 
+def test_sensors_may_be_noisy():
+    noisy = read(RAMP_FILE, ["control.noise={tilt=0.01, band=20.0, seed=3}"])
+    assert build_climb(noisy).control.noise == Noise(tilt=0.01, band=20.0, seed=3)
+
+
 def test_stairs_are_climbed():
     found = run(read(STAIRS_FILE, ["control.period=", *COARSE])).trajectory
     assert found.attributes["outcome"].startswith("climbs")
@@ -233,7 +239,7 @@ def test_there_is_no_plan_without_enough_friction():
         ("control.law=fixed", "--set control.law: expected speed and proportional alone beside "
          "[plan], which is tracked, found fixed"),
         ("plan.cost=fee", "--set plan.cost: expected 'time', 'friction' or 'slip', found 'fee'"),
-        ("plan.nodes=2", "--set plan.nodes: expected a number of at least 3, found 2"),
+        ("plan.nodes=19", "--set plan.nodes: expected a number of at least 20, found 19"),
     ],
 )  # fmt: skip
 def test_plans_that_cannot_be(setting, words):
@@ -282,8 +288,15 @@ def test_the_least_friction_takes_no_coefficient():
          "inside solid 1"),
         ("torque = 8", "joint = 0.3", "p.toml:9: vehicle: climber: expected the rear axle behind"),
         ("[control]", "[contact]\nstiffness = 1e3\n[control]", "p.toml:21: contact.stiffness: "
-         "expected at least 1.42e+04 N/m, so that wheels sink in by at most a tenth of their "
-         "radius, found 1000"),
+         "expected at least 4.69e+04 N/m, so that wheels sink in by 2 mm at most, found 1000"),
+        ("torque = 8", "torque = 8\nradius = 66", "p.toml:9: vehicle: climber: expected a radius "
+         "below the distance of front and rear axle, 0.47 m, found 66 m; in metres?"),
+        ("[2, 0.09], [0, 0.09]", "[1e300, 0.09], [0, 0.09]",
+         "p.toml:6: profile.solids[1]: solid: expected points within 10000 m of the origin"),
+        ("speed = 0.25", "speed = 0.25\nintegral = 8000\nperiod = 0.002",
+         "expected a time between 0 and 0.001 s = 2 kp / ki"),
+        ("speed = 0.25", "speed = 0.25\nnoise = { tilt = -1 }",
+         "control.noise.tilt: expected a number of at least 0, found -1"),
         ("mass = 13.8", "mass = 13.8\nahead = 0.1", "p.toml:9: vehicle: expected centers of mass "
          "such that all axles bear on a level floor, found -63 N on the rear axle"),
         ("torque = 8", "torque = 0", "p.toml:11: vehicle.torque: expected a number greater than 0"),

@@ -66,7 +66,7 @@ def test_the_normal_is_the_gradient_and_continuous():
     ("points", "words"),
     [
         (((0, 0), (1, 0)), "three or more"),
-        (((0, 0), (1, 0), (np.nan, 1)), "finite"),
+        (((0, 0), (1, 0), (np.nan, 1)), "within 10000 m"),
         (((0, 0), (1, 0), (1, 0), (0, 1)), "points 1 and 2 coincide"),
         (((0, 0), (1, 0), (2, 0), (0, 1)), "point 1, .* is no corner"),
         (((0, 0), (1, 0), (0.2, 0.2), (0, 1)), "not convex at point 2"),
@@ -85,12 +85,9 @@ def test_corners_are_stored_counter_clockwise():
 
 
 def test_a_wheel_on_the_floor_against_a_step_touches_both():
-    floor, wall = step(0.09).touching(-0.066, 0.066, 0.066, 1e-9)
-    assert (floor.solid, wall.solid) == (0, 1)
-    assert_allclose([floor.gap, wall.gap], 0, atol=1e-15)
-    assert_allclose([floor.normal, wall.normal], [(0, 1), (-1, 0)])
-    assert step(0.09).touching(-0.1, 0.066, 0.066, 1e-3)[0].solid == 0
-    assert step(0.09).touching(-0.1, 0.1, 0.066, 1e-3) == ()
+    found = [solid.distance(-0.066, 0.066) for solid in step(0.09).solids]
+    assert_allclose([distance for distance, _ in found], 0.066, atol=1e-15)
+    assert_allclose([normal for _, normal in found], [(0, 1), (-1, 0)])
 
 
 def test_a_wheel_rolls_over_the_edge_of_a_ramp():
@@ -99,9 +96,9 @@ def test_a_wheel_rolls_over_the_edge_of_a_ramp():
     slope = np.array([-1, 1]) / np.sqrt(2)
     arc = [np.array([0.09, 0.09]) + r * np.array([-np.sin(a), np.cos(a)]) for a in (0.1, 0.4, 0.7)]
     for place in (np.array([0.05, 0.05]) + r * slope, *arc, np.array([0.3, 0.09 + r])):
-        (touch,) = profile.touching(*place, r, 1e-12)
-        assert touch.solid == 1
-        assert_allclose(place - r * touch.normal, nearest(profile.solids[1], place)[1], atol=1e-12)
+        distance, normal = profile.solids[1].distance(*place)
+        assert distance == pytest.approx(r, abs=1e-12)
+        assert_allclose(place - r * normal, nearest(profile.solids[1], place)[1], atol=1e-12)
 
 
 def test_makers():
@@ -110,12 +107,39 @@ def test_makers():
     assert_allclose(ramp(np.pi / 4, 0.09).summit, (0.09, 0.09))
     assert_allclose(ramp(np.pi / 2, 0.09).summit, (0, 0.09), atol=1e-15)
     assert kerb(0.1, 0.5).summit == (0, 0.1)
-    assert kerb(0.1, 0.5).touching(0.7, 0.066, 0.066, 1e-9)[0].normal[1] == 1
+    assert kerb(0.1, 0.5).end == 0.5
+    assert flat().end == np.inf
     flight = stairs(0.15, 0.3, 3)
     assert len(flight.solids) == 4
     assert_allclose(flight.summit, (0.6, 0.45))
-    touches = flight.touching(0.3 - 0.066, 0.15 + 0.066, 0.066, 1e-9)
-    assert [touch.solid for touch in touches] == [1, 2]
+    place = 0.3 - 0.066, 0.15 + 0.066
+    assert_allclose([solid.distance(*place)[0] for solid in flight.solids[1:3]], 0.066, atol=1e-15)
+
+
+def test_what_hangs_above_is_no_summit():
+    """A ceiling does not stand on the floor; on a pillar it does."""
+    ceiling = Solid(((-1, 1), (2, 1), (2, 1.1), (-1, 1.1)))
+    assert Profile((*step(0.05).solids, ceiling)).summit == (0, 0.05)
+    pillar = Solid(((0.4, -0.1), (0.5, -0.1), (0.5, 1), (0.4, 1)))
+    assert Profile((*step(0.05).solids, ceiling, pillar)).summit == (-1, 1.1)
+    bump = Solid(((0, -0.1), (0.6, -0.1), (0.6, 0.0), (0.3, 0.05), (0, 0.0)))
+    profile = Profile((*flat().solids, bump))
+    assert profile.summit == (0.3, 0.05)
+    assert profile.end == 0.3
+    blocks = [Solid(((x, -0.1), (x + 1, -0.1), (x + 1, z), (x, z)))
+              for x, z in ((0, 0.05), (1, 0.05 + 1e-7))]  # fmt: skip
+    assert Profile((*flat().solids, *blocks)).summit == (0, 0.05 + 1e-7)
+
+
+def test_solids_that_meet(rng):
+    square = Solid(((0, 0), (1, 0), (1, 1), (0, 1)))
+    for angle in rng.uniform(0, 2 * np.pi, 50):
+        turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        other = np.array([(1, 0), (1.5, 0.4), (1.5, -0.4)]) @ turned.T + 0.5
+        gap = min(float(square.distance(*other[0])[0]), 0.9)
+        near = Solid(tuple(map(tuple, other - (gap - 1e-3) * (turned @ [1, 0]))))
+        assert square.meets(Solid(tuple(map(tuple, other)))) == (gap < 1e-4)
+        assert square.meets(near) == near.meets(square)
 
 
 @pytest.mark.parametrize(

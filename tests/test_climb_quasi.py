@@ -244,3 +244,20 @@ def test_heavier_vehicles_need_the_same_friction():
              for each in (light, heavy)]  # fmt: skip
     assert isinstance(holds[0], Hold)
     assert_allclose(holds[1].mu, holds[0].mu, rtol=1e-7)
+
+
+def test_wheels_that_nearly_jam_are_not_given_up():
+    """Newton's iteration alone takes hundreds of rounds here; the LP's answer is bisected."""
+    plain = seven_wheels(joint=0.097)
+    climber = replace(plain, radius=0.068,
+                      rear_body=plain.rear_body._replace(ahead=-0.199))  # fmt: skip
+    found = least_friction(climber, step(0.098), 15)
+    worst = max(found.demands, key=lambda each: each.mu)
+    k = int(worst.hold.mu.argmax())
+    matrix, load = equilibrium(climber, sample(climber, step(0.098), worst.leg, worst.s[k : k + 1]))
+    for mu, status in ((found.mu * (1 + 1e-6), 0), (found.mu * (1 - 1e-4), 2)):
+        cone = np.block([[-mu * np.eye(3), np.eye(3)], [-mu * np.eye(3), -np.eye(3)]])
+        weight = load[0] / np.abs(load[0]).max()
+        bounds = [(None, None)] * 6
+        tried = linprog(np.zeros(6), cone, np.zeros(6), matrix[0], weight, bounds=bounds)
+        assert tried.status == status

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from climb_drawn import drawn, drive, finite
 from slipfree.climb.outcome import outcome
-from slipfree.climb.profile import step
+from slipfree.climb.profile import Profile, Solid, step
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.named import Label
 from slipfree.trajectory import Column, Stop, Trajectory
@@ -35,6 +35,14 @@ def test_what_comes_up_climbs():
     assert_allclose(found.t, 2.5)
     # The rear axle on the wheels' height, but in front of the edge.
     assert str(ending(0.05 * T, np.full(N, RADIUS + 0.09))) == "unfinished"
+
+
+def test_what_is_past_a_bump_has_climbed_it():
+    bump = Solid(((0, -0.1), (0.3, -0.1), (0.3, 0.0), (0.15, 0.05), (0, 0.0)))
+    ground = Profile((*step(0.09).solids[:1], bump))
+    found = outcome(motion(0.25 * T), seven_wheels(), ground)
+    assert str(found) == "climbs"
+    assert_allclose(found.t, 4 * (0.15 + 0.02 + 0.4) + 0.01, atol=0.011)
 
 
 def test_what_gets_no_farther_stalls_or_slides_back():

@@ -194,6 +194,7 @@ def test_torques_are_scaled_together():
 def test_largest_period_of_a_sampled_controller():
     assert_allclose(largest_period(Control(), seven_wheels()), 2.5e-3)
     assert_allclose(largest_period(Control(proportional=32.0), seven_wheels()), 2.5e-3 / 8)
+    assert_allclose(largest_period(Control(integral=4000.0), seven_wheels()), 2e-3)
     with_derivative = Control(derivative=0.02, lag=0.005)
     assert_allclose(largest_period(with_derivative, seven_wheels()), 1.25e-3)
 

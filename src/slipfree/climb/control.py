@@ -179,11 +179,18 @@ def limited(limit: float, wanted: PerAxle) -> Torques:
 def largest_period(control: Driver, climber: Climber) -> float:
     """Return the sample time from which on a sampled controller is unstable. [s].
 
-    A wheel that spins freely, of inertia J/n, under torque held from sample to sample, changes its
-    error by the factor ``1 - T n kp / J`` each time: at most ``2 J / (n kp)`` in size one.
+    Of a wheel that spins freely, of inertia J/n, under torque held from sample to sample, error and
+    integral advance by a matrix of trace ``2 - a - b/2`` and determinant ``1 - a + b/2`` with ``a =
+    T n kp / J`` and ``b = T^2 n ki / J``: stable below ``2 J / (n kp)`` and below ``2 kp / ki``.
     """
     gain = control.proportional + control.derivative / control.lag
-    return min(2 * axle.inertia / (axle.wheels * gain) for axle in climber.axles)
+    wheels = min(2 * axle.inertia / (axle.wheels * gain) for axle in climber.axles)
+    return min(wheels, _longest(control))
+
+
+def _longest(control: Driver) -> float:
+    """Return the sample time from which on the integral makes wheels swing up, 2 kp / ki. [s]."""
+    return 2 * control.proportional / control.integral if control.integral else math.inf
 
 
 def check_period(period: float, control: Driver, climber: Climber) -> None:
@@ -195,13 +202,20 @@ def check_period(period: float, control: Driver, climber: Climber) -> None:
         If it is not positive, or not below `largest_period`; it names the axle.
     """
     most = largest_period(control, climber)
-    if not 0 < period < most:
-        gain = control.proportional + control.derivative / control.lag
-        slack = [axle.inertia / axle.wheels for axle in climber.axles]
-        name = AXLES[slack.index(min(slack))]
+    if 0 < period < most:
+        return
+    if most == _longest(control):
         raise ModelError(
-            f"period: expected a time between 0 and {most:g} s = 2 J / (n kp), at which the "
-            f"{name} axle (J = {getattr(climber, name).inertia:g} kg m2, n = "
-            f"{getattr(climber, name).wheels}, kp = {gain:g} N m s/rad) begins to swing up, found "
-            f"{period:g} s: sample faster or lower the gain"
+            f"period: expected a time between 0 and {most:g} s = 2 kp / ki (kp = "
+            f"{control.proportional:g} N m s/rad, ki = {control.integral:g} N m/rad), at which the "
+            f"wheels begin to swing up, found {period:g} s: sample faster or lower ki"
         )
+    gain = control.proportional + control.derivative / control.lag
+    slack = [axle.inertia / axle.wheels for axle in climber.axles]
+    name = AXLES[slack.index(min(slack))]
+    raise ModelError(
+        f"period: expected a time between 0 and {most:g} s = 2 J / (n kp), at which the "
+        f"{name} axle (J = {getattr(climber, name).inertia:g} kg m2, n = "
+        f"{getattr(climber, name).wheels}, kp = {gain:g} N m s/rad) begins to swing up, found "
+        f"{period:g} s: sample faster or lower the gain"
+    )

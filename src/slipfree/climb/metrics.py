@@ -112,7 +112,7 @@ def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:
 
     It begins 50 ms before the front wheel first touches more than the floor and ends 100 ms after
     the rear axle has come up: 20 mm past the edge of the highest level, at its height, 3 mm less at
-    most.
+    most; or past all that stands on the floor.
 
     Raises
     ------
@@ -144,10 +144,9 @@ def meeting(run: Trajectory, profile: Profile) -> Mask:
 def come_up(run: Trajectory, climber: Climber, profile: Profile) -> Mask:
     """Return when the rear axle is up, as `climb_window` has it, shape (n,)."""
     edge, top = profile.summit
-    up: Mask = (run["axle_x", "rear"] > edge + PAST) & (
-        run["axle_z", "rear"] > top + climber.radius - BELOW
-    )
-    return up
+    x, z = run["axle_x", "rear"], run["axle_z", "rear"]
+    up: Mask = (x > edge + PAST) & (z > top + climber.radius - BELOW)
+    return up | (x > profile.end + PAST)
 
 
 def slip_ratio(run: Trajectory, climber: Climber) -> Array:

@@ -65,7 +65,7 @@ def outcome(run: Trajectory, climber: Climber, profile: Profile) -> Outcome:
     up = come_up(run, climber, profile) & (np.cumsum(met) > 0)
     if up.any():
         t = float(run.t[up.argmax()])
-        return Outcome("climbs", t, f"at t = {t:.3g} s the rear axle is up")
+        return Outcome("climbs", t, f"at t = {t:.3g} s the rear axle is up, or past")
     way = (run["axle_x"] + run["axle_z"]).mean(axis=1)
     return _not_up(run, way, end)
 

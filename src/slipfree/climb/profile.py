@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,26 +22,10 @@ from slipfree.named import Array
 Point = tuple[float, float]
 REACH = 100.0  # of floor and plateaus, from where they begin [m]
 ROOT = 0.5  # of solids below the floor, so that their feet are no corners [m]
+LEVEL = 1e-4  # difference of heights, and gap between solids, that is none [m]
+FAR = 1e4  # beyond which there are no corners [m]
 STRAIGHT = 1e-9  # sine of the turn at a corner that is none
 TINY = 1e-24  # keeps the slope of a root finite [m2]
-
-
-class Touch(NamedTuple):
-    """A disc near a solid.
-
-    Attributes
-    ----------
-    solid : int
-        Which one of the profile.
-    gap : float
-        Distance of the disc's rim to it, negative where it reaches into it. [m]
-    normal : ndarray, shape (2,)
-        Unit vector from the solid's nearest point to the disc's center.
-    """
-
-    solid: int
-    gap: float
-    normal: Array
 
 
 @dataclass(frozen=True)
@@ -68,8 +51,10 @@ class Solid:
             raise ModelError(
                 f"solid: expected three or more points (x, z), found shape {points.shape}"
             )
-        if not np.isfinite(points).all():
-            raise ModelError(f"solid: expected finite points, found {points.tolist()}")
+        if not (np.abs(points) <= FAR).all():
+            raise ModelError(
+                f"solid: expected points within {FAR:g} m of the origin, found {points.tolist()}"
+            )
         stored = tuple((float(x), float(z)) for x, z in _counter_clockwise(points))
         object.__setattr__(self, "points", stored)
 
@@ -84,6 +69,15 @@ class Solid:
     def normals(self) -> Array:
         """Outward unit normals of the faces, shape (n, 2)."""
         return np.stack([self.edges[:, 1], -self.edges[:, 0]], axis=1)
+
+    def meets(self, other: Solid) -> bool:
+        """Return whether it touches another solid: no face of either has them on its two sides."""
+        for one, two in ((self, other), (other, self)):
+            heights = (np.array(two.points) @ one.normals.T).min(axis=0)
+            own = (np.array(one.points) * one.normals).sum(axis=1)
+            if (heights > own + LEVEL).any():
+                return False
+        return True
 
     def gap(self, x: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the distance of a point to the solid, negative inside, and its gradient.
@@ -174,28 +168,26 @@ class Profile:
 
     @property
     def summit(self) -> Point:
-        """Where the highest level begins, (x, z). [m]."""
-        points = [point for solid in self.solids for point in solid.points]
+        """Where the highest level that stands on the floor begins, (x, z). [m]."""
+        points = [point for solid in self.standing for point in solid.points]
         top = max(z for _, z in points)
-        return min(x for x, z in points if z == top), top
+        return min(x for x, z in points if z > top - LEVEL), top
 
-    def touching(self, x: float, z: float, radius: float, within: float = 0.0) -> tuple[Touch, ...]:
-        """Return the solids that a disc touches.
+    @property
+    def end(self) -> float:
+        """Where all that stands on the floor and rises above it ends. [m]."""
+        floor = max(z for _, z in self.solids[0].points)
+        above = [x for solid in self.standing[1:] for x, z in solid.points if z > floor]
+        return max(above, default=math.inf)
 
-        Parameters
-        ----------
-        x, z : float
-            The disc's center. [m]
-        radius : float
-            Of the disc. [m]
-        within : float
-            Gap up to which it counts as touching. [m]
-        """
-        found = []
-        for index, solid in enumerate(self.solids):
-            distance, normal = solid.distance(x, z)
-            if distance - radius <= within:
-                found.append(Touch(index, float(distance) - radius, normal))
+    @cached_property
+    def standing(self) -> tuple[Solid, ...]:
+        """The floor and the solids that touch it, or others that do."""
+        found, rest = [self.solids[0]], list(self.solids[1:])
+        for solid in found:
+            near = [other for other in rest if solid.meets(other)]
+            rest = [other for other in rest if other not in near]
+            found += near
         return tuple(found)
 
 

@@ -6,8 +6,8 @@ wheels, so that torques of the motors are internal. Six forces leave two of them
 least coefficient of friction, the least of the largest ``|T| / N`` over all choices, comes from
 Newton's iteration on linear programs (Dinkelbach's, for many ratios): at a coefficient mu the
 program finds the forces of largest least reserve ``mu N - |T|``, relative to the last N; their own
-largest ratio is the next mu. It falls until no reserve is left. The programs of all configurations
-are one, of separate blocks.
+largest ratio is the next mu. It falls until no reserve is left; where wheels nearly jam it falls
+slowly, and bisection ends it. The programs of all configurations are one, of separate blocks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ MOST = 10.0  # a larger coefficient of friction counts as none
 UNLOADED = 1e-9  # normal force that counts as none in a ratio [weight]
 REACH = 1e3  # normal forces stay below this, so that jammed wheels have an optimum [weight]
 CLOSE = 1e-9  # reserve of friction, relative, that counts as none
-ROUNDS = 60  # most iterations; 5 to 9 are usual
+ROUNDS = 20  # most of Newton's iterations; 5 to 9 are usual
+HALVES = 34  # of the bracket of what is not found by then
 ZOOMS = 5  # times that the neighborhood of the worst place is sampled more closely: it may be
 CLOSER = 3  # where a wheel comes to an edge, with a steep fall behind; places between two old ones
 HEIGHTS = 8  # heights that are tried before the first that is too high is narrowed down
@@ -145,7 +146,8 @@ def least(matrix: Array, load: Array) -> Hold:
         The equations, in the form of `equilibrium`.
     """
     count = len(load)
-    mu, relative = np.full(count, MOST), np.full((count, 3), load[:, 1:2] / 3)
+    even = np.full((count, 3), load[:, 1:2] / 3)
+    mu, relative = np.full(count, MOST), even.copy()
     best = np.full((count, 6), np.nan)
     open_ = np.arange(count)
     for _ in range(ROUNDS):
@@ -157,8 +159,15 @@ def least(matrix: Array, load: Array) -> Hold:
         best[open_], relative[open_] = forces, forces[:, :3]
         bearing = np.maximum(forces[:, :3], UNLOADED * load[open_, 1:2])
         mu[open_] = (np.abs(forces[:, 3:]) / bearing).max(axis=1)
-    else:
-        raise SolverError(f"climb: the least friction was not found in {ROUNDS} rounds")
+    if open_.size:
+        low, high = np.zeros(open_.size), mu[open_]
+        for _ in range(HALVES):
+            middle = (low + high) / 2
+            forces, reserve = _reserve(matrix[open_], load[open_], middle, even[open_])
+            held = reserve > 0
+            best[open_[held]] = forces[held]
+            low, high = np.where(held, low, middle), np.where(held, middle, high)
+        mu[open_] = high
     mu[np.isnan(best[:, 0])] = np.inf
     return Hold(mu, best[:, :3], best[:, 3:])
 

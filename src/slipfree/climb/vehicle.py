@@ -95,6 +95,11 @@ class Climber:
         for name, value in sizes.items():
             if not value > 0:
                 raise ModelError(f"climber: {name} must be positive, found {value}")
+        if not self.radius < self.front.ahead - self.rear.ahead:
+            raise ModelError(
+                "climber: expected a radius below the distance of front and rear axle, "
+                f"{self.front.ahead - self.rear.ahead:g} m, found {self.radius:g} m; in metres?"
+            )
         order = [self.rear.ahead, self.middle.ahead, self.front.ahead]
         if not (order[0] < order[1] < order[2] and order[2] > 0 and order[1] <= 0):
             raise ModelError(

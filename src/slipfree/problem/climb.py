@@ -15,6 +15,7 @@ from slipfree.climb.contact import Contact
 from slipfree.climb.control import Control, check_period
 from slipfree.climb.dynamics import climbing, floor_loads, standing
 from slipfree.climb.metrics import climb_window, metrics
+from slipfree.climb.noise import Noise
 from slipfree.climb.outcome import outcome
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.quasi import least_friction
@@ -40,7 +41,7 @@ OBSTACLES: Mapping[str, Callable[..., Profile]] = {
     "ramp": ramp, "step": step, "kerb": kerb, "stairs": stairs,
 }  # fmt: skip
 SLACK = 1e-5  # by which wheels may be off their equilibrium on the floor [m]
-SUNK = 0.1  # of a radius, by which wheels at rest may sink in
+SUNK = 2e-3  # by which wheels at rest may sink in, so that what is up is seen to be [m]
 EVEN = 1e-6  # relative difference of times that counts as none
 MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
 Progress = Callable[[float], None]
@@ -102,8 +103,10 @@ def build_climb(problem: Problem[schema.Climb]) -> Climbing:
         given = spec.contact.model_dump(exclude_none=True)
         contact = Contact(static=spec.friction.static, dynamic=spec.friction.kinetic, **given)
     with at(problem, ("control",)):
-        options = spec.control.model_dump(exclude_none=True, exclude={"speed", "period"})
-        control = Control(**options)
+        options = spec.control.model_dump(exclude_none=True, exclude={"speed", "period", "noise"})
+        noise = spec.control.noise
+        sensed = None if noise is None else Noise(**noise.model_dump(exclude_none=True))
+        control = Control(**options, noise=sensed)
     if spec.plan is not None:
         _check_tracking(problem)
     times = _times(problem, control, climber)
@@ -179,7 +182,13 @@ def _profile(problem: Problem[schema.Climb]) -> Profile:
 def _from_file(problem: Problem[schema.Climb], name: str) -> tuple[Solid, ...]:
     """Return the polygons of a CSV file with the columns solid, x, z: the corners in order."""
     rows = read_columns(problem.folder / name, ("solid", "x", "z"), "corners of solids")
-    found = []
+    found: list[Solid] = []
+    numbers = [number for number, _ in groupby(row[0] for row in rows)]
+    for number in numbers:
+        if numbers.count(number) > 1:
+            raise ModelError(
+                f"{name}: solid {number:g}: expected its corners in rows that follow one another"
+            )
     for number, corners in groupby(rows, key=lambda row: row[0]):
         try:
             found.append(Solid(tuple((x, z) for _, x, z in corners)))
@@ -220,15 +229,17 @@ def _start(
 def _sunk(problem: Problem[schema.Climb], climber: Climber, contact: Contact) -> Array:
     """Return how far the axles sink into a level floor; refuse what does not stand on it. [m]."""
     loads, faults = floor_loads(climber), []
-    softest = float(loads.max()) / (SUNK * climber.radius)
+    softest = float(loads.max()) / SUNK
     if not (loads > 0).all():
         axle = int(loads.argmin())
         faults.append(Fault(("vehicle",), "centers of mass such that all axles bear on a level "
                             "floor", f"{loads[axle]:.3g} N on the {AXLES[axle]} axle"))  # fmt: skip
     elif contact.stiffness < softest:
-        expected = f"at least {softest:.3g} N/m, so that wheels sink in by at most a tenth of their"
-        faults.append(Fault(("contact", "stiffness"), f"{expected} radius",
-                            f"{contact.stiffness:g}"))  # fmt: skip
+        expected = (
+            f"at least {softest:.3g} N/m, so that wheels sink in by {1e3 * SUNK:g} mm at most"
+        )
+        found = f"{contact.stiffness:g}"
+        faults.append(Fault(("contact", "stiffness"), expected, found))
     if faults:
         raise problem_error(problem.source, faults)
     return loads / contact.stiffness

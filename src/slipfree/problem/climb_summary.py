@@ -6,7 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from slipfree.climb.track import SLOWEST
 from slipfree.trajectory import Trajectory
+
+UNBALANCED = 1e-3  # of the motors' work that the balance may miss before it is said
 
 AVERAGES = {
     "slip": "slip, eq. (20)",
@@ -77,7 +80,7 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
     least = [value for name, value in counts.items() if name.startswith("climb_plan_least_")]
     yield "  least friction", "leg by leg " + ", ".join(f"{value:.3f}" for value in least)
     took = f"{counts['climb_plan_driven']:.3g} s" if "climb_plan_driven" in counts else "not done"
-    yield "  the same, driven", took
+    yield "  tracked", f"{took}; the tracker does not creep below {SLOWEST:g} m/s as plans may"
 
 
 def _slippery(run: Trajectory) -> str:
@@ -93,9 +96,12 @@ def _energy(run: Trajectory) -> str:
     gained = run["energy"] - run["energy"][0]
     given = sum(sign * (run[name] - run[name][0])
                 for name, sign in (("work", 1), ("rubbed", -1), ("damped", -1)))  # fmt: skip
+    missed = float(np.abs(gained - given).max())
+    poor = "; that is much: ask for a smaller solver.tolerance or softer contacts"
     return (
         f"motors {work:.4g} J, lost to friction {rubbed:.3g} J, to damping {damped:.3g} J, gained "
-        f"{gained[-1]:.4g} J; balance within {np.abs(gained - given).max():.1e} J"
+        f"{gained[-1]:.4g} J; balance within {missed:.1e} J"
+        + (poor if missed > UNBALANCED * abs(work) else "")
     )
 
 

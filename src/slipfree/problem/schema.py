@@ -410,6 +410,16 @@ class Compliance(Record):
     stribeck: Length | None = None
 
 
+class Noise(Record):
+    """Noise of a climb's sensors; the defaults are those of `slipfree.climb.noise.Noise`."""
+
+    tilt: Radius | None = None
+    tilt_rate: Radius | None = None
+    wheel_rate: Radius | None = None
+    band: Length | None = None
+    seed: Count | None = None
+
+
 class Control(Record):
     """How wheels are driven; the defaults are those of `slipfree.climb.control.Control`."""
 
@@ -425,6 +435,7 @@ class Control(Record):
     lag: Length | None = None
     unwinding: Radius | None = None
     period: Length | None = None
+    noise: Noise | None = None
 
 
 class Approach(Record):
@@ -445,7 +456,7 @@ class Legs(Record):
     """What a climb is planned for, leg by leg."""
 
     cost: Literal["time", "friction", "slip"] = "time"
-    nodes: Annotated[int, Field(ge=3)] = 60
+    nodes: Annotated[int, Field(ge=20)] = 60
     friction: Length | None = None
     speed: Length | None = None
 
