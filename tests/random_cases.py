@@ -526,7 +526,7 @@ def chain(vehicle: Vehicle, run: Any, origin: Any) -> tuple[np.ndarray, list[Rot
     parts = {"platform": (base, Rotation.from_euler("ZYX", angles))}
     for joint in vehicle.joints:
         place, turn = parts[joint.parent]
-        value, axis = run[joint.coordinate][:, None], AXES[joint.axis]
+        value, axis = run[joint.value][:, None], AXES[joint.axis]
         slides = joint.motion == "slide"
         place = place + turn.apply(joint.at + value * axis * slides)
         parts[joint.name] = place, turn * Rotation.from_rotvec(value * axis * (not slides))

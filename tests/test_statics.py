@@ -130,7 +130,7 @@ def balance(vehicle, ground, run, k=0):
     for joint in vehicle.joints:
         base, origin = parts[joint.parent]
         pivot, axis = origin + base @ joint.at, base[:, "xyz".index(joint.axis)]
-        at = value[joint.coordinate]
+        at = value[joint.value]
         turns = joint.motion == "turn"
         parts[joint.name] = (base @ turned(joint.axis, at), pivot) if turns else (
             base, pivot + at * axis)  # fmt: skip
@@ -165,7 +165,7 @@ def balance(vehicle, ground, run, k=0):
 
     def on_joints(name):
         acts = [act(*joints[j.name], lambda part, j=j: j.name in chain[part])
-                for j in vehicle.joints if j.coordinate == name]  # fmt: skip
+                for j in vehicle.joints if j.value == name]  # fmt: skip
         return sum(row for row, _ in acts), sum(weight for _, weight in acts)
 
     axles = np.zeros((len(hubs), 3 * len(hubs)))
@@ -973,8 +973,8 @@ WHEEL = {"name": "w", "parent": "platform", "at": (0, 0, 0), "r1": 0.1, "r2": 0.
     [
         (lambda: Body(-1.0), "body: mass must be zero or more kilograms, found -1.0"),
         (lambda: Body(np.nan), "body: mass must be zero or more kilograms, found nan"),
-        (lambda: Body(1.0, (0.0, np.inf, 0.0)), "its centre of mass must be three metres"),
-        (lambda: Body(1.0, (0.0, 0.0)), "its centre of mass must be three metres"),
+        (lambda: Body(1.0, (0.0, np.inf, 0.0)), "its centre of mass must be three finite"),
+        (lambda: Body(1.0, (0.0, 0.0)), "its centre of mass must be three finite"),
         (lambda: Wheel(**WHEEL, mass=-2.0), "wheel w: mass must be zero or more kilograms"),
         (lambda: Wheel(**WHEEL, mass=np.inf), "wheel w: mass must be zero or more kilograms"),
         (lambda: Wheel(**WHEEL, grip=0.0), "wheel w: grip must be positive, found 0.0"),

@@ -210,7 +210,7 @@ def test_a_joint_follows_a_formula_of_coordinates():
         *VEHICLE.joints,
         Joint("mirror", "platform", "x", (0, 0, 0), "-0.5*steer + tilt_left"),
     )
-    parts = replace(VEHICLE, joints=joints)._parts(
+    parts = replace(VEHICLE, joints=joints).parts(
         Pose(ca.SX.eye(3), ca.SX.zeros(3)),
         {"steer": ca.SX(0.3), "tilt_left": ca.SX(0.1), "tilt_right": ca.SX(0)},
     )

@@ -15,9 +15,10 @@ from slipfree.climb.profile import Profile
 from slipfree.climb.records import Inputs, OnSolid, Outputs, State, Totals, labels_of
 from slipfree.climb.reference import PerAxle, reference, seen_directions
 from slipfree.climb.track import Tracking, tracked
-from slipfree.climb.vehicle import AXLES, GRAVITY, Climber
+from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.dae import Dae, Limit
 from slipfree.named import Array, Label, pack, symbols
+from slipfree.vehicle.chain import GRAVITY
 
 OVERTURNED = 1.4  # tilt of a body [rad]
 

@@ -25,12 +25,13 @@ import scipy.sparse
 
 from slipfree.climb.profile import Profile
 from slipfree.climb.quasi import MOST, center, cross, equilibrium, least
-from slipfree.climb.vehicle import AXLES, GRAVITY, Climber
+from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.climb.way import Leg, Way, sample, turned
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label
 from slipfree.nlp import Nlp
 from slipfree.trajectory import Column, Trajectory, joined
+from slipfree.vehicle.chain import GRAVITY
 
 COSTS = ("time", "friction", "slip")
 PACE = 1e-4  # of the time in costs that would leave the motion open in part [1/s]

@@ -21,10 +21,11 @@ import scipy.sparse
 from scipy.optimize import brentq, linprog
 
 from slipfree.climb.profile import Profile, step
-from slipfree.climb.vehicle import GRAVITY, Body, Climber
+from slipfree.climb.vehicle import Body, Climber
 from slipfree.climb.way import Leg, Way, axle_arms, legs, sample, tangents
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
+from slipfree.vehicle.chain import GRAVITY
 
 MOST = 10.0  # a larger coefficient of friction counts as none
 UNLOADED = 1e-9  # normal force that counts as none in a ratio [weight]

@@ -8,12 +8,21 @@ given by distances ahead of the joint along it and above it.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from slipfree.errors import ModelError
+import casadi as ca
+import numpy as np
 
-GRAVITY = 9.81  # [m/s2]
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Pose, unit_vector
+from slipfree.named import Array
+from slipfree.vehicle import rovers
+from slipfree.vehicle.chain import Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+NEAR = 1e-9  # lengths below this are none [m]
 AXLES = ("rear", "middle", "front")
 
 
@@ -121,9 +130,8 @@ class Climber:
 def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     """Return the step climber of Chugo et al. (2009), in the plane.
 
-    Wheel radius, spacings and masses are those of the paper. What its text leaves open is assumed:
-    bodies whose ends are flush with the tyres, with their centres of mass in the middle, 50 mm
-    above the axles, inertias of boxes 250 mm high, and the wheels' inertias with their rotors'.
+    It is `slipfree.vehicle.rovers.seven_wheels` seen from the side. What the paper's text leaves
+    open is assumed: inertias of boxes 250 mm high, and the wheels' inertias with their rotors'.
 
     Parameters
     ----------
@@ -132,18 +140,99 @@ def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     torque : float
         Largest torque of a wheel's motor. [N m]
     """
-    radius, behind, ahead = 0.066, 0.215, 0.255
-    lengths, masses, height, above = (0.400, 0.195), (13.8, 7.8), 0.25, 0.05
+    height, lengths, masses = 0.25, (0.400, 0.195), (13.8, 7.8)
     inertias = [mass * (length**2 + height**2) / 12
                 for mass, length in zip(masses, lengths, strict=True)]  # fmt: skip
-    rear_center = -(behind + joint) - radius + lengths[0] / 2
-    front_center = ahead - joint + radius - lengths[1] / 2
-    return Climber(
-        radius,
-        Body(masses[0], rear_center, above, inertias[0]),
-        Body(masses[1], front_center, above, inertias[1]),
-        Axle(-(behind + joint), 2, 0.010),
-        Axle(-joint, 1, 0.005),
-        Axle(ahead - joint, 2, 0.010),
-        torque,
+    return planar(rovers.seven_wheels(joint=joint), (inertias[0], inertias[1]),
+                  (0.010, 0.005, 0.010), torque)  # fmt: skip
+
+
+def planar(
+    vehicle: Vehicle,
+    inertias: tuple[float, float],
+    spins: tuple[float, float, float],
+    torque: float = math.inf,
+) -> Climber:
+    """Return a vehicle of two bodies on three axles, as it climbs straight ahead.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its platform is the rear body; the front body pitches on one suspension coordinate. Wheels
+        whose axles point forward do not count: they take no part in a climb.
+    inertias : tuple of 2 floats
+        Of the rear and the front body about their centers of mass, wheels' spin left out. [kg m2]
+    spins : tuple of 3 floats
+        Of the wheels of the rear, middle and front axle and their rotors, about the axle. [kg m2]
+    torque : float
+        Largest torque of a wheel's motor. [N m]
+
+    Raises
+    ------
+    ModelError
+        If its wheels are not on three axles at the joint's height, alike, two of them on the rear
+        body, or no coordinate pitches a front body.
+    """
+    joint, carried = _front_body(vehicle)
+    values = {c.name: ca.SX(0) for c in vehicle.coordinates}
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    hinge = _numbers(vehicle.parts(rest, values)[joint.name].origin)
+    axles: dict[tuple[float, bool], list[Wheel]] = {}
+    for wheel, pose in zip(vehicle.wheels, vehicle.carriers(rest, values), strict=True):
+        if abs(_numbers(pose.rotation[:, 0])[0]) > 0.5:
+            _, y, z = _numbers(pose.origin) - hinge
+            if abs(z) > NEAR:
+                raise ModelError(
+                    f"planar: wheel {wheel.name} is {z:g} m above the joint, not at its height"
+                )
+            axles.setdefault((round(y, 9), wheel.parent in carried), []).append(wheel)
+    places = sorted(axles)
+    radii = {wheel.radius for wheels in axles.values() for wheel in wheels}
+    if [front for _, front in places] != [False, False, True] or len(radii) != 1:
+        raise ModelError(
+            "planar: expected three axles of equal wheels, two of them on the rear body, found "
+            f"{[y for y, _ in places]} m ahead of the joint, radii {sorted(radii)} m"
+        )
+    rear, middle, front = (
+        Axle(y, len(axles[y, on_front]), spin)
+        for (y, on_front), spin in zip(places, spins, strict=True)
     )
+    bodies = [
+        Body(mass, float(center[1] - hinge[1]), float(center[2] - hinge[2]), inertia)
+        for (mass, center), inertia
+        in zip(_bodies(vehicle, carried, rest, values), inertias, strict=True)
+    ]  # fmt: skip
+    return Climber(radii.pop(), bodies[0], bodies[1], rear, middle, front, torque)
+
+
+def _front_body(vehicle: Vehicle) -> tuple[Joint, set[str]]:
+    """Return the joint on which the front body pitches, and all parts that it carries."""
+    yielding = {c.name for c in vehicle.of("suspension")}
+    pitching = [joint for joint in vehicle.joints if joint.motion == "turn"
+                and joint.coordinates & yielding
+                and abs(unit_vector(joint.axis)[0]) == 1]  # fmt: skip
+    if len(pitching) != 1:
+        raise ModelError(
+            "planar: expected one joint of the suspension that pitches a front body, found "
+            f"{[joint.name for joint in pitching] or 'none'} in {vehicle.name}"
+        )
+    carried = {pitching[0].name}
+    for joint in vehicle.joints:
+        if joint.parent in carried:
+            carried.add(joint.name)
+    return pitching[0], carried
+
+
+def _bodies(
+    vehicle: Vehicle, carried: set[str], rest: Pose, values: dict[str, ca.SX]
+) -> Iterator[tuple[float, Array]]:
+    """Yield mass and center of all that is not carried by the joint, and of all that is."""
+    for on_front in (False, True):
+        masses = [(mass, _numbers(at)) for part, mass, at in vehicle.masses(rest, values)
+                  if (part in carried) == on_front]  # fmt: skip
+        total = sum(mass for mass, _ in masses)
+        yield total, np.sum([mass * at for mass, at in masses], axis=0) / total
+
+
+def _numbers(vector: ca.SX) -> Array:
+    return np.array(ca.evalf(vector)).ravel()

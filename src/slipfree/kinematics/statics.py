@@ -116,7 +116,7 @@ def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX
     """Return the energy of gravity and springs; heights count from the ground's origin. [J]."""
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     values = values_of(vehicle, x, position)
-    height = sum(mass * center[2] for mass, center in vehicle.masses(base, values))
+    height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))
     springs = sum(c.potential(values[c.name]) for c in vehicle.coordinates if c.is_loaded)
     return ca.SX(GRAVITY * height + springs)
 

@@ -27,7 +27,7 @@ def tip_over_margin(
     """
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     masses = list(vehicle.masses(base, values_of(vehicle, x, position)))
-    center = sum(mass * at for mass, at in masses) / vehicle.mass
+    center = sum(mass * at for _, mass, at in masses) / vehicle.mass
     down, least = ca.SX([0, 0, -1]), ca.SX.inf()
     for i, j in permutations(range(len(contacts)), 2):
         edge = contacts[j].point - contacts[i].point

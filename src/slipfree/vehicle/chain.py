@@ -146,7 +146,7 @@ class Joint:
         for key in ("at", "turned"):
             check_vector(f"joint {self.name}: {key}", getattr(self, key))
         try:
-            object.__setattr__(self, "axis", unit_vector(self.axis))
+            unit_vector(self.axis)
             names_in(self.value)
         except ModelError as error:
             raise ModelError(f"joint {self.name}: {error}") from error
@@ -184,6 +184,8 @@ class Vehicle:
         At least three.
     body : Body
         Mass of the platform. A vehicle without any mass moves, but bears no forces.
+    notes : tuple of str
+        What to know about how it was read from a file.
 
     Raises
     ------
@@ -198,6 +200,7 @@ class Vehicle:
     joints: tuple[Joint, ...]
     wheels: tuple[Wheel, ...]
     body: Body = Body()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _unique("coordinate", (c.name for c in self.coordinates))
@@ -260,22 +263,28 @@ class Vehicle:
         values : mapping of str to SX
             Value of every coordinate, by name. [rad or m]
         """
-        parts = self._parts(platform, values)
+        parts = self.parts(platform, values)
         return tuple(parts[wheel.parent] @ wheel.mount for wheel in self.wheels)
 
-    def masses(self, platform: Pose, values: Mapping[str, ca.SX]) -> Iterator[tuple[float, ca.SX]]:
-        """Yield the mass and the centre of every part that has one. [kg, m].
+    def masses(
+        self, platform: Pose, values: Mapping[str, ca.SX]
+    ) -> Iterator[tuple[str, float, ca.SX]]:
+        """Yield name, mass and centre of every part that has a mass, wheels by themselves. [kg, m].
 
         Parameters are those of `carriers`.
         """
-        parts = self._parts(platform, values)
+        parts = self.parts(platform, values)
         bodies = [("platform", self.body), *((joint.name, joint.body) for joint in self.joints)]
         bodies += [(wheel.parent, Body(wheel.mass, wheel.at)) for wheel in self.wheels]
         for part, body in bodies:
             if body.mass:
-                yield body.mass, (parts[part] @ translation(*body.at)).origin
+                yield part, body.mass, (parts[part] @ translation(*body.at)).origin
 
-    def _parts(self, platform: Pose, values: Mapping[str, ca.SX]) -> dict[str, Pose]:
+    def parts(self, platform: Pose, values: Mapping[str, ca.SX]) -> dict[str, Pose]:
+        """Return the poses of the platform and of all joints' parts, by name.
+
+        Parameters are those of `carriers`.
+        """
         parts = {"platform": platform}
         for joint in self.joints:
             parts[joint.name] = parts[joint.parent] @ joint.pose(values)

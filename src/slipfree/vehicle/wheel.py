@@ -70,7 +70,7 @@ class Wheel:
             )
 
         try:
-            object.__setattr__(self, "axle", unit_vector(self.axle))
+            unit_vector(self.axle)
         except ModelError as error:
             raise ModelError(f"wheel {self.name}: axle: {error}") from error
 
