@@ -8,7 +8,7 @@ from matplotlib.cbook import get_sample_data
 from numpy.testing import assert_allclose
 
 from slipfree.errors import DataError
-from slipfree.terrain.dem import geographic_to_metric, jacksboro, read_grid
+from slipfree.terrain.dem import geographic_to_metric, jacksboro, read_grid, read_map
 
 HEADER = "ncols 5\nNROWS 4\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
 ROWS = "\n".join(" ".join(str(10 * row + column) for column in range(5)) for row in range(4))
@@ -40,6 +40,82 @@ def test_asc_without_nodata(tmp_path):
     assert read_grid(written(tmp_path, text)).z[3, 1] == -9999
 
 
+def test_asc_of_cells_that_are_not_square(tmp_path):
+    header = HEADER.replace("cellsize 10", "dx 10\ndy 2.5")
+    grid = read_grid(written(tmp_path, header + ROWS))
+    assert_allclose(grid.spacing, (10, 2.5))
+    assert (grid.x[0], grid.y[0]) == (105, 201.25)
+
+
+def test_asc_window_reads_no_other_rows(tmp_path):
+    rows = ["# no numbers here"] * 6 + [
+        " ".join(str(10 * r + c) for c in range(9)) for r in range(4)
+    ]
+    text = "ncols 9\nnrows 10\nxllcenter 0\nyllcenter 0\ncellsize 1\n" + "\n".join(rows)
+    path = written(tmp_path, text.replace("# no numbers here", "1 no numbers here"))
+    found = read_map(path, window=(2, 6.5, -5, 3))
+    assert_allclose(found.grid.x, [2, 3, 4, 5, 6])
+    assert_allclose(found.grid.y, [0, 1, 2, 3])
+    assert_allclose(found.grid.z[:, -1], [2, 3, 4, 5, 6])
+    with pytest.raises(DataError, match=r"line 6: expected 9 heights .* found 4"):
+        read_map(path)
+
+
+def test_maps_too_large_without_a_window(tmp_path):
+    text = HEADER.replace("ncols 5", "ncols 100000").replace("NROWS 4", "nrows 100000") + ROWS
+    path = written(tmp_path, text)
+    with pytest.raises(DataError, match=r"at most 5e\+07 nodes, found 1e\+10 .* window = \[x_min"):
+        read_grid(path)
+
+
+@pytest.mark.parametrize(
+    ("window", "words"),
+    [
+        ((0, 5, 5, 0), r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; the map reaches"),
+        ((500, 600, 0, 100), r"at least 4 nodes .* found 0 by 0 .* from 105 to 145 in x"),
+        ((105, 125, 205, 235), "at least 4 nodes along x and along y, found 3 by 4"),
+        ((106, 144, 0, 1e9), "found 3 by 4"),
+    ],
+)
+def test_windows_refused(tmp_path, window, words):
+    with pytest.raises(DataError, match=words):
+        read_map(written(tmp_path, HEADER + ROWS), window=window)
+
+
+def test_degrees_taken_for_metres_are_refused(tmp_path):
+    step = 1 / 3600
+    x, y = 15 + step * np.arange(20), 47 + step * np.arange(20)
+    z = 500 + np.add.outer(np.arange(20.0), np.arange(20.0))  # 5 %
+    np.savez(tmp_path / "map.npz", x=x, y=y, z=z)
+    with pytest.raises(DataError, match=r"seems to be in degrees: x from 15 to 15.0.*gdalwarp"):
+        read_grid(tmp_path / "map.npz")
+    found = read_map(tmp_path / "map.npz", geographic="local")
+    assert_allclose(found.grid.x, geographic_to_metric(x, y, z).x)
+    assert "wrong by up to" in dict(found.told)["ground degrees"]
+    np.savez(tmp_path / "map.npz", x=1e3 * x, y=1e3 * y, z=z)
+    with pytest.raises(DataError, match="expected a map in degrees, found one in metres"):
+        read_map(tmp_path / "map.npz", geographic="local")
+
+
+def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
+    """Lengths of a degree on the WGS 84 ellipsoid at 45 degrees: 111132 m and 78847 m."""
+    step = 1 / 3600
+    x, y = 10 + step * np.arange(5), 45 + step * (np.arange(5) - 2)
+    np.savez(tmp_path / "map.npz", x=x, y=y, z=np.add.outer(np.arange(5.0), np.arange(5.0)))
+    found = read_map(tmp_path / "map.npz", geographic="local")
+    lengths = np.array(found.grid.spacing) * 3600
+    wrong = np.abs(lengths / [78847, 111132] - 1).max()
+    assert 0.002 < wrong < 0.0028
+    assert "all by up to 0.28 %" in dict(found.told)["ground degrees"]
+
+
+def test_keys_that_a_file_has_no_use_for(tmp_path):
+    path = written(tmp_path, HEADER + ROWS)
+    for key, value in (("cell", 1.0), ("registration", "area"), ("spacing", 1.0)):
+        with pytest.raises(DataError, match=f"map.asc: expected no {key} for a .asc file"):
+            read_map(path, **{key: value})
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -60,10 +136,14 @@ def test_asc_without_nodata(tmp_path):
         (HEADER + ROWS[:-3], "line 10: expected 5 heights as ncols says, found 4"),
         (HEADER + ROWS + "\n1 2 3 4 5", "line 11: expected 4 rows .* found 5"),
         (HEADER + ROWS.replace("12", "1,2"), "line 8: expected numbers, found '1,2'"),
-        (HEADER + ROWS.replace("22", "nan"), r"map.asc: grid: .* z\[2, 1\] = nan"),
+        (
+            HEADER + ROWS.replace("22", "nan"),
+            "map.asc: all heights must be finite, found 1 of 20 .* x = 125, y = 215; ask for fill",
+        ),
+        (HEADER + ROWS.replace("22", "inf"), r"map.asc: grid: .* z\[2, 1\] = inf"),
         (
             HEADER + ROWS.replace("12", "-9999").replace("24", "-9999"),
-            "line 8: .* found 2 with NODATA_value -9999, the first in row 1, column 2; fill",
+            "found 2 of 20 nodes without one, the first at x = 125, y = 225; ask for fill",
         ),
     ],
 )
@@ -116,7 +196,8 @@ def test_npz_refuses(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("map.tif", r"ending in .npz or .asc, found '.tif'; convert it"),
+        ("map.jp2", r"ending in .npz, .asc, .tif, .* found '.jp2'; convert it"),
+        ("map.tif", "map.tif: expected a file, found none"),
         ("map", "found 'no ending'"),
         ("none.asc", "none.asc: expected a file, found none"),
     ],

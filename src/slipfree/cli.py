@@ -1,4 +1,4 @@
-"""The command line: ``slipfree run | check | vehicle | compare | info``.
+"""The command line: ``slipfree run | check | vehicle | compare | info | export``.
 
 Exit codes: 0 done; 1 stopped early, with what was reached saved; 2 bad input; 130 interrupted.
 What a command needs is imported inside it, so that ``slipfree --help`` answers at once.
@@ -156,7 +156,7 @@ def check(file: File, settings: Settings = None) -> None:
         setup = build(problem)
         start, spec = setup.start, problem.spec
         names = [*spec.start, "z", "pitch", "roll"]
-        pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in dict.fromkeys(names))
+        pose = ", ".join(f"{name} {start[name][0]:.10g}" for name in dict.fromkeys(names))
         facts = [
             *setup_facts(setup),
             ("start", f"{pose} (m, rad)"),
@@ -179,16 +179,22 @@ def _check_climb(problem: Problem[Climb]) -> None:
 
 
 @app.command()
-def vehicle(file: File, settings: Settings = None) -> None:
-    """Describe the vehicle of a problem: parts, unknowns, equations, and whether it can roll."""
+def vehicle(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Problem file, or vehicle file (TOML or URDF).")
+    ],
+    settings: Settings = None,
+) -> None:
+    """Describe a vehicle: parts, unknowns, equations, whether it can roll, and how well."""
     with _reported():
-        from slipfree.problem.describe import conditioning, counts, tree
-        from slipfree.problem.read import read_motion
-        from slipfree.problem.run import build
+        from slipfree.problem.describe import describe
 
-        setup = build(read_motion(file, settings or []))
-        typer.echo("\n".join([setup.vehicle.name, *tree(setup.vehicle), ""]))
-        _print(counts(setup.vehicle, setup.model) + conditioning(setup.start))
+        found = describe(file, settings or [])
+        typer.echo("\n".join([*found.tree, ""]))
+        _print(found.facts)
+        if found.faults:
+            typer.echo("\n".join(found.faults), err=True)
+            raise typer.Exit(BAD_INPUT)
 
 
 @app.command()
@@ -255,6 +261,29 @@ def info(
         _print(words + motion_facts(motion))
         typer.echo()
         _print(ranges(motion))
+
+
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    path: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv|.geojson", help="The path, in the map's coordinates."),
+    ] = None,
+    rates: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="Rates of driven wheels and joints.")
+    ] = None,
+) -> None:
+    """Write a result for other programs: the path on its map, rates that a robot plays."""
+    with _reported():
+        from slipfree.problem.export import export_path, export_rates
+
+        if path is None and rates is None:
+            raise DataError("export: expected --path, --rates or both, found neither")
+        for out, write in ((path, export_path), (rates, export_rates)):
+            if out is not None:
+                write(file, out)
+                typer.echo(f"wrote {out}")
 
 
 def _say_stopped(stop: Stop, out: Path) -> None:

@@ -82,7 +82,7 @@ def write(
                 file.createDimension(f"{name}{SIZE}", values.size)
                 file.createVariable(name, "f8", (f"{name}{SIZE}",))[:] = values
 
-    _replaced(Path(path), fill)
+    replaced(Path(path), fill)
 
 
 def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
@@ -110,7 +110,7 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
             writer.writerow(names)
             writer.writerows(zip(*(values.tolist() for values in columns), strict=True))
 
-    _replaced(Path(path), fill)
+    replaced(Path(path), fill)
 
 
 def to_xarray(run: Trajectory) -> xarray.Dataset:
@@ -186,7 +186,7 @@ def _check(run: Trajectory) -> None:
         raise ModelError(f"{min(taken)!r} has a meaning of its own in a result file: rename it")
 
 
-def _replaced(path: Path, fill: Callable[[Path], None]) -> None:
+def replaced(path: Path, fill: Callable[[Path], None]) -> None:
     """Let ``fill`` write a file beside ``path``, then put it in its place."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from slipfree.problem.locate import Place, ProblemError
 from slipfree.problem.read import A, Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.terrain.base import Grid
-from slipfree.terrain.dem import jacksboro, read_grid
+from slipfree.terrain.dem import NEEDED_BY, Frame, Map, jacksboro, read_map
 from slipfree.terrain.friction import check_friction
+from slipfree.terrain.mend import MOST_NODES, cut, disturbed, scaled, smoothed
 from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
 
-MOST_NODES = 5e7  # of a ground made or refined here: 400 MB an array
+OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys that only files have
 
 
 class Ground(NamedTuple):
@@ -37,6 +39,9 @@ class Ground(NamedTuple):
         Coefficient of friction, or a map of it. [1]
     friction : str
         The same in words; empty if there is none.
+    told : list of (str, str)
+        What else to tell: the map it was made of, what was changed, and how to return to the
+        coordinates of the map.
     """
 
     grid: Grid
@@ -44,6 +49,7 @@ class Ground(NamedTuple):
     rolled: Rolled | None
     mu: float | Grid | None
     friction: str
+    told: Facts
 
 
 @contextmanager
@@ -58,29 +64,85 @@ def at(problem: Problem[A], place: Place) -> Iterator[None]:
 
 
 def build_ground(problem: Problem[S]) -> Ground:
-    """Return the ground that a problem asks for."""
+    """Return the ground that a problem asks for.
+
+    In this order: the file is read, in its window; holes are filled; degrees become metres; it is
+    scaled, (if it is no file) cut to the window, smoothed, disturbed, and rolled.
+    """
     spec = problem.spec.terrain
-    grid, source = _source(problem)
-    if spec.scale != 1 and spec.sample is None:
-        grid = Grid(spec.scale * grid.x, spec.scale * grid.y, spec.scale * grid.z)
-    source += f" scaled by {spec.scale:g}" if spec.scale != 1 else ""
-    if spec.window is not None:
+    _check_keys(problem)
+    horizontal, vertical = _scales(spec)
+    found, source = _source(problem)
+    grid = scaled(found.grid, horizontal, vertical)
+    if spec.window is not None and spec.file is None:
         with at(problem, ("terrain", "window")):
-            grid = _cut(grid, spec.window)
-    mu, friction = _friction(problem)
+            grid = cut(grid, spec.window)
+    grid, changes = _changed(problem, grid)
+    told = [*found.told, *changes, *_origin(found, horizontal, vertical)]
+    mu, friction = _friction(problem, found)
     if spec.rolled is None:
-        return Ground(grid, source, None, mu, friction)
+        return Ground(grid, source + _scale_words(spec), None, mu, friction, told)
     with at(problem, ("terrain", "rolled")):
         _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
         felt = rolled(grid, spec.rolled)
-    return Ground(felt.grid, source, felt, mu, friction)
+    return Ground(felt.grid, source + _scale_words(spec), felt, mu, friction, told)
 
 
-def _cut(grid: Grid, window: tuple[float, float, float, float]) -> Grid:
-    """Return the part of a grid whose nodes lie in a window."""
-    columns = (grid.x >= window[0]) & (grid.x <= window[1])
-    rows = (grid.y >= window[2]) & (grid.y <= window[3])
-    return Grid(grid.x[columns], grid.y[rows], np.ascontiguousarray(grid.z[columns][:, rows]))
+def _check_keys(problem: Problem[S]) -> None:
+    """Refuse keys that mean nothing for a ground that is no file."""
+    spec = problem.spec.terrain
+    for key in OF_FILES:
+        read = spec.file is not None or isinstance(spec.friction, str)
+        if not read and getattr(spec, key) is not None:
+            where = problem.source.where(("terrain", key))
+            raise ProblemError(f"{where}: expected it beside a file alone; take it out")
+
+
+def _scales(spec: schema.Terrain) -> tuple[float, float]:
+    """Return by what x and y, and heights, are multiplied."""
+    return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
+
+
+def _scale_words(spec: schema.Terrain) -> str:
+    horizontal, vertical = _scales(spec)
+    if horizontal == vertical:
+        return f" scaled by {horizontal:g}" if horizontal != 1 else ""
+    return f" scaled by {horizontal:g} in x and y, by {vertical:g} in height"
+
+
+def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
+    """Return a ground smoothed and disturbed, as far as that is asked for, and words on it."""
+    spec, told = problem.spec.terrain, []
+    if spec.smooth is not None:
+        with at(problem, ("terrain", "smooth")):
+            smooth = smoothed(grid, spec.smooth)
+        grid = smooth.grid
+        change = f"at most {smooth.largest:.3g} m, rms {smooth.rms:.3g} m"
+        told.append(("ground changed by smooth", f"{change} (Gaussian of {spec.smooth:g} m)"))
+    if (error := spec.error) is not None:
+        before = grid.z
+        with at(problem, ("terrain", "error")):
+            grid = disturbed(grid, error.rms, error.correlation, error.seed)
+        rms = float(np.sqrt(np.mean((grid.z - before) ** 2)))
+        told.append((
+            "ground error added",
+            f"random heights, rms {error.rms:g} m (on this ground {rms:.3g} m), correlated over "
+            f"{error.correlation:g} m, seed {error.seed}",
+        ))  # fmt: skip
+    return grid, told
+
+
+def _origin(found: Map, horizontal: float, vertical: float) -> Facts:
+    """Return the reference system of a map, and what leads back to its coordinates."""
+    facts = [("map crs", found.crs)] if found.crs else []
+    x0, kx, y0, ky = found.frame
+    if found.frame != Frame() or (horizontal, vertical) != (1, 1):
+        x, y = ("longitude", "latitude") if found.geographic else ("x", "y")
+        lines = ((x, x0, kx / horizontal, "x"), (y, y0, ky / horizontal, "y"),
+                 ("z", 0.0, 1 / vertical, "z"))  # fmt: skip
+        words = ", ".join(f"{name} = {a!r} + {k!r} {of}" for name, a, k, of in lines)
+        facts.append(("map coordinates", words))
+    return facts
 
 
 def _check_size(width: float, length: float, spacing: float) -> None:
@@ -92,30 +154,44 @@ def _check_size(width: float, length: float, spacing: float) -> None:
         )
 
 
-def _source(problem: Problem[S]) -> tuple[Grid, str]:
-    """Return the ground and what to call it."""
+def _source(problem: Problem[S]) -> tuple[Map, str]:
+    """Return the ground before it is scaled, and what to call it."""
     spec = problem.spec.terrain
     if spec.file is not None:
+        window, (horizontal, _) = spec.window, _scales(spec)
+        if window is not None and spec.geographic is None:
+            a, b, c, d = (each / horizontal for each in window)
+            window = a, b, c, d
+        asked = {key: getattr(spec, key) for key in OF_FILES}
         with at(problem, ("terrain", "file")):
-            return read_grid(problem.folder / spec.file), spec.file
+            found = read_map(problem.folder / spec.file, window=window, **asked)
+        return found, spec.file
     if spec.synthetic is not None:
         with at(problem, ("terrain", "synthetic")):
-            return _synthetic(spec.synthetic), "synthetic"
+            return Map(_synthetic(spec.synthetic)), "synthetic"
     with at(problem, ("terrain", "sample")):
-        return jacksboro(spec.scale), "Jacksboro fault (sample of matplotlib)"
+        return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
 
 
-def _friction(problem: Problem[S]) -> tuple[float | Grid | None, str]:
+def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, str]:
     """Return the friction of the ground, and what to tell about it."""
-    name, scale = problem.spec.terrain.friction, problem.spec.terrain.scale
+    spec = problem.spec.terrain
+    name, (horizontal, _) = spec.friction, _scales(spec)
     if not isinstance(name, str):
         return name, "" if name is None else f"{name:g}"
+    ending = Path(name).suffix.lower()
+    asked: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES
+                             if ending in NEEDED_BY.get(key, (ending,))}  # fmt: skip
+    if ground.geographic:
+        asked["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
-        grid = read_grid(problem.folder / name)
-        check_friction(grid)  # before it is scaled: the message gives places of the file
+        found = read_map(problem.folder / name, **asked)
+        check_friction(found.grid)  # before it is scaled: the message gives places of the file
     # Both files describe one place, so that both are scaled; coefficients have no length.
-    scaled = Grid(scale * grid.x, scale * grid.y, grid.z)
-    return scaled, f"{name}, {grid.z.min():g} to {grid.z.max():g}"
+    mu = scaled(found.grid, horizontal, 1.0)
+    told = "".join(f"; {key.removeprefix('ground ')} {words}" for key, words in found.told
+                   if not key.startswith("ground map"))  # fmt: skip
+    return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{told}"
 
 
 def _synthetic(spec: schema.Synthetic) -> Grid:
@@ -139,6 +215,7 @@ def ground_facts(ground: Ground) -> Facts:
     (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing
     facts = [
         ("ground", ground.source),
+        *ground.told,
         ("ground size", f"{np.ptp(grid.x):g} x {np.ptp(grid.y):g} m, {n_x} x {n_y} nodes"),
         ("ground cell", f"{h_x:.4g} x {h_y:.4g} m"),
         ("ground height", f"{grid.z.min():.3f} to {grid.z.max():.3f} m"),

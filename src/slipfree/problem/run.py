@@ -10,7 +10,7 @@ from slipfree.errors import SolverError
 from slipfree.kinematics.hold import best_utilisation
 from slipfree.kinematics.montana import Difference, cross_check
 from slipfree.kinematics.records import is_determinate
-from slipfree.named import Array
+from slipfree.named import Array, leaves
 from slipfree.plan.saved import Saved
 from slipfree.problem import schema
 from slipfree.problem.climb import Climbing, build_climb, climbed
@@ -166,10 +166,14 @@ def _attributes(
     """Return what a result must know about its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
+    inputs = {}
+    if isinstance(setup, Setup):
+        inputs["inputs"] = " ".join(label.full for label in leaves(setup.model.labels.u))
     return {
         "title": problem.spec.title or source.path.stem,
         "problem_file": source.path.name,
         "problem": source.text,
         **(settings if source.settings else {}),
+        **inputs,
         **{name.replace(" ", "_"): words for name, words in setup_facts(setup)},
     }

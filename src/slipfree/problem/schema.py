@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from itertools import pairwise
 from math import inf, pi
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    PlainValidator,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import PydanticCustomError
 
 from slipfree.climb.control import Directions
 from slipfree.climb.reference import Law
-from slipfree.vehicle.catalog import Axle
+from slipfree.problem.catalog import CATALOG, OWN, fault, read_table
 
 Piecewise = tuple[tuple[float, float], ...]
 Length = Annotated[float, Field(gt=0)]
@@ -113,37 +122,60 @@ def _friction(value: Any) -> float | str:
     raise PydanticCustomError("expected", "a number greater than 0, or a file's name in quotes")
 
 
+class ElevationError(Record):
+    """A random error of the heights of a map."""
+
+    rms: Length
+    correlation: Length
+    seed: Count
+
+
 class Terrain(Record):
     """The ground: a file, the sample that matplotlib ships, or a made one; and its friction."""
 
     file: str | None = None
     sample: Literal["jacksboro"] | None = None
     synthetic: Synthetic | None = None
+    cell: Length | None = None
+    registration: Literal["area", "point"] | None = None
+    spacing: Length | None = None
+    geographic: Literal["local"] | None = None
+    fill: Literal["linear"] | None = None
     scale: Length = 1.0
+    horizontal_scale: Length = 1.0
+    vertical_scale: Length = 1.0
     window: Window | None = None
+    smooth: Length | None = None
+    error: ElevationError | None = None
     rolled: Length | None = None
     friction: Annotated[float | str | None, PlainValidator(_friction)] = None
 
 
 class Vehicle(Record):
-    """A vehicle of the catalogue and its dimensions; the defaults are the catalogue's."""
+    """A vehicle: of the catalogue, with the keywords of its function, or from a file."""
 
-    catalog: Literal["three_wheeler"]
-    axle: Axle | None = None
-    half_track: Length | None = None
-    wheelbase: Length | None = None
-    r1: Radius | None = None
-    r2: Radius | None = None
-    tilt_stop: Length | None = None
-    slide_stop: Length | None = None
-    stiffness: Radius | None = None
-    damping: Radius | None = None
-    bump: Radius | None = None
-    mass: Radius | None = None
-    center_of_mass: Place | None = None
-    wheel_mass: Radius | None = None
-    grip: Length | None = None
+    catalog: Literal[tuple(CATALOG)] | None = None  # type: ignore[valid-type]
+    file: Annotated[str, Field(min_length=1)] | None = None
     actuated: Annotated[tuple[str, ...], Field(strict=False)] = ()
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _by_source(cls, data: Any, handler: ModelWrapValidatorHandler[Vehicle]) -> Vehicle:
+        """Read the table of a vehicle of the catalogue by the keywords of its function."""
+        if cls not in (Vehicle, Compared) or not isinstance(data, dict):
+            return handler(data)
+        if ("catalog" in data) == ("file" in data):
+            found = "catalog and file" if "file" in data else "none"
+            wrong = fault("file" if "file" in data else None, "exactly one of catalog, file", found)
+            raise ValidationError.from_exception_data(cls.__name__, [wrong])
+        if data.get("catalog") in tuple(CATALOG):
+            return cast("Vehicle", read_table(cls, data))
+        return handler(data)
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """What is given to the function of the catalogue."""
+        return self.model_dump(exclude_none=True, exclude=set(OWN))
 
 
 def _not_zero(value: float) -> float:
@@ -232,11 +264,24 @@ class Path(Record):
     file: str | None = None
 
 
+def _course(value: Any) -> float | Piecewise | str:
+    """Return a rate as `_rate` does, or a formula of the time."""
+    if isinstance(value, str) and value:
+        return value
+    if not _is_number(value) and not isinstance(value, list):
+        expected = "a number, an array of [time, value] pairs, or a formula of t in quotes"
+        raise PydanticCustomError("expected", expected)  # type: ignore[arg-type]
+    return _rate(value)
+
+
+Course = Annotated[Any, PlainValidator(_course)]
+
+
 class Inverse(Motion):
     """Inverse kinematics: given rates of the platform, or its path; wheel rates are asked for."""
 
     verb: Literal["inverse"]
-    given: dict[str, float] | None = None
+    given: dict[str, Course] | None = None
     path: Path | None = None
     steering: Literal["rate", "angle"] = "angle"
 

@@ -1,57 +1,249 @@
-"""Elevation models: height grids from files, and from degrees of longitude and latitude."""
+"""Elevation models: maps from files, and from degrees of longitude and latitude."""
 
 from __future__ import annotations
 
 import zipfile
 import zlib
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.named import Array
 from slipfree.terrain.base import Grid
+from slipfree.terrain.mend import (
+    Axis,
+    Heights,
+    Window,
+    axes_of,
+    check_whole,
+    fill_holes,
+    parts,
+)
+from slipfree.terrain.raster import WORDS, Reading, Registration, read_png, read_tiff
+from slipfree.terrain.scattered import read_points
 
 EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
+SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of that ellipsoid [m], [1]
+STEEP = 50.0  # median slope that no ground in metres has, but one in degrees [1]
 UNREADABLE = (  # what reading a damaged numpy archive raises
     ValueError, EOFError, OSError, RuntimeError, NotImplementedError, MemoryError,
     zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
+TIFF, POINTS = (".tif", ".tiff"), (".xyz", ".txt", ".csv")
+ENDINGS = (".npz", ".asc", *TIFF, ".png", *POINTS)
+NEEDED_BY = {"cell": (*TIFF, ".png"), "registration": (*TIFF, ".png"), "spacing": POINTS}
+Facts = tuple[tuple[str, str], ...]
+
+
+class Frame(NamedTuple):
+    """Where the coordinates of a map come from: those of its file are ``x0 + kx x, y0 + ky y``.
+
+    Attributes
+    ----------
+    x0, y0 : float
+        Coordinates in the file of the ground's origin. [m] or [deg]
+    kx, ky : float
+        Units of the file in a metre of the ground.
+    """
+
+    x0: float = 0.0
+    kx: float = 1.0
+    y0: float = 0.0
+    ky: float = 1.0
+
+
+class Map(NamedTuple):
+    """A map of heights in metres, and what is known about its file.
+
+    Attributes
+    ----------
+    grid : Grid
+        The heights. [m]
+    frame : Frame
+        What leads from its coordinates to those of the file.
+    crs : str
+        Coordinate reference system of the file such as ``"EPSG:32633"``; empty if unknown.
+    geographic : bool
+        Whether the coordinates of the file are degrees.
+    told : tuple of (str, str)
+        Name and value of what to tell about it.
+    """
+
+    grid: Grid
+    frame: Frame = Frame()
+    crs: str = ""
+    geographic: bool = False
+    told: Facts = ()
 
 
 def read_grid(path: str | Path) -> Grid:
-    """Return the grid of heights in a file.
-
-    Parameters
-    ----------
-    path : str or Path
-        ``.npz``: numpy arrays ``x`` of shape (n_x,), ``y`` of shape (n_y,) and ``z`` of shape
-        (n_x, n_y), all in metres. ``.asc``: an ESRI ASCII grid in a metric projection, one line a
-        row, the northernmost first; with ``xllcorner`` and ``yllcorner`` the first node lies half
-        a cell inside the corner, with ``xllcenter`` and ``yllcenter`` on the given point.
+    """Return the grid of heights in a file that says all about itself; see `read_map`.
 
     Raises
     ------
     DataError
         If the file cannot be read, or does not hold a complete uniform grid.
     """
+    return read_map(path).grid
+
+
+def read_map(
+    path: str | Path,
+    *,
+    window: Window | None = None,
+    cell: float | None = None,
+    registration: Registration | None = None,
+    spacing: float | None = None,
+    geographic: Literal["local"] | Frame | None = None,
+    fill: Literal["linear"] | None = None,
+) -> Map:
+    """Return the map of heights in a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.npz``: numpy arrays ``x`` of shape (n_x,), ``y`` of shape (n_y,) and ``z`` of shape
+        (n_x, n_y), all in metres, NaN in holes. ``.asc``: an ESRI ASCII grid, one line a row, the
+        northernmost first; with ``xllcorner`` and ``yllcorner`` the first node lies half a cell
+        inside the corner, with ``xllcenter`` and ``yllcenter`` on the given point; one
+        ``cellsize``, or ``dx`` and ``dy``. ``.tif``: see `read_tiff`. ``.png``: see `read_png`.
+        ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
+    window : tuple of 4 floats, optional
+        The part to read, x_min, x_max, y_min, y_max in the coordinates of the file; of a large
+        GeoTIFF or ESRI ASCII grid only that part is kept in memory. [m] or [deg]
+    cell, registration : float and {"area", "point"}, optional
+        Needed for pictures that do not say where they lie, and refused for others: see `Reading`.
+    spacing : float, optional
+        Between nodes; needed for scattered points, and refused for others. [m]
+    geographic : {"local"} or Frame, optional
+        Without it degrees are refused. ``"local"`` makes metres of them by `geographic_to_metric`,
+        a frame so that they lie in the coordinates of another map.
+    fill : {"linear"}, optional
+        Without it holes are refused; see `fill_holes`.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, or does not hold a uniform grid that is complete.
+    """
     path = Path(path)
-    readers = {".npz": _read_npz, ".asc": _read_asc}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
         raise DataError(
-            f"{path}: expected a file ending in .npz or .asc, found {path.suffix or 'no ending'!r}"
-            "; convert it, for example: gdal_translate -of AAIGrid in.tif out.asc"
+            f"{path}: expected a file ending in {', '.join(ENDINGS)}, found "
+            f"{path.suffix or 'no ending'!r}; convert it, for example: gdal_translate in out.tif"
         )
     if not path.is_file():
         raise DataError(f"{path}: expected a file, found none; check the path")
-    x, y, z = reader(path)
     try:
-        return Grid(x, y, z)
+        _check_keys(ending, cell, registration, spacing)
+        found = _found(path, ending, Reading(window, cell, registration), spacing)
+        _check_degrees(found, local=geographic is not None)
+        return _mapped(found, geographic, fill)
     except DataError as error:
+        if str(error).startswith(f"{path}:"):
+            raise
         raise DataError(f"{path}: {error}") from error
+
+
+def _check_keys(
+    ending: str, cell: float | None, registration: str | None, spacing: float | None
+) -> None:
+    """Refuse what a kind of file has no use for."""
+    given = {"cell": cell, "registration": registration, "spacing": spacing}
+    for name, value in given.items():
+        endings = NEEDED_BY[name]
+        if value is not None and ending not in endings:
+            raise DataError(
+                f"expected no {name} for a {ending} file, which says it itself, found "
+                f"{value!r}; take it out ({name} is for {', '.join(endings)})"
+            )
+
+
+def _found(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heights:
+    if ending in TIFF:
+        return read_tiff(path, ask)
+    if ending in POINTS:
+        return read_points(path, spacing, ask.window)
+    readers = {".npz": _read_npz, ".asc": _read_asc, ".png": read_png}
+    return readers[ending](path, ask)
+
+
+def _check_degrees(found: Heights, *, local: bool) -> None:
+    """Refuse degrees that are taken for metres, and metres that are taken for degrees."""
+    reach = (f"x from {found.x[0]:.9g} to {found.x[-1]:.9g}, y from {found.y[0]:.9g} to "
+             f"{found.y[-1]:.9g}")  # fmt: skip
+    fits = max(abs(found.x[[0, -1]])) <= 360 and max(abs(found.y[[0, -1]])) <= 90
+    if local and not (found.geographic or (found.placed and fits and not found.crs)):
+        raise DataError(
+            f"geographic: expected a map in degrees, found {found.crs or 'one in metres'} with "
+            f"{reach}; take geographic out"
+        )
+    remedy = ('; ask for geographic = "local", or reproject it to metres: gdalwarp -t_srs '
+              "EPSG:326xx in out.tif (xx: the UTM zone)")  # fmt: skip
+    if found.geographic and not local:
+        raise DataError(f"expected a map in metres, found degrees ({found.crs}): {reach}{remedy}")
+    if local or found.crs or not (found.placed and fits):
+        return
+    rise = np.abs(np.diff(found.z, axis=1))
+    rise = rise[rise > 0]  # neither holes nor lakes
+    steep = float(np.median(rise)) / axes_of(found.x, found.y)[1].step if rise.size else 0.0
+    if steep > STEEP:
+        raise DataError(
+            f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
+            f"slopes of {steep:.2g} along y (median){remedy}; if it is in metres, are its heights?"
+        )
+
+
+def _mapped(
+    found: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
+) -> Map:
+    """Return a map in metres without holes."""
+    told: Facts = found.told
+    if fill is None:
+        check_whole(found)
+    else:
+        filled = fill_holes(found)
+        unit = "m" if geographic is None else "deg"
+        size = " x ".join(f"{each:.6g}" for each in filled.largest)
+        words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
+        told += (("ground holes filled", words if filled.nodes else "none found"),)
+        found = found._replace(z=filled.z)
+    if geographic is None:
+        return Map(Grid(found.x, found.y, found.z), crs=found.crs, told=told)
+    frame = local_frame(found.x, found.y) if geographic == "local" else geographic
+    x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
+    told += (("ground degrees", _degrees_words(found.y, frame)),)
+    return Map(Grid(x, y, found.z), frame, found.crs, geographic=True, told=told)
+
+
+def _degrees_words(latitude: Array, frame: Frame) -> str:
+    """Return how degrees became metres, and the error that makes."""
+    middle = np.arccos(frame.ky / frame.kx)
+    edge = max(abs(np.cos(np.deg2rad(latitude[[0, -1]])) / np.cos(middle) - 1))
+    # Radii of curvature of the ellipsoid along the meridian and across it.
+    w = np.sqrt(1 - ECCENTRICITY_2 * np.sin(middle) ** 2)
+    radii = SEMI_MAJOR * (1 - ECCENTRICITY_2) / w**3, SEMI_MAJOR / w
+    shape = max(abs(radius / EARTH_RADIUS - 1) for radius in radii)
+    return (
+        f"made local metres about longitude {frame.x0:.9g}, latitude {frame.y0:.9g} deg (the "
+        f"origin): distances along x are wrong by up to {100 * edge:.2g} % at the northern and "
+        f"southern border, all by up to {100 * shape:.2g} % since the earth is taken for a sphere"
+    )
+
+
+def local_frame(longitude: Array, latitude: Array) -> Frame:
+    """Return the local metres of `geographic_to_metric`, about the first of both. [deg]."""
+    middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
+    degree = EARTH_RADIUS * np.deg2rad(1.0)
+    return Frame(
+        float(longitude[0]), float(1 / (degree * np.cos(middle))),
+        float(latitude[0]), float(1 / degree),
+    )  # fmt: skip
 
 
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
@@ -74,9 +266,8 @@ def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
     ``tan(middle)`` times the distance from it in radians elsewhere: 0.2 % at 36 degrees north,
     15 km off.
     """
-    middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
-    x = EARTH_RADIUS * np.cos(middle) * np.deg2rad(longitude - longitude[0])
-    return Grid(x, EARTH_RADIUS * np.deg2rad(latitude - latitude[0]), z)
+    frame = local_frame(longitude, latitude)
+    return Grid((longitude - frame.x0) / frame.kx, (latitude - frame.y0) / frame.ky, z)
 
 
 def jacksboro(scale: float = 1.0) -> Grid:
@@ -109,7 +300,16 @@ def jacksboro(scale: float = 1.0) -> Grid:
     return Grid(scale * grid.x, scale * grid.y, scale * grid.z)
 
 
-def _read_npz(path: Path) -> tuple[Array, Array, Array]:
+def _read_npz(path: Path, ask: Reading) -> Heights:
+    """Return the map in a numpy archive."""
+    x, y, z = _arrays(path)
+    grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks the axes and that all fits
+    i, j = parts(*axes_of(x, y), ask.window)
+    told = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
+    return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), told)
+
+
+def _arrays(path: Path) -> tuple[Array, Array, Array]:
     """Return x, y, z of a numpy archive."""
     try:
         with path.open("rb") as stream:
@@ -145,37 +345,43 @@ class _Entry(NamedTuple):
 
 
 class _Header(NamedTuple):
-    """What the first lines of an ESRI ASCII grid say; x, y are of the south-western node [m]."""
+    """What the first lines of an ESRI ASCII grid say."""
 
-    columns: int
-    rows: int
-    x: float
-    y: float
-    cell: float
+    x: Axis
+    y: Axis
     nodata: float | None
+    registration: Registration
 
 
-def _read_asc(path: Path) -> tuple[Array, Array, Array]:
-    """Return x, y, z of an ESRI ASCII grid."""
+def _read_asc(path: Path, ask: Reading) -> Heights:
+    """Return the map in an ESRI ASCII grid; of rows outside the window nothing is kept."""
     # Bytes that are no text become signs that are no numbers, and are reported as such.
     with path.open(encoding="ascii", errors="replace") as file:
-        lines = [(n, line) for n, line in enumerate(file, start=1) if line.strip()]
-    start = next((k for k, (_, line) in enumerate(lines) if _is_number(line.split()[0])), None)
-    entries = dict(_entries(path, lines[:start]))
-    header = _header(path, entries)
-    body = [] if start is None else lines[start:]
-    if len(body) != header.rows:
-        last = lines[-1][0]
+        lines = ((n, line) for n, line in enumerate(file, start=1) if line.strip())
+        top, body = [], []
+        for n, line in lines:
+            if _is_number(line.split()[0]):
+                body = [(n, line)]
+                break
+            top.append((n, line))
+        header = _header(path, dict(_entries(path, top)))
+        i, j = parts(header.x, header.y, ask.window)
+        heights = np.empty((j.stop - j.start, i.stop - i.start))
+        north, last, count = header.y.size - j.stop, len(top), 0
+        for count, (last, line) in enumerate(chain(body, lines), start=1):
+            if 0 <= count - 1 - north < len(heights):
+                heights[count - 1 - north] = _row(path, last, line, header.x.size, i)
+    if count != header.y.size:
         raise DataError(
-            f"{path}: line {last}: expected {header.rows} rows as nrows says, found {len(body)} "
+            f"{path}: line {last}: expected {header.y.size} rows as nrows says, found {count} "
             "when the file ended; is it cut off, or not one row a line?"
         )
-    heights = np.stack([_row(path, n, line, header.columns) for n, line in body])
     if header.nodata is not None:
-        _check_nodata(path, heights, header.nodata, [n for n, _ in body])
-    x = header.x + header.cell * np.arange(header.columns, dtype=np.float64)
-    y = header.y + header.cell * np.arange(header.rows, dtype=np.float64)
-    return x, y, np.ascontiguousarray(heights[::-1].T)
+        heights[heights == header.nodata] = np.nan
+    words = WORDS[header.registration]
+    told = (("ground map", f"ESRI ASCII grid, CRS not given, {words}"),)
+    z = np.ascontiguousarray(heights[::-1].T)
+    return Heights(header.x.nodes(i), header.y.nodes(j), z, told)
 
 
 def _is_number(word: str) -> bool:
@@ -199,7 +405,7 @@ def _entries(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[str, _E
 
 
 def _header(path: Path, entries: dict[str, _Entry]) -> _Header:
-    """Return the header with the lower left corner moved to a node."""
+    """Return the header, its axes through the nodes."""
 
     def entry(*keys: str) -> _Entry:
         for key in keys:
@@ -211,24 +417,26 @@ def _header(path: Path, entries: dict[str, _Entry]) -> _Header:
             "xllcorner, yllcorner, cellsize"
         )
 
-    checked = {key: entry(key) for key in ("ncols", "nrows", "cellsize")}
+    sizes = ("dx", "dy") if {"dx", "dy"} & set(entries) else ("cellsize", "cellsize")
+    checked = {key: entry(key) for key in ("ncols", "nrows", *sizes)}
     for key, (line, value) in checked.items():
-        whole = key != "cellsize"
+        whole = key in ("ncols", "nrows")
         if not 0 < value < np.inf or (whole and value != int(value)):
             raise DataError(
                 f"{path}: line {line}: expected {key} to be a positive "
                 f"{'whole number' if whole else 'number'}, found {value:g}; correct the header"
             )
-    columns, rows, cell = (entry.value for entry in checked.values())
-    x, y = entry("xllcenter", "xllcorner").value, entry("yllcenter", "yllcorner").value
-    x += 0.5 * cell * ("xllcenter" not in entries)
-    y += 0.5 * cell * ("yllcenter" not in entries)
+    axes = []
+    for name, count, size in zip("xy", ("ncols", "nrows"), sizes, strict=True):
+        first, step = entry(f"{name}llcenter", f"{name}llcorner").value, checked[size].value
+        first += 0.5 * step * (f"{name}llcenter" not in entries)
+        axes.append(Axis(first, step, int(checked[count].value)))
     nodata = entries["nodata_value"].value if "nodata_value" in entries else None
-    return _Header(int(columns), int(rows), x, y, cell, nodata)
+    return _Header(axes[0], axes[1], nodata, "point" if "xllcenter" in entries else "area")
 
 
-def _row(path: Path, n: int, line: str, columns: int) -> Array:
-    """Return the heights of one line."""
+def _row(path: Path, n: int, line: str, columns: int, part: slice) -> Array:
+    """Return some of the heights of one line."""
     words = line.split()
     if len(words) != columns:
         raise DataError(
@@ -236,19 +444,7 @@ def _row(path: Path, n: int, line: str, columns: int) -> Array:
             "is the file cut off, or not one row a line?"
         )
     try:
-        return np.array(words, dtype=np.float64)
+        return np.array(words[part], dtype=np.float64)
     except ValueError:
-        word = next(word for word in words if not _is_number(word))
+        word = next(word for word in words[part] if not _is_number(word))
         raise DataError(f"{path}: line {n}: expected numbers, found {word!r}; correct it") from None
-
-
-def _check_nodata(path: Path, heights: Array, nodata: float, lines: list[int]) -> None:
-    """Refuse a grid with gaps."""
-    gaps = heights == nodata
-    if gaps.any():
-        row, column = np.argwhere(gaps)[0]
-        raise DataError(
-            f"{path}: line {lines[row]}: expected a height in every cell, found "
-            f"{np.count_nonzero(gaps)} with NODATA_value {nodata:g}, the first in row {row}, "
-            f"column {column}; fill them, for example: gdal_fillnodata.py in.asc out.tif"
-        )

@@ -12,11 +12,11 @@ from slipfree.errors import ModelError
 from slipfree.named import Array
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.mend import averaged
 
 NODES = 8  # nodes to a wheel radius
 BALL = 1.5  # radius of the closing ball over that of the wheel
 BLUR = 0.25  # standard deviation of the Gaussian over the radius of the wheel
-TAIL = 4.0  # standard deviations after which the Gaussian is cut off
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     x, y = (_refined(axis, radius / NODES) for axis in (grid.x, grid.y))
     old = Bicubic(grid).elevation(x[:, None], y[None, :])
     steps = (float(x[1] - x[0]), float(y[1] - y[0]))
-    new = _smoothed(_closed(old, steps, BALL * radius), steps, BLUR * radius)
+    new = averaged(_closed(old, steps, BALL * radius), steps, BLUR * radius)
     return Rolled(Grid(x, y, new), Grid(x, y, new - old))
 
 
@@ -108,14 +108,6 @@ def _closed(z: Array, steps: tuple[float, float], radius: float) -> Array:
     wide = np.pad(z, pad, mode="reflect", reflect_type="odd")
     closed = ndimage.grey_closing(wide, footprint=below >= 0, structure=ball)
     return _cropped(closed, pad)
-
-
-def _smoothed(z: Array, steps: tuple[float, float], deviation: float) -> Array:
-    """Return heights averaged with Gaussian weights."""
-    sigma = [deviation / step for step in steps]
-    pad = [(math.ceil(TAIL * s) + 1,) * 2 for s in sigma]
-    wide = np.pad(z, pad, mode="reflect", reflect_type="odd")
-    return _cropped(ndimage.gaussian_filter(wide, sigma, truncate=TAIL), pad)
 
 
 def _cropped(wide: Array, pad: list[tuple[int, int]]) -> Array:
