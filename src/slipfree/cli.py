@@ -325,8 +325,9 @@ def _check_places(
 ) -> None:
     """Refuse places that cannot be written to, or that are read, before anything is computed."""
     spec = problem.spec
-    tables = [getattr(spec, name, None) for name in ("terrain", "driver", "path", "profile")]
-    names = [table.file for table in tables if table is not None]
+    tables = [getattr(spec, name, None)
+              for name in ("terrain", "vehicle", "driver", "path", "profile")]  # fmt: skip
+    names = [getattr(table, "file", None) for table in tables]
     names += [each for each in (getattr(tables[0], "friction", None),) if isinstance(each, str)]
     taken = {problem.source.path.resolve(): "the problem file"}
     taken |= {(problem.folder / name).resolve(): f"the input {name}" for name in names if name}

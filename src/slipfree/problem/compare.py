@@ -91,7 +91,7 @@ def compare(
     for index, spec in enumerate(problem.spec.vehicles):
         progress(spec.name)
         with at(problem, ("vehicles", index)):
-            vehicle = build_vehicle(spec)
+            vehicle = build_vehicle(spec, problem.folder)
         rows.append(_row(problem, spec.name, vehicle, direct_kinematics(vehicle, terrain)))
     return ground, rows
 

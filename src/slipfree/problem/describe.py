@@ -2,25 +2,109 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
 
 from slipfree.dae import Dae
+from slipfree.errors import DataError, ModelError
 from slipfree.geometry.frame import AXES, unit_vector
 from slipfree.kinematics.records import is_determinate
-from slipfree.named import leaves
+from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.named import leaves, unpack
+from slipfree.problem.read import read_motion
+from slipfree.problem.run import build
 from slipfree.problem.summary import Facts
+from slipfree.problem.vehicle import is_vehicle_file, read_vehicle
+from slipfree.problem.vehicle_file import VehicleError
+from slipfree.solve.loop import close
+from slipfree.solve.settle import settle
+from slipfree.terrain.analytic import Analytic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Coordinate, Joint, Vehicle
+from slipfree.vehicle.draft import Draft
+
+SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
 
 
-def tree(vehicle: Vehicle) -> list[str]:
+class Description(NamedTuple):
+    """What can be said about a vehicle.
+
+    Attributes
+    ----------
+    tree : list of str
+        Its name, and its parts below those that carry them.
+    facts : list of pairs of str
+        Names and values.
+    faults : tuple of str
+        Why it cannot be built, or cannot stand on its ground; empty if it can.
+    """
+
+    tree: list[str]
+    facts: Facts
+    faults: tuple[str, ...]
+
+
+def describe(path: Path, settings: Sequence[str] = ()) -> Description:
+    """Return what can be said about the vehicle of a problem, or of a vehicle file.
+
+    A vehicle by itself stands on level ground. Of a file that holds no vehicle, the faults come
+    with what can be said all the same.
+
+    Raises
+    ------
+    DataError
+        If nothing can be said about the vehicle.
+    """
+    try:
+        if not is_vehicle_file(path):
+            setup = build(read_motion(path, settings))
+            return _told(setup.vehicle, setup.model, setup.start)
+        if settings:
+            raise DataError(f"--set: expected a problem file to set values in, found {path}")
+        vehicle = read_vehicle(path)
+    except VehicleError as error:
+        if error.draft is None:
+            raise
+        return Description(_drawn(error.draft), _shares(error.draft), error.faults)
+    dae = direct_kinematics(vehicle, Analytic(_level))
+    try:
+        return _told(vehicle, dae, settle(dae))
+    except ModelError as error:
+        facts = [*counts(vehicle, dae), *_notes(vehicle)]
+        faults = (f"{path}: on level ground: {error}",)
+        return Description(_drawn(vehicle), facts, faults)
+
+
+def _told(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Description:
+    facts = [*counts(vehicle, dae), *conditioning(dae, start), *_notes(vehicle)]
+    return Description(_drawn(vehicle), facts, ())
+
+
+def _drawn(vehicle: Vehicle | Draft) -> list[str]:
+    return [f"{vehicle.name}, in axes x right, y forward, z up", *tree(vehicle)]
+
+
+def _notes(vehicle: Vehicle | Draft) -> Facts:
+    return [("vehicle file", note) for note in vehicle.notes]
+
+
+def _level(x: ca.SX, _: ca.SX) -> ca.SX:
+    return 0 * x
+
+
+def tree(vehicle: Vehicle | Draft) -> list[str]:
     """Return the parts of a vehicle, indented below those that carry them."""
     kinds = {c.name: c for c in vehicle.coordinates}
+    hung: list[Joint] = []
 
     def below(part: str, indent: str) -> Iterator[str]:
         for joint in vehicle.joints:
             if joint.parent == part:
+                hung.append(joint)
                 yield f"{indent}{joint.name}: {_joint(joint, kinds)}"
                 yield from below(joint.name, indent + "  ")
         for wheel in vehicle.wheels:
@@ -35,24 +119,33 @@ def tree(vehicle: Vehicle) -> list[str]:
     body = vehicle.body
     at = ", ".join(f"{each:g}" for each in body.at)
     mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
-    return [f"platform{mass}", *below("platform", "  ")]
+    lines = [f"platform{mass}", *below("platform", "  ")]
+    parts = {"platform", *(joint.name for joint in hung)}
+    loose = [(j.name, j.parent) for j in vehicle.joints if j not in hung]
+    loose += [(f"wheel {w.name}", w.parent) for w in vehicle.wheels if w.parent not in parts]
+    return lines + [f"not on the platform: {name}, on {parent}" for name, parent in loose]
 
 
 def _joint(joint: Joint, kinds: dict[str, Coordinate]) -> str:
     """Return how a joint moves and what moves it."""
-    moved = [f"{name}: {_kind(kinds[name])}" for name in sorted(joint.coordinates)]
+    moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
     if not moved:
-        return "rigid"
-    axis = next((n for n, vector in AXES.items() if vector == joint.axis), None)
-    along = axis or f"({', '.join(f'{each:.3g}' for each in unit_vector(joint.axis))})"
+        return "rigid" if joint.value in ("0", "0.0") else f"held at {joint.value}"
+    vector = unit_vector(joint.axis)
+    names = AXES | {f"-{n}": (-x, -y, -z) for n, (x, y, z) in AXES.items()}
+    axis = next((name for name, each in names.items() if each == vector), None)
+    along = axis or f"({', '.join(f'{each:.3g}' for each in vector)})"
     does = "turns about" if joint.motion == "turn" else "slides along"
-    if joint.value in joint.coordinates:
-        return f"{does} {along} by {joint.value} ({_kind(kinds[joint.value])})"
-    return f"{does} {along} by {joint.value} ({'; '.join(moved)})"
+    if joint.value in moved:
+        return f"{does} {along} by {joint.value} ({moved[joint.value]})"
+    kinds_of = "; ".join(f"{name}: {kind}" for name, kind in moved.items())
+    return f"{does} {along} by {joint.value} ({kinds_of})"
 
 
-def _kind(c: Coordinate) -> str:
+def _kind(c: Coordinate | None) -> str:
     """Return what decides a coordinate, and what acts on it."""
+    if c is None:
+        return "not said what decides it"
     acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
     return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
 
@@ -111,6 +204,41 @@ def _equations(dae: Dae[Any, Any, Any, Any, Any]) -> str:
     return dae.labels.alg[1][0].name.replace("_", " ")
 
 
-def conditioning(start: Trajectory) -> Facts:
-    """Return how far a start is from a singular configuration."""
-    return [("singular value", f"{start['singular_value'][-1]:.4g} of the Jacobian, at the start")]
+def _shares(draft: Draft) -> Facts:
+    """Return what decides the motion of parts that do not make a vehicle."""
+
+    def listed(names: list[str]) -> str:
+        return f"{len(names)}: {', '.join(names) or 'none'}"
+
+    needed = max(len(draft.wheels) - 3, 0)
+    suspension = [c.name for c in draft.of("suspension")]
+    return [
+        ("wheels", listed([wheel.name for wheel in draft.wheels])),
+        ("driven wheels", listed([wheel.name for wheel in draft.wheels if wheel.driven])),
+        ("commanded", listed([c.name for c in draft.of("commanded")])),
+        ("passive joints", listed([c.name for c in draft.of("passive")])),
+        ("suspension", f"{listed(suspension)}; {needed} needed"),
+        *_notes(draft),
+    ]
+
+
+def conditioning(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Facts:
+    """Return how far a start is from a singular configuration, and by which motion.
+
+    Condition numbers of the Jacobians of the equations in metres and radians, position and rates
+    each by themselves, and what the right singular vector of the smallest value moves most.
+    """
+    rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
+    loop, (x, z) = close(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
+    labels, facts = list(leaves(dae.labels.z)), []
+    moving = {*leaves(dae.labels.z.position), *leaves(dae.labels.z.rates.motion)}
+    for name, block in zip(("position", "rates"), loop.blocks, strict=False):
+        point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
+        _, values, right = np.linalg.svd(np.array(block.jacobian(*point)))
+        size = [abs(part) if label in moving else 0.0
+                for part, label in zip(right[-1], labels[block.span], strict=True)]  # fmt: skip
+        weak = [labels[block.span][k].full for k in np.argsort(size)[::-1]
+                if size[k] > SHARE * max(size)]  # fmt: skip
+        words = f"{values[0] / values[-1]:.3g} at the start, weakest in {', '.join(weak)}"
+        facts.append((f"condition of {name}", words))
+    return facts

@@ -36,7 +36,7 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
     """Return the model, the settled start and the inputs of a problem."""
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle)
+        vehicle = build_vehicle(spec.vehicle, problem.folder)
     terrain = build_terrain(problem, ground)
     dae: Dae[Any, Any, Any, Any, Any]
     model = dae = build_model(problem, spec, vehicle, terrain)

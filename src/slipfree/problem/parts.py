@@ -17,13 +17,12 @@ from slipfree.problem import schema
 from slipfree.problem.ground import Ground, at
 from slipfree.problem.read import Fault, Problem, S, names, problem_error
 from slipfree.problem.summary import Facts
+from slipfree.problem.vehicle import build_vehicle as build_vehicle
 from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.catalog import three_wheeler
-from slipfree.vehicle.chain import Vehicle, actuated
+from slipfree.vehicle.chain import Vehicle
 
-CATALOG = {"three_wheeler": three_wheeler}
 NEAR = 1e-9  # times closer than this part of the duration are one
 COUNTS = {2: "two", 3: "three", 4: "four"}
 
@@ -57,12 +56,6 @@ class Setup:
     inputs: Any
     t: Array
     driven: str
-
-
-def build_vehicle(spec: schema.Vehicle) -> Vehicle:
-    """Return a vehicle of the catalogue."""
-    given = spec.model_dump(exclude_none=True, exclude={"catalog", "name", "actuated"})
-    return actuated(CATALOG[spec.catalog](**given), *spec.actuated)
 
 
 def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
@@ -169,4 +162,6 @@ def vehicle_facts(vehicle: Vehicle) -> Facts:
     facts = [("vehicle", f"{vehicle.name}: {wheels}")]
     if vehicle.mass:
         facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
+    if vehicle.notes:
+        facts.append(("vehicle file", "; ".join(vehicle.notes)))
     return facts

@@ -94,7 +94,7 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     """Return the model, the settled start and the inputs that start the search."""
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle)
+        vehicle = build_vehicle(spec.vehicle, problem.folder)
     terrain = build_terrain(problem, ground)
     dae: Model = build_model(problem, spec, vehicle, terrain)
     check_names(problem, dae, spec.inputs)

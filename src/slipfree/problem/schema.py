@@ -13,14 +13,13 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     PlainValidator,
-    ValidationError,
     model_validator,
 )
 from pydantic_core import PydanticCustomError
 
 from slipfree.climb.control import Directions
 from slipfree.climb.reference import Law
-from slipfree.problem.catalog import CATALOG, OWN, fault, read_table
+from slipfree.problem.catalog import CATALOG, OWN, read_table
 
 Piecewise = tuple[tuple[float, float], ...]
 Length = Annotated[float, Field(gt=0)]
@@ -162,15 +161,7 @@ class Vehicle(Record):
     @classmethod
     def _by_source(cls, data: Any, handler: ModelWrapValidatorHandler[Vehicle]) -> Vehicle:
         """Read the table of a vehicle of the catalogue by the keywords of its function."""
-        if cls not in (Vehicle, Compared) or not isinstance(data, dict):
-            return handler(data)
-        if ("catalog" in data) == ("file" in data):
-            found = "catalog and file" if "file" in data else "none"
-            wrong = fault("file" if "file" in data else None, "exactly one of catalog, file", found)
-            raise ValidationError.from_exception_data(cls.__name__, [wrong])
-        if data.get("catalog") in tuple(CATALOG):
-            return cast("Vehicle", read_table(cls, data))
-        return handler(data)
+        return cast("Vehicle", read_table(cls, data, handler))
 
     @property
     def keywords(self) -> dict[str, Any]:
@@ -270,7 +261,7 @@ def _course(value: Any) -> float | Piecewise | str:
         return value
     if not _is_number(value) and not isinstance(value, list):
         expected = "a number, an array of [time, value] pairs, or a formula of t in quotes"
-        raise PydanticCustomError("expected", expected)  # type: ignore[arg-type]
+        raise PydanticCustomError("expected", expected)
     return _rate(value)
 
 

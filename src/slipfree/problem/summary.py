@@ -71,10 +71,21 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
     worst = int(margin.argmin())
     words = run.columns["inverse_margin"].label.words
     yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
+    for name in [name for name in run if f"{name}_error" in run.columns]:
+        low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
+        unit = run.columns[name].label.unit
+        yield f"steering {name}", f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most"
     if "steering_slip" in run.columns:
         yield "steering slip", f"{run['steering_slip'].max():.2e} m/s at most: lever times rate"
     if warning := steering_warning(run):
         yield "warning", warning
+    trip = [size for name, size in run.statistics.items() if name.startswith("round_trip_")]
+    if trip:
+        yield (
+            "round trip",
+            f"{max(trip):.1e} at most: rates of the direct model at the samples, from those of "
+            "wheels and joints",
+        )
 
 
 def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -220,6 +231,7 @@ def _cost(run: Trajectory) -> Iterator[tuple[str, str]]:
             f"{counts['steps']:.0f} steps, {counts['residuals']:.0f} evaluations, "
             f"{counts['cpu_seconds']:.3g} s CPU, tolerance {counts['tolerance']:g}",
         )
+        yield from _replayed(run)
 
 
 def _collocated(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -230,12 +242,18 @@ def _collocated(run: Trajectory) -> Iterator[tuple[str, str]]:
         f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
         f"{counts['cpu_seconds']:.3g} s CPU, steering to {counts['sought_error']:.1e} rad",
     )
-    gaps = {name.removeprefix("replay_"): size for name, size in counts.items()
+    yield from _replayed(run)
+
+
+def _replayed(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield how far a replay by the direct model is from the motion, if there was one."""
+    gaps = {name.removeprefix("replay_"): size for name, size in run.statistics.items()
             if name.startswith("replay_")}  # fmt: skip
     listed = ", ".join(
         f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps.items()
     )
-    yield "replay by the direct model", f"differs by at most {listed}"
+    if gaps:
+        yield "replay by the direct model", f"differs by at most {listed}"
     if "replay_stopped" in run.attributes:
         yield "replay stopped early", run.attributes["replay_stopped"]
 

@@ -1,0 +1,68 @@
+"""XML as plain records with lines, without document types or entities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from xml.parsers import expat
+
+from slipfree.errors import DataError
+
+
+@dataclass(frozen=True)
+class Element:
+    """An element of an XML file: its tag, attributes, children and line."""
+
+    tag: str
+    attributes: dict[str, str]
+    line: int
+    children: list[Element] = field(default_factory=list)
+
+    def all(self, tag: str) -> Iterator[Element]:
+        """Yield the children with a tag."""
+        return (child for child in self.children if child.tag == tag)
+
+    def first(self, tag: str) -> Element | None:
+        """Return the first child with a tag."""
+        return next(self.all(tag), None)
+
+
+def parse(data: bytes, name: str) -> Element:
+    """Return the root element of an XML file.
+
+    Parameters
+    ----------
+    data : bytes
+        What the file holds.
+    name : str
+        What errors call it.
+
+    Raises
+    ------
+    DataError
+        If it is not XML, or declares a document type, by which entities could be made.
+    """
+    parser = expat.ParserCreate()
+    top = Element("", {}, 0)
+    stack = [top]
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        element = Element(tag, attributes, parser.CurrentLineNumber)
+        stack[-1].children.append(element)
+        stack.append(element)
+
+    def refuse(*_: object) -> None:
+        raise DataError(
+            f"{name}:{parser.CurrentLineNumber}: expected XML without a document type, found "
+            "<!DOCTYPE; take it out, with the entities that it declares"
+        )
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: stack.pop()
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        words = expat.ErrorString(error.code)
+        raise DataError(f"{name}:{error.lineno}: expected XML, found {words}") from error
+    return top.children[0]
