@@ -238,7 +238,8 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
         (["given={}"], "--set given: expected three rates of the platform, found 0"),
         (["given.velocity_x=", "given.velocity_u=1"], "--set given.velocity_u: expected one of "
          "velocity_x, velocity_y, velocity_z, omega_x, omega_y, omega_z, heading_rate, roll_rate, "
-         "pitch_rate, found the unknown key 'velocity_u'; did you mean 'velocity_"),
+         "pitch_rate, forward, right, yaw_rate, found the unknown key 'velocity_u'; did you mean "
+         "'velocity_"),
         (["given.velocity_x=", "given.omega_x=0"], "given: expected some of omega_x, omega_y, "
          "omega_z or some of heading_rate, roll_rate, pitch_rate, not of both, found heading_rate, "
          "omega_x"),

@@ -147,7 +147,7 @@ def inverse_kinematics(
     effect = rolling(vehicle, direct)
     model = (dae.x, dae.z, dae.u)
     margin = inverse_margin(vehicle, direct, effect, model, given, steering, least_margin)
-    checks = [_moved(check, direct, dae) for check in direct.checks]
+    checks = [moved(check, direct, dae) for check in direct.checks]
     growth = (effect.growth(given),) if steering == "rate" and vehicle.of("commanded") else ()
     return replace(dae, checks=(*checks, margin), y=dae.y._replace(growth=growth))
 
@@ -365,8 +365,8 @@ class _Moved:
         return np.array(found[0]), np.array(found[1])
 
 
-def _moved(check: Check, direct: Any, dae: Any) -> Check:
-    """Return a check of the pose for the inverse model."""
+def moved(check: Check, direct: Any, dae: Any) -> Check:
+    """Return a check of the direct model's pose for an inverse model."""
     others = len(list(leaves(direct.z[1:])))
     z = ca.vertcat(pack(direct.z.position), ca.SX.zeros(others))
     symbols = [pack(dae.x), pack(dae.z)]

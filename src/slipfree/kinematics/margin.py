@@ -120,9 +120,9 @@ def rolling(vehicle: Vehicle, direct: Direct) -> Rolling:
         for label in leaves((label_of.suspension, label_of.passive, label_of.free, direct.labels.u))
     ]
     a = ca.jacobian(direct.alg[1], ca.vertcat(*platform, *others))
-    extent, radius = _extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
+    size, radius = extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
     to_omega = ca.inv(omega(direct.x.heading, z.position.roll))
-    sizes = [1.0] * 3 + [extent] * 6 + [1.0 if _slides(vehicle, n) else radius for n in names]
+    sizes = [1.0] * 3 + [size] * 6 + [1.0 if _slides(vehicle, n) else radius for n in names]
     columns = ca.horzcat(a[:, :3], a[:, 3:6] @ to_omega, a[:, 3:])
     return Rolling(
         (*VELOCITY, *OMEGA, *EULER, *names),
@@ -147,7 +147,7 @@ def _slides(vehicle: Vehicle, rate: str) -> bool:
     return any(name in j.coordinates and j.motion == "slide" for j in vehicle.joints)
 
 
-def _extent(vehicle: Vehicle) -> float:
+def extent(vehicle: Vehicle) -> float:
     """Return how far wheels are from the platform's centre, right or ahead. [m]."""
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})

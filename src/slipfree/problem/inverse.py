@@ -12,7 +12,9 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.kinematics.inverse import LEAST_MARGIN, PLANAR, along, inverse_kinematics
 from slipfree.kinematics.margin import EULER, OMEGA, VELOCITY, steering_note, steering_slip
+from slipfree.kinematics.reach import SUBSET
 from slipfree.kinematics.rolling import direct_kinematics
+from slipfree.kinematics.subset import Wanted
 from slipfree.named import Array
 from slipfree.problem import schema
 from slipfree.problem.ground import at, build_ground
@@ -27,11 +29,9 @@ from slipfree.problem.parts import (
     turned,
 )
 from slipfree.problem.read import Fault, Problem, S, names, problem_error
-from slipfree.solve.consistent import consistent
+from slipfree.problem.subset import build_subset, drive_subset, is_subset
 from slipfree.solve.inverse import drive
-from slipfree.solve.loop import close
-from slipfree.solve.sample import Samples, corrected, table
-from slipfree.solve.settle import first_violation
+from slipfree.solve.seek import moving
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
 
@@ -43,20 +43,28 @@ Model = Dae[Any, Any, Any, Any, Any]
 
 
 def is_sought(spec: schema.Motion) -> bool:
+    """Return whether `drive_along` solves the problem, so that more is done than to integrate."""
+    return isinstance(spec, schema.Inverse) and (_is_path(spec) or is_subset(spec))
+
+
+def _is_path(spec: schema.Inverse) -> bool:
     """Return whether the steering is sought along a path, so that nothing is integrated."""
-    return isinstance(spec, schema.Inverse) and spec.path is not None and spec.steering == "angle"
+    return spec.path is not None and spec.steering == "angle"
 
 
 def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
     """Return the models, the start and the inputs of a problem."""
+    if is_subset(spec):
+        return build_subset(problem, spec)
     given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
     faults = [*_given(given)]
     if faults:
         raise problem_error(problem.source, faults)
     ground, points = build_ground(problem), _points(problem, spec)
-    sought = is_sought(spec)
+    sought = _is_path(spec)
     with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle)
+        vehicle = build_vehicle(spec.vehicle, problem.folder)
+        _check_rolls(vehicle)
         terrain = build_terrain(problem, ground)
         dae = inverse_kinematics(
             vehicle, terrain, given=tuple(given),
@@ -83,8 +91,15 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
 
 def _given(given: dict[str, float]) -> Iterator[Fault]:
     """Yield what keeps rates from being three that may be given together."""
-    unknown = [*names(("given",), given, KNOWN)]
+    unknown = [*names(("given",), given, (*KNOWN, *SUBSET))]
     yield from unknown
+    if ours := [name for name in given if name in SUBSET]:
+        expected = f"rates in the platform's heading frame ({', '.join(SUBSET)}) or others alone"
+        yield Fault(("given", ours[0]), expected, ", ".join(given))
+    for name, value in given.items():
+        if not isinstance(value, float):
+            yield Fault(("given", name), "a number", "values in time, which only "
+                        f"{', '.join(SUBSET)} may have")  # fmt: skip
     if len(given) != 3:
         listed = f": {', '.join(given)}" if given else ""
         yield Fault(("given",), "three rates of the platform", f"{len(given)}{listed}")
@@ -92,6 +107,17 @@ def _given(given: dict[str, float]) -> Iterator[Fault]:
     if set(angular) & set(OMEGA) and set(angular) & set(EULER):
         expected = f"some of {', '.join(OMEGA)} or some of {', '.join(EULER)}, not of both"
         yield Fault(("given",), expected, ", ".join(angular))
+
+
+def _check_rolls(vehicle: Vehicle) -> None:
+    free = sum(not wheel.driven for wheel in vehicle.wheels)
+    inputs = len(vehicle.wheels) - free + len(vehicle.of("commanded"))
+    if len(vehicle.of("passive")) + free != 2 * len(vehicle.wheels) - 3 or inputs != 3:
+        raise ModelError(
+            f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates or "
+            f"along a path needs, or has not three inputs; give some of {', '.join(SUBSET)} in "
+            "[given] instead"
+        )
 
 
 def _words(spec: schema.Inverse, points: Array | None) -> str:
@@ -145,30 +171,15 @@ def _ahead(direct: Model, vehicle: Vehicle, start: Trajectory, given: dict[str, 
     return direct.inputs(**rates, **commanded)
 
 
-def moving(dae: Model, start: Trajectory, inputs: Any) -> Trajectory:
-    """Return a start with the unknowns that its inputs lead to.
-
-    Raises
-    ------
-    ModelError
-        If they do not determine them, or a limit is violated.
-    """
-    loop = close(dae, inputs, 0)
-    x, u = dae.rows("x", start, -1), loop.u[:, :1]
-    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u[:, 0])
-    still = np.zeros((dae.quad.numel(), 1))
-    found, report = corrected(loop, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
-    run = table(loop, found, report)
-    fault = first_violation(loop, run, found)
-    if fault is not None:
-        raise ModelError(f"the start is not valid: {fault[1].words}")
-    return run
-
-
 def drive_along(
     setup: Setup, tolerance: float, progress: Callable[[float], None] | None
 ) -> Trajectory:
-    """Return the motion along a path, with how far the direct model's replay is from it."""
+    """Return the motion along a path, with how far the direct model's replay is from it.
+
+    Or under given rates in the platform's heading frame.
+    """
+    if isinstance(setup.dae.u, Wanted):
+        return drive_subset(setup, tolerance, progress)
     sought = [c.name for c in setup.vehicle.of("commanded")]
     try:
         found = drive(setup.dae, setup.model, setup.start, setup.inputs, setup.t,

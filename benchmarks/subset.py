@@ -1,0 +1,149 @@
+"""Inverse kinematics of an over-actuated rover: slip, and how exactly its rates round-trip.
+
+``python benchmarks/subset.py`` prints, for the Rocky 7 with its corner wheels steered, on level
+ground and on a rough one, the slip (rms over the wheels) and the round trip: how far the given
+rates are from those of the direct model under the wheel rates found. Columns are steering angles:
+locked straight ahead; those at which wheels slip least across (the guide), with the wheel rates of
+least slip alone and with the direct model's equations as constraints; those of least slip. Then a
+motion in time over the rough ground.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from reference import heading
+
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    Terrain,
+    Trajectory,
+    direct_kinematics,
+    settle,
+    simulate,
+)
+from slipfree.kinematics.reach import planar_rates, wheel_rates
+from slipfree.kinematics.subset import steered, subset_kinematics
+from slipfree.named import leaves, pack
+from slipfree.solve.replay import replay, round_trip
+from slipfree.solve.seek import moving, seek
+from slipfree.vehicle.rovers import rocky7
+
+GROUND = Path(__file__).parent.parent / "tests" / "data" / "gridsurfdata.txt"
+ROVER = rocky7(steered="corners", mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
+START = {"x": 2.0, "y": 0.2, "heading": -np.pi / 2 + 0.1}
+GIVEN: tuple[dict[str, float], ...] = (
+    {"forward": 0.2, "yaw_rate": 0.0},
+    {"forward": 0.2, "yaw_rate": 0.2},
+    {"forward": 0.0, "yaw_rate": 0.3},
+    {"forward": 0.2, "yaw_rate": 0.2, "right": 0.0},
+)
+MOTION = ("velocity_x", "velocity_y", "heading_rate")
+
+
+def rough() -> Bicubic:
+    """Return the ground of the file: six header numbers, then heights, x fastest."""
+    values = [float(each) for each in GROUND.read_text().split(",") if each.strip()]
+    n_x, n_y = int(values[2]), int(values[5])
+    x, y = np.linspace(*values[:2], n_x), np.linspace(*values[3:5], n_y)
+    return Bicubic(Grid(x, y, np.reshape(values[6 : 6 + n_x * n_y], (n_y, n_x)).T))
+
+
+def slip(run: Trajectory) -> float:
+    """Return the root mean square of the wheels' slip at the last sample. [m/s]."""
+    return float(np.sqrt(np.mean(run["slip_along"][-1] ** 2 + run["slip_across"][-1] ** 2)))
+
+
+def driven(direct: Any, stand: Trajectory, rates: dict[str, float], given: dict[str, float]) -> str:
+    """Return slip and round trip of the direct model under inputs."""
+    run = moving(direct, stand, direct.inputs(**rates))
+    plane = planar_rates(direct)
+    found = ca.Function("plane", list(direct.columns()[:2]), [plane[name] for name in given])
+    values = found(direct.rows("x", run, -1), direct.rows("z", run, -1))
+    gap = max(abs(float(v) - g) for v, g in zip(values, given.values(), strict=True))
+    return f"{slip(run):8.1e} / {gap:7.1e}"
+
+
+def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, float]:
+    """Return wheel rates of least slip at the given rates, whatever the direct model makes of them.
+
+    Joints are at rest.
+    """
+    count, driving = len(direct.z.rates.multipliers), len(direct.u.wheels)
+    unknown = ca.vertcat(*leaves(direct.z.rates.motion), *direct.u.wheels)
+    plane = planar_rates(direct)
+    kept = ca.vertcat(direct.alg[1][-count:], *(plane[name] for name in given))
+    slips = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
+    function = ca.Function("rows", [pack(direct.x), pack(direct.z.position)],
+                           [ca.jacobian(slips, unknown), ca.jacobian(kept, unknown)])  # fmt: skip
+    pose = direct.rows("z", stand, -1)[: len(list(leaves(direct.z.position)))]
+    a, c = (np.array(part) for part in function(direct.rows("x", stand, -1), pose))
+    matrix = np.block([[a.T @ a, c.T], [c, np.zeros((len(c), len(c)))]])
+    right = np.concatenate([np.zeros(a.shape[1] + count), list(given.values())])
+    found = np.linalg.lstsq(matrix, right, rcond=1e-12)[0][a.shape[1] - driving : a.shape[1]]
+    names = [label.full for label in leaves(direct.labels.u)]
+    return dict(zip(names, [*found.tolist(), *[0.0] * len(direct.u.joints)], strict=True))
+
+
+def row(terrain: Terrain, given: dict[str, float]) -> str:
+    """Return slip and round trip at all steering angles."""
+    direct = direct_kinematics(ROVER, terrain)
+    dae = subset_kinematics(ROVER, terrain, given=tuple(given))
+    inputs, joints = dae.inputs(**given), list(steered(ROVER, direct))
+    stand = settle(direct, **START)
+    guide = seek(dae, stand, inputs, states=joints, least=[f"{name}_error" for name in joints])
+    best = seek(dae, guide, inputs, states=joints, least=["slip_along", "slip_across"])
+    cells = []
+    for at, naive in ((stand, False), (guide, True), (guide, False), (best, False)):
+        try:
+            rates = least(direct, at, given) if naive else wheel_rates(ROVER, direct, at, **given)
+            cells.append(driven(direct, at, rates, given))
+        except ModelError:
+            cells.append("not reached".rjust(18))
+    return "  ".join(cells)
+
+
+def in_time(terrain: Terrain) -> None:
+    """Print a motion over the ground: what it slips, misses and costs."""
+    direct, dae = direct_kinematics(ROVER, terrain), subset_kinematics(ROVER, terrain)
+    inputs, joints = dae.inputs(forward=0.1, yaw_rate=0.05), list(steered(ROVER, direct))
+    errors = [f"{name}_error" for name in joints]
+    start = seek(dae, settle(direct, **START), inputs, states=joints, least=errors)
+    t = np.linspace(0, 10, 201)
+    begin = time.process_time()
+    run = simulate(dae, start, inputs, t)
+    spent = time.process_time() - begin
+    begin = time.process_time()
+    again = replay(direct, run)
+    print(f"10 s, forward 0.1 m/s, yaw rate 0.05 rad/s: {spent:.2f} s CPU, the direct model alone "
+          f"{time.process_time() - begin:.2f} s")  # fmt: skip
+    total = np.sqrt(np.mean(run["slip_along"] ** 2 + run["slip_across"] ** 2))
+    off = max(np.abs(run[name]).max() for name in errors)
+    print(f"slip {total:.1e} m/s rms a wheel; steering off by {off:.1e} rad at most")
+    trip = max(round_trip(direct, run, MOTION).values())
+    gap = np.hypot(again["x"] - run["x"], again["y"] - run["y"]).max()
+    print(f"round trip {trip:.1e} at the samples; replay from the samples off by {gap:.1e} m")
+
+
+def main() -> None:
+    """Print the table and the motion."""
+    heading()
+    names = "locked", "guide, naive", "guide", "least slip"
+    print(f"{'ground, given':42}{''.join(f'{name:>18}  ' for name in names)}")
+    ground = rough()
+    for words, terrain in (("level", Analytic(lambda x, _: 0 * x)), ("rough", ground)):
+        for given in GIVEN:
+            asked = " ".join(f"{name} {value:g}" for name, value in given.items())
+            print(f"{f'{words}: {asked}':42}{row(terrain, given)}", flush=True)
+    in_time(ground)
+
+
+if __name__ == "__main__":
+    main()

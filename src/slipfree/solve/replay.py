@@ -1,0 +1,117 @@
+"""A motion driven again by another model from the inputs that the first one found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.named import Array, leaves, unpack
+from slipfree.solve.loop import close
+from slipfree.solve.sample import Samples, corrected
+from slipfree.solve.settle import settle
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import Trajectory, joined
+
+DEGREE = 5  # of the spline through the inputs
+Model = Dae[Any, Any, Any, Any, Any]
+
+
+def round_trip(dae: Model, run: Trajectory, names: Sequence[str]) -> dict[str, float]:
+    """Return how far a model's rates under the inputs of a motion are from those of the motion.
+
+    At every sample by itself, with the states of the motion.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model; the motion holds its states, its first unknowns and its inputs.
+    run : Trajectory
+        The motion.
+    names : sequence of str
+        Unknowns of the model to compare.
+
+    Returns
+    -------
+    dict of str to float
+        Largest differences by name.
+    """
+    loop = close(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0)
+    x, u, pose = (
+        np.array([run.of(label) for label in leaves(record)])
+        for record in (dae.labels.x, dae.labels.u, dae.labels.z[0])
+    )
+    z = np.zeros((dae.columns()[1].numel(), run.t.size))
+    z[: len(pose)] = pose - dae.shift[1][: len(pose), None]
+    still = np.zeros((dae.quad.numel(), run.t.size))
+    found, _ = corrected(loop, Samples(run.t, x - dae.shift[0][:, None], z, still, u))
+    rows = {label.full: row for label, row in zip(leaves(dae.labels.z), found.z, strict=True)}
+    return {name: float(np.abs(rows[name] - run[name]).max()) for name in names}
+
+
+def replay(
+    dae: Model, run: Trajectory, *, jumps: Sequence[float] = (), tolerance: float = 1e-8
+) -> Trajectory:
+    """Return the motion of a model under the sampled inputs of another motion, from its start.
+
+    Splines go through the samples of the inputs, from each jump to the next.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model; the motion holds its states, its first unknowns and its inputs.
+    run : Trajectory
+        The motion.
+    jumps : sequence of float
+        Times at which inputs may jump; samples there hold their values behind the jump. [s]
+    tolerance : float
+        Of the integrator. [m, rad]
+
+    Raises
+    ------
+    ModelError
+        If the start is not valid.
+    SolverError
+        If the integrator fails.
+    """
+    t, labels = run.t, list(leaves(dae.labels.u))
+    values = np.column_stack([run.of(label) for label in labels])
+    start = settle(dae, guess=_first(run, dae.labels.z[0]), **_first(run, dae.labels.x))
+    cuts = [k for k in range(1, t.size - 1) if np.isin(t[k], jumps)]
+    parts: list[Trajectory] = []
+    for left, right in zip([0, *cuts], [*cuts, t.size - 1], strict=True):
+        last = right + (right == t.size - 1)
+        law = _law(dae, t[left:last], values[left:last], float(t[right]))
+        start = simulate(dae, start, law, t[left : right + 1], tolerance=tolerance)
+        parts.append(start)
+        if start.stop is not None:
+            break
+    return joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
+
+
+def _first(run: Trajectory, record: Any) -> dict[str, float]:
+    return {label.full: float(run.of(label)[0]) for label in leaves(record)}
+
+
+def _law(dae: Model, t: Array, values: Array, end: float) -> Any:
+    """Return the inputs as splines through samples, carried on to the end."""
+    from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
+
+    degree = min(DEGREE, t.size - 1)
+    if not degree:
+        return unpack(dae.u, values[0].tolist())
+    if degree % 2 == 0:
+        degree -= 1
+    spline = make_interp_spline(t, values, k=degree)
+    if end > t[-1]:
+        t = np.append(t, end)
+        spline = make_interp_spline(t, spline(t), k=degree)
+    at = ca.MX.sym("t")
+    value = ca.Function.bspline("law", [spline.t.tolist()], spline.c.ravel().tolist(), [degree],
+                                values.shape[1])  # fmt: skip
+    law = ca.Function("law", [at], [value(at)], {"never_inline": True})
+    inside = ca.fmin(ca.fmax(dae.t, t[0]), t[-1])
+    return unpack(dae.u, ca.vertsplit(law(inside)))
