@@ -13,7 +13,7 @@ from slipfree.plan.transcribe import Program, completed
 
 INFEASIBLE = "Infeasible_Problem_Detected"
 ITERATIONS = 500
-GROWTH = 10.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
+GROWTH = 100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
 TOLERANCE = 1e-8
 FIRST_BARRIER = 1e-3  # of a warm start
 PUSH = 1e-9  # from the bounds in a warm start
