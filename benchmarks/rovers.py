@@ -1,0 +1,164 @@
+"""The catalogue's rovers: how well conditioned, how exact, how fast, and a plan for one of them.
+
+``python benchmarks/rovers.py`` prints
+
+1. condition numbers of the equations of position and of rates, on level ground and on hills;
+2. Rocky 7 on the rover-scale grid of wmrde, 10 s and 5 m: error of the end and CPU over the
+   tolerance, against the end at 1e-10;
+3. seven cases on the hills of the tests, 20 s each, at a tolerance of 1e-6: error against 1e-10,
+   CPU and real-time factor;
+4. what grounds with noise and steps do to it, raw and rolled;
+5. a plan over that grid, 2.3 m in 8 s: iterations, slip, what the simulation makes of it.
+
+CPU is the least of three runs.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from reference import heading
+
+from slipfree import Bicubic, Grid, SlipfreeError, direct_kinematics, settle, simulate
+from slipfree.named import Label
+from slipfree.plan.plan import plan
+from slipfree.plan.point import Cost
+from slipfree.problem.describe import conditioning
+from slipfree.terrain.rolled import rolled
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.rovers import rocky7
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from test_rovers import (
+    CATALOG,
+    FLAT,
+    HILL_CASES,
+    HILLS,
+    LIGHT,
+    hill_run,
+    rocky_run,
+    rover_ground,
+)
+
+TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
+NOISES = (0.002, 0.005, 0.010)  # standard deviation of the noise on the grid's nodes [m]
+GOAL, DURATION, INTERVALS = {"x": 3.4, "y": 0.6}, 8.0, 40
+WEIGHTS = {"slip": 100.0, "effort": 0.01}
+
+
+def timed(task: Callable[[], Any], repeats: int = 3) -> tuple[Any, float]:
+    """Return what a task returns, and the least CPU of a few calls. [s]."""
+    best = np.inf
+    for _ in range(repeats):
+        begin = time.process_time()
+        found = task()
+        best = min(best, time.process_time() - begin)
+    return found, best
+
+
+def gap(run: Trajectory, exact: Trajectory) -> float:
+    """Return the distance of two ends. [m]."""
+    return float(np.linalg.norm([run[name][-1] - exact[name][-1] for name in "xyz"]))
+
+
+def conditions() -> None:
+    """Print condition numbers."""
+    for name, vehicle in CATALOG.items():
+        for words, ground in (("level", FLAT), ("hills", HILLS)):
+            dae = direct_kinematics(vehicle, ground)
+            facts = conditioning(dae, settle(dae, x=0.7, heading=0.4))
+            print(f"  {name:18} {words}: " + "; ".join(f"{key} {value}" for key, value in facts))
+
+
+def rocky() -> None:
+    """Print errors and times of Rocky 7 over the tolerance."""
+    for steer in (0.0, 0.1):
+        exact = rocky_run(rover_ground(), 0.0, steer, tolerance=1e-10)
+        end = ", ".join(f"{exact[name][-1]:.6f}" for name in "xyz")
+        print(f"  discs, steering {steer:g} rad: ends at {end} m")
+        for tolerance in TOLERANCES:
+            run, _ = timed(lambda s=steer, t=tolerance: rocky_run(rover_ground(), 0.0, s, t), 1)
+            cpu = run.statistics["cpu_seconds"]
+            print(f"    {tolerance:.0e}: error {gap(run, exact):.1e} m, {1e3 * cpu:.1f} ms in the "
+                  f"integrator, {10 / cpu:.0f} times real time, {run.statistics['steps']:.0f} "
+                  "steps")  # fmt: skip
+
+
+def hills() -> None:
+    """Print errors and times of the cases on hills."""
+    for case in HILL_CASES:
+        runs = [hill_run(case, 1e-6) for _ in range(3)]
+        cpu = min(run.statistics["cpu_seconds"] for run in runs)
+        print(f"  {case:18}: error {gap(runs[0], hill_run(case, 1e-10)):.1e} m, {1e3 * cpu:.1f} ms "
+              f"in the integrator, {20 / cpu:.0f} times real time")  # fmt: skip
+
+
+def noise() -> None:
+    """Print what noise on the grid does."""
+    grid = rover_ground()
+    for size in NOISES:
+        z = grid.z + np.random.default_rng(5).normal(0, size, grid.z.shape)
+        rough = Grid(grid.x, grid.y, z)
+        felt = rolled(rough, 0.065)
+        for words, ground in (("raw", rough), ("rolled", felt.grid)):
+            try:
+                run = rocky_run(ground, tolerance=1e-4)
+                told = "10 s" if run.stop is None else f"{run.stop.t:.2f} s: {run.stop.words}"
+            except SlipfreeError as error:
+                told = f"no start: {error}"
+            print(f"  {1e3 * size:g} mm, {words:6}: {told}")
+        print(f"    rolling changes heights by {1e3 * felt.largest:.1f} mm at most, rms "
+              f"{1e3 * felt.rms:.2f} mm")  # fmt: skip
+
+
+def planned(continuous: bool) -> None:
+    """Print a plan of least slip for Rocky 7 with its corner wheels steered."""
+    vehicle = rocky7(steered="corners", **LIGHT)
+    dae = direct_kinematics(vehicle, Bicubic(rover_ground()))
+    start = settle(dae, x=1.1, y=0.0, heading=-np.pi / 2)
+    wheels = [f"{wheel.name}_rate" for wheel in vehicle.wheels]
+    steering = [c.name for c in vehicle.of("commanded")]
+    given = dict.fromkeys(wheels, 2.3 / DURATION / 0.065)
+    given |= {f"{name}_rate": 0.0 for name in steering}
+    guess = simulate(dae, start, dae.inputs(**given), np.linspace(0, DURATION, 41), tolerance=1e-6)
+    slip = sum(ca.sumsqr(ca.vertcat(*part)) for part in (dae.y.slip_along, dae.y.slip_across))
+    effort = ca.sumsqr(ca.vertcat(*dae.u.joints)) + 0.02 * ca.sumsqr(ca.vertcat(*dae.u.wheels))
+    costs = [
+        Cost(Label("slip", "m2 s-1", "squared slip"), slip, WEIGHTS["slip"]),
+        Cost(Label("effort", "rad2 s-1", "weighed effort"), effort, WEIGHTS["effort"]),
+    ]
+    begin = time.process_time()
+    found = plan(
+        dae, start, guess, goal=GOAL, costs=costs, duration=DURATION, smooth=1e-3,
+        continuous=continuous, intervals=INTERVALS, degree=3, accuracy=1e-2,
+        limits=dict.fromkeys(steering, (-0.8, 0.8)),
+        inputs=dict.fromkeys(wheels, (-10.0, 10.0))
+        | {f"{name}_rate": (-0.5, 0.5) for name in steering},
+    )  # fmt: skip
+    cpu = time.process_time() - begin
+    below = [motion["center_z"] - Bicubic(rover_ground()).elevation(motion["center_x"],
+             motion["center_y"]) for motion in (found.run, found.replay)]  # fmt: skip
+    rms = np.sqrt(found.costs["slip"] / DURATION / len(vehicle.wheels))
+    counts = " + ".join(f"{stage.iterations}" for stage in found.stages)
+    seconds = sum(stage.seconds["total"] for stage in found.stages)
+    print(f"  inputs {'continuous' if continuous else 'that jump'}: {counts} iterations in "
+          f"{seconds:.1f} s, {cpu:.1f} s CPU in all; slip {rms:.2e} m/s, effort "
+          f"{found.costs['effort']:.2f}; simulation within "
+          f"{max(found.difference[name] for name in ('x', 'y')):.1e} m; "
+          f"{sum(int((part < 0).sum()) for part in below)} wheels below ground")  # fmt: skip
+
+
+if __name__ == "__main__":
+    heading()
+    for words, part in (
+        ("conditions", conditions), ("Rocky 7 on the grid of wmrde", rocky), ("hills", hills),
+        ("noise", noise), ("a plan", lambda: [planned(way) for way in (False, True)]),
+    ):  # fmt: skip
+        print(words)
+        part()
