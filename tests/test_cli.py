@@ -244,12 +244,12 @@ def test_as_a_module(folder: Path) -> None:
 
 
 def test_progress_is_throttled(monkeypatch: pytest.MonkeyPatch) -> None:
-    from slipfree import cli
+    from slipfree.cli import common
 
     clock = iter(np.arange(1.0, 2.0, 0.04))
-    monkeypatch.setattr(cli.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(common.time, "monotonic", lambda: next(clock))
     shown: list[float] = []
-    show = cli._throttled(shown.append)
+    show = common.throttled(shown.append)
     for t in range(10):
         show(t)
     assert shown == [0, 3, 6, 9]

@@ -1,0 +1,150 @@
+"""What commands share: options, messages, exit codes, progress."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from slipfree.errors import DataError, ModelError, SlipfreeError
+
+if TYPE_CHECKING:
+    from slipfree.problem.read import Problem
+    from slipfree.problem.schema import Climb, Motion
+
+STOPPED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+REFRESH = 0.1  # between two updates of the progress bar [s]
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Replace a value, as in time.duration=3, or take it out, as in terrain.rolled=; "
+        "repeatable.",
+    ),
+]
+
+
+@contextmanager
+def reported() -> Iterator[None]:
+    """Turn the errors of the package into a message and an exit code."""
+    try:
+        yield
+    except (DataError, ModelError) as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(BAD_INPUT) from error
+    except SlipfreeError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(STOPPED) from error
+    except KeyboardInterrupt as error:
+        typer.echo("interrupted", err=True)
+        raise typer.Exit(INTERRUPTED) from error
+
+
+def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Problem[Climb]:
+    """Return a checked problem, some of its values replaced."""
+    from slipfree.problem.read import read
+
+    return read(file, settings or [])
+
+
+def check_places(
+    files: list[Path | None], folder: Path | None, problem: Problem[Motion] | Problem[Climb]
+) -> None:
+    """Refuse places that cannot be written to, or that are read, before anything is computed."""
+    spec = problem.spec
+    tables = [getattr(spec, name, None)
+              for name in ("terrain", "vehicle", "driver", "path", "profile")]  # fmt: skip
+    names = [getattr(table, "file", None) for table in tables]
+    names += [each for each in (getattr(tables[0], "friction", None),) if isinstance(each, str)]
+    taken = {problem.source.path.resolve(): "the problem file"}
+    taken |= {(problem.folder / name).resolve(): f"the input {name}" for name in names if name}
+    for path in files:
+        if path is None:
+            continue
+        if path.resolve() in taken:
+            raise DataError(f"{path}: expected a file of its own, found {taken[path.resolve()]}")
+        taken[path.resolve()] = "another output"
+        if path.is_dir():
+            raise DataError(f"{path}: expected the name of a file to write, found a folder")
+        if not path.parent.is_dir():
+            raise DataError(f"{path}: expected a folder {path.parent} to write to, found none")
+        _check_writable(path, path.parent)
+    if folder is not None:
+        if folder.exists() and not folder.is_dir():
+            raise DataError(f"{folder}: expected a folder for figures, found a file")
+        above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
+        _check_writable(folder, above)
+
+
+def _check_writable(path: Path, folder: Path) -> None:
+    if not os.access(folder, os.W_OK):
+        raise DataError(f"{path}: expected a folder {folder} that may be written to")
+
+
+@contextmanager
+def interruptible() -> Iterator[Callable[[], None]]:
+    """Give a function that raises KeyboardInterrupt if Ctrl-C was pressed since.
+
+    An exception out of a signal handler gets lost when the integrator's own code is running.
+    Pressed a second time, Ctrl-C acts wherever the program is.
+    """
+    pressed = False
+
+    def remember(_signal: int, _frame: object) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+
+    def poll() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield poll
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return the same function, which does nothing if called again too soon."""
+    last = 0.0
+
+    def seldom(what: Any) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last > REFRESH:
+            last = now
+            show(what)
+
+    return seldom
+
+
+def tell(facts: list[tuple[str, str]]) -> None:
+    """Print names and values: a table on a terminal, plain lines elsewhere."""
+    if not sys.stdout.isatty():
+        width = max(len(name) for name, _ in facts)
+        for name, value in facts:
+            typer.echo(f"{name:{width}}  {value}")
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, value in facts:
+        table.add_row(Text(name), Text(value))
+    Console().print(table)

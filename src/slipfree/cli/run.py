@@ -1,0 +1,230 @@
+"""``slipfree run``: solve a problem, write and draw what came of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slipfree.cli.common import (
+    STOPPED,
+    File,
+    Settings,
+    check_places,
+    interruptible,
+    read_problem,
+    reported,
+    tell,
+    throttled,
+)
+from slipfree.errors import DataError
+from slipfree.trajectory import Stop
+
+if TYPE_CHECKING:
+    from slipfree.plan.saved import Saved
+    from slipfree.problem.read import Problem
+    from slipfree.problem.run import Outcome
+    from slipfree.problem.schema import Climb, Motion
+
+
+def run(
+    file: File,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="OUT.nc",
+            help="Result file; default: the problem's [output] file, or its name with .nc, here.",
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="OUT.csv", help="Write the samples as a table as well.")
+    ] = None,
+    settings: Settings = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
+    ] = None,
+    draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
+    cross_check: Annotated[
+        bool,
+        typer.Option(
+            "--cross-check", help="Solve in the other formulation of contact too, and compare."
+        ),
+    ] = False,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OUT.nc",
+            help="Start a plan from the one in a result file, whatever its mesh, ground or goal.",
+        ),
+    ] = None,
+    animation: Annotated[
+        Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as a moving picture.")
+    ] = None,
+) -> None:
+    """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
+    with reported():
+        from slipfree.problem.read import climbs
+        from slipfree.problem.run import check_cross
+
+        problem = read_problem(file, settings)
+        out = out or Path(output_of(problem))
+        folder = (figures or out.with_name(f"{out.stem}_figures")) if draw else None
+        check_places([out, csv, animation], folder, problem)
+        if animation is not None:
+            _check_animation(animation, problem)
+        if cross_check:
+            check_cross(problem)
+        former = _former(problem, resume)
+        outcome = _solve(problem, former)
+        motion = outcome.trajectory
+        _save(outcome, out, csv)
+        _print_outcome(outcome)
+        typer.echo(f"wrote {out}" + (f", {csv}" if csv else ""))
+        if cross_check and not climbs(problem):
+            _cross_check(problem, outcome)
+        if folder is not None:
+            _draw(outcome, folder)
+        if animation is not None:
+            _animate(outcome, animation)
+        if motion.stop is not None:
+            say_stopped(motion.stop, out)
+            raise typer.Exit(STOPPED)
+
+
+def output_of(problem: Problem[Motion] | Problem[Climb]) -> str:
+    """Return the name of the result file."""
+    spec = problem.spec.output
+    return spec.file if spec else f"{problem.source.path.stem}.nc"
+
+
+def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> Outcome:
+    """Return the outcome; show a bar meanwhile if somebody is looking."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from slipfree.problem.run import run as solve
+
+    console = Console(stderr=True)
+    with interruptible() as poll:
+        if not console.is_terminal:
+            return solve(problem, lambda _: poll(), lambda _: poll(), former)
+        with Progress(console=console, transient=True) as bar:
+            task = bar.add_task(
+                "solving", total=None if problem.spec.verb == "plan" else problem.spec.time.duration
+            )
+            show = throttled(lambda t: bar.update(task, completed=t))
+            show_line = throttled(lambda line: bar.update(task, description=line))
+
+            def progress(t: float) -> None:
+                poll()
+                show(t)
+
+            def show_what(line: str) -> None:
+                poll()
+                show_line(line)
+
+            return solve(problem, progress, show_what, former)
+
+
+def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> Saved | None:
+    """Return the plan to start from, if one is named."""
+    from slipfree.plan.saved import from_arrays
+    from slipfree.result_file import read_arrays
+
+    if file is None:
+        return None
+    if problem.spec.verb != "plan":
+        where = problem.source.where(("verb",))
+        raise DataError(f"{where}: expected 'plan' for --resume, found {problem.spec.verb!r}")
+    return from_arrays(read_arrays(file), str(file))
+
+
+def _save(outcome: Outcome, out: Path, csv: Path | None) -> None:
+    from slipfree.result_file import write, write_csv
+
+    write(out, outcome.trajectory, outcome.arrays)
+    if csv is not None:
+        write_csv(csv, outcome.trajectory)
+
+
+def _check_animation(file: Path, problem: Problem[Motion] | Problem[Climb]) -> None:
+    if problem.spec.verb != "climb":
+        where = problem.source.where(("verb",))
+        raise DataError(f"{where}: expected 'climb' for --animation, found {problem.spec.verb!r}")
+    if file.suffix != ".gif":
+        raise DataError(f"{file}: expected a name that ends in .gif for an animation")
+
+
+def _animate(outcome: Outcome, file: Path) -> None:
+    from slipfree.problem.climb import Climbing
+    from slipfree.show.climb import animate
+
+    if isinstance(outcome.setup, Climbing):
+        animate(outcome.trajectory, outcome.setup.climber, outcome.setup.profile, file)
+        typer.echo(f"wrote {file}")
+
+
+def _draw(outcome: Outcome, folder: Path) -> None:
+    from slipfree.problem.climb import Climbing
+    from slipfree.problem.plan import Planning, figure_options
+
+    if isinstance(outcome.setup, Climbing):
+        from slipfree.show.climb import save_climb_figures
+
+        setup = outcome.setup
+        paths = save_climb_figures(
+            outcome.trajectory, setup.climber, setup.profile, folder, plan=setup.plan
+        )
+        typer.echo(f"drew {len(paths)} figures in {folder}")
+        return
+    grid = outcome.setup.ground.grid
+    if isinstance(outcome.setup, Planning):
+        from slipfree.show.plan import save_plan_figures
+
+        layers, options = outcome.setup.layers, figure_options(outcome.setup)
+        paths = save_plan_figures(outcome.trajectory, grid, layers, folder, **options)
+    else:
+        from slipfree.show.plot import save_figures
+
+        paths = save_figures(outcome.trajectory, grid, folder)
+    typer.echo(f"drew {len(paths)} figures in {folder}")
+
+
+def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
+    """Print where the two formulations of contact differ, the largest differences first."""
+    from slipfree.problem.run import check_cross, cross, other_formulation
+
+    other = other_formulation(check_cross(problem))
+    differences = sorted(cross(problem, outcome), key=lambda each: -each.size)
+    typer.echo(
+        f"largest differences from formulation = {other!r}, of {len(differences)} quantities:"
+    )
+    tell(
+        [
+            (f"  {each.label.full}", f"{each.size:.2e} {each.label.unit} at {each.t:g} s")
+            for each in differences[:8]
+        ]
+    )
+
+
+def _print_outcome(outcome: Outcome) -> None:
+    from slipfree.problem.run import setup_facts
+    from slipfree.problem.summary import motion_facts, steering_warning
+
+    motion = outcome.trajectory
+    tell(setup_facts(outcome.setup) + motion_facts(motion))
+    warning = steering_warning(motion)
+    if warning and not (motion.stop and warning in motion.stop.words):
+        typer.echo(f"warning: {warning}", err=True)
+
+
+def say_stopped(stop: Stop, out: Path) -> None:
+    """Say why a motion ends early, and where it is kept."""
+    typer.echo(
+        f"stopped early at t = {stop.t:.6g} s: {stop.words}; {out} holds the motion to there",
+        err=True,
+    )
