@@ -259,7 +259,8 @@ def rigid() -> None:
             for h in (5e-4, 2e-4, 1e-4):
                 theirs = 100 * stepping.climb(case, h)[0].mean()
                 row(f"{name} {law.law}: slip, rigid at {1e3 * h:g} ms, and this at 1e7 N/m",
-                    "within 5 %" if h <= 2e-4 else "too coarse", f"{theirs:.2f}, {mine:.2f}: {100 * (mine / theirs - 1):+.1f} %",
+                    "within 5 %" if h <= 2e-4 else "too coarse",
+                    f"{theirs:.2f}, {mine:.2f}: {100 * (mine / theirs - 1):+.1f} %",
                     abs(mine / theirs - 1) < 0.05 or h > 2e-4)  # fmt: skip
 
 

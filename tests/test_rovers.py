@@ -274,14 +274,15 @@ HILL_CASES = {
 }  # fmt: skip
 
 
-def hill_run(case, tolerance):
+def hill_run(case, tolerance, duration=20.0):
     name, rates, start = HILL_CASES[case]
     dae = direct_kinematics(CATALOG[name], HILLS)
     if name == "skid_steer":
         rates = {f"{end}_{side}_rate": rates[side] for end in ("front", "rear") for side in rates}
     given = {label.full: 0.0 for label in leaves(dae.labels.u)} | rates
     begin = settle(dae, heading=0.3, **start)
-    return simulate(dae, begin, dae.inputs(**given), np.linspace(0, 20, 101), tolerance=tolerance)
+    return simulate(dae, begin, dae.inputs(**given), np.linspace(0, duration, 101),
+                    tolerance=tolerance)  # fmt: skip
 
 
 @pytest.mark.parametrize("case", HILL_CASES)
