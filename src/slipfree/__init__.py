@@ -15,6 +15,15 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalog import three_wheeler
 from slipfree.vehicle.chain import Vehicle, actuated
+from slipfree.vehicle.rovers import (
+    ackermann,
+    articulated,
+    differential_drive,
+    open_source_rover,
+    rocky7,
+    seven_wheels,
+    skid_steer,
+)
 from slipfree.version import __version__
 
 __all__ = [
@@ -32,12 +41,19 @@ __all__ = [
     "Trajectory",
     "Vehicle",
     "__version__",
+    "ackermann",
     "actuated",
+    "articulated",
     "best_utilisation",
+    "differential_drive",
     "direct_kinematics",
     "follow",
+    "open_source_rover",
+    "rocky7",
     "settle",
+    "seven_wheels",
     "simulate",
+    "skid_steer",
     "straight",
     "three_wheeler",
 ]
