@@ -11,10 +11,20 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cases import DATA, hills
-from slipfree import Analytic, Bicubic, Grid, ModelError, direct_kinematics, settle, simulate
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    direct_kinematics,
+    settle,
+    simulate,
+    straight,
+)
 from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow
 from slipfree.named import leaves, pack
+from slipfree.plan.plan import plan
 from slipfree.solve import consistent
 from slipfree.terrain.rolled import rolled
 from slipfree.vehicle.rovers import (
@@ -312,6 +322,59 @@ def test_rovers_follow_paths(name):
     assert gaps.max() < 0.15  # it starts with straight wheels at the beginning of a bend
     assert gaps[-1] < 0.05
     assert np.linalg.norm(places[-1] - places[0]) > 5
+
+
+# With masses: forces, friction and plans, for all without special code
+
+
+MAKERS = (differential_drive, ackermann, skid_steer, articulated, rocky7, open_source_rover,
+          seven_wheels)  # fmt: skip
+GENTLE = Analytic(lambda x, y: 0.2 * (hills(x, y) - 2), mu=0.7)
+
+
+def ahead(dae, vehicle, start):
+    if vehicle.name == "seven_wheels":
+        rates = {f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0
+                 for wheel in vehicle.wheels}  # fmt: skip
+        return dae.inputs(**rates)
+    return straight(dae, vehicle, start, speed=0.2)
+
+
+@pytest.mark.parametrize("make", MAKERS, ids=lambda make: make.__name__)
+def test_every_vehicle_stands_drives_and_creeps(make):
+    vehicle = make()
+    level = settle(direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.7)))
+    assert level["force_normal"].min() > 0.05 * vehicle.weight / len(vehicle.wheels)
+    assert level["force_normal"].sum() == pytest.approx(vehicle.weight, rel=1e-9)
+    runs = []
+    for slip in ("least", "traction"):
+        dae = direct_kinematics(vehicle, GENTLE, slip=slip)
+        start = settle(dae, x=0.3, heading=0.2)
+        runs.append(simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6),
+                             tolerance=1e-6))  # fmt: skip
+        assert runs[-1].stop is None
+        assert runs[-1]["force_normal"].min() > 0
+        assert runs[-1]["utilisation"].max() < 1
+    places = [np.array([run["x"][-1], run["y"][-1]]) for run in runs]
+    assert np.linalg.norm(places[0] - [0.3, 0]) > 0.6
+    assert np.linalg.norm(places[0] - places[1]) < 5e-3
+
+
+@pytest.mark.parametrize("make", [differential_drive, ackermann, skid_steer, articulated, rocky7],
+                         ids=lambda make: make.__name__)  # fmt: skip
+def test_every_vehicle_is_planned_for(make):
+    vehicle = make(mass=0.0, wheel_mass=0.0)
+    dae = direct_kinematics(vehicle, HILLS)
+    start = settle(dae, heading=0.2)
+    guess = simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6), tolerance=1e-6)
+    goal = {"x": float(guess["x"][-1]) + 0.05, "y": float(guess["y"][-1])}
+    found = plan(dae, start, guess, goal=goal, costs={"slip": 100.0, "effort": 1e-3}, duration=5.0,
+                 intervals=6, degree=2, smooth=1e-3, accuracy=1e-2)  # fmt: skip
+    assert found.success
+    assert found.accurate
+    assert max(found.difference[name] for name in ("x", "y")) < 1e-2
+    assert (found.run["center_z"]
+            > HILLS.elevation(found.run["center_x"], found.run["center_y"])).all()  # fmt: skip
 
 
 # Seven wheels on rollers

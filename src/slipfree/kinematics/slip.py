@@ -9,7 +9,8 @@ import numpy as np
 
 from slipfree.contact.closure import Touch
 from slipfree.errors import ModelError
-from slipfree.geometry.frame import Pose, platform, turn
+from slipfree.geometry.frame import Pose
+from slipfree.kinematics.poses import wheel_poses
 from slipfree.named import Array
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle
@@ -73,7 +74,7 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
     steps = np.diff(run.t)
     if steps.size < 4 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0):
         raise ModelError("measured slip: expected five or more evenly spaced samples")
-    centers, rotations = _wheel_poses(vehicle, run)
+    centers, rotations = wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], -1)
     places = np.einsum("nwji,nwj->nwi", rotations, contacts - centers)[2:-2]
     n = run.t.size
@@ -84,24 +85,6 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
 
     differences = carried(-2) - 8 * carried(-1) + 8 * carried(1) - carried(2)
     return np.asarray(differences / (12 * steps[0]))
-
-
-def _wheel_poses(vehicle: Vehicle, run: Trajectory) -> tuple[Array, Array]:
-    """Return centres and rotations of the wheels themselves, shapes (n, w, 3) and (n, w, 3, 3)."""
-    names = ("x", "y", "z", "heading", "roll", "pitch", *(c.name for c in vehicle.coordinates))
-    q = ca.SX.sym("q", len(names))
-    theta = ca.SX.sym("theta", len(vehicle.wheels))
-    values = dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))
-    carriers = vehicle.carriers(platform(*ca.vertsplit(q)[:6]), values)
-    wheels = [pose @ turn("x", -theta[k]) for k, pose in enumerate(carriers)]
-    columns = [np.column_stack([run[name] for name in names]).T, run["wheel_angle"].T]
-    centers, rotations = [], []
-    for pose in wheels:
-        f = ca.Function("pose", [q, theta], [pose.origin, ca.vec(pose.rotation)])
-        origin, rotation = (np.array(out) for out in f.map(run.t.size)(*columns))
-        centers.append(origin.T)
-        rotations.append(rotation.T.reshape(-1, 3, 3).transpose(0, 2, 1))
-    return np.stack(centers, 1), np.stack(rotations, 1)
 
 
 def least_slip(

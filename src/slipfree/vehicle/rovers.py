@@ -309,14 +309,14 @@ def rocky7(
     steered: Literal["front", "corners"] = "front",
     r1: float = 0.02,
     mass: float = 10.0,
-    center_of_mass: Vector = ORIGIN,
+    center_of_mass: Vector = (0.0, 0.12, 0.0),
     wheel_mass: float = 0.5,
     grip: float = 1.0,
 ) -> Vehicle:
     """Return the Rocky 7 rover of JPL [1]_, with the dimensions used by [2]_.
 
     Six driven wheels of 65 mm radius; its front pair steers. The masses are rounded from the 15 kg
-    of the whole rover.
+    of the whole rover, the platform's centre of mass lies on the rockers' axis.
 
     Parameters
     ----------
