@@ -53,6 +53,8 @@ def test_a_formula_tells_what_it_depends_on():
         ("-" * 5000 + "a", "found '----"),
         ("(" * 300 + "a" + ")" * 300, "found '(((("),
         ("a\0", "found 'a"),
+        ("9" * 400, "found '9999"),
+        ("-" * 900 + "a", "found"),
     ],
 )
 def test_anything_else_is_refused(text, found):

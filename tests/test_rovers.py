@@ -23,6 +23,8 @@ from slipfree import (
 )
 from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow
+from slipfree.kinematics.reach import wheel_rates
+from slipfree.kinematics.subset import subset_kinematics
 from slipfree.named import leaves, pack
 from slipfree.plan.plan import plan
 from slipfree.solve import consistent
@@ -412,6 +414,22 @@ def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
     assert np.abs(run["pitch_joint"]).max() > 0.02
     assert_allclose([run["roll"], run["roll_joint"]], 0, atol=1e-12)
     assert max(np.abs(run["press_rear"]).max(), np.abs(run["press_front"]).max()) < 1e-4
+
+
+def test_seven_wheels_follow_and_are_given_three_rates():
+    vehicle = seven_wheels()
+    dae = direct_kinematics(vehicle, FLAT)
+    start = settle(dae)
+    law = straight(dae, vehicle, start, speed=0.2)
+    run = simulate(dae, start, law, np.linspace(0, 5, 6), tolerance=1e-6)
+    assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
+    with pytest.raises(ModelError, match="seven_wheels also moves across its heading"):
+        subset_kinematics(vehicle, FLAT)
+    given = {"forward": 0.1, "yaw_rate": 0.2, "right": 0.05}
+    rates = wheel_rates(vehicle, dae, start, **given)
+    found = rates_at(vehicle, FLAT, {f"{name}": rate for name, rate in rates.items()})
+    assert_allclose(heading_frame(found, 0.0), (0.1, 0.05), atol=1e-12)
+    assert_allclose(found["heading_rate"], 0.2, atol=1e-12)
 
 
 def test_seven_rigid_wheels_are_too_many():

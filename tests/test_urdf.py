@@ -219,6 +219,8 @@ CASTER = '<joint name="caster" type="continuous">'
         ('<robot name="cart">', '<robot name="cart" xmlns:xacro="x"><xacro:include filename="b"/>',
          "cart.urdf:3: expected plain URDF, found xacro; expand it first: xacro cart.urdf > "),
         ('xyz="0 0.25 0"', 'xyz="0 ${a} 0"', "expected plain URDF, found xacro"),
+        ('<?xml version="1.0"?>', '<?xml version="1.0" encoding="klingon"?>', "cart.urdf: "
+         "expected XML in an encoding that is known"),
         ('<robot name="cart">', "<sdf>", "cart.urdf:54: expected XML, found mismatched tag"),
     ],
 )  # fmt: skip
@@ -244,6 +246,11 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
          "wheels.left_drive.tubes: expected one of driven, radius, tube, grip, rollers, found the "
          "unknown key 'tubes'; did you mean 'tube'?"),
         ('urdf = "cart.urdf"\ntube = 1.0', "expected a tube of at most the radius, 0.15 m, f"),
+        ('urdf = "cart.urdf"\n[wheels]\nleft_drive = { radius = 150.0 }', "cart.toml:3: "
+         "wheels.left_drive.radius: expected metres, at most 100 (did you mean millimetres?"),
+        ('urdf = "cart.urdf"\njoints = { caster = { kind = "passive", upper = 30 } }\n'
+         "wheels = { caster_axle = { driven = false } }", "cart.urdf:37: joint 'caster': upper: "
+         "expected radians (did you mean 30 degrees? write 0.523599), found 30"),
         ('urdf = "cat.urdf"', "cat.urdf: expected a URDF, found that it cannot be read"),
         ('urdf = "cart.urdf"\njoints = { caster = "suspension" }\nwheels = { caster_axle = '
          "{ driven = false } }", "cart.urdf:1: expected 0 suspension coordinates for 3 wheels, one "

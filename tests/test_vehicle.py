@@ -231,6 +231,8 @@ def test_a_joint_follows_a_formula_of_coordinates():
         (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a b"), "joint boom: formula 'a b'"),
         (lambda: Wheel("w", "platform", (0, 0, 0), 0.0, 0.2, driven=True, axle=(0, 0, 0)),
          "wheel w: axle: an axis must be"),
+        (lambda: Wheel("a b", "platform", (0, 0, 0), 0.0, 0.2, driven=True),
+         "wheel 'a b': expected a name of letters, digits, _ and -"),
         (lambda: Wheel("w", "platform", (0, np.inf, 0), 0.0, 0.2, driven=True),
          "wheel w: at must be three finite numbers"),
         (lambda: replace(VEHICLE, joints=(*VEHICLE.joints[:2],
@@ -294,3 +296,12 @@ def test_rollers_are_refused_where_they_are_not_modelled():
         direct_kinematics(omni_cart(rollers=True), flat, slip="rolling")
     with pytest.raises(ModelError, match="Montana's form takes wheels without rollers"):
         montana_kinematics(omni_cart(rollers=True), flat)
+
+
+@pytest.mark.parametrize("name", ["friction_needed", "closure_residual", "slip_along", "time"])
+def test_coordinates_that_results_could_not_tell_apart_are_refused(name):
+    joints = (*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value=name))
+    coordinates = (*VEHICLE.coordinates[:2], replace(VEHICLE.coordinates[2], name=name))
+    vehicle = replace(VEHICLE, coordinates=coordinates, joints=joints)
+    with pytest.raises(ModelError, match=r"rename a coordinate"):
+        settle(direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5)))

@@ -230,7 +230,7 @@ def _plan(vehicle: Vehicle, states: dict[str, ca.SX]) -> _Plan:
         )
     lengths = [abs(now(f.forward)) for f in steered] or [abs(now(f.right)) for f in feet]
     gain = 1.0
-    if not steered:
+    if not steered and fixed:
         fixed = [foot._replace(forward=foot.forward - axis) for foot in fixed]
         rights = sum(now(f.right) ** 2 for f in fixed)
         gain = (rights + sum(now(f.forward) ** 2 for f in fixed)) / rights

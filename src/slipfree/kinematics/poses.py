@@ -59,12 +59,17 @@ def wheel_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
     Parameters and errors are those of `part_poses`; the angles of the wheels are needed too.
     """
     found = _placed(vehicle, run, vehicle.carriers)
-    cosine, sine = np.cos(run["wheel_angle"]), np.sin(run["wheel_angle"])
-    spin = np.zeros(found.rotations.shape)  # forward: about the axle by minus the angle
-    spin[..., 0, 0] = 1
-    spin[..., 1, 1] = spin[..., 2, 2] = cosine
-    spin[..., 1, 2], spin[..., 2, 1] = sine, -sine
-    return found._replace(rotations=found.rotations @ spin)
+    return found._replace(rotations=spun(found.rotations, run["wheel_angle"]))
+
+
+def spun(rotations: Array, angles: Array) -> Array:
+    """Return rotations, shape (..., 3, 3), turned forward about their x axes by angles. [rad]."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    turned = np.zeros(rotations.shape)  # about the axle, which points right, by minus the angle
+    turned[..., 0, 0] = 1
+    turned[..., 1, 1] = turned[..., 2, 2] = cosine
+    turned[..., 1, 2], turned[..., 2, 1] = sine, -sine
+    return np.asarray(rotations @ turned)
 
 
 def _placed(

@@ -49,6 +49,11 @@ def check_given(vehicle: Vehicle, given: tuple[str, ...]) -> None:
             raise ModelError(f"given: {name!r} is not known; known: {', '.join(SUBSET)}")
     if not given or len(set(given)) != len(given):
         raise ModelError(f"given: expected different rates, found {', '.join(given) or 'none'}")
+    if "right" not in given and all(wheel.rollers for wheel in vehicle.wheels if wheel.driven):
+        raise ModelError(
+            f"{vehicle.name} also moves across its heading, since all its driven wheels have "
+            "rollers: give right as well, right = 0 to go straight"
+        )
     driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
     if len(given) > len(driven):
         raise ModelError(

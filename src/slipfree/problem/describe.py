@@ -29,6 +29,8 @@ from slipfree.vehicle.draft import Draft
 
 SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
 
+DEEPEST = 40  # parts below parts that are told
+
 
 class Description(NamedTuple):
     """What can be said about a vehicle.
@@ -102,6 +104,9 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
     hung: list[Joint] = []
 
     def below(part: str, indent: str) -> Iterator[str]:
+        if len(indent) > 2 * DEEPEST:
+            yield f"{indent}..."
+            return
         for joint in vehicle.joints:
             if joint.parent == part:
                 hung.append(joint)

@@ -7,7 +7,6 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast, get_args
 
@@ -29,6 +28,7 @@ from slipfree.problem.schema import (
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
+LARGEST = 1e300  # number that is shown as one
 MOST_SAMPLES = 1_000_000
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a --set value that may stand without quotes
 EXPECTED = {
@@ -339,14 +339,18 @@ def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
     return model
 
 
+def _cut(text: str) -> str:
+    return text if len(text) < 40 else text[:37] + "..."
+
+
 def _shown(value: Any) -> str:
     """Return a value as TOML would have it, shortened."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return repr(value if len(value) < 40 else value[:37] + "...")
+        return repr(_cut(value))
     if isinstance(value, float | int):
-        return f"{value:.12g}" if isfinite(value) else str(value)
+        return f"{value:.12g}" if abs(value) < LARGEST else _cut(str(value))
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list):

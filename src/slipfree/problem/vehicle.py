@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from slipfree.errors import DataError, ModelError
 from slipfree.problem import schema
@@ -18,6 +18,7 @@ from slipfree.problem.vehicle_file import (
     PARTS,
     File,
     VehicleError,
+    meters,
     open_file,
     read_toml,
     validated,
@@ -45,7 +46,7 @@ class WheelTable(Record):
     """What a URDF cannot say about a wheel."""
 
     driven: bool | None = None
-    radius: Length | None = None
+    radius: Annotated[Length, AfterValidator(meters)] | None = None
     tube: Radius | None = None
     grip: Length = 1.0
     rollers: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
@@ -53,7 +54,7 @@ class VehicleError(ProblemError):
         self.draft = draft
 
 
-def _meters(value: float) -> float:
+def meters(value: float) -> float:
     """Return a length unless it is too large for a part of a vehicle."""
     if abs(value) > LARGEST:
         raise _expected(
@@ -64,7 +65,7 @@ def _meters(value: float) -> float:
 
 def _place(value: Vector) -> Vector:
     for each in value:
-        _meters(each)
+        meters(each)
     return value
 
 
@@ -83,8 +84,9 @@ def _axis(value: Any) -> str | Vector:
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
     numbers = value if isinstance(value, list) else []
-    good = [isinstance(n, int | float) and not isinstance(n, bool) for n in numbers]
-    if len(good) == 3 and all(good) and 0 < math.hypot(*numbers) < math.inf:
+    good = [isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < LARGEST
+            for n in numbers]  # fmt: skip
+    if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
     raise PydanticCustomError("expected", "'x', 'y', 'z' or a vector [x, y, z] other than zero")
 
@@ -128,7 +130,7 @@ class WheelTable(Record):
 
     name: Name
     parent: Name
-    radius: Annotated[Length, AfterValidator(_meters)]
+    radius: Annotated[Length, AfterValidator(meters)]
     at: At = ORIGIN
     tube: Radius = 0.0
     driven: bool = False
@@ -269,6 +271,8 @@ def _names(table: VehicleTable) -> Iterator[Fault]:
                 expected = "a name of its own"
                 yield Fault(place, expected, f"{each.name!r}, the name of {seen[each.name]} too")
             seen.setdefault(each.name, spelled((part, index)))
+            if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
+                yield Fault(place, "a name of letters, digits, _ and -", repr(each.name))
             if part == "coordinates" and not is_symbol(each.name):
                 expected = "a name of letters, digits and _, other than a function's or a state's"
                 yield Fault(place, expected, repr(each.name))

@@ -13,6 +13,8 @@ from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import FOLLOWING, Block, Loop
 from slipfree.trajectory import Column, Trajectory
 
+AXES = ("time", "wheel")  # of results: no quantity is called so
+
 CORRECTIONS = 10  # Newton steps on a sample at most
 ENOUGH = 1e-12  # residual at which a sample needs no further step
 UNSOLVED = 1e-10  # residual of a sample that is no rounding any more
@@ -188,7 +190,12 @@ def _columns(rows: list[tuple[Label, Array]]) -> tuple[dict[str, Column], tuple[
     """Gather the rows that belong to wheels into one column a wheel."""
     groups: dict[str, list[tuple[Label, Array]]] = {}
     for label, values in rows:
-        groups.setdefault(label.name, []).append((label, values))
+        group = groups.setdefault(label.name, [])
+        if label.name in AXES or any(_same(label, each) for each, _ in group):
+            raise ModelError(
+                f"the name {label.name!r} stands for two things in a result: rename a coordinate"
+            )
+        group.append((label, values))
     wheels: tuple[str, ...] = ()
     columns = {}
     for name, members in groups.items():
@@ -200,6 +207,11 @@ def _columns(rows: list[tuple[Label, Array]]) -> tuple[dict[str, Column], tuple[
         values = np.column_stack([values for _, values in members])
         columns[name] = Column(Label(name, label.unit, _common(members)), values)
     return columns, wheels
+
+
+def _same(one: Label, other: Label) -> bool:
+    """Return whether two labels of one name stand for the same column."""
+    return one.wheel is None or other.wheel is None or one.wheel == other.wheel
 
 
 def _common(members: list[tuple[Label, Array]]) -> str:

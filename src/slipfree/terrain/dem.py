@@ -15,6 +15,7 @@ from slipfree.errors import DataError
 from slipfree.named import Array
 from slipfree.terrain.base import Grid
 from slipfree.terrain.mend import (
+    MOST_NODES,
     Axis,
     Heights,
     Window,
@@ -27,6 +28,8 @@ from slipfree.terrain.raster import WORDS, Reading, Registration, read_png, read
 from slipfree.terrain.scattered import read_points
 
 EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
+HEADER = 1e4  # bytes that a numpy array may have before its numbers
+WIDE = 0.01  # by which distances along x of a map in degrees may be wrong
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of that ellipsoid [m], [1]
 STEEP = 50.0  # median slope that no ground in metres has, but one in degrees [1]
 UNREADABLE = (  # what reading a damaged numpy archive raises
@@ -189,7 +192,7 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
         raise DataError(f"expected a map in metres, found degrees ({found.crs}): {reach}{remedy}")
     if local or found.crs or not (found.placed and fits):
         return
-    rise = np.abs(np.diff(found.z, axis=1))
+    rise = np.abs(np.diff(np.where(np.isinf(found.z), np.nan, found.z), axis=1))
     rise = rise[rise > 0]  # neither holes nor lakes
     steep = float(np.median(rise)) / axes_of(found.x, found.y)[1].step if rise.size else 0.0
     if steep > STEEP:
@@ -218,13 +221,18 @@ def _mapped(
     frame = local_frame(found.x, found.y) if geographic == "local" else geographic
     x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
     told += (("ground degrees", _degrees_words(found.y, frame)),)
+    if (wrong := _stretch(found.y, frame)) > WIDE:
+        raise DataError(
+            f"geographic: expected a map whose distances along x are wrong by {100 * WIDE:g} % at "
+            f"most, found {100 * wrong:.2g} % at its northern or southern border; name a window, "
+            "or reproject it to metres: gdalwarp -t_srs EPSG:326xx in out.tif (xx: the UTM zone)"
+        )
     return Map(Grid(x, y, found.z), frame, found.crs, geographic=True, told=told)
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:
     """Return how degrees became metres, and the error that makes."""
-    middle = np.arccos(frame.ky / frame.kx)
-    edge = max(abs(np.cos(np.deg2rad(latitude[[0, -1]])) / np.cos(middle) - 1))
+    middle, edge = np.arccos(frame.ky / frame.kx), _stretch(latitude, frame)
     # Radii of curvature of the ellipsoid along the meridian and across it.
     w = np.sqrt(1 - ECCENTRICITY_2 * np.sin(middle) ** 2)
     radii = SEMI_MAJOR * (1 - ECCENTRICITY_2) / w**3, SEMI_MAJOR / w
@@ -234,6 +242,11 @@ def _degrees_words(latitude: Array, frame: Frame) -> str:
         f"origin): distances along x are wrong by up to {100 * edge:.2g} % at the northern and "
         f"southern border, all by up to {100 * shape:.2g} % since the earth is taken for a sphere"
     )
+
+
+def _stretch(latitude: Array, frame: Frame) -> float:
+    """Return by what part distances along x are wrong at the border."""
+    return float(max(abs(np.cos(np.deg2rad(latitude[[0, -1]])) * frame.kx / frame.ky - 1)))
 
 
 def local_frame(longitude: Array, latitude: Array) -> Frame:
@@ -316,6 +329,12 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             file = np.load(stream, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
                 raise DataError(f"{path}: expected an archive, found one array; use np.savez")
+            largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
+            if largest > 8 * MOST_NODES + HEADER:
+                raise DataError(
+                    f"{path}: expected at most {MOST_NODES:g} nodes, found an array of "
+                    f"{largest / 1e9:.3g} GB; cut it, or make it a GeoTIFF and name a window"
+                )
             missing = sorted({"x", "y", "z"} - set(file.files))
             if missing:
                 raise DataError(

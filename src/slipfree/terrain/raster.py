@@ -24,6 +24,7 @@ TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
 TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
 STRETCH, SPAN = 0.01, 100.0  # by which a metre may be off, and along what it is measured [1], [m]
 SPHEROID = re.compile(r'SPHEROID\["[^"]*",([\d.]+),([\d.]+)')
+SEMI_MAJOR, ROUND = 6378137.0, 0.01  # of the earth's ellipsoids [m], and how near they are
 COMPOUND = re.compile(r'AUTHORITY\["EPSG","(\d+)"\]\],VERT_CS')
 LOCAL = ("LOCAL_CS", "ENGCRS")
 METRES = {"", "m", "metre", "meter", "metres", "meters"}
@@ -263,6 +264,13 @@ def _crs(crs: Any) -> tuple[str, bool]:
     name = crs.to_string() if code is None else f"EPSG:{code}"
     if not (crs.is_geographic or crs.is_projected or wkt.startswith(LOCAL)):
         _refuse("a projected or a geographic reference system", name, TO_METRES)
+    globe = SPHEROID.search(wkt)
+    if crs.is_geographic and globe and abs(float(globe[1]) / SEMI_MAJOR - 1) > ROUND:
+        _refuse(
+            "degrees on the earth",
+            f"a body of radius {float(globe[1]):.9g} m ({name})",
+            "project it to metres first: gdalwarp -t_srs '+proj=eqc +lat_ts=... +R=...'",
+        )
     unit, size = crs.units_factor
     wanted, expected = (math.radians(1), "degrees") if crs.is_geographic else (1.0, "metres")
     if abs(size / wanted - 1) > 1e-9:
@@ -303,7 +311,10 @@ def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
     e2 = (2 - 1 / inverse) / inverse if inverse else 0.0
     globe = CRS.from_proj4(f"+proj=longlat +a={a!r} +b={a * math.sqrt(1 - e2)!r} +no_defs")
     half = SPAN / 2
-    places = transform(crs, globe, [x - half, x + half, x, x], [y, y, y - half, y + half])
+    try:
+        places = transform(crs, globe, [x - half, x + half, x, x], [y, y, y - half, y + half])
+    except Exception:  # of places beyond its reach PROJ raises what GDAL happens to wrap
+        return math.nan, math.nan
     longitude, latitude = (np.radians(each) for each in places)
     w2 = 1 - e2 * math.sin(latitude[0]) ** 2
     east = a / math.sqrt(w2) * np.cos(latitude[0]) * np.diff(longitude)[::2]

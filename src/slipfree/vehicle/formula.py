@@ -18,12 +18,14 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "sqrt": (1, ca.sqrt), "exp": (1, ca.exp), "log": (1, ca.log), "abs": (1, ca.fabs),
 }  # fmt: skip
 CONSTANTS = {"pi": math.pi}
+LARGEST = 1e300  # number that a formula may hold
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
     ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b,
     ast.UAdd: lambda a: a, ast.USub: lambda a: -a,
 }  # fmt: skip
-LONGEST = 1000  # characters of a formula: it is nested no deeper than the parser bears
+LONGEST = 1000  # characters of a formula
+DEEPEST = 50  # nesting of a formula
 
 
 def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
@@ -42,7 +44,7 @@ def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
     ModelError
         If the text is no such formula, or a name is unknown.
     """
-    return ca.SX(_value(_parsed(text), text, values))
+    return ca.SX(_value(_parsed(text), text, values, DEEPEST))
 
 
 @cache
@@ -51,7 +53,7 @@ def names_in(text: str) -> frozenset[str]:
     tree = _parsed(text)
     found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     names = frozenset(found - set(CONSTANTS) - set(FUNCTIONS))
-    _value(tree, text, {name: ca.SX.sym(name) for name in names})
+    _value(tree, text, {name: ca.SX.sym(name) for name in names}, DEEPEST)
     return names
 
 
@@ -64,10 +66,12 @@ def _parsed(text: str) -> ast.expr:
     raise _refused(text, text[:60])
 
 
-def _value(node: ast.expr, text: str, values: Mapping[str, ca.SX]) -> Any:
-    """Return the value of a node of a formula."""
+def _value(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
+    """Return the value of a node of a formula, nested no deeper than given."""
+    if depth == 0:
+        raise _refused(text, f"parts nested {DEEPEST} deep")
     match node:
-        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+        case ast.Constant(value=int() | float() as number) if _is_number(number):
             return float(number)
         case ast.Name(id=name) if name in values:
             return values[name]
@@ -78,15 +82,20 @@ def _value(node: ast.expr, text: str, values: Mapping[str, ca.SX]) -> Any:
                 f"formula {text!r}: {name!r} is not known; known: {', '.join(sorted(values))}"
             )
         case ast.UnaryOp(op=op, operand=only) if type(op) in OPERATORS:
-            return OPERATORS[type(op)](_value(only, text, values))
+            return OPERATORS[type(op)](_value(only, text, values, depth - 1))
         case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
-            pair = _value(left, text, values), _value(right, text, values)
+            pair = (_value(each, text, values, depth - 1) for each in (left, right))
             return OPERATORS[type(op)](*map(ca.SX, pair))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
             count, function = FUNCTIONS[name]
             if len(args) == count:
-                return function(*(_value(each, text, values) for each in args))
-    raise _refused(text, ast.unparse(node))
+                return function(*(_value(each, text, values, depth - 1) for each in args))
+    raise _refused(text, ast.unparse(node)[:60])
+
+
+def _is_number(value: float) -> bool:
+    """Return whether a constant is a finite number; integers may exceed all floats."""
+    return not isinstance(value, bool) and abs(value) < math.inf and abs(value) <= LARGEST
 
 
 def _refused(text: str, part: str) -> ModelError:

@@ -14,7 +14,15 @@ import numpy as np
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.named import Array
 from slipfree.vehicle.chain import Body, Coordinate, Joint, Kind
-from slipfree.vehicle.draft import Draft, UnfitError, from_rep103, is_symbol, misfits, rotation_of
+from slipfree.vehicle.draft import (
+    Draft,
+    UnfitError,
+    degrees_words,
+    from_rep103,
+    is_symbol,
+    misfits,
+    rotation_of,
+)
 from slipfree.vehicle.urdf_tree import Faults, Mimic, Shape, Tree, UrdfJoint
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -223,6 +231,11 @@ class _Reading:
             return name
         if name != joint.name:
             self.notes.append(f"joint {joint.name} is the coordinate {name}")
+        for key in ("lower", "upper", "rest"):
+            value = role.keywords.get(key, 0.0)
+            if joint.type != "prismatic" and (words := degrees_words(value)):
+                self.faults.add(joint.line, f"joint {joint.name!r}: {key}: expected radians "
+                                f"({words}), found {value:g}")  # fmt: skip
         words = f"joint {joint.name} of the URDF"
         self.coordinates[name] = Coordinate(name, role.kind, **{"words": words, **role.keywords})
         return name
@@ -283,8 +296,11 @@ class _Reading:
                           "free")  # fmt: skip
         links = [joint.child, *(each.child for each in below)]
         mass = sum(self.tree.links[link].mass or 0.0 for link in links)
+        name = re.sub(r"[^\w-]", "_", joint.name)
+        if name != joint.name:
+            self.notes.append(f"joint {joint.name} carries the wheel {name}")
         return Wheel(
-            joint.name, part_of[joint.parent], _sum(joint.at, rotation_of(joint.turned) @ at), tube,
+            name, part_of[joint.parent], _sum(joint.at, rotation_of(joint.turned) @ at), tube,
             radius - tube, driven, role.grip, mass, self._axle(joint), role.rollers,
         )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from slipfree.errors import ModelError
@@ -53,6 +54,11 @@ class Wheel:
     rollers: bool = False
 
     def __post_init__(self) -> None:
+        if not re.fullmatch(r"[\w-]+", self.name):
+            raise ModelError(
+                f"wheel {self.name!r}: expected a name of letters, digits, _ and -, as results "
+                "use it"
+            )
         check_vector(f"wheel {self.name}: at", self.at)
         for key, radius in (("r1", self.r1), ("r2", self.r2)):
             if not (math.isfinite(radius) and radius >= 0):

@@ -1,0 +1,263 @@
+"""The page in a real browser: what it shows, that it moves, and that it asks nobody for anything.
+
+Without a graphics card a picture takes long, so there is one browser and one motion for all.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+
+PATIENCE = 240.0  # for one picture, where many tests share few processors [s]
+SIZE = (1000, 480)
+PROBLEM = """\
+verb = "direct"
+title = "Over <hills> & back"
+
+[terrain.synthetic]
+x = [-5, 5]
+y = [-5, 5]
+spacing = 0.25
+power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+x = 0.0
+y = -2.0
+heading = 0.0
+
+[driver]
+name = "straight"
+speed = 0.5
+
+[time]
+duration = 4.0
+step = 0.05
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return results of a vehicle that tilts, and of a rigid one."""
+    pytest.importorskip("viser")
+    folder = tmp_path_factory.mktemp("seen")
+    (folder / "p.toml").write_text(PROBLEM, encoding="utf-8")
+    found = []
+    for axle in ("tilting", "fixed"):
+        found.append(folder / f"{axle}.nc")
+        words = ["run", str(folder / "p.toml"), "-o", str(found[-1]), "--no-draw", "--set",
+                 f"vehicle.axle={axle}"]  # fmt: skip
+        assert CliRunner().invoke(app, words).exit_code == 0
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a headless Chromium that reaches no host but this one."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    places = [shutil.which(name) for name in ("chromium", "chromedriver")]
+    if None in places:
+        words = "needs chromium and chromedriver (Debian: apt install chromium chromium-driver)"
+        if os.environ.get("CI"):
+            pytest.fail(words)
+        pytest.skip(words)
+    options = webdriver.ChromeOptions()
+    options.binary_location = places[0]
+    for word in (
+        "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
+        "--window-size={},{}".format(*SIZE), "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+        "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
+    ):  # fmt: skip
+        options.add_argument(word)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    service = webdriver.ChromeService(places[1])
+    driver = webdriver.Chrome(options, service)
+    driver.set_page_load_timeout(PATIENCE)
+    driver.set_script_timeout(PATIENCE)
+    yield driver
+    driver.quit()
+
+
+def patiently(ask: Callable[[], Any]) -> Any:
+    """Return the first answer that is one: the page answers late while it draws."""
+    from selenium.common.exceptions import WebDriverException
+
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        try:
+            if answer := ask():
+                return answer
+        except WebDriverException as error:
+            last: Any = error
+        else:
+            last = "nothing"
+        time.sleep(0.3)
+    raise TimeoutError(f"the page did not answer within {PATIENCE} s: {last}")
+
+
+def picture(driver: Any) -> np.ndarray:
+    """Return the scene as it is when it no longer changes, without what lies on top of it."""
+
+    def shot() -> Image.Image:
+        return Image.open(io.BytesIO(patiently(driver.get_screenshot_as_png))).convert("RGB")
+
+    before = np.asarray(shot())
+    for _ in range(60):
+        time.sleep(0.3)
+        after = np.asarray(shot())
+        if np.array_equal(before, after) and colors(part(after)) > 60:
+            return part(after)
+        before = after
+    raise AssertionError("the scene does not come to rest")
+
+
+def part(whole: np.ndarray) -> np.ndarray:
+    """Return the middle of a picture: controls lie around it."""
+    height, width, _ = whole.shape
+    return whole[int(0.1 * height) : int(0.8 * height), int(0.3 * width) : int(0.66 * width)]
+
+
+def colors(seen: np.ndarray) -> int:
+    return len(np.unique(seen.reshape(-1, 3), axis=0))
+
+
+def changed(one: np.ndarray, other: np.ndarray) -> int:
+    """Return how many points of two pictures differ by more than rounding."""
+    return int((np.abs(one.astype(int) - other.astype(int)).max(axis=2) > 8).sum())
+
+
+def slide(driver: Any, share: float) -> None:
+    """Press the slider of time at a place, as a hand would."""
+    from selenium.webdriver import ActionChains
+
+    slider = driver.find_element("css selector", ".mantine-Slider-track")
+    width = slider.rect["width"]
+    aside = round((share - 0.5) * width)
+    ActionChains(driver).move_to_element_with_offset(slider, aside, 0).click().perform()
+
+
+def faded_in(driver: Any) -> None:
+    """Move the slider until the scene, which appears picture by picture, is all there."""
+    script = "return [...document.querySelectorAll('canvas')].map(c => getComputedStyle(c).opacity)"
+    shares = itertools.cycle((0.3, 0.6))
+
+    def shown() -> bool:
+        slide(driver, next(shares))
+        return set(driver.execute_script(script)) == {"1"}
+
+    patiently(shown)
+
+
+def watched(driver: Any) -> None:
+    """Assert that a page shows ground and vehicle, and that its slider moves them there and back.
+
+    Where the vehicle was and where it comes to, the picture changes.
+    """
+    patiently(lambda: driver.find_elements("css selector", ".mantine-Slider-track"))
+    faded_in(driver)
+    seen = []
+    for share in (0.05, 0.95, 0.05):
+        patiently(lambda share=share: slide(driver, share) or True)
+        seen.append(picture(driver))
+    assert min(map(colors, seen)) > 60
+    moved = changed(seen[0], seen[1])
+    assert moved > 300
+    assert changed(seen[0], seen[2]) < 0.02 * moved
+
+
+def asked(driver: Any) -> set[str]:
+    """Return the addresses that the page asked for since the last call."""
+    found = set()
+    for entry in driver.get_log("performance"):
+        event = json.loads(entry["message"])["message"]
+        if event["method"] in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+            found.add(event["params"].get("request", event["params"])["url"])
+    return found
+
+
+def complaints(driver: Any) -> list[str]:
+    return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
+    command = [sys.executable, "-m", "slipfree", "show", *map(str, files), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            line = process.stdout.readline() if process.stdout else ""
+            address = line.split()[0]
+            assert address.startswith("http://127.0.0.1:")
+            browser.get(address)
+            watched(browser)
+            text = browser.find_element("tag name", "body").text
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
+    assert "Over <hills> & back" in text
+    for words in ("height: ", "slip (an arrow of 1 m is", "tilting", "fixed"):
+        assert words in text
+    addresses = {each.split("://")[1].split("/")[0] for each in asked(browser)
+                 if not each.startswith(("data:", "blob:"))}  # fmt: skip
+    assert addresses == {address.removeprefix("http://")}
+    assert [each for each in complaints(browser) if "WebSocket" not in each] == []
+
+
+def test_a_saved_page_plays_from_disk(
+    files: list[Path], browser: Any, tmp_path: Path
+) -> None:  # fmt: skip
+    out = tmp_path / "page.html"
+    words = ["show", *map(str, files), "--html", str(out), "--color", "slope"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert done.stdout == f"wrote {out}, {len(out.read_text(encoding='utf-8')) / 1e6:.1f} MB\n"
+    asked(browser), complaints(browser)  # those of the other page
+    browser.get(out.as_uri())
+    watched(browser)
+    text = browser.find_element("id", "slipfree").text
+    assert "Over <hills> & back" in text
+    assert "slope: 0 to" in text
+    kinds = {each.split(":")[0] for each in asked(browser)}
+    assert kinds <= {"file", "data", "blob"}
+    assert complaints(browser) == []
+
+
+def test_without_viser_it_says_what_to_install(
+    files: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser"])
+    assert done.exit_code == 2
+    assert done.stderr == "show needs viser: pip install 'slipfree[view]'\n"
+
+
+def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:
+    import socket
+
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        words = ["show", str(files[0]), "--no-browser", "--port", str(port)]
+        done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2
+    assert f"--port: expected a free port, found {port} taken" in done.stderr
