@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slipfree.cli.voice import BAD_INPUT as BAD_INPUT
+from slipfree.cli.voice import INTERRUPTED, complain, detail, put_facts
+from slipfree.cli.voice import STOPPED as STOPPED
 from slipfree.errors import DataError, ModelError, SlipfreeError
 
 if TYPE_CHECKING:
     from slipfree.problem.read import Problem
     from slipfree.problem.schema import Climb, Motion
 
-STOPPED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 REFRESH = 0.1  # between two updates of the progress bar [s]
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]
@@ -40,13 +42,13 @@ def reported() -> Iterator[None]:
     try:
         yield
     except (DataError, ModelError) as error:
-        typer.echo(str(error), err=True)
+        complain(str(error))
         raise typer.Exit(BAD_INPUT) from error
     except SlipfreeError as error:
-        typer.echo(str(error), err=True)
+        complain(str(error))
         raise typer.Exit(STOPPED) from error
     except KeyboardInterrupt as error:
-        typer.echo("interrupted", err=True)
+        complain("interrupted")
         raise typer.Exit(INTERRUPTED) from error
 
 
@@ -54,7 +56,9 @@ def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Pr
     """Return a checked problem, some of its values replaced."""
     from slipfree.problem.read import read
 
-    return read(file, settings or [])
+    problem = read(file, settings or [])
+    detail(f"read {file}")
+    return problem
 
 
 def check_places(
@@ -74,16 +78,21 @@ def check_places(
         if path.resolve() in taken:
             raise DataError(f"{path}: expected a file of its own, found {taken[path.resolve()]}")
         taken[path.resolve()] = "another output"
-        if path.is_dir():
-            raise DataError(f"{path}: expected the name of a file to write, found a folder")
-        if not path.parent.is_dir():
-            raise DataError(f"{path}: expected a folder {path.parent} to write to, found none")
-        _check_writable(path, path.parent)
+        check_place(path)
     if folder is not None:
         if folder.exists() and not folder.is_dir():
             raise DataError(f"{folder}: expected a folder for figures, found a file")
         above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
         _check_writable(folder, above)
+
+
+def check_place(path: Path) -> None:
+    """Refuse a name of a file that cannot be written, before anything is computed."""
+    if path.is_dir():
+        raise DataError(f"{path}: expected the name of a file to write, found a folder")
+    if not path.parent.is_dir():
+        raise DataError(f"{path}: expected a folder {path.parent} to write to, found none")
+    _check_writable(path, path.parent)
 
 
 def _check_writable(path: Path, folder: Path) -> None:
@@ -117,14 +126,14 @@ def interruptible() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGINT, before)
 
 
-def throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
+def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:
     """Return the same function, which does nothing if called again too soon."""
     last = 0.0
 
     def seldom(what: Any) -> None:
         nonlocal last
         now = time.monotonic()
-        if now - last > REFRESH:
+        if now - last > apart:
             last = now
             show(what)
 
@@ -132,6 +141,12 @@ def throttled(show: Callable[[Any], None]) -> Callable[[Any], None]:
 
 
 def tell(facts: list[tuple[str, str]]) -> None:
+    """Print names and values, or give them as facts in JSON."""
+    put_facts(facts)
+    show(facts)
+
+
+def show(facts: list[tuple[str, str]]) -> None:
     """Print names and values: a table on a terminal, plain lines elsewhere."""
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in facts)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.common import BAD_INPUT, File, Settings, read_problem, reported, tell
+from slipfree.cli.answer import motion_answer, quantities, row_answer
+from slipfree.cli.common import BAD_INPUT, File, Settings, read_problem, reported, show, tell
+from slipfree.cli.voice import complain, detail, has_bar, put, put_file
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
@@ -30,7 +32,10 @@ def check(file: File, settings: Settings = None) -> None:
             return
         setup = build(problem)
         start, spec = setup.start, problem.spec
-        names = [*spec.start, "z", "pitch", "roll"]
+        detail("stood the vehicle on its start")
+        put("start", lambda: quantities(start))
+        turned = ["yaw"] if spec.frame == "rep103" else []
+        names = [*spec.start, *turned, "z", "pitch", "roll"]
         pose = ", ".join(f"{name} {start[name][0]:.10g}" for name in dict.fromkeys(names))
         facts = [
             *setup_facts(setup),
@@ -47,6 +52,8 @@ def _check_climb(problem: Problem[Climb]) -> None:
     from slipfree.problem.climb import build_climb
 
     setup = build_climb(problem)
+    detail("stood the vehicle on the floor")
+    put("start", lambda: quantities(setup.start))
     place = ", ".join(f"{name} {setup.start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
     samples = f"{setup.t.size} to {setup.t[-1]:g} s"
     tell([*setup.facts, ("start", f"{place} (m, m/s)"), ("samples", samples)])
@@ -65,9 +72,10 @@ def vehicle(
 
         found = describe(file, settings or [])
         typer.echo("\n".join([*found.tree, ""]))
+        put("tree", lambda: found.tree)
         tell(found.facts)
         if found.faults:
-            typer.echo("\n".join(found.faults), err=True)
+            complain("\n".join(found.faults))
             raise typer.Exit(BAD_INPUT)
 
 
@@ -79,12 +87,14 @@ def compare(file: File, settings: Settings = None) -> None:
         from slipfree.problem.read import read_as
         from slipfree.problem.schema import Compare
 
-        def show(name: str) -> None:
-            if sys.stderr.isatty():
+        def told(name: str) -> None:
+            if sys.stderr.isatty() and has_bar():
                 typer.echo(f"  {name}", err=True)
+            detail(f"vehicle {name}")
 
-        ground, rows = solve(read_as(Compare, file, settings or []), show)
+        ground, rows = solve(read_as(Compare, file, settings or []), told)
         tell(ground_facts(ground))
+        put("vehicles", lambda: [row_answer(row) for row in rows])
         width = max(len(row.name) for row in rows)
         for words, drives in (
             ("at the same rates", [row.same for row in rows]),
@@ -127,12 +137,15 @@ def info(
         if problem:
             if text is None:
                 raise DataError(f"{file}: holds no problem file: it was not written by run")
+            put("problem", lambda: text)
             typer.echo(text, nl=False)
             return
         words = [(name.replace("_", " "), value) for name, value in attributes.items()]
         tell(words + motion_facts(motion))
         typer.echo()
-        tell(ranges(motion))
+        put("attributes", lambda: attributes)
+        put("result", lambda: motion_answer(motion))
+        show(ranges(motion))
 
 
 def export(
@@ -154,4 +167,5 @@ def export(
         for out, write in ((path, export_path), (rates, export_rates)):
             if out is not None:
                 write(file, out)
+                put_file(out)
                 typer.echo(f"wrote {out}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slipfree.cli.answer import motion_answer
 from slipfree.cli.common import (
     STOPPED,
     File,
@@ -15,17 +17,23 @@ from slipfree.cli.common import (
     interruptible,
     read_problem,
     reported,
+    show,
     tell,
     throttled,
 )
+from slipfree.cli.voice import complain, detail, has_bar, is_verbose, put, put_file, warn
 from slipfree.errors import DataError
 from slipfree.trajectory import Stop
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from slipfree.plan.saved import Saved
     from slipfree.problem.read import Problem
     from slipfree.problem.run import Outcome
     from slipfree.problem.schema import Climb, Motion
+
+SELDOM = 1.0  # between two lines on the time reached [s]
 
 
 def run(
@@ -83,7 +91,7 @@ def run(
         motion = outcome.trajectory
         _save(outcome, out, csv)
         _print_outcome(outcome)
-        typer.echo(f"wrote {out}" + (f", {csv}" if csv else ""))
+        _wrote(out, *([csv] if csv else []))
         if cross_check and not climbs(problem):
             _cross_check(problem, outcome)
         if folder is not None:
@@ -108,9 +116,11 @@ def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> O
 
     from slipfree.problem.run import run as solve
 
-    console = Console(stderr=True)
+    console = Console(file=sys.stderr)  # as it is now: messages of integrators are kept from it
     with interruptible() as poll:
-        if not console.is_terminal:
+        if is_verbose():
+            return _told(solve(problem, *_telling(poll, problem.spec.time.duration), former))
+        if not (console.is_terminal and has_bar()):
             return solve(problem, lambda _: poll(), lambda _: poll(), former)
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(
@@ -130,6 +140,36 @@ def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> O
             return solve(problem, progress, show_what, former)
 
 
+def _telling(
+    poll: Callable[[], None], duration: float
+) -> tuple[Callable[[float], None], Callable[[str], None]]:
+    """Return what says the time reached, and every iterate of a plan, as details."""
+    begun = False
+    say = throttled(lambda t: detail(f"integrated to {t:.4g} of {duration:g} s"), SELDOM)
+
+    def progress(t: float) -> None:
+        nonlocal begun
+        poll()
+        if not begun:
+            begun = True
+            detail("stood the vehicle on its start; integrates")
+        else:
+            say(t)
+
+    def line(words: str) -> None:
+        poll()
+        detail(words)
+
+    return progress, line
+
+
+def _told(outcome: Outcome) -> Outcome:
+    """Say what the solver counted."""
+    counts = outcome.trajectory.statistics.items()
+    detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
+    return outcome
+
+
 def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> Saved | None:
     """Return the plan to start from, if one is named."""
     from slipfree.plan.saved import from_arrays
@@ -141,6 +181,15 @@ def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> Sav
         where = problem.source.where(("verb",))
         raise DataError(f"{where}: expected 'plan' for --resume, found {problem.spec.verb!r}")
     return from_arrays(read_arrays(file), str(file))
+
+
+def _wrote(*files: Path) -> None:
+    """Say which files were written."""
+    for file in files:
+        put_file(file)
+    names = ", ".join(map(str, files))
+    typer.echo(f"wrote {names}")
+    detail(f"wrote {names}")
 
 
 def _save(outcome: Outcome, out: Path, csv: Path | None) -> None:
@@ -165,7 +214,7 @@ def _animate(outcome: Outcome, file: Path) -> None:
 
     if isinstance(outcome.setup, Climbing):
         animate(outcome.trajectory, outcome.setup.climber, outcome.setup.profile, file)
-        typer.echo(f"wrote {file}")
+        _wrote(file)
 
 
 def _draw(outcome: Outcome, folder: Path) -> None:
@@ -179,7 +228,7 @@ def _draw(outcome: Outcome, folder: Path) -> None:
         paths = save_climb_figures(
             outcome.trajectory, setup.climber, setup.profile, folder, plan=setup.plan
         )
-        typer.echo(f"drew {len(paths)} figures in {folder}")
+        _drew(paths, folder)
         return
     grid = outcome.setup.ground.grid
     if isinstance(outcome.setup, Planning):
@@ -191,7 +240,15 @@ def _draw(outcome: Outcome, folder: Path) -> None:
         from slipfree.show.plot import save_figures
 
         paths = save_figures(outcome.trajectory, grid, folder)
-    typer.echo(f"drew {len(paths)} figures in {folder}")
+    _drew(paths, folder)
+
+
+def _drew(files: list[Path], folder: Path) -> None:
+    """Say which figures were drawn."""
+    for file in files:
+        put_file(file)
+    typer.echo(f"drew {len(files)} figures in {folder}")
+    detail(f"drew {len(files)} figures in {folder}")
 
 
 def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
@@ -203,7 +260,11 @@ def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
     typer.echo(
         f"largest differences from formulation = {other!r}, of {len(differences)} quantities:"
     )
-    tell(
+    put("cross_check", lambda: [
+        {"name": each.label.full, "unit": each.label.unit, "difference": each.size, "time": each.t}
+        for each in differences
+    ])  # fmt: skip
+    show(
         [
             (f"  {each.label.full}", f"{each.size:.2e} {each.label.unit} at {each.t:g} s")
             for each in differences[:8]
@@ -217,14 +278,12 @@ def _print_outcome(outcome: Outcome) -> None:
 
     motion = outcome.trajectory
     tell(setup_facts(outcome.setup) + motion_facts(motion))
+    put("result", lambda: motion_answer(motion))
     warning = steering_warning(motion)
     if warning and not (motion.stop and warning in motion.stop.words):
-        typer.echo(f"warning: {warning}", err=True)
+        warn(warning)
 
 
 def say_stopped(stop: Stop, out: Path) -> None:
     """Say why a motion ends early, and where it is kept."""
-    typer.echo(
-        f"stopped early at t = {stop.t:.6g} s: {stop.words}; {out} holds the motion to there",
-        err=True,
-    )
+    complain(f"stopped early at t = {stop.t:.6g} s: {stop.words}; {out} holds the motion to there")

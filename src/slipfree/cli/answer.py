@@ -1,0 +1,61 @@
+"""Motions and comparisons as they are told in JSON: numbers beside their units."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from slipfree.problem.compare import Drive, Row
+    from slipfree.trajectory import Stop, Trajectory
+
+
+def motion_answer(run: Trajectory) -> dict[str, Any]:
+    """Return samples, stop, counts and the range of every quantity of a motion."""
+    return {
+        "samples": run.t.size,
+        "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
+        "stop": stop_answer(run.stop),
+        "wheels": run.wheels,
+        "quantities": quantities(run),
+        "statistics": run.statistics,
+    }
+
+
+def stop_answer(stop: Stop | None) -> dict[str, Any] | None:
+    """Return why and when a motion ended early; None if it did not."""
+    return None if stop is None else {"name": stop.name, "time": stop.t, "words": stop.words}
+
+
+def quantities(run: Trajectory) -> dict[str, Any]:
+    """Return words, unit, first, last, least and largest value of every quantity by name.
+
+    First and last values of what belongs to the wheels are arrays, one number a wheel.
+    """
+    return {
+        name: {
+            "words": label.words, "unit": label.unit, "first": values[0], "last": values[-1],
+            "min": values.min(), "max": values.max(),
+        }
+        for name, (label, values) in run.columns.items()
+    }  # fmt: skip
+
+
+def row_answer(row: Row) -> dict[str, Any]:
+    """Return one vehicle of a comparison."""
+    return {
+        "name": row.name, "wheels": row.wheels, "rank": row.rank, "conditions": row.conditions,
+        "same_rates": _drive(row.same), "driving_law": _drive(row.fitting),
+    }  # fmt: skip
+
+
+def _drive(drive: Drive) -> dict[str, Any]:
+    """Return one vehicle driven in one way; every wheel's largest slip."""
+    return {
+        "slip_along": {"unit": "m s-1", "max": drive.along},
+        "slip_across": {"unit": "m s-1", "max": drive.across},
+        "slip_measured": {"unit": "m s-1", "max": drive.measured},
+        "friction_needed": {"unit": "1", "max": drive.friction},
+        "tilt": {"unit": "rad", "max": drive.tilt},
+        "axle": {"unit": "m", "min": drive.width[0], "max": drive.width[1]},
+        "stop": stop_answer(drive.stop),
+    }

@@ -1,0 +1,128 @@
+"""``slipfree examples``: the shipped problems, listed and copied."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from slipfree.cli.common import reported
+from slipfree.cli.new import place
+from slipfree.cli.voice import put
+from slipfree.errors import DataError
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+FOLDER = "problems"  # in the package
+NEED = ("file", "friction")  # keys that may name another file
+
+
+def _complete(begun: str) -> list[str]:
+    return [name for name in _shipped() if name.startswith(begun)]
+
+
+def examples(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME]...", help="Which to copy; all if only --to is given.",
+            autocompletion=_complete,
+        ),
+    ] = None,
+    to: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to; made if needed; default: here.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace files of the same names.")
+    ] = False,
+) -> None:  # fmt: skip
+    """List the shipped problems, or copy some with the files that they need."""
+    with reported():
+        shipped = _shipped()
+        if not names and to is None:
+            _list(shipped)
+            return
+        wanted = dict.fromkeys(name.removesuffix(".toml") for name in names or shipped)
+        for name in wanted:
+            if name not in shipped:
+                raise DataError(_unknown(name, list(shipped)))
+        _copy([*wanted], shipped, Path() if to is None else to, force)
+
+
+def _shipped() -> dict[str, Traversable]:
+    """Return the shipped problems and vehicles by name."""
+    from importlib.resources import files
+
+    def below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
+        for each in sorted(folder.iterdir(), key=lambda each: (each.is_dir(), each.name)):
+            if each.is_dir():
+                yield from below(each, f"{path}{each.name}/")
+            elif each.name.endswith(".toml"):
+                yield path + each.name.removesuffix(".toml"), each
+
+    return dict(below(files("slipfree") / FOLDER, ""))
+
+
+def _list(shipped: Mapping[str, Traversable]) -> None:
+    """Print names, what is asked for, and titles."""
+    rows = []
+    for name, file in shipped.items():
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
+        rows.append((name, data.get("verb", "vehicle"), data.get("title") or data.get("name", "")))
+    put(
+        "examples", lambda: [dict(zip(("name", "verb", "title"), row, strict=True)) for row in rows]
+    )
+    width = max(len(name) for name, *_ in rows)
+    for name, verb, title in rows:
+        typer.echo(f"{name:{width}}  {verb:8} {title}")
+    typer.echo("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
+
+
+def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
+    """Copy problems, and what they name, to a folder."""
+    texts = {}
+    while wanted:
+        name = wanted.pop()
+        texts[f"{name}.toml"] = text = shipped[name].read_text(encoding="utf-8")
+        above = PurePosixPath(name).parent
+        needed = {
+            (above / each).as_posix().removesuffix(".toml") for each in _files(tomllib.loads(text))
+        }
+        wanted += [each for each in needed if each in shipped and f"{each}.toml" not in texts]
+    places = {to / name: text for name, text in sorted(texts.items())}
+    taken = [str(out) for out in places if out.exists()]
+    if taken and not force:
+        raise DataError(
+            f"expected no files of these names, found {', '.join(taken)}; replace them by --force"
+        )
+    for out, text in places.items():
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DataError(
+                f"{out.parent}: expected a folder to write to, found none that can be made "
+                f"({error.strerror}); choose another place"
+            ) from error
+        place(text, out, force)
+        typer.echo(f"wrote {out}")
+
+
+def _files(table: Any) -> Iterator[str]:
+    """Yield what may be names of other files in a problem."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _files(value) if key != "output" else ()
+        elif key in NEED and isinstance(value, str):
+            yield value
+
+
+def _unknown(name: str, known: list[str]) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, known, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else "; slipfree examples lists them"
+    return f"expected the name of a shipped problem, found {name!r}{hint}"

@@ -1,0 +1,57 @@
+"""``slipfree new``: a commented problem file to start from."""
+
+from __future__ import annotations
+
+import shlex
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slipfree.cli.common import check_place, reported
+from slipfree.cli.voice import put_file
+from slipfree.errors import DataError
+
+FOLDER = "starters"  # in the package
+HOLE = "FILE"  # in a starter's comments, for its own name
+
+
+class Kind(StrEnum):
+    """What is asked for."""
+
+    direct = "direct"
+    inverse = "inverse"
+    plan = "plan"
+    climb = "climb"
+
+
+def new(
+    kind: Annotated[Kind, typer.Argument(help="What is asked for.")],
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
+) -> None:
+    """Write NAME.toml, a commented problem that runs, to be changed."""
+    with reported():
+        from importlib.resources import files
+
+        if not (name.name and str(name).isprintable()):
+            raise DataError(f"expected a name for the problem, found {str(name)!r}")
+        out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
+        text = (files("slipfree") / FOLDER / f"{kind}.toml").read_text(encoding="utf-8")
+        word = shlex.quote(str(out))
+        place(text.replace(f" {HOLE}", f" {word}"), out, force)
+        typer.echo(f"wrote {out}: slipfree check {word} && slipfree run {word}")
+
+
+def place(text: str, out: Path, force: bool) -> None:
+    """Write a file, unless there is one of that name that is not to be replaced."""
+    check_place(out)
+    if out.exists() and not force:
+        raise DataError(f"{out}: expected no file of that name, found one; replace it by --force")
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written ({error.strerror}); choose another place") \
+            from error  # fmt: skip
+    put_file(out)

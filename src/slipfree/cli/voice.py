@@ -1,0 +1,200 @@
+"""How much a command tells, and whether in words or as JSON: options that all commands share.
+
+Whatever a command prints stands on stdout; with ``--quiet`` nothing does, with ``--json`` one
+object: what was told as facts, what the command added by `put`, and the meaning of its exit code.
+Errors, warnings and details are lines on stderr.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+import json as to_json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, field
+from functools import wraps
+from typing import Annotated, Any, NamedTuple, TextIO, get_type_hints
+
+import typer
+
+DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+MEANINGS = {
+    DONE: "done",
+    STOPPED: "stopped early or failed; what was reached is saved",
+    BAD_INPUT: "bad input",
+    INTERRUPTED: "interrupted",
+}
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Say on stderr what is done, and when.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of words.")]
+
+
+class Voice(NamedTuple):
+    """What the user wants to be told.
+
+    Attributes
+    ----------
+    quiet, verbose, json : bool
+        As the options of these names.
+    """
+
+    quiet: bool = False
+    verbose: bool = False
+    json: bool = False
+
+
+@dataclass
+class _Answer:
+    """What is told by one command, in the order in which it is told.
+
+    Details go to the stderr of its beginning: the integrator's own messages are kept from stderr
+    while it runs.
+    """
+
+    voice: Voice
+    stderr: TextIO = field(default_factory=lambda: sys.stderr)
+    began: float = field(default_factory=time.perf_counter)
+    content: dict[str, Any] = field(default_factory=dict)
+
+
+_asked = [Voice()]  # before the command's name
+_speakers: list[_Answer] = []  # the command that runs, if one does
+
+
+def _said() -> _Answer:
+    """Return what the command has told so far; outside of commands, nothing."""
+    return _speakers[-1] if _speakers else _Answer(Voice())
+
+
+def ask(quiet: bool, verbose: bool, json: bool) -> None:
+    """Remember options given before the command's name."""
+    _asked[:] = [Voice(quiet, verbose, json)]
+
+
+def voiced(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that takes ``--quiet``, ``--verbose`` and ``--json`` as well."""
+    hints = get_type_hints(command, include_extras=True)
+    own = inspect.signature(command).parameters.values()
+    options = {"quiet": Quiet, "verbose": Verbose, "json": Json}
+    more = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False)
+            for name in options]  # fmt: skip
+
+    @wraps(command)
+    def spoken(*, quiet: bool, verbose: bool, json: bool, **values: Any) -> None:
+        before = _asked[0]
+        voice = Voice(quiet or before.quiet, verbose or before.verbose, json or before.json)
+        if voice.quiet and voice.verbose:
+            typer.echo("expected --quiet or --verbose, found both", err=True)
+            raise typer.Exit(BAD_INPUT)
+        with _speaking(command.__name__, voice):
+            command(**values)
+
+    hints |= options
+    given: list[inspect.Parameter] = [
+        each.replace(annotation=hints[each.name], kind=inspect.Parameter.KEYWORD_ONLY)
+        for each in (*own, *more)
+    ]
+    spoken.__dict__["__signature__"] = inspect.Signature(given)
+    spoken.__annotations__ = hints
+    del spoken.__dict__["__wrapped__"]  # whose signature lacks the options
+    return spoken
+
+
+@contextmanager
+def _speaking(name: str, voice: Voice) -> Iterator[None]:
+    """Let a command speak as is wanted; print the JSON object at its end."""
+    answer = _Answer(voice)
+    _speakers.append(answer)
+    code = STOPPED
+    try:
+        if voice.quiet or voice.json:
+            with redirect_stdout(io.StringIO()):
+                yield
+        else:
+            yield
+        code = DONE
+    except typer.Exit as end:
+        code = end.exit_code
+        raise
+    finally:
+        _speakers.pop()
+        if voice.json:
+            head = {"command": name, "exit_code": code, "meaning": MEANINGS[code]}
+            typer.echo(to_json.dumps(plain(head | answer.content)))
+
+
+def put(name: str, make: Callable[[], Any]) -> None:
+    """Add a value to the JSON object, if one is wanted; what makes it is not called otherwise."""
+    answer = _said()
+    if answer.voice.json:
+        answer.content[name] = make()
+
+
+def put_facts(facts: list[tuple[str, str]]) -> None:
+    """Add names and words to the facts of the JSON object; indented names belong to those above."""
+    found, above = _said().content.setdefault("facts", {}), ""
+    for name, words in facts:
+        above = above if name.startswith(" ") else name
+        key = f"{above}: {name.strip()}" if name.startswith(" ") and above else name.strip()
+        found[key] = f"{found[key]}\n{words}" if key in found else words
+
+
+def put_file(file: object) -> None:
+    """Add a file that was written to the JSON object."""
+    _said().content.setdefault("files", []).append(str(file))
+
+
+def put_lines(name: str, words: str) -> None:
+    """Add lines of words to the JSON object."""
+    _said().content.setdefault(name, []).extend(words.splitlines())
+
+
+def warn(words: str) -> None:
+    """Print a warning on stderr, unless only errors are wanted."""
+    put_lines("warnings", words)
+    if not _said().voice.quiet:
+        typer.echo(f"warning: {words}", err=True)
+
+
+def complain(words: str) -> None:
+    """Print an error on stderr."""
+    put_lines("errors", words)
+    typer.echo(words, err=True)
+
+
+def detail(words: str) -> None:
+    """Print on stderr what was just done and how long after the start, if that is wanted."""
+    answer = _said()
+    if answer.voice.verbose:
+        elapsed = time.perf_counter() - answer.began
+        typer.echo(f"[{elapsed:8.3f} s] {words}", file=answer.stderr)
+
+
+def has_bar() -> bool:
+    """Return whether progress may be shown by a bar on a terminal: nothing else is to be said."""
+    return not any(_said().voice)
+
+
+def is_verbose() -> bool:
+    """Return whether details are wanted."""
+    return _said().voice.verbose
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: numbers that are not finite become null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, str) or value is None:
+        return value
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,177 @@
+"""From a result file back to ground and vehicle, so that the motion can be drawn in space."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipfree.climb.vehicle import Climber
+from slipfree.errors import DataError
+from slipfree.named import Array
+from slipfree.plan.saved import PREFIX, from_arrays
+from slipfree.problem import schema
+from slipfree.problem.climb import build_climb
+from slipfree.problem.climb_plan import PROGRESS
+from slipfree.problem.ground import at, build_ground
+from slipfree.problem.locate import ProblemError
+from slipfree.problem.parts import build_terrain, build_vehicle
+from slipfree.problem.places import regions
+from slipfree.problem.read import Problem, climbs, read
+from slipfree.result_file import read as read_result
+from slipfree.result_file import read_arrays
+from slipfree.show.climb_scene import Climbed
+from slipfree.show.scene import Driven
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Column, Trajectory
+
+MOST = 401  # samples of a plan
+POSE = ("x", "z", "tilt_rear", "tilt_front")  # of a climb
+
+
+def shown(file: Path, name: str, folder: Path | None = None) -> Driven | Climbed:
+    """Return the motion in a result file, with the ground and the vehicle of its problem.
+
+    Parameters
+    ----------
+    file : Path
+        A result file of ``slipfree run``.
+    name : str
+        What to call the motion.
+    folder : Path, optional
+        Where names of files in the problem start; by default the folder of the result, or else the
+        current one, whichever has them.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, holds no problem, or files that its problem names are missing.
+    """
+    run = read_result(file)
+    problem = problem_of(file, run, folder)
+    arrays = read_arrays(file)
+    if climbs(problem):
+        setup = build_climb(problem)
+        plan = _planned_climb(run, arrays, setup.climber)
+        return Climbed(name, run, setup.climber, setup.profile, plan)
+    terrain = build_terrain(problem, build_ground(problem))
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+    keep_out = regions(problem, problem.spec) if isinstance(problem.spec, schema.Plan) else ()
+    return Driven(name, run, terrain, vehicle, keep_out, _planned(run, arrays, terrain))
+
+
+def problem_of(
+    file: Path, run: Trajectory, folder: Path | None = None
+) -> Problem[schema.Motion] | Problem[schema.Climb]:
+    """Return the problem whose text and settings a result holds.
+
+    Parameters and errors are those of `shown`; ``run`` is what the file holds.
+    """
+    text = run.attributes.get("problem")
+    if text is None:
+        raise DataError(
+            f"{file}: expected a result with its problem in it, found none; give a file that "
+            "slipfree run wrote"
+        )
+    settings = run.attributes.get("settings", "").splitlines()
+    name = Path(run.attributes.get("problem_file", "problem.toml")).name
+    with tempfile.TemporaryDirectory() as scratch:
+        copy = Path(scratch) / name
+        copy.write_text(text, encoding="utf-8")
+        try:
+            problem = read(copy, settings)
+        except ProblemError as error:
+            faults = (fault.replace(str(copy), name) for fault in error.faults)
+            raise ProblemError(f"{file}: its problem is not one of this version:", *faults) \
+                from error  # fmt: skip
+    place = _folder(file, problem.spec, folder)
+    source = replace(problem.source, path=place / name)
+    return replace(problem, source=source)  # type: ignore[return-value]  # one of the same kind
+
+
+_problem = problem_of
+
+
+def _folder(file: Path, spec: Any, folder: Path | None) -> Path:
+    """Return the folder that holds the files which a problem names."""
+    needed = [name for name in _files(spec) if name]
+    tried = [folder] if folder is not None else [file.absolute().parent, Path.cwd()]
+    for place in tried:
+        if all((place / name).is_file() for name in needed):
+            return place
+    missing = next(name for name in needed if not (tried[-1] / name).is_file())
+    raise DataError(
+        f"{file}: its problem needs {missing}, found none in {' or '.join(map(str, tried))}; name "
+        "the folder of the problem file: --folder DIR"
+    )
+
+
+def _files(spec: Any) -> list[str | None]:
+    """Return the names of files that ground and vehicle of a problem are made of."""
+    tables = [getattr(spec, name, None) for name in ("terrain", "vehicle", "profile")]
+    names = [getattr(table, "file", None) for table in tables]
+    friction = getattr(tables[0], "friction", None)
+    return [*names, friction if isinstance(friction, str) else None]
+
+
+def _planned(
+    run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic
+) -> Trajectory | None:  # fmt: skip
+    """Return the plan that a motion simulates, as far as its poses go; None if there is none.
+
+    States and algebraic unknowns of a plan are the first quantities of its simulation, in order.
+    The turns of its wheels are those of the simulation.
+    """
+    if f"{PREFIX}unknowns" not in arrays:
+        return None
+    saved = from_arrays(arrays, "result")
+    course = saved.course
+    places = np.linspace(0, 1, min(MOST, 10 * course.mesh.ends.size))
+    rows = np.concatenate([course.states(places), course.algebraic(places)])
+    rows = rows + saved.shift[: len(rows), None]
+    columns, t, first = {}, run.t[0] + places * course.duration, 0
+    for name, column in run.columns.items():
+        count = 1 if column.values.ndim == 1 else column.values.shape[1]
+        if first + count > len(rows):
+            break
+        values = rows[first : first + count].T
+        columns[name] = Column(column.label, values[:, 0] if column.values.ndim == 1 else values)
+        first += count
+    columns["wheel_angle"] = _turns(run, t)
+    height = terrain.elevation(columns["contact_x"].values, columns["contact_y"].values)
+    columns["contact_z"] = Column(run.columns["contact_z"].label, height)
+    return Trajectory(t, columns, run.wheels)
+
+
+def _turns(run: Trajectory, t: Array) -> Column:
+    """Return how far the wheels of a motion have turned at some times."""
+    turns = run.columns["wheel_angle"]
+    values = [np.interp(t, run.t, each) for each in turns.values.T]
+    return Column(turns.label, np.stack(values, axis=1))
+
+
+def _planned_climb(
+    run: Trajectory, arrays: Mapping[str, Array], climber: Climber
+) -> Trajectory | None:  # fmt: skip
+    """Return the plan that a climb tracks, at the times when it is as far; None if there is none.
+
+    Its time counts from when the motion has come to where the plan begins.
+    """
+    if "plan_time" not in arrays:
+        return None
+    columns = {name: Column(run.columns[name].label, arrays[f"plan_{name}"]) for name in POSE}
+    x, z, rear, front = (columns[name].values for name in POSE)
+    ahead = np.array([axle.ahead for axle in climber.axles])
+    tilts = np.stack([rear, rear, front], axis=1)
+    for name, start, turned in (("axle_x", x, np.cos), ("axle_z", z, np.sin)):
+        places = start[:, None] + ahead * turned(tilts)
+        columns[name] = Column(run.columns[name].label, places)
+    come = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    begins = run.t[int((come > arrays[f"plan_{PROGRESS.name}"][0]).argmax())]
+    t = begins + arrays["plan_time"]
+    return Trajectory(t, columns | {"wheel_angle": _turns(run, t)}, run.wheels)

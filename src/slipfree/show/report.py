@@ -1,0 +1,152 @@
+"""A result as one HTML page: tables, figures and texts, nothing outside of it, no scripts.
+
+Figures are vector graphics, unless those would be large. Everything is in the page itself, which
+says by its policy that nothing may be fetched.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from io import BytesIO
+from typing import NamedTuple
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from slipfree.show.style import DPI, STYLE
+
+MOST = 400_000  # bytes of a vector graphic; larger ones become pixels
+PIXELS = 120  # of the page to an inch of a figure
+VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # the same page for the same result
+CAPTIONS = {
+    "map": "Ground and way in plan.",
+    "terrain": "Ground around the way, platform and tracks of the contact points.",
+    "tilts": "Angles of the joints over time.",
+    "loci": "Where platform, wheel centres and contact points have been.",
+    "elevation": "Heights and slopes along the way.",
+    "slip": "Slip of every wheel over time.",
+    "checks": "What makes the motion trustworthy: residuals and margins over time.",
+    "forces": "Forces between wheels and ground, and what the drives give.",
+    "utilisation": "Friction that every wheel needs over time.",
+    "utilisation_map": "Where friction is needed.",
+    "energy": "Work of the drives, potential energy, and what is lost.",
+    "traversability": "Where the vehicle can go, ways that started the search, and the motion.",
+    "plan": "What was planned, and its limits.",
+    "strobe": "The vehicle on its way up.",
+    "references": "Rates of the wheels: references and motion.",
+}
+STYLES = """
+body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff;
+       max-width: 60rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
+h1 { line-height: 1.15; margin-bottom: .2rem; } h2 { margin-top: 2.2rem; }
+nav a { margin-right: 1rem; } .lead { color: #444; margin-top: 0; }
+.bad { border-left: .4rem solid #D55E00; padding-left: .8rem; }
+table { border-collapse: collapse; width: 100%; font-size: .92rem; }
+td, th { text-align: left; vertical-align: top; padding: .22rem .8rem .22rem 0;
+         border-bottom: 1px solid #e3e3e3; overflow-wrap: anywhere; }
+th { font-weight: 600; width: 14rem; } th.below { font-weight: 400; padding-left: 1rem; }
+figure { margin: 1.4rem 0; break-inside: avoid; } figure img { max-width: 100%; height: auto; }
+figcaption { color: #444; font-size: .92rem; }
+pre { background: #f5f5f5; padding: .8rem; overflow-x: auto; font-size: .85rem; }
+"""
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+
+
+class Report(NamedTuple):
+    """What a page shows, in the order in which it shows it.
+
+    Attributes
+    ----------
+    title, lead : str
+        What it is about, and in a sentence how it ended.
+    good : bool
+        Whether it ended as asked for.
+    tables : mapping of str to sequence of (str, ...)
+        Rows by heading; the first of a row names it, indented if it belongs to the one above.
+    figures : mapping of str to Figure
+        By name.
+    note : str
+        Why there are no figures; empty if there are.
+    texts : mapping of str to str
+        Texts by heading, as they are.
+    """
+
+    title: str
+    lead: str
+    good: bool
+    tables: Mapping[str, Sequence[tuple[str, ...]]]
+    figures: Mapping[str, Figure]
+    note: str
+    texts: Mapping[str, str]
+
+
+def page(report: Report) -> str:
+    """Return a report as an HTML page that needs no other file, no network and no script."""
+    parts = {name: _table(rows) for name, rows in report.tables.items() if rows}
+    first, *others = parts
+    shown = _note(report.note) + "".join(_figure(*each) for each in report.figures.items())
+    sections = {
+        first: parts[first],
+        **({"Figures": shown} if shown else {}),
+        **{name: parts[name] for name in others},
+        **{name: f"<pre>{escape(text)}</pre>" for name, text in report.texts.items()},
+    }
+    return "\n".join(_lines(report, sections)) + "\n"
+
+
+def _lines(report: Report, sections: Mapping[str, str]) -> Iterator[str]:
+    """Yield the lines of a page."""
+    ids = {name: name.lower().replace(" ", "-") for name in sections}
+    yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
+    yield f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    yield '<link rel="icon" href="data:,">'
+    yield f"<title>{escape(report.title)}</title>\n<style>{STYLES}</style>\n</head>\n<body>"
+    yield f"<h1>{escape(report.title)}</h1>"
+    yield f'<p class="lead{"" if report.good else " bad"}">{escape(report.lead)}</p>'
+    links = "\n".join(f'<a href="#{ids[name]}">{escape(name)}</a>' for name in sections)
+    yield f"<nav>\n{links}\n</nav>"
+    for name, content in sections.items():
+        yield f'<section id="{ids[name]}">\n<h2>{escape(name)}</h2>\n{content}\n</section>'
+    yield "</body>\n</html>"
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> str:
+    lines = []
+    for name, *cells in rows:
+        below = ' class="below"' if name.startswith(" ") else ""
+        values = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        lines.append(f'<tr><th scope="row"{below}>{escape(name.strip())}</th>{values}</tr>')
+    return "<table>\n" + "\n".join(lines) + "\n</table>"
+
+
+def _note(words: str) -> str:
+    return f"<p>{escape(words)}</p>\n" if words else ""
+
+
+def _figure(name: str, figure: Figure) -> str:
+    caption = escape(CAPTIONS.get(name, name.replace("_", " ")))
+    width = PIXELS * float(figure.get_figwidth())
+    return (
+        f'<figure><img alt="{caption}" width="{width:.0f}" src="{image(figure)}">'
+        f"<figcaption>{caption}</figcaption></figure>\n"
+    )
+
+
+def image(figure: Figure) -> str:
+    """Return a figure as a data URI: a vector graphic, or pixels where that would be large."""
+    drawn = _written(figure, "svg")
+    kind = "svg+xml"
+    if len(drawn) > MOST:
+        drawn, kind = _written(figure, "png"), "png"
+    return f"data:image/{kind};base64,{b64encode(drawn).decode()}"
+
+
+def _written(figure: Figure, ending: str) -> bytes:
+    file = BytesIO()
+    metadata = {"Date": None} if ending == "svg" else None
+    with rc_context(STYLE | VECTOR):  # type: ignore[arg-type]  # its keys are a literal type
+        figure.savefig(file, format=ending, dpi=DPI, metadata=metadata)
+    return file.getvalue()
