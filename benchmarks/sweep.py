@@ -1,0 +1,105 @@
+"""Sweeps: what processes gain, and that a killed one loses nothing.
+
+``python benchmarks/sweep.py [RUNS]`` (200 by default) prints
+
+1. the wall time of a sweep over seeded random grounds by one process and by two, each of one
+   thread, and the ratio; beside it what the workers spend on the runs themselves, so that one sees
+   where the rest goes, and the ratio that processor times allow on two free cores, which other work
+   on the machine disturbs less;
+2. the same sweep on two processes, killed with SIGKILL half-way and resumed: how many finished runs
+   were kept, how many were done twice, and whether the table is the same, byte by byte.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from reference import heading
+
+PROBLEM = Path(__file__).parent.parent / "problems" / "paper_direct.toml"
+RUNS = 200
+TICK = 0.02  # between two looks at the log [s]
+
+
+def command(folder: Path, processes: int, runs: int) -> list[str]:
+    """Return the command of the sweep."""
+    return [
+        sys.executable, "-m", "slipfree", "sweep", str(PROBLEM), "--repeat", str(runs),
+        "--processes", str(processes), "--no-draw", "-o", str(folder),
+    ]  # fmt: skip
+
+
+def rows(folder: Path) -> list[dict[str, object]]:
+    """Return the finished runs in a log."""
+    lines = (folder / "runs.jsonl").read_bytes().split(b"\n")[1:-1]
+    return [json.loads(line) for line in lines]
+
+
+def timed(folder: Path, processes: int, runs: int) -> tuple[float, float, float]:
+    """Return the wall time of a sweep, the sum of those of its runs, and processor time. [s]."""
+    begin, before = time.perf_counter(), processor()
+    subprocess.run(command(folder, processes, runs), check=True, capture_output=True)
+    wall, used = time.perf_counter() - begin, processor() - before
+    return wall, sum(float(str(row["seconds"])) for row in rows(folder)), used
+
+
+def processor() -> float:
+    """Return the processor time of all processes that were started here and have ended. [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def killed(folder: Path, runs: int) -> list[dict[str, object]]:
+    """Begin a sweep, kill it half-way, and return what it had finished."""
+    process = subprocess.Popen(command(folder, 2, runs), stdout=subprocess.DEVNULL)
+    log = folder / "runs.jsonl"
+    while not log.exists() or log.read_bytes().count(b"\n") <= runs // 2:
+        if process.poll() is not None:
+            raise RuntimeError("the sweep ended before it was killed")
+        time.sleep(TICK)
+    process.kill()
+    process.wait()
+    return rows(folder)
+
+
+def main(runs: int) -> None:
+    """Print what the sweep takes, and what is left of a killed one."""
+    heading()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        one, _, _ = timed(folder / "start", 1, 1)
+        print(f"\n{PROBLEM.name}, {runs} seeded grounds; a sweep of one run takes {one:.2f} s")
+        walls, used = {}, {}
+        for count in (1, 2):
+            walls[count], worked, used[count] = timed(folder / str(count), count, runs)
+            idle = walls[count] - worked / count
+            print(
+                f"{count} process{'es' * (count > 1)}: {walls[count]:.1f} s; a run "
+                f"{worked / runs:.3f} s, the rest (starting, importing, log, table) {idle:.1f} s; "
+                f"processor {used[count]:.1f} s"
+            )
+        print(
+            f"ratio {walls[1] / walls[2]:.2f}; by processor time {2 * used[1] / used[2]:.2f} "
+            "on two free cores at best"
+        )
+        before = killed(folder / "killed", runs)
+        timed(folder / "killed", 2, runs)
+        after = rows(folder / "killed")
+        kept = sum(row in after for row in before)
+        twice = sum(count > 1 for count in Counter(str(row["run"]) for row in after).values())
+        tables = {(folder / each / "table.csv").read_bytes() for each in ("1", "2", "killed")}
+        print(
+            f"killed after {len(before)} runs and resumed: {kept} kept, {twice} twice, "
+            f"{len(after)} in all; table {'the same' if len(tables) == 1 else 'another one'}"
+        )
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else RUNS)

@@ -1,0 +1,119 @@
+"""Figures of a run: the numbers by which runs of a sweep are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from math import isfinite
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.problem.climb_summary import is_climb
+from slipfree.problem.schema import Climb, Motion, Plan
+from slipfree.trajectory import Trajectory, path_length
+
+Figures = dict[str, tuple[float, str]]
+END = ("x", "y", "z", "heading", "pitch", "roll", "yaw", "tilt_rear", "tilt_front")
+LARGEST = (
+    "pitch", "roll", "utilisation", "utilisation_best", "friction_needed", "drive_torque", "torque",
+    "power", "steering_slip", "drift_position", "closure_residual", "newton_step",
+)  # fmt: skip
+LEAST = (
+    "tip_over_margin", "force_normal", "clearance", "relative_curvature", "singular_value",
+    "inverse_margin",
+)  # fmt: skip
+GAINED = ("work", "rubbed", "damped", "energy", "potential_energy")
+MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
+CLOCK = "seconds"  # statistics with this in their names differ from run to run
+DEFAULT = {
+    "direct": ("slip_rms", "tilt_largest", "utilisation_largest"),
+    "inverse": ("inverse_margin_least", "slip_rms", "utilisation_largest"),
+    "plan": ("within_limits", "plan_violation", "slip_rms"),
+    "climb": ("climb_up", "climb_true_slip", "climb_limited"),
+}
+COMPLETE = "complete"
+
+
+class Quantity(NamedTuple):
+    """A value and its unit."""
+
+    value: float
+    unit: str
+
+
+def figures_of(run: Trajectory, spec: Motion | Climb) -> Figures:
+    """Return what a motion comes to, by name: value and unit.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    spec : Motion or Climb
+        Its problem.
+
+    Returns
+    -------
+    dict of str to (float, str)
+        Ends (``end_x``), extremes over time and wheels (``pitch_largest``, of sizes;
+        ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of all tilts,
+        what was gained from start to end (``work``), and the solver's statistics but for times.
+        ``complete`` is 1 if the motion reached its end; ``within_limits`` of a plan is 1 if its
+        simulation is complete and violates nothing by more than ``plan.accuracy``.
+    """
+    found = {COMPLETE: Quantity(float(run.stop is None), "1")}
+    for name, quantity in (*_of_samples(run), *_of_statistics(run.statistics, run)):
+        if isfinite(quantity.value):
+            found[name] = quantity
+    if isinstance(spec, Plan) and "plan_violation" in found:
+        kept = run.stop is None and found["plan_violation"].value <= spec.plan.accuracy
+        found["within_limits"] = Quantity(float(kept), "1")
+    return {name: (float(q.value), q.unit) for name, q in found.items()}
+
+
+def _of_samples(run: Trajectory) -> Iterator[tuple[str, Quantity]]:
+    units = {name: column.label.unit for name, column in run.columns.items()}
+    for name in END:
+        if name in run.columns:
+            yield f"end_{name}", Quantity(run[name][-1], units[name])
+    for name in LARGEST:
+        if name in run.columns:
+            yield f"{name}_largest", Quantity(np.abs(run[name]).max(), units[name])
+    for name in LEAST:
+        if name in run.columns:
+            yield f"{name}_least", Quantity(run[name].min(), units[name])
+    for name in GAINED:
+        if name in run.columns:
+            yield name, Quantity(run[name][-1] - run[name][0], units[name])
+    tilts = [name for name in run if name.startswith("tilt_")
+             and not name.endswith(("_rate", "_stop", "_torque"))]  # fmt: skip
+    if tilts:
+        yield "tilt_largest", Quantity(max(np.abs(run[name]).max() for name in tilts), "rad")
+    if not is_climb(run):
+        yield "path_length", Quantity(path_length(run), "m")
+        yield from _slip(run)
+
+
+def _slip(run: Trajectory) -> Iterator[tuple[str, Quantity]]:
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    yield "slip_largest", Quantity(slip.max(), "m s-1")
+    duration, length = run.t[-1] - run.t[0], path_length(run)
+    if duration > 0:
+        squares = np.trapezoid(slip**2, run.t, axis=0).mean()
+        yield "slip_rms", Quantity(np.sqrt(squares / duration), "m s-1")
+    if length > 0:
+        yield "slip_per_path", Quantity(np.trapezoid(slip, run.t, axis=0).mean() / length, "m m-1")
+
+
+def _of_statistics(counts: Mapping[str, float], run: Trajectory) -> Iterator[tuple[str, Quantity]]:
+    for name, value in counts.items():
+        if CLOCK not in name:
+            of = name.removeprefix("plan_difference_").removeprefix("replay_")
+            unit = run.columns[of].label.unit if of != name and of in run.columns else ""
+            yield name, Quantity(value, unit)
+    for mean in MEANS:
+        parts = [counts[name] for wheel in run.wheels if (name := f"{mean}_{wheel}") in counts]
+        if parts:
+            yield mean, Quantity(float(np.mean(parts)), "1")
+    violations = [value for name, value in counts.items() if name.startswith("plan_violation_")]
+    if "plan_iterations" in counts:
+        yield "plan_violation", Quantity(max(violations, default=0.0), "")

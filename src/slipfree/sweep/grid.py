@@ -1,0 +1,283 @@
+"""What a sweep runs: values of keys, seeds, and the settings of every run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.problem.locate import key_path
+from slipfree.problem.read import Problem, read
+from slipfree.problem.schema import Climb, Motion
+from slipfree.version import __version__
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*:\s*(\d+)\s*")
+WHOLE = re.compile(r"\s*[+-]?\d+\s*")
+DIGITS = 12  # of the values of a range: 0.3, not 0.30000000000000004
+MOST_RUNS = 100_000
+SEED = "seed"  # last part of the keys that repetitions change
+
+
+class Axis(NamedTuple):
+    """A key that a sweep varies, and its values as they are set.
+
+    Attributes
+    ----------
+    key : str
+        As in ``inputs.left_rate``.
+    values : tuple of str
+        In TOML, or bare words.
+    """
+
+    key: str
+    values: tuple[str, ...]
+
+    @property
+    def numbers(self) -> tuple[float, ...] | None:
+        """The values as numbers; None if one of them is none."""
+        try:
+            return tuple(map(float, self.values))
+        except ValueError:
+            return None
+
+
+class Run(NamedTuple):
+    """One run of a sweep.
+
+    Attributes
+    ----------
+    number : int
+        From 1 on.
+    values : tuple of str
+        One a varied key.
+    seeds : tuple of int
+        One a key of a seed.
+    settings : tuple of str
+        All that is set beside the problem file, as ``key=value``.
+    """
+
+    number: int
+    values: tuple[str, ...]
+    seeds: tuple[int, ...]
+    settings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A problem and all that is varied of it.
+
+    Attributes
+    ----------
+    problem : Problem
+        Of the first run.
+    settings : tuple of str
+        What is set for all runs.
+    axes : tuple of Axis
+        What is varied.
+    seeds : tuple of str
+        Keys that get a seed of their own in every repetition; none if nothing is repeated.
+    repeat : int
+        Number of repetitions of every point of the grid.
+    seed : int
+        The first seed.
+    """
+
+    problem: Problem[Motion] | Problem[Climb]
+    settings: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    seeds: tuple[str, ...]
+    repeat: int
+    seed: int
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The varied keys, and those of the seeds."""
+        return (*(axis.key for axis in self.axes), *self.seeds)
+
+    @property
+    def count(self) -> int:
+        """The number of runs."""
+        return int(np.prod([len(axis.values) for axis in self.axes], dtype=int)) * self.repeat
+
+    def runs(self) -> Iterator[Run]:
+        """Yield all runs: the last key varies fastest but for the seeds, which vary within."""
+        number = 0
+        for values in product(*(axis.values for axis in self.axes)):
+            for k in range(self.repeat):
+                number += 1
+                # Each key draws from seeds of its own: equal ones would make its random ground
+                # and, say, the error of its heights waves of the same directions.
+                seeds = tuple(self.seed + k + self.repeat * i for i in range(len(self.seeds)))
+                pairs = zip(self.keys, (*values, *map(str, seeds)), strict=True)
+                own = tuple(f"{key}={value}" for key, value in pairs)
+                yield Run(number, values, seeds, (*self.settings, *own))
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """What makes results comparable, for the first line of the log; the same everywhere."""
+        text = "\n".join(self.problem.source.text.splitlines())
+        return {
+            "slipfree": __version__,
+            "problem": hashlib.sha256(text.encode()).hexdigest(),
+            "settings": list(self.settings),
+            "vary": {axis.key: list(axis.values) for axis in self.axes},
+            "repeat": self.repeat,
+            "seeds": dict.fromkeys(self.seeds, self.seed),
+        }
+
+
+def sweep_of(
+    file: Path,
+    vary: Sequence[str],
+    settings: Sequence[str] = (),
+    repeat: int | None = None,
+    seed: int = 1,
+) -> Sweep:
+    """Return the sweep of a problem file; every point of its grid is a valid problem.
+
+    Parameters
+    ----------
+    file : Path
+        The problem file.
+    vary : sequence of str
+        ``key=a:b:n`` for n numbers from a to b, ``key=v1,v2,...`` for values in TOML or bare
+        words; all combinations are run.
+    settings : sequence of str
+        ``key=value`` for all runs.
+    repeat : int, optional
+        How often each combination is run, with other seeds; once by default, with the file's.
+    seed : int
+        The first seed.
+
+    Raises
+    ------
+    DataError
+        If what is varied cannot be read, is given twice, or nothing has a seed to repeat with;
+        a ProblemError if a combination does not fit the schema.
+    """
+    axes = tuple(axis_of(each) for each in vary)
+    _check_keys(axes, settings)
+    sizes = int(np.prod([len(axis.values) for axis in axes], dtype=object)) * (repeat or 1)
+    if sizes > MOST_RUNS:
+        raise DataError(
+            f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values"
+        )
+    bare = Sweep(read(file, settings), tuple(settings), axes, (), 1, seed) if not axes else None
+    if bare is None:
+        problems = [
+            read(file, [*settings, *(f"{a.key}={v}" for a, v in zip(axes, point, strict=True))])
+            for point in product(*(axis.values for axis in axes))
+        ]
+        bare = Sweep(problems[0], tuple(settings), axes, (), 1, seed)
+    if repeat is None:
+        return bare
+    found = seed_keys(bare.problem.spec.model_dump())
+    seeds = tuple(key for key in found if key not in bare.keys)
+    if not seeds:
+        where = bare.problem.source.path
+        raise DataError(
+            f"{where}: expected a key that ends in .{SEED} for --repeat, found "
+            + (f"none but {', '.join(found)}, which is varied" if found else "none")
+            + "; add a random table such as [terrain.synthetic.power_law], [terrain.error] or "
+            "[control.noise], or leave out --repeat"
+        )
+    return Sweep(bare.problem, tuple(settings), axes, seeds, repeat, seed)
+
+
+def axis_of(text: str) -> Axis:
+    """Return the key and the values of ``key=a:b:n`` or ``key=v1,v2,...``.
+
+    Raises
+    ------
+    DataError
+        If it is neither.
+    """
+    key, equals, rest = text.partition("=")
+    try:
+        spelled = ".".join(key_path(key))
+    except tomllib.TOMLDecodeError:
+        spelled = ""
+    if not (spelled and equals and rest.strip()):
+        raise DataError(
+            f"--vary {text}: expected key=a:b:n for n numbers from a to b, or key=v1,v2,..., "
+            f"found {text!r}"
+        )
+    found = RANGE.fullmatch(rest)
+    values = _range(text, *found.groups()) if found else _values(rest)
+    twice = sorted({value for value in values if values.count(value) > 1})
+    if "" in values or twice:
+        raise DataError(
+            f"--vary {text}: expected values that differ, none of them empty, found "
+            f"{f'{twice[0]} twice' if twice and twice[0] else 'an empty one'}"
+        )
+    return Axis(spelled, values)
+
+
+def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
+    """Return the dotted keys of all seeds of a problem, those too that the file leaves out."""
+    keys: list[str] = []
+    for name, value in spec.items():
+        if isinstance(value, Mapping):
+            keys += seed_keys(value, f"{above}{name}.")
+        elif name == SEED and above:
+            keys.append(f"{above}{name}")
+    return tuple(keys)
+
+
+def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
+    """Refuse keys that are given more than once."""
+    keys = [axis.key for axis in axes]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise DataError(f"--vary {key}: expected every key once, found {key} twice")
+    for setting in settings:
+        if (key := setting.partition("=")[0].strip()) in keys:
+            raise DataError(
+                f"--vary {key}: expected a key that is not set, found --set {setting}; "
+                "leave out one of the two"
+            )
+
+
+def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
+    """Return numbers at equal distances, whole ones if the ends and the steps are whole."""
+    low, high, n = float(first), float(last), int(count)
+    if not (2 <= n <= MOST_RUNS and low != high):
+        raise DataError(
+            f"--vary {text}: expected two different ends and 2 to {MOST_RUNS} values, "
+            f"found {first}:{last}:{count}"
+        )
+    numbers = [float(f"{value:.{DIGITS}g}") for value in np.linspace(low, high, n)]
+    whole = WHOLE.fullmatch(first) and WHOLE.fullmatch(last) and (high - low) % (n - 1) == 0
+    return tuple(str(round(value)) if whole else str(value) for value in numbers)
+
+
+def _values(text: str) -> tuple[str, ...]:
+    """Return the values of a list, as TOML has them; bare words where they are not TOML."""
+    try:
+        found = tomllib.loads(f"values = [{text}]")["values"]
+        return tuple(map(_spelled, found))
+    except (tomllib.TOMLDecodeError, TypeError):
+        return tuple(part.strip() for part in text.split(","))
+
+
+def _spelled(value: Any) -> str:
+    """Return a value in TOML; arrays, texts and numbers are as in JSON.
+
+    Raises
+    ------
+    TypeError
+        If it is a table or a date, which JSON does not have.
+    """
+    if isinstance(value, dict):
+        raise TypeError(value)
+    return json.dumps(value, ensure_ascii=False)

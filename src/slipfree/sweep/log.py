@@ -1,0 +1,198 @@
+"""The log of a sweep: one line of JSON a finished run, safe on disk before the next one counts.
+
+A sweep that is killed loses no line that was written; a line that was cut short is dropped when the
+sweep goes on, and its run is done again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, NamedTuple
+
+from slipfree.errors import DataError
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: there two sweeps at a time are the user's care
+    fcntl = None  # type: ignore[assignment]
+
+NAME = "runs.jsonl"
+WORDS = {
+    "slipfree": "version of slipfree",
+    "problem": "problem file",
+    "settings": "--set",
+    "vary": "--vary",
+    "repeat": "--repeat",
+    "seeds": "--seed",
+}
+
+
+class Row(NamedTuple):
+    """What came of a run.
+
+    Attributes
+    ----------
+    run : int
+        Its number.
+    settings : tuple of str
+        What it had beside the problem file and what is set for all.
+    outcome : str
+        ``"complete"``, ``"stopped by NAME"`` or ``"failed"``.
+    words : str
+        Why it stopped or failed.
+    t : float or None
+        Time reached; None if it failed. [s]
+    figures : mapping of str to (float, str)
+        Value and unit of its figures, by name.
+    seconds : float
+        Wall time.
+    """
+
+    run: int
+    settings: tuple[str, ...]
+    outcome: str
+    words: str
+    t: float | None
+    figures: Mapping[str, tuple[float, str]]
+    seconds: float
+
+
+class Log:
+    """The open log of a sweep; a context manager.
+
+    Attributes
+    ----------
+    rows : list of Row
+        Of the runs that are finished, in the order in which they did.
+    """
+
+    def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
+        """Open or begin a log.
+
+        Raises
+        ------
+        DataError
+            If it cannot be written, is open elsewhere, is damaged, or is that of another sweep.
+        """
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: IO[bytes] = path.open("a+b")
+        except OSError as error:
+            raise self._unwritable(error) from error
+        try:
+            self._lock()
+            self.rows = self._read(head)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def append(self, row: Row) -> None:
+        """Write a row, whole and on disk when this returns.
+
+        Raises
+        ------
+        DataError
+            If it cannot be written.
+        """
+        self._write(row._asdict())
+        self.rows.append(row)
+
+    def __enter__(self) -> Log:
+        """Return the log."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:  # fmt: skip
+        """Close the file, which lets others open it."""
+        self._file.close()
+
+    def _lock(self) -> None:
+        """Keep others off until the file is closed, or this process ends in whatever way."""
+        if fcntl is None:
+            return
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise DataError(
+                f"{self.path}: expected a sweep that is not running, found that another process "
+                "writes to it; wait for it, or choose another folder with -o"
+            ) from error
+
+    def _read(self, head: Mapping[str, Any]) -> list[Row]:
+        """Return the finished runs; drop a line that was cut short; begin an empty log."""
+        self._file.seek(0)
+        data = self._file.read()
+        whole = data.rfind(b"\n") + 1
+        if whole < len(data):
+            self._file.truncate(whole)
+        lines = [self._parsed(k, line) for k, line in enumerate(data[:whole].splitlines(), 1)]
+        if not lines:
+            self._write(dict(head))
+            return []
+        self._check(lines[0], head)
+        rows: dict[int, Row] = {}
+        for k, line in enumerate(lines[1:], 2):
+            row = self._row(k, line)
+            rows.setdefault(row.run, row)
+        return list(rows.values())
+
+    def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
+        try:
+            found = json.loads(line)
+        except ValueError:
+            found = None
+        if not isinstance(found, dict):
+            raise self._damaged(number)
+        return found
+
+    def _row(self, number: int, line: Mapping[str, Any]) -> Row:
+        try:
+            row = Row(**line)
+            figures = {name: (float(value), str(unit)) for name, (value, unit)
+                       in row.figures.items()}  # fmt: skip
+            return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
+        except (TypeError, ValueError, AttributeError) as error:
+            raise self._damaged(number) from error
+
+    def _damaged(self, number: int) -> DataError:
+        return DataError(
+            f"{self.path}:{number}: expected one line of JSON for a run, found something else; "
+            "take out the line, and the same command does its run again"
+        )
+
+    def _check(self, found: Mapping[str, Any], head: Mapping[str, Any]) -> None:
+        """Refuse to add to the results of something else."""
+        for key, words in WORDS.items():
+            if found.get(key) != head[key]:
+                raise DataError(
+                    f"{self.path}: expected results of this sweep, found those of another {words}"
+                    + (f": {_short(found.get(key))}, now {_short(head[key])}"
+                       if key != "problem" else "")
+                    + "; choose another folder with -o, or remove this one"
+                )  # fmt: skip
+
+    def _write(self, what: Mapping[str, Any]) -> None:
+        try:
+            self._file.write(json.dumps(what, allow_nan=False).encode() + b"\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise self._unwritable(error) from error
+
+    def _unwritable(self, error: OSError) -> DataError:
+        return DataError(
+            f"{self.path}: cannot be written ({error.strerror}); make room or choose another "
+            "folder with -o; what was written is kept"
+        )
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
