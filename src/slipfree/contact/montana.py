@@ -2,7 +2,7 @@
 
 Five contact coordinates place a wheel that touches the ground: the contact point on the ground
 ``u_g, v_g``, the same on the wheel ``u_w, v_w``, and the angle ``psi`` between the two Gauss
-frames. The equations say how they change when the wheel moves. They need the curvature of the
+frames. The equations say how they change when the wheel moves [2]_. They need the curvature of the
 tread, hence a tube of positive radius.
 
 References
@@ -74,7 +74,7 @@ def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates) -> Pair:
 
 
 def torus(wheel: Wheel, u: ca.SX, v: ca.SX) -> ca.SX:
-    """Return a point of the tread in the wheel's axes, shape (3, 1) (eq. 1 of [2]_). [m].
+    """Return a point of the tread in the wheel's axes, shape (3, 1) (eq. 1 of the paper). [m].
 
     The normal ``c_u x c_v`` points outward; ``u = pi/2`` is the middle of the tread and
     ``v = 3 pi/2`` the lowest point of an upright wheel.
@@ -106,7 +106,7 @@ class ContactRates(NamedTuple):
 
 
 def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.SX) -> ContactRates:
-    """Return how the contact point moves over both surfaces (eq. 2 of [2]_).
+    """Return how the contact point moves over both surfaces (eq. 2 of the paper).
 
     The forms are not those printed there: with ``K`` and ``T`` as printed, factors ``1/|c_u|``
     and ``1/|c_v|`` are missing, and a diagonal ``M`` does not hold on a height map

@@ -260,8 +260,10 @@ def _finite(values: Array) -> Array:
 
 
 def _given(run: Trajectory) -> bool:
-    """Return whether the friction of the ground was given; else utilisation is that of 1."""
-    return "ground_friction" in run.attributes
+    """Return whether the ground has friction: else what is used of it is what is needed."""
+    if "ground_friction" in run.attributes:
+        return True
+    return not np.array_equal(run["utilisation"], run["friction_needed"])
 
 
 def _quantity(run: Trajectory) -> str:

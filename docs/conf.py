@@ -1,0 +1,97 @@
+"""Configuration of the documentation: `sphinx-build -W --keep-going -j 8 docs docs/_build/html`."""
+
+import os
+import re
+import shutil
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import matplotlib.font_manager  # noqa: F401 - makes its cache, so that no notebook tells about it
+from docutils.nodes import Text
+
+import slipfree
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS))
+
+from made import MADE  # noqa: E402
+
+NOTEBOOKS = DOCS / "notebooks"
+SHIPPED = find_spec("sphinx-mathjax-offline")  # a package of MathJax's files
+if SHIPPED is None or SHIPPED.origin is None:
+    raise ImportError("pages need MathJax without network: pip install 'slipfree[docs]'")
+
+project = "slipfree"
+author = copyright = "The slipfree developers"
+version = release = slipfree.__version__
+
+extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+exclude_patterns = ["_build", "conf.py", "made.py"]
+
+html_theme = "furo"
+html_title = f"slipfree {release}"
+html_static_path = [str(Path(SHIPPED.origin).parent / "static/mathjax/tex-svg.js")]
+html_copy_source = html_show_sourcelink = False
+mathjax_path = "tex-svg.js"
+mathjax3_config = {"options": {"enableMenu": False}}  # the menu would load more files
+
+myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_merge_streams = True
+nb_output_stderr = "warn"
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"
+numpydoc_show_class_members = False
+
+
+def _copy_notebooks(*_: Any) -> None:
+    """Copy the notebooks to where pages are looked for; those that are up to date stay."""
+    for source in (DOCS.parent / "notebooks").glob("*.py"):
+        target = NOTEBOOKS / source.name
+        if not target.exists() or target.read_bytes() != source.read_bytes():
+            shutil.copyfile(source, target)
+
+
+def _fill(_app: Any, _page: str, source: list[str]) -> None:
+    """Put in what a page asks for, as `<!-- modules: slipfree.plan -->`."""
+    source[0] = re.sub(
+        f"<!-- ({'|'.join(MADE)}): ([\\w.]+) -->", lambda m: MADE[m[1]](m[2]), source[0]
+    )
+
+
+def _leave_out(_app: Any, _what: str, _name: str, obj: Any, _skip: bool, _options: Any) -> Any:
+    """Return True for fields of tuples, which their record describes, and what is imported."""
+    foreign = isinstance(obj, type) and not str(obj.__module__).startswith("slipfree")
+    return True if foreign or type(obj).__name__ == "_tuplegetter" else None
+
+
+def _tame(_app: Any, what: str, _name: str, _obj: Any, _opt: Any, lines: list[str]) -> None:
+    """Turn headings in the text of a module into rubrics, which may stand anywhere."""
+    for k, line in enumerate(lines):
+        if what == "module" and k and re.fullmatch("-{3,}", line):
+            lines[k - 1 : k + 1] = [f".. rubric:: {lines[k - 1]}", ""]
+
+
+def _renumber(_app: Any, page: Any, _name: str) -> None:
+    """Call references by the number that their docstring gives them, not by numpydoc's key."""
+    for text in list(page.findall(Text)):
+        if number := re.fullmatch(r"\[R[0-9a-f]{12}-(\w+)\]", text):
+            text.parent.replace(text, Text(f"[{number[1]}]"))
+
+
+def setup(app: Any) -> None:
+    """Register what is done before pages are read."""
+    app.connect("config-inited", _copy_notebooks)
+    app.connect("source-read", _fill)
+    app.connect("autodoc-skip-member", _leave_out)
+    app.connect("autodoc-process-docstring", _tame, priority=0)
+    app.connect("doctree-resolved", _renumber)

@@ -1,0 +1,142 @@
+"""Parts of pages that are made from the package, so that they never lag behind it."""
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from inspect import get_annotations
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import slipfree
+from slipfree.problem import schema
+
+DOCS = Path(__file__).parent
+TAKES = {
+    "Length": "a number above 0",
+    "Radius": "a number from 0 on",
+    "Count": "a whole number from 0 on",
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "`true` or `false`",
+    "str": "text",
+    "Pair": "`[a, b]`",
+    "Column": "`[numbers]`",
+    "Window": "`[x_min, x_max, y_min, y_max]`",
+    "Bound": "a number, or `[low, high]`",
+    "Rate": "a number, or `[[time, value], ...]`",
+    "float | str": "a number, or a file's name",
+    "tuple[Pair, ...]": "`[[x, y], ...]`",
+    "tuple[Annotated[tuple[Pair, ...]": "`[[[x, y], ...], ...]`",
+    "tuple[str, ...]": "`[names]`",
+    "tuple[Rock, ...]": "`[[x, y, diameter, height], ...]`",
+    "dict[str, float]": "a table of numbers by name",
+    "dict[str, Radius]": "a table of numbers by name",
+    "dict[str, Bound]": "a table by name: numbers, or `[low, high]`",
+    "dict[str, Rate]": "a table by name: numbers, or `[[time, value], ...]`",
+    "dict[str, Course]": "a table by name: numbers, `[[time, value], ...]`, or formulas of `t`",
+    "tuple[dict[str, Bound], ...]": "an array of tables by name, each with its `at`",
+}
+
+
+def _modules(package: str) -> str:
+    """Return a section for every module of a package."""
+    folder = DOCS.parent / "src" / package.replace(".", "/")
+    names = sorted(path.stem for path in folder.glob("*.py") if path.stem[0] != "_")
+    return "\n".join(
+        f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {package}.{name}\n   :members:\n```\n"
+        for name in names
+    )
+
+
+def _exports(package: str) -> str:
+    """Return rows of a table of what a package offers, and where that is described."""
+    offered = {name: getattr(slipfree, name) for name in slipfree.__all__ if name[0] != "_"}
+    return "\n".join(
+        f"| `{package}.{name}` | {{py:obj}}`{each.__module__}.{each.__name__}` |"
+        for name, each in offered.items()
+    )
+
+
+def _commands(_: str) -> str:
+    """Return a section for every command: what it says about itself."""
+    import typer
+    from typer.testing import CliRunner
+
+    from slipfree.cli import app
+
+    names = typer.main.get_command(app).commands
+    texts = {name: CliRunner().invoke(app, [name, "--help"]).output.strip() for name in names}
+    return "\n".join(f"## {name}\n\n```text\n{text}\n```\n" for name, text in texts.items())
+
+
+def _keys(_: str) -> str:
+    """Return a section for every verb: its keys, then those of tables not described before."""
+    seen: set[tuple[str, ...]] = set()
+    parts = []
+    for verb in (schema.Direct, schema.Inverse, schema.Plan, schema.Compare, schema.Climb):
+        name = _options(verb.model_fields["verb"].annotation)[0]
+        parts += [f"## {name}", verb.__doc__ or "", *_tables(verb, (), seen)]
+    return "\n\n".join(parts)
+
+
+def _tables(
+    record: type[schema.Record], path: tuple[str, ...], seen: set[tuple[str, ...]]
+) -> Iterator[str]:
+    """Yield the table of a record's keys, and those of the records in it."""
+    rows = ["| key | what it takes | default |", "| --- | --- | --- |"]
+    inner = []
+    for key, field in record.model_fields.items():
+        found, place = _record_in(field.annotation), (*path, key)
+        takes = _titled(place, field) if found else _words(record, key, field.annotation)
+        rows.append(f"| `{key}` | {takes} | {_default(field)} |")
+        if found and (*place, found.__name__) not in seen:
+            seen.add((*place, found.__name__))
+            inner.append((found, place))
+    if path:
+        yield f"`[{'.'.join(path)}]`: {record.__doc__}"
+    yield "\n".join(rows)
+    for found, place in inner:
+        yield from _tables(found, place, seen)
+
+
+def _titled(place: tuple[str, ...], field: Any) -> str:
+    """Return how a table, or an array of tables, is begun."""
+    name = ".".join(place)
+    return f"tables `[[{name}]]`" if "tuple" in str(field.annotation) else f"table `[{name}]`"
+
+
+def _record_in(annotation: Any) -> type[schema.Record] | None:
+    """Return the record that a key takes, alone or in an array, if it takes one."""
+    if isinstance(annotation, type) and issubclass(annotation, schema.Record):
+        return annotation
+    return next(filter(None, map(_record_in, get_args(annotation))), None)
+
+
+def _options(annotation: Any) -> tuple[str, ...]:
+    """Return the names that a key takes, if it takes names."""
+    if get_origin(annotation) is Literal:
+        return get_args(annotation)
+    return next(filter(None, map(_options, get_args(annotation))), ())
+
+
+def _words(record: type[schema.Record], key: str, annotation: Any) -> str:
+    """Return what a key takes: names, or its annotation as it is written, in words."""
+    if names := _options(annotation):
+        return ", ".join(f'`"{name}"`' for name in names)
+    written = next(w for w in map(get_annotations, record.__mro__) if key in w)[key]
+    text = re.sub(r"Annotated\[(.+?), \w+\(.*", r"\1", written)
+    return TAKES[text.removesuffix(" | None")]
+
+
+def _default(field: Any) -> str:
+    if field.is_required():
+        return "required"
+    if isinstance(field.default, schema.Record):
+        return "its defaults"
+    if field.default == math.inf:
+        return "none"
+    return f"`{json.dumps(field.default)}`" if field.default not in (None, (), {}) else "none"
+
+
+MADE = {"modules": _modules, "exports": _exports, "commands": _commands, "keys": _keys}
