@@ -465,10 +465,12 @@ def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
 
 
 def test_without_the_friction_of_the_ground_it_is_the_friction_needed(loaded, grid, ax):
-    load.utilisation(replace(loaded, attributes={}), ax)
+    columns = {**loaded.columns, "utilisation": loaded.columns["friction_needed"]}
+    run = replace(loaded, attributes={}, columns=columns)
+    load.utilisation(run, ax)
     assert ax.get_ylabel() == "friction needed $|f_t|/N$ [1]"
     assert labels(ax)[-1] == "a friction coefficient of 1"
-    bar = load.utilisation_map(replace(loaded, attributes={}), grid, ax).child_axes[-1]
+    bar = load.utilisation_map(run, grid, ax).child_axes[-1]
     assert bar.get_ylabel() == "friction needed $|f_t|/N$ [1]"
 
 
