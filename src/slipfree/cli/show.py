@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slipfree.cli.common import reported
+from slipfree.cli.voice import put_file
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
@@ -51,12 +52,14 @@ def show(
         found = _read(files, folder)
         if animation is not None:
             _film(found, animation)
+            put_file(animation)
         if html is not None:
             from slipfree.result_file import replaced
             from slipfree.show.viewer import page
 
             text = page(_scene(found), _title(found), color)
             replaced(html, lambda part: _write(part, text))
+            put_file(html)
             typer.echo(f"wrote {html}, {len(text) / 1e6:.1f} MB")
         if html is None and animation is None:
             from slipfree.show.viewer import serve

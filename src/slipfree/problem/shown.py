@@ -91,10 +91,7 @@ def problem_of(
                 from error  # fmt: skip
     place = _folder(file, problem.spec, folder)
     source = replace(problem.source, path=place / name)
-    return replace(problem, source=source)  # type: ignore[return-value]  # one of the same kind
-
-
-_problem = problem_of
+    return replace(problem, source=source)
 
 
 def _folder(file: Path, spec: Any, folder: Path | None) -> Path:

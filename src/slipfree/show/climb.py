@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
-from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -25,6 +24,7 @@ from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.named import Array
 from slipfree.show import style
+from slipfree.show.film import FILM_DPI, FRAMES, film_writer
 from slipfree.show.plot import check_formats, write
 from slipfree.show.style import MM, PAGE, PLATFORM, STYLE
 from slipfree.trajectory import Trajectory
@@ -36,7 +36,6 @@ GROUND = "0.85"
 ROOM, BELOW = 0.04, 0.03  # around and below what is drawn [m]
 HIGHEST = 100.0  # of ratios that are drawn [%]
 ROW = 38 * MM  # height of a panel over time [in]
-FRAMES, FILM_DPI = 20, 110  # of a film, by second and by inch
 
 
 def ground(profile: Profile, ax: Axes) -> Axes:
@@ -370,7 +369,7 @@ def _outcome(run: Trajectory) -> str:
 def animate(
     run: Trajectory, climber: Climber, profile: Profile, file: str | Path, rate: int = FRAMES
 ) -> None:
-    """Write a climb as a film, an animated GIF, in real time.
+    """Write a climb as a film in real time.
 
     Parameters
     ----------
@@ -379,17 +378,22 @@ def animate(
     climber, profile : Climber, Profile
         What climbed what.
     file : str or Path
-        Its name ends in ``.gif``.
+        Its name ends in ``.gif`` or ``.mp4``.
     rate : int
         Pictures in a second. [1/s]
+
+    Raises
+    ------
+    DataError
+        If the ending is unknown, or ffmpeg is missing.
     """
+    writer = film_writer(Path(file), rate)
     with rc_context(STYLE):  # type: ignore[arg-type]
         figure = style.figure(PAGE, 70 * MM)
         FigureCanvasAgg(figure)
         ax = _framed(run, climber, ground(profile, figure.subplots()))
         _sized(figure, ax, 12 * MM)
         film = _Film(climber, ax)
-        writer = PillowWriter(fps=rate)
         times = np.arange(run.t[0], run.t[-1], 1 / rate)
         with writer.saving(figure, str(file), FILM_DPI):
             for k in np.searchsorted(run.t, times - 1e-9):

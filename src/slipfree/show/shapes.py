@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.geometry.frame import Vector
 from slipfree.named import Array
 
 AROUND, TUBE, ROD = 36, 12, 8  # faces around a wheel, around its tube and around a rod
@@ -52,8 +51,8 @@ def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
     return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3).astype(np.uint32))
 
 
-def wheel(r1: float, r2: float) -> Mesh:
-    """Return a torus about the x axis, with spokes that show how it turns.
+def tyre(r1: float, r2: float) -> Mesh:
+    """Return a torus about the x axis.
 
     Parameters
     ----------
@@ -61,24 +60,26 @@ def wheel(r1: float, r2: float) -> Mesh:
         Radius of its tube, and of the circle of tube centers. The tube of a disc is drawn a little
         thick, inside its rolling radius. [m]
     """
-    radius = r1 + r2
-    tube = max(r1, THIN * radius)
-    ring = radius - tube
+    tube = max(r1, THIN * (r1 + r2))
     v = 2 * np.pi * np.arange(AROUND) / AROUND
-    u = 2 * np.pi * np.arange(TUBE) / TUBE
-    out = ring + tube * np.sin(u)[None, :]
-    torus = np.stack(np.broadcast_arrays(
+    u = -2 * np.pi * np.arange(TUBE) / TUBE
+    out = r1 + r2 - tube + tube * np.sin(u)[None, :]
+    torus = np.broadcast_arrays(
         tube * np.cos(u)[None, :], np.cos(v)[:, None] * out, np.sin(v)[:, None] * out
-    ), axis=-1)  # fmt: skip
-    meshes = [sheet(torus, closed=(True, True))]
-    if ring > tube:  # there is a hole to be seen through
-        angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
-        ends = [(0.0, float(ring * np.cos(a)), float(ring * np.sin(a))) for a in angles]
-        meshes += [rod((0.0, 0.0, 0.0), end, SPOKE * radius) for end in ends]
-    return joined(*meshes)
+    )
+    return sheet(np.stack(torus, axis=-1), closed=(True, True))
 
 
-def rod(start: Sequence[float], end: Sequence[float], radius: float) -> Mesh:
+def spokes(radius: float) -> Mesh:
+    """Return what shows how a wheel about the x axis turns: spokes, one of them thicker. [m]."""
+    angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
+    ends = [(0.0, float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]
+    sizes = [2 * SPOKE, *[SPOKE] * (SPOKES - 1)]
+    return joined(*(rod((0.0, 0.0, 0.0), end, size * radius)
+                    for end, size in zip(ends, sizes, strict=True)))  # fmt: skip
+
+
+def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float) -> Mesh:
     """Return a prism of eight sides from one point to another. [m]."""
     ends = np.array([start, end], dtype=float)
     along = ends[1] - ends[0]
@@ -120,14 +121,16 @@ def plate(half_width: float, rear: float, front: float, thickness: float) -> Mes
     return extruded(outline, (0.0, 0.0, thickness))
 
 
-def clipped(points: Sequence[tuple[float, float]], low: Vector, high: Vector) -> Array:
-    """Return the part of a convex polygon (x, z) in a box between two corners, shape (n, 2).
+def clipped(
+    points: Sequence[tuple[float, float]], low: tuple[float, float], high: tuple[float, float]
+) -> Array:
+    """Return the part of a convex polygon in a box between two corners, shape (n, 2).
 
-    The box is given by corners (x, y, z); y does not count. Nothing is left of a polygon outside.
+    Nothing is left of a polygon outside.
     """
     found = np.array(points, dtype=float)
-    for axis, k in ((0, 0), (1, 2)):
-        for bound, sign in ((low[k], 1.0), (high[k], -1.0)):
+    for axis in (0, 1):
+        for bound, sign in ((low[axis], 1.0), (high[axis], -1.0)):
             found = _cut(found, axis, bound, sign)
     return found
 

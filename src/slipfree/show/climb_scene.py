@@ -1,0 +1,210 @@
+"""What there is to draw of climbs in space: the profile and the vehicle, given a width.
+
+A climb happens in a plane. The profile is pulled across it, and the wheels of an axle stand side by
+side: the width is drawn, not computed with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.climb.metrics import LOADED
+from slipfree.climb.profile import Profile
+from slipfree.climb.vehicle import AXLES, Body, Climber
+from slipfree.errors import ModelError
+from slipfree.kinematics.poses import spun
+from slipfree.named import Array
+from slipfree.show import scene
+from slipfree.show.scene import PLATE, ROD, TYRE, Actor, Arrows, Color, Ground, Scene
+from slipfree.show.shapes import Mesh, clipped, extruded, joined, plate, rod, spokes, tyre
+from slipfree.trajectory import Trajectory
+
+TRACK = 3.5  # half of the track, in radii of the wheels
+WIDTH = 2.0  # half of the width of the ground, in half tracks
+TUBE = 0.35  # radius of the wheels' tube, in radii of the wheels
+ROOM = 4.0  # of the ground around a climb, in radii of the wheels
+LEVELS = 25  # at which the drawn ground is divided, so that its color follows its height
+NARROW = 0.6  # width of the bodies, in that of the vehicle
+
+
+class Climbed(NamedTuple):
+    """A climb, and what climbed what.
+
+    Attributes
+    ----------
+    name : str
+        As it is to be shown.
+    run : Trajectory
+        The motion.
+    climber, profile : Climber, Profile
+        The vehicle and the ground.
+    plan : Trajectory or None
+        The plan that it tracks.
+    """
+
+    name: str
+    run: Trajectory
+    climber: Climber
+    profile: Profile
+    plan: Trajectory | None = None
+
+
+def climb_scene(climbs: Sequence[Climbed]) -> Scene:
+    """Return what to draw of climbs over one profile.
+
+    Parameters
+    ----------
+    climbs : sequence of Climbed
+        One or more.
+
+    Raises
+    ------
+    ModelError
+        If their profiles differ.
+    """
+    first = climbs[0]
+    for each in climbs[1:]:
+        if each.profile != first.profile:
+            raise ModelError(
+                f"{each.name} climbs another profile than {first.name}: show them one by one"
+            )
+    reach = max(_reach(each.climber) for each in climbs)
+    runs = [run for each in climbs for run in (each.run, each.plan) if run is not None]
+    origin = np.round([np.mean([_span(runs, "axle_x")]), 0.0, 0.0])
+    ground = _ground(first, runs, origin)
+    actors = []
+    for k, each in enumerate(climbs):
+        actors.append(_actor(each, each.run, each.name, k, origin))
+        if each.plan is not None:
+            actors.append(
+                _actor(each, each.plan, f"{each.name}: plan", k + len(climbs), origin, ghost=True)
+            )
+    notes = ["A climb is computed in a plane: the width of ground and vehicle is only drawn."]
+    return scene.framed(ground, actors, origin, reach, notes)
+
+
+def _span(runs: Sequence[Trajectory], name: str) -> tuple[float, float]:
+    return min(float(run[name].min()) for run in runs), max(float(run[name].max()) for run in runs)
+
+
+def _reach(climber: Climber) -> float:
+    return climber.front.ahead - climber.rear.ahead + climber.radius
+
+
+def _ground(each: Climbed, runs: Sequence[Trajectory], origin: Array) -> Ground:
+    """Return the profile around the climbs, pulled across."""
+    radius = each.climber.radius
+    half = WIDTH * TRACK * radius
+    left, right = _span(runs, "axle_x")
+    bottom, top = (
+        -ROOM * radius,
+        max(max(z for _, z in solid.points) for solid in each.profile.solids),
+    )
+    levels = [bottom, *np.linspace(0, top, LEVELS if top > 0 else 1)]
+    meshes = []
+    for solid in each.profile.solids:
+        for low, high in pairwise(levels):
+            box = (left - ROOM * radius, low), (right + ROOM * radius, high)
+            corners = clipped(solid.points, *box) - origin[[0, 2]]
+            if len(corners) >= 3:
+                outline = np.insert(corners, 1, half, axis=1)
+                meshes.append(extruded(outline, (0.0, -2 * half, 0.0)))
+    mesh = joined(*meshes)
+    legend, z = f"0 to {top:.4g} m", mesh.vertices[:, 2] + origin[2]
+    return Ground(mesh, (scene.layer("height", z, legend, 0.0, top),))
+
+
+def _actor(
+    each: Climbed, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
+) -> Actor:
+    climber, color = each.climber, scene.color_of(k)
+    bodies = [*_bodies(climber, run, origin, color), *_wheels(climber, run, origin, color)]
+    contacts, arrows = _contacts(each, run, origin)
+    return Actor(name, color, run.t, tuple(bodies), contacts, arrows, ghost)
+
+
+def _bodies(
+    climber: Climber, run: Trajectory, origin: Array, color: Color
+) -> Iterable[scene.Body]:  # fmt: skip
+    """Yield both bodies, on the joint that they share."""
+    joint = np.stack([run["x"], np.zeros(run.t.size), run["z"]], axis=1) - origin
+    rear = (climber.rear.ahead, max(climber.middle.ahead, climber.rear.ahead / 2))
+    front = (0.0, climber.front.ahead)
+    axles = {"rear": [climber.rear.ahead, climber.middle.ahead], "front": [climber.front.ahead]}
+    for name, body, ends in (
+        ("rear", climber.rear_body, rear),
+        ("front", climber.front_body, front),
+    ):
+        mesh = _body(climber.radius, ends, axles[name], body)
+        yield scene.Body(f"{name} body", ((mesh, color),), joint, _turned(run[f"tilt_{name}"]))
+
+
+def _body(radius: float, ends: tuple[float, float], axles: Sequence[float], body: Body) -> Mesh:
+    """Return a body in its frame, x right, y forward: a plate, its axles, its center of mass."""
+    half, thick = TRACK * radius, ROD * radius
+    meshes = [plate(NARROW * half, *ends, PLATE * radius), rod((0, 0, 0), (0, axles[0], 0), thick)]
+    meshes += [rod((-half, ahead, 0), (half, ahead, 0), thick) for ahead in axles]
+    meshes.append(rod((0, body.ahead, 0), (0, body.ahead, body.above), 2 * thick))
+    return joined(*meshes)
+
+
+def _turned(tilt: Array) -> Array:
+    """Return rotations of frames with x right, y forward, z up, nose up by angles, (n, 3, 3)."""
+    cosine, sine, zero = np.cos(tilt), np.sin(tilt), np.zeros(tilt.size)
+    right = np.stack([zero, zero - 1, zero], axis=1)
+    forward, up = np.stack([cosine, zero, sine], axis=1), np.stack([-sine, zero, cosine], axis=1)
+    return np.stack([right, forward, up], axis=2)
+
+
+def _abreast(climber: Climber, k: int) -> Array:
+    """Return where the wheels of an axle stand across the vehicle, to the left. [m]."""
+    half, count = TRACK * climber.radius, climber.axles[k].wheels
+    return np.linspace(-half, half, count) if count > 1 else np.zeros(1)
+
+
+def _wheels(
+    climber: Climber, run: Trajectory, origin: Array, color: Color
+) -> Iterable[scene.Body]:  # fmt: skip
+    tube = TUBE * climber.radius
+    looks = ((tyre(tube, climber.radius - tube), TYRE), (spokes(0.97 * climber.radius), color))
+    for k, axle in enumerate(AXLES):
+        turned = spun(_turned(np.zeros(run.t.size)), run["wheel_angle", axle])
+        for number, across in enumerate(_abreast(climber, k)):
+            at = np.stack([run["axle_x", axle], np.full(run.t.size, across), run["axle_z", axle]])
+            yield scene.Body(f"{axle} {number + 1}", looks, at.T - origin, turned)
+
+
+def _contacts(
+    each: Climbed, run: Trajectory, origin: Array
+) -> tuple[Array, tuple[Arrows, ...]]:  # fmt: skip
+    """Return contact points of all wheels with all solids that bear them, slip and forces there."""
+    if "load_0" not in run.columns:
+        return np.full((run.t.size, 1, 3), np.nan), ()
+    points, slips, forces = [], [], []
+    for number, solid in enumerate(each.profile.solids):
+        normals = solid.distance(run["axle_x"], run["axle_z"])[1]
+        tangents = np.stack([normals[..., 1], -normals[..., 0]], axis=-1)
+        for k, axle in enumerate(AXLES):
+            normal, tangent = _lifted(normals[:, k]), _lifted(tangents[:, k])
+            load, rubbing, slip = (run[f"{name}_{number}", axle][:, None]
+                                   for name in ("load", "friction", "slip"))  # fmt: skip
+            center = np.stack([run["axle_x", axle], np.zeros(run.t.size), run["axle_z", axle]], 1)
+            touch = np.where(load > LOADED, center - each.climber.radius * normal, np.nan) - origin
+            for across in _abreast(each.climber, k):
+                points.append(touch + np.array([0.0, across, 0.0]))
+                slips.append(slip * tangent)
+                forces.append((load * normal + rubbing * tangent) / each.climber.axles[k].wheels)
+    at = np.stack(points, axis=1)
+    bears = np.isfinite(at)
+    vectors = (np.where(bears, np.stack(each, axis=1), np.nan) for each in (slips, forces))
+    arrows = tuple(Arrows(*pair) for pair in zip(("slip", "force"), (at, at), vectors, strict=True))
+    return at, arrows
+
+
+def _lifted(vectors: Array) -> Array:
+    """Return vectors (x, z) as vectors in space."""
+    return np.stack([vectors[:, 0], np.zeros(len(vectors)), vectors[:, 1]], axis=1)

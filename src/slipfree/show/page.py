@@ -1,0 +1,64 @@
+"""Words around a scene in a web page: what its colors and arrows mean."""
+
+from __future__ import annotations
+
+from html import escape
+
+from slipfree.show.scene import Color, Layer, Scene, scale_words
+
+BOX = (
+    "position:fixed;left:8px;bottom:52px;z-index:2;max-width:22em;padding:6px 10px;"
+    "font:12px/1.4 sans-serif;color:#222;background:rgba(255,255,255,.85);border-radius:4px"
+)
+HOLLOW = "background:none;border:2px dotted"
+
+
+def legend(layer: Layer) -> str:
+    """Return HTML that shows the scale of a layer of the ground."""
+    stops = ",".join(map(_css, layer.scale))
+    return (
+        f'<div style="height:10px;background:linear-gradient(to right,{stops})"></div>'
+        f"<div>{escape(layer.name)}: {escape(layer.legend)}</div>"
+    )
+
+
+def with_legend(html: str, scene: Scene, title: str, color: str, words: str) -> str:
+    """Return a page that plays a scene, with a box that says what is seen.
+
+    Parameters
+    ----------
+    html : str
+        The page.
+    scene : Scene
+        What it plays.
+    title : str
+        What it is called.
+    color : str
+        The layer that the ground is colored by.
+    words : str
+        What else to say.
+    """
+    layer = next(each for each in scene.ground.layers if each.name == color)
+    runs = "".join(
+        f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:6px;'
+        f'{_swatch(actor.color, actor.ghost)}"></span>{escape(actor.name)}</div>'
+        for actor in scene.actors
+    )
+    arrows = "".join(f"<div>{name}: {each}</div>" for name in scene.scales
+                     if (each := scale_words(scene, name)))  # fmt: skip
+    notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, words) if note)
+    box = (
+        f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{legend(layer)}{runs}{arrows}'
+        f"<details><summary>notes</summary>{notes}</details></div>"
+    )
+    html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
+    end = html.rindex("</body>")
+    return html[:end] + box + html[end:]
+
+
+def _css(color: Color) -> str:
+    return "rgb({},{},{})".format(*color)
+
+
+def _swatch(color: Color, ghost: bool) -> str:
+    return f"{HOLLOW} {_css(color)}" if ghost else f"background:{_css(color)}"

@@ -1,0 +1,347 @@
+"""Motions in a web page: served to a browser on this machine, or saved as one file.
+
+viser draws; it is needed here alone and imported late.
+"""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.named import Array
+from slipfree.show.page import legend, with_legend
+from slipfree.show.scene import Actor, Arrows, Colors, Ground, Layer, Scene, scale_words
+
+if TYPE_CHECKING:
+    import viser
+
+HOST = "127.0.0.1"  # nobody else on the network sees the page
+RATE = 25.0  # pictures in a second
+SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x", "50x")
+LONGEST = 60.0  # that a saved page plays; longer motions are sped up [s]
+MOST = 400  # points of a track
+SIZES = {"contact": 0.05, "shaft": 0.014, "head": 0.035, "tip": 0.08}  # in the vehicle's reach
+COLORS = {"slip": (213, 94, 0), "force": (204, 121, 167)}  # vermilion and purple, of Okabe and Ito
+CONTACT = (255, 255, 255)
+SKY = 0.5  # light from all around, beside viser's two lamps
+FAR = 1000.0  # that a camera sees, unless the ground is larger [m]
+
+
+def serve(
+    scene: Scene, title: str, color: str, port: int, ready: Callable[[str], None]
+) -> None:  # fmt: skip
+    """Show a scene in a web page on this machine, until Ctrl-C.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to show.
+    title : str
+        What it is called.
+    color : str
+        By which layer the ground is colored at first.
+    port : int
+        Where; zero for any that is free.
+    ready : callable
+        Called with the address when the page can be opened.
+
+    Raises
+    ------
+    DataError
+        If viser is not installed, or the port is taken.
+    """
+    server = _server(port)
+    try:
+        stage = Stage(server, scene, color)
+        panel = _Panel(server, stage, scene, title)
+        ready(f"http://{HOST}:{server.get_port()}")
+        while True:
+            time.sleep(1 / RATE)
+            panel.advance(1 / RATE)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        _stop(server)
+
+
+def page(scene: Scene, title: str, color: str) -> str:
+    """Return a page of HTML that plays a scene by itself, without a network.
+
+    Parameters are those of `serve`.
+
+    Raises
+    ------
+    DataError
+        If viser is not installed.
+    """
+    server = _server(0)
+    try:
+        stage = Stage(server, scene, color, others=False)
+        first, last = scene.span
+        speed = max(1.0, (last - first) / LONGEST)
+        times = np.arange(first, last + speed / RATE, speed / RATE)
+        recording = server.get_scene_serializer()
+        for t in times:
+            stage.show(min(float(t), last))
+            recording.insert_sleep(1 / RATE)
+        html = recording.as_html()
+    finally:
+        _stop(server)
+    words = f"Played {speed:.3g} times as fast as it happened." if speed > 1 else ""
+    return with_legend(html, scene, title, color, words)
+
+
+def _server(port: int) -> viser.ViserServer:
+    try:
+        import viser
+    except ImportError as error:
+        raise DataError("show needs viser: pip install 'slipfree[view]'") from error
+    with redirect_stdout(io.StringIO()):  # it prints a banner, whatever it is asked
+        server = viser.ViserServer(host=HOST, port=port, verbose=False)
+    if port and server.get_port() != port:
+        _stop(server)
+        raise DataError(f"--port: expected a free port, found {port} taken; leave it out for any")
+    return server
+
+
+def _stop(server: viser.ViserServer) -> None:
+    with redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+class Stage:
+    """The nodes of a scene in viser, moved in time.
+
+    Parameters
+    ----------
+    server : ViserServer
+        Where they are drawn.
+    scene : Scene
+        What is drawn.
+    color : str
+        The layer of the ground that is seen at first.
+    others : bool
+        Whether the other layers are kept ready too.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, scene: Scene, color: str, *, others: bool = True
+    ) -> None:
+        self.server, self.color, self._lock = server, color, threading.Lock()
+        server.scene.set_up_direction("+z")
+        # A picture of surroundings as light would fade a saved page in again at every turn.
+        server.scene.configure_environment_map(None)
+        server.scene.configure_default_lights(cast_shadow=False)  # slow where there is no GPU
+        server.scene.add_light_hemisphere("/sky", intensity=SKY)
+        self.grounds = {
+            layer.name: _add_ground(server, scene.ground, layer, layer.name == color)
+            for layer in scene.ground.layers
+            if others or layer.name == color
+        }
+        self.actors = [_Drawn(server, scene, k) for k in range(len(scene.actors))]
+        _set_camera(server, scene)
+        self.show(scene.span[0])
+
+    def show(self, t: float) -> None:
+        """Move everything to where it is at a time [s]."""
+        with self._lock, self.server.atomic():
+            for actor in self.actors:
+                actor.show(t)
+
+    def paint(self, color: str) -> None:
+        """Color the ground by another layer."""
+        for name, node in self.grounds.items():
+            node.visible = name == color
+
+
+class _Drawn:
+    """The nodes of one motion."""
+
+    def __init__(self, server: viser.ViserServer, scene: Scene, k: int) -> None:
+        actor, self.scales = scene.actors[k], scene.scales
+        root, self.actor, self.last = f"/run {k + 1}", actor, -1
+        self.root = server.scene.add_frame(root, show_axes=False)
+        self.frames = []
+        for body in actor.bodies:
+            name = f"{root}/{body.name}"
+            self.frames.append((server.scene.add_frame(name, show_axes=False), body.origins,
+                                body.quaternions))  # fmt: skip
+            for number, (mesh, color) in enumerate(body.meshes):
+                server.scene.add_mesh_simple(
+                    f"{name}/{number}", mesh.vertices, mesh.faces, color=color, side="double",
+                    flat_shading=not actor.ghost, wireframe=actor.ghost,
+                )  # fmt: skip
+        self.label = server.scene.add_label(f"{root}/name", actor.name, anchor="bottom-center")
+        self.above = np.array([0.0, 0.0, (0.6 + 0.25 * k) * scene.reach])  # names side by side
+        size = SIZES["contact"] * scene.reach
+        self.contacts = server.scene.add_point_cloud(
+            f"{root}/contacts", np.zeros((1, 3)), CONTACT, point_size=size, point_shape="circle",
+            precision="float32",
+        )  # fmt: skip
+        self.arrows = [(_add_arrows(server, scene, root, each), each) for each in actor.arrows
+                       if scene.scales[each.name]]  # fmt: skip
+        self.shown = {each.name: True for each in actor.arrows}
+        _add_tracks(server, root, actor)
+
+    def show(self, t: float) -> None:
+        """Move the motion to a time; before its first and after its last one it rests."""
+        actor = self.actor
+        k = int(np.clip(np.searchsorted(actor.t, t), 0, actor.t.size - 1))
+        if k > 0 and t - actor.t[k - 1] < actor.t[k] - t:
+            k -= 1
+        if k == self.last:
+            return
+        self.last = k
+        for node, origins, quaternions in self.frames:
+            node.position, node.wxyz = origins[k], quaternions[k]
+        self.label.text = f"{actor.name}, t = {actor.t[k]:.2f} s"
+        self.label.position = actor.bodies[0].origins[k] + self.above
+        touching = np.isfinite(actor.contacts[k]).all(axis=-1)
+        self.contacts.visible = bool(touching.any())
+        if touching.any():
+            self.contacts.points = actor.contacts[k, touching].astype(np.float32)
+        self.point(k)
+
+    def point(self, k: int) -> None:
+        """Let the arrows be those of a sample."""
+        for node, each in self.arrows:
+            lines = _lines(each, k, self.scales[each.name])
+            node.visible = self.shown[each.name] and len(lines) > 0
+            if len(lines):
+                node.points = lines
+
+
+def _lines(arrows: Arrows, k: int, scale: float) -> Array:
+    """Return starts and ends of the arrows at a sample, shape (n, 2, 3), without missing ones."""
+    starts, vectors = arrows.starts[k], arrows.vectors[k] * scale
+    kept = np.isfinite(starts).all(axis=-1) & (np.linalg.norm(vectors, axis=-1) > 0)
+    return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
+
+
+def _add_ground(server: viser.ViserServer, ground: Ground, layer: Layer, visible: bool) -> Any:
+    import trimesh
+
+    # glTF takes colors in linear light, where those of a screen follow the curve of sRGB.
+    light = linear(layer.colors)
+    mesh = trimesh.Trimesh(
+        ground.mesh.vertices, ground.mesh.faces, vertex_colors=light, process=False
+    )
+    data: Any = mesh.export(file_type="glb", tree_postprocessor=_matt)
+    return server.scene.add_glb(f"/ground {layer.name}", data, visible=visible)
+
+
+def _matt(tree: dict[str, Any]) -> None:
+    """Give all meshes of a glTF tree a matt surface: without one they are of metal, and dark."""
+    tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}]
+    for mesh in tree["meshes"]:
+        for each in mesh["primitives"]:
+            each["material"] = 0
+
+
+def linear(colors: Colors) -> Colors:
+    """Return colors of the standard sRGB in linear light, IEC 61966-2-1."""
+    parts = colors / 255
+    found = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.rint(255 * found), dtype=np.uint8)
+
+
+def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arrows) -> Any:
+    sizes = {name: SIZES[name] * scene.reach for name in ("shaft", "head", "tip")}
+    return server.scene.add_arrows(
+        f"{root}/{arrows.name}", np.zeros((1, 2, 3)), COLORS[arrows.name],
+        shaft_radius=sizes["shaft"], head_radius=sizes["head"], head_length=sizes["tip"],
+        visible=False,
+    )  # fmt: skip
+
+
+def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:
+    """Draw the way of all contact points."""
+    every = max(1, actor.t.size // MOST)
+    points = actor.contacts[::every]
+    lines = np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
+    lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+    if len(lines):
+        server.scene.add_line_segments(
+            f"{root}/tracks",
+            lines.astype(np.float32),
+            np.array(actor.color),
+            thickness=2.0,
+            thickness_units="screen",
+        )
+
+
+def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
+    """Look at the ways of all vehicles from the right and above."""
+    places = np.concatenate([actor.bodies[0].origins for actor in scene.actors])
+    low, high = places.min(axis=0), places.max(axis=0)
+    away = max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
+    camera = server.initial_camera
+    camera.look_at = (low + high) / 2
+    camera.position = (low + high) / 2 + away * np.array([0.75, -0.75, 0.65])
+    size = float(np.linalg.norm(np.ptp(scene.ground.mesh.vertices, axis=0)))
+    camera.far = max(FAR, 10 * size)
+
+
+class _Panel:
+    """What the page lets its reader choose."""
+
+    def __init__(self, server: viser.ViserServer, stage: Stage, scene: Scene, title: str) -> None:
+        gui, (first, last) = server.gui, scene.span
+        gui.configure_theme(show_logo=False, show_share_button=False)  # which asks another host
+        gui.main_panel.dock_right()
+        gui.set_panel_label(title)
+        self.stage, self.ends = stage, (first, last)
+        step = max(1e-3, (last - first) / 5000)
+        self.time: Any = gui.add_slider("time [s]", first, max(last, first + step), step, first)
+        self.playing = gui.add_checkbox("play", False)
+        self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
+        self.time.on_update(lambda _: stage.show(self.time.value))
+        self._choose_ground(gui, scene)
+        self._choose_arrows(gui, scene)
+        with gui.add_folder("runs"):
+            for k, actor in enumerate(scene.actors):
+                self._choose_run(gui, k, actor)
+        with gui.add_folder("notes", expand_by_default=False):
+            gui.add_html("".join(f"<p>{escape(note)}</p>" for note in scene.notes))
+
+    def advance(self, seconds: float) -> None:
+        """Let time go on if it is to, from the end back to the start."""
+        if self.playing.value:
+            first, last = self.ends
+            t = self.time.value + seconds * float(self.speed.value.removesuffix("x"))
+            self.time.value = first if t > last else t
+
+    def _choose_ground(self, gui: Any, scene: Scene) -> None:
+        layers = {layer.name: layer for layer in scene.ground.layers}
+        with gui.add_folder("ground"):
+            chosen = gui.add_dropdown("color", tuple(layers), initial_value=self.stage.color)
+            words = gui.add_html(legend(layers[chosen.value]))
+
+            @chosen.on_update  # type: ignore[untyped-decorator]
+            def _(_: Any) -> None:
+                self.stage.paint(chosen.value)
+                words.content = legend(layers[chosen.value])
+
+    def _choose_arrows(self, gui: Any, scene: Scene) -> None:
+        with gui.add_folder("arrows"):
+            for name in scene.scales:
+                if words := scale_words(scene, name):
+                    box = gui.add_checkbox(f"{name} ({words})", True)
+                    box.on_update(lambda _, box=box, name=name: self._point(name, box.value))
+
+    def _point(self, name: str, wanted: bool) -> None:
+        for actor in self.stage.actors:
+            actor.shown[name] = wanted
+            actor.point(actor.last)
+
+    def _choose_run(self, gui: Any, k: int, actor: Actor) -> None:
+        box = gui.add_checkbox(actor.name, True)
+        box.on_update(lambda _: setattr(self.stage.actors[k].root, "visible", box.value))
