@@ -14,11 +14,15 @@ import pytest
 import xarray
 from scipy.io import netcdf_file
 
+from cases import DATA
 from slipfree import result_file
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.named import Label
+from slipfree.problem.read import read
+from slipfree.problem.run import run
 from slipfree.trajectory import Column, Stop, Trajectory
 
+PROBLEMS = Path(__file__).parent.parent / "problems"
 N = 7
 
 
@@ -247,3 +251,16 @@ def test_any_damaged_byte_of_the_header_gives_no_other_error(
             result_file.read(path)
         except DataError:
             continue
+
+
+def test_results_of_earlier_versions_are_read() -> None:
+    """``slipfree run problems/paper_direct.toml --set time.duration=0.5 --set time.step=0.1``."""
+    old = result_file.read(DATA / "result-0.1.0.nc")
+    assert old.attributes["problem"].startswith("# ")
+    assert old.wheels == ("right", "left", "front")
+    np.testing.assert_allclose(old.t, 0.1 * np.arange(6), atol=1e-15)
+    assert old.columns["force_normal"].label.unit == "N"
+    problem = read(PROBLEMS / "paper_direct.toml", ["time.duration=0.5", "time.step=0.1"])
+    new = run(problem).trajectory
+    for name in ("x", "y", "z", "heading", "tilt_right", "contact_x", "wheel_angle", "work"):
+        np.testing.assert_allclose(new[name], old[name], atol=1e-6, err_msg=name)
