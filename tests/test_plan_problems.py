@@ -57,14 +57,14 @@ def test_what_keeps_a_route_from_being_found_is_told(settings, words):
 
 
 def test_a_way_point_is_passed():
-    between = "way_points=[{ at = 0.5, x = 17.0, y = [18.0, 20.0] }]"
-    outcome = run(read(FIELD, [*SHORT, "keep_out=[]", between]))
+    between = "way_points=[{ at = 0.5, x = 0.35, y = [1.0, 1.6] }]"
+    outcome = run(read(HILLS, [*QUICK, between]))
     motion = outcome.trajectory
     assert motion.stop is None
     halfway = motion.t[-1] / 2
     x, y = (np.interp(halfway, motion.t, motion[name]) for name in "xy")
-    assert abs(x - 17.0) < 0.01
-    assert 18.0 - 0.01 < y < 20.0 + 0.01
+    assert abs(x - 0.35) < 0.01
+    assert 1.0 - 0.01 < y < 1.6 + 0.01
     assert [name for name, *_ in outcome.setup.places] == ["start", "way-point at 0.5", "goal"]
 
 

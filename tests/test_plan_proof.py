@@ -10,6 +10,7 @@ from cases import hills
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
 from slipfree.dae import Limit
 from slipfree.named import Label
+from slipfree.plan import plan as planning
 from slipfree.plan.course import carried, course
 from slipfree.plan.plan import plan
 from slipfree.plan.proof import refined, rerun
@@ -189,7 +190,8 @@ def test_the_plan_of_another_vehicle_is_refused(coarse):
         asked((dae, settle(dae)), guess((dae, settle(dae))), resume=coarse.saved)
 
 
-def test_a_goal_that_the_simulation_misses_is_told(model):
+def test_a_goal_that_the_simulation_misses_is_told(model, monkeypatch):
+    monkeypatch.setattr(planning, "REFINEMENTS", 1)
     found = asked(model, intervals=2, degree=1, accuracy=1e-9, costs={"effort": 1.0})
     assert not found.accurate
     assert found.violation["y at the goal"] == pytest.approx(abs(found.replay["y"][-1] - 1.3))
