@@ -176,7 +176,9 @@ def test_friction_carries_the_vehicle_to_the_goal():
 
 def test_the_file_plans_its_climb():
     way = "driver.paths=[[[0.0, -1.5], [2.0, 4.5], [0.0, 10.5]]]"
-    run = solve(read(FILE, [way, "plan.intervals=20", "plan.accuracy=0.05"])).trajectory
+    run = solve(
+        read(FILE, [way, "plan.intervals=20", "plan.accuracy=0.05", "solver.tolerance=1e-6"])
+    ).trajectory
     assert run.stop is None
     assert run["utilisation"].max() < MOST + 0.02
     assert_allclose([run["x"][-1], run["y"][-1]], [0.0, 10.5], atol=0.01)

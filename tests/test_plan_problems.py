@@ -14,7 +14,7 @@ from slipfree.problem.run import build, run
 
 FIELD = Path(__file__).parent.parent / "problems" / "plan_crater_field.toml"
 SHORT = ("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "time.duration=40.0", "costs.slip=",
-         "start.x=17.5", "goal.x=17.5")  # fmt: skip
+         "start.x=17.5", "goal.x=17.5", "solver.tolerance=1e-6")  # fmt: skip
 
 
 def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
@@ -124,7 +124,8 @@ def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
 
 
 HILLS = FIELD.with_name("plan_rigid_hills.toml")
-QUICK = ("plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3")
+QUICK = ("plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3",
+         "solver.tolerance=1e-6")  # fmt: skip
 
 
 def test_of_a_range_what_lies_on_the_map_counts():

@@ -371,7 +371,7 @@ def test_every_vehicle_is_planned_for(make):
     guess = simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6), tolerance=1e-6)
     goal = {"x": float(guess["x"][-1]) + 0.05, "y": float(guess["y"][-1])}
     found = plan(dae, start, guess, goal=goal, costs={"slip": 100.0, "effort": 1e-3}, duration=5.0,
-                 intervals=6, degree=2, smooth=1e-3, accuracy=1e-2)  # fmt: skip
+                 intervals=4, degree=2, smooth=1e-3, accuracy=1e-2)  # fmt: skip
     assert found.success
     assert found.accurate
     assert max(found.difference[name] for name in ("x", "y")) < 1e-2
