@@ -24,6 +24,7 @@ from reference import heading
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
 from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import close
+from slipfree.terrain.base import Jet, jet_of
 
 SIZES = (20, 200, 2000)
 TOLERANCES = (1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
@@ -48,6 +49,10 @@ class Stock:
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the height as a call of the node. [m]."""
         return self.function(ca.vertcat(x, y))
+
+    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
+        """Return height, gradient and Hessian, by CasADi's differentiation of the node."""
+        return jet_of(self.height(x, y), x, y)
 
     def friction(self, _x: ca.SX, _y: ca.SX) -> ca.SX:
         """Return one; nothing asks for it. [1]."""

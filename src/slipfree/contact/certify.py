@@ -48,7 +48,10 @@ class SecondTouch:
     @property
     def label(self) -> Label:
         """Name, unit and words of the clearance."""
-        words = f"clearance of wheel {self.wheel.name} at the nearest place beside its contact"
+        words = (
+            f"clearance of wheel {self.wheel.name} at the nearest place beside its contact; "
+            "1: the ground comes near at no second place"
+        )
         return Label("clearance", "m", words, self.wheel.name)
 
     def margin(self, x: Array, z: Array) -> Array:
@@ -85,8 +88,8 @@ class SecondTouch:
         center, rotation, contact = (np.array(out) for out in self.pose.map(x.shape[1])(x, z))
         half = int(np.ceil(np.pi / 2 * self.wheel.r1 / (SPACING * self.wheel.radius)))
         tube = np.linspace(-np.pi / 2, np.pi / 2, 2 * half + 1) if half else np.zeros(1)
-        rotation = rotation.T.reshape(-1, 3, 3).transpose(0, 2, 1)
-        arm = np.einsum("nji,jn->ni", rotation, contact - center)
+        to_body = rotation.T.reshape(-1, 3, 3)  # column by column: the transposes
+        arm = (to_body @ (contact - center).T[..., None])[..., 0]
         v_0 = np.arctan2(arm[:, 2], arm[:, 1])
         u_0 = np.arctan2(np.hypot(arm[:, 1], arm[:, 2]) - self.wheel.r2, arm[:, 0])
         v = v_0[:, None, None] + RIM[None, :, None]
@@ -95,8 +98,9 @@ class SecondTouch:
         body = np.stack(
             np.broadcast_arrays(self.wheel.r1 * np.cos(u), np.cos(v) * rho, np.sin(v) * rho), -1
         )
-        world = np.einsum("nij,nrtj->nrti", rotation, body) + center.T[:, None, None, :]
-        return np.asarray(world + np.array(self.terrain.origin))
+        shape, body = body.shape, body.reshape(len(arm), -1, 3)
+        world = body @ to_body + (center.T + self.terrain.origin)[:, None, :]
+        return np.asarray(world.reshape(shape))
 
 
 def _second_minima(gap: Array) -> Mask:

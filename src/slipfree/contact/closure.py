@@ -44,15 +44,12 @@ class Touch(NamedTuple):
 
 def touch(terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX) -> Touch:
     """Return the contact frame at a local ground point for a wheel with a given axle."""
-    height = terrain.height(x, y)
-    place = ca.vertcat(x, y)
-    gradient = ca.gradient(height, place)
+    height, gradient, hessian = terrain.jet(x, y)
     normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
     forward = ca.cross(normal, axle)
     uprightness = ca.norm_2(forward)
     along = forward / uprightness
-    hessian = ca.jacobian(gradient, place)
-    point = ca.vertcat(place, height)
+    point = ca.vertcat(x, y, height)
     return Touch(point, normal, along, ca.cross(along, normal), uprightness, hessian)
 
 

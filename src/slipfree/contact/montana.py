@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from slipfree.geometry.frame import Pose
-from slipfree.geometry.surface import Forms, Patch, inverse, patch
-from slipfree.terrain.base import Terrain
+from slipfree.geometry.surface import Forms, Patch, inverse, patch, patch_of
+from slipfree.terrain.base import Jet, Terrain
 from slipfree.vehicle.wheel import Wheel
 
 
@@ -68,9 +68,16 @@ class Pair(NamedTuple):
 
 def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates) -> Pair:
     """Return both surfaces at the contact point; local coordinates of the terrain."""
-    on_wheel, on_ground = ca.vertcat(at.u, at.v), ca.vertcat(at.x, at.y)
-    ground = ca.vertcat(on_ground, terrain.height(at.x, at.y))
-    return Pair(patch(torus(wheel, at.u, at.v), on_wheel), patch(ground, on_ground), at.psi)
+    tread = patch(torus(wheel, at.u, at.v), ca.vertcat(at.u, at.v))
+    return Pair(tread, _ground(terrain.jet(at.x, at.y), at.x, at.y), at.psi)
+
+
+def _ground(jet: Jet, x: ca.SX, y: ca.SX) -> Patch:
+    """Return the ground ``c(x, y) = (x, y, h)`` near a point."""
+    h, (h_x, h_y), hessian = jet.height, ca.vertsplit(jet.gradient), jet.hessian
+    tangents = ca.vertcat(1, 0, h_x), ca.vertcat(0, 1, h_y)
+    h_xx, h_xy, h_yy = (ca.vertcat(0, 0, hessian[k]) for k in (0, 1, 3))
+    return patch_of(ca.vertcat(x, y, h), tangents, (h_xx, h_xy, h_yy))
 
 
 def torus(wheel: Wheel, u: ca.SX, v: ca.SX) -> ca.SX:

@@ -62,15 +62,32 @@ def patch(c: ca.SX, uv: ca.SX) -> Patch:
     uv : SX, shape (2, 1)
         Its parameters, symbols.
 
+    """
+    c_u, c_v = ca.horzsplit(ca.densify(ca.jacobian(c, uv)))
+    c_uu, c_uv = ca.horzsplit(ca.densify(ca.jacobian(c_u, uv)))
+    c_vv = ca.densify(ca.jacobian(c_v, uv[1]))
+    return patch_of(c, (c_u, c_v), (c_uu, c_uv, c_vv))
+
+
+def patch_of(c: ca.SX, tangents: tuple[ca.SX, ca.SX], seconds: tuple[ca.SX, ca.SX, ca.SX]) -> Patch:
+    """Return the Gauss frame and the forms of a surface from its derivatives at a point.
+
+    Parameters
+    ----------
+    c : SX, shape (3, 1)
+        The point. [m]
+    tangents : tuple of 2 SX, shape (3, 1)
+        ``c_u, c_v``.
+    seconds : tuple of 3 SX, shape (3, 1)
+        ``c_uu, c_uv, c_vv``.
+
     Notes
     -----
     Since ``n`` is normal to ``c_u`` and ``c_v``, and ``y`` to ``c_u``, no frame need be
     differentiated: ``K = -M^-T II M^-1`` with the second fundamental form
     ``II = n . [c_uu c_uv; c_uv c_vv]``, and ``y . x_u = y . c_uu / |c_u|``.
     """
-    c_u, c_v = ca.horzsplit(ca.densify(ca.jacobian(c, uv)))
-    c_uu, c_uv = ca.horzsplit(ca.densify(ca.jacobian(c_u, uv)))
-    c_vv = ca.densify(ca.jacobian(c_v, uv[1]))
+    (c_u, c_v), (c_uu, c_uv, c_vv) = tangents, seconds
     area = ca.cross(c_u, c_v)
     x, n = c_u / ca.norm_2(c_u), area / ca.norm_2(area)
     y = ca.cross(n, x)

@@ -24,6 +24,7 @@ from slipfree.vehicle.chain import Vehicle
 LEVEL = 0.005  # slope that is none [rad]
 HELD = 0.99  # utilisation up to which friction is not the reason for a failure
 EXHAUSTED = 1.001  # and up to which it is just exhausted
+LEANING = 0.02  # of a wheel on the ground, below which it is upright [rad]
 BEST = Label(
     "utilisation_best", "1", "least largest utilisation over all distributions of the forces"
 )
@@ -88,7 +89,7 @@ def diagnosis(
 ) -> Callable[[Array, Array], str]:
     """Return what says, of a state, which friction it would take to hold the vehicle there.
 
-    It says nothing where friction does hold it.
+    It says as well how far a wheel leans, and nothing where friction does hold the vehicle.
     """
     normal = sum((each.normal for each in contacts), ca.SX.zeros(3))
     uphill, slope = -normal[:2], ca.acos(normal[2] / ca.norm_2(normal))
@@ -96,18 +97,20 @@ def diagnosis(
     forward = base.rotation[:2, 1]
     aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
     angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
-    f = ca.Function("hold", [pack(x), pack(z)], [*_held(parts), *angles, margin])
+    lean = ca.acos(ca.fmin(ca.mmin(ca.vertcat(*(each.uprightness for each in contacts))), 1))
+    f = ca.Function("hold", [pack(x), pack(z)], [*_held(parts), *angles, margin, lean])
 
     def describe(x: Array, z: Array) -> str:
         matrix, load, friction, *rest = (np.array(each) for each in f(x, z))
-        slope, aside, margin = (float(each.item()) for each in rest)
+        slope, aside, margin, lean = (float(each.item()) for each in rest)
         if not all(np.isfinite(each).all() for each in (matrix, load, friction)):
             return ""
         factor = float(least_utilisation(matrix[None], load.T, friction.T).utilisation[0])
         way = f"headed {np.degrees(aside):.0f} degrees from uphill on a slope of "
         place = f"{way}{np.degrees(slope):.1f} degrees" if slope > LEVEL else "on level ground"
         words = _needed(factor, friction, tips=margin < 0)
-        return f"no quasi-static equilibrium: {place} {words}" if words else ""
+        leans = f"; a wheel leans by {lean:.3g} rad" if lean > LEANING else ""
+        return f"no quasi-static equilibrium: {place} {words}{leans}" if words else ""
 
     return describe
 

@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from slipfree.calls import jacobian
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.kinematics.margin import extent
@@ -116,8 +117,8 @@ def response_of(vehicle: Vehicle, direct: Direct, given: tuple[str, ...]) -> Res
     plane = planar_rates(direct)
     asked = ca.vertcat(*(plane[name] for name in given))
     expressions = [
-        ca.jacobian(direct.alg[1], rates), ca.jacobian(direct.alg[1], u),
-        ca.jacobian(slip, rates), ca.jacobian(slip, u), ca.jacobian(asked, rates),
+        jacobian(direct.alg[1], rates), jacobian(direct.alg[1], u),
+        jacobian(slip, rates), jacobian(slip, u), jacobian(asked, rates),
     ]  # fmt: skip
     function = ca.Function(
         "response", [pack(direct.x), pack(direct.z.position)], [ca.densify(e) for e in expressions]

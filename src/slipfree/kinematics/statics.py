@@ -15,6 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.calls import jacobian
 from slipfree.contact.closure import Touch
 from slipfree.dae import Limit
 from slipfree.geometry.frame import platform
@@ -98,8 +99,8 @@ def mechanics(
     lost = power + damped / 2
     slip = ca.vertcat(*slips)
     return Mechanics(
-        ca.jacobian(slip, unknown),
-        ca.jacobian(slip, given),
+        jacobian(slip, unknown),
+        jacobian(slip, given),
         -ca.gradient(lost, unknown),
         -ca.gradient(lost, given),
         tuple(

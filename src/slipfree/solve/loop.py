@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.calls import jacobian
 from slipfree.dae import Dae, Linear
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves, pack
@@ -140,24 +141,40 @@ def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX], u: ca.SX) -> 
     eased = [dae.ode, dae.quad, pack(dae.y), ca.vertcat(ca.SX(0, 1), *limits), inputs, *dae.alg]
     eased = ca.substitute(eased, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
     meant = ca.SX(dae.easing.values[-1] if dae.easing else 0.0)
-    ode, quad, y, bounds, driven, *parts = ca.substitute(eased, [easing], [meant])
+    ode, quad, y, bounds, driven, *parts = (
+        ca.substitute(eased, [easing], [meant]) if dae.easing else eased
+    )
     blocks = _blocks(dae, [dae.t, x, z, u, easing], eased[5:])
     first = _following(ode, parts, z, blocks)
     motion, after = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
     alg = ca.vertcat(ca.SX(0, 1), *parts[: len(motion)])
-    symbols = [dae.t, x, m, u]
+    symbols, rates = [dae.t, x, m, u], ca.vertcat(ode, alg)
+    slopes = jacobian(rates, ca.vertcat(*symbols))
+    of_alg = slopes[ode.numel() :, 1 + x.numel() : 1 + x.numel() + m.numel()]
     return Loop(
         dae,
         np.zeros((u.numel(), 0)),
-        ca.Function("core", symbols, [ode, alg], {"jac_penalty": 0, "cse": True}),
+        _core(symbols, [ode, alg], slopes),
         _quadratures(dae, [dae.t, x, z, u], quad, after),
         motion,
         after,
-        ca.Function("newton", symbols, [alg, ca.densify(ca.jacobian(alg, m))]),
+        ca.Function("newton", symbols, [alg, ca.densify(of_alg)]),
         ca.Function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
         ca.Function("margin", symbols, [_least(dae, bounds, z[m.numel() :])]),
     )
+
+
+def _core(symbols: list[ca.SX], parts: list[ca.SX], slopes: ca.SX) -> ca.Function:
+    """Return the function of the equations, with its Jacobian by all symbols."""
+    rows = np.cumsum([0, *(each.numel() for each in parts)]).tolist()
+    columns = np.cumsum([0, *(each.numel() for each in symbols)]).tolist()
+    blocks = ca.blocksplit(slopes, rows, columns)
+    results = [ca.SX.sym("out", each.sparsity()) for each in parts]
+    given = [*symbols, *results]
+    derivative = ca.Function("jac_core", given, [block for row in blocks for block in row])
+    options: dict[str, Any] = {"jac_penalty": 0, "cse": True, "custom_jacobian": derivative}
+    return ca.Function("core", symbols, parts, options)
 
 
 def _following(ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ...]) -> int:
@@ -262,14 +279,14 @@ def _blocks(
             continue
         if ca.depends_on(rows, z[span.stop :]):
             raise ModelError("a block of equations depends on the unknowns of a later one")
-        jacobian = ca.densify(ca.jacobian(rows, z[span]))
+        slopes = ca.densify(jacobian(rows, z[span]))
         eased = dae.easing is not None and ca.depends_on(rows, easing)
         blocks.append(
             Block(
                 span,
                 ca.Function("residual", symbols, [rows]),
-                ca.Function("jacobian", symbols, [jacobian]),
-                not any(ca.which_depends(rows, z[span], 2)),
+                ca.Function("jacobian", symbols, [slopes]),
+                not ca.depends_on(slopes, z[span]),
                 dae.easing.values if dae.easing and eased else (0.0,),
                 labels,
             )

@@ -59,11 +59,12 @@ def corrected(loop: Loop, samples: Samples) -> tuple[Samples, dict[str, Array]]:
     rough = np.ones(samples.t.size, dtype=bool)
     for _ in range(CORRECTIONS):
         z[:n, rough] -= step[:, rough]
-        alg, jac = _linearised(loop, samples._replace(z=z))
+        alg = _residuals(loop, samples._replace(z=z))
         former, size = size, _largest(alg)
         rough &= (size > ENOUGH) & ~((size < UNSOLVED) & (size > former / 2))
         if not rough.any():
             break
+        alg, jac = _linearised(loop, samples._replace(z=z))
         step = _steps(jac, alg)
     if (astray := ~(size < UNSOLVED)).any():
         z = _from_neighbours(loop, samples, z, astray)
@@ -106,6 +107,12 @@ def _linearised(loop: Loop, samples: Samples) -> tuple[Array, Array]:
     return alg, _each(jac, n)
 
 
+def _residuals(loop: Loop, samples: Samples) -> Array:
+    """Return the residuals of the motion's equations in columns."""
+    core, n = loop.core.map(samples.t.size), loop.moving
+    return np.array(core(samples.t[None], samples.x, samples.z[:n], samples.u)[1])
+
+
 def followed(
     loop: Loop, samples: Samples, known: tuple[Array, Array] | None = None
 ) -> tuple[Samples, dict[str, Array]]:
@@ -113,7 +120,7 @@ def followed(
 
     The report holds the smallest singular value of the Jacobian of the motion's equations, the
     distance to a singular configuration, and the residuals block by block. ``known`` are residuals
-    and Jacobians of the samples, if they are at hand.
+    and Jacobians of the samples, or of samples a last Newton step away, if they are at hand.
     """
     count, n, z = samples.t.size, loop.moving, samples.z.copy()
     left, jac = known or _linearised(loop, samples)

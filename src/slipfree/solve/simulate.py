@@ -369,9 +369,13 @@ class _Spy(ca.Callback):
         """Return the shape of the argument: time, and least distance to a limit."""
         return ca.Sparsity.dense(2, 1)
 
-    def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
+    def has_eval_buffer(self) -> bool:
+        """Return that numbers come as they are in memory, which takes a fifth of the time."""
+        return True
+
+    def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
         """Look at a step; what is raised here is kept, since it gets lost on its way."""
-        t, margin = arguments[0].nonzeros()
+        t, margin = _doubles(arguments[0])
         try:
             if self.task.progress is not None:
                 self.task.progress(t)
@@ -380,7 +384,12 @@ class _Spy(ca.Callback):
         except BaseException as error:
             self.raised = error
             raise
-        return [ca.DM(0)]
+        _doubles(results[0])[0] = 0.0
+        return 0
+
+
+def _doubles(memory: memoryview) -> memoryview[float]:
+    return memory.cast("b").cast("d")
 
 
 def _cut(task: _Task, run: Trajectory, samples: Samples, fault: tuple[int, Stop]) -> Trajectory:

@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.named import Array
-from slipfree.terrain.base import check_formula
+from slipfree.terrain.base import Jet, check_formula, jet_of
 from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain
 
@@ -89,6 +89,10 @@ class Analytic:
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the height at a point [m]."""
         return ca.SX(self.function(x, y))
+
+    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
+        """Return height, gradient and Hessian at a point, two symbols."""
+        return jet_of(self.height(x, y), x, y)
 
     def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the coefficient of friction at a point; one where none was given [1]."""

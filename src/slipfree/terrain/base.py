@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
@@ -22,6 +22,31 @@ RESAMPLE = {
 FLIP = {"x": "x[::-1] and z[::-1, :]", "y": "y[::-1] and z[:, ::-1]"}
 
 
+class Jet(NamedTuple):
+    """Height and derivatives of a ground at a local point.
+
+    Attributes
+    ----------
+    height : SX, shape (1, 1)
+        [m]
+    gradient : SX, shape (2, 1)
+        ``h_x, h_y``. [1]
+    hessian : SX, shape (2, 2)
+        Second derivatives. [1/m]
+    """
+
+    height: ca.SX
+    gradient: ca.SX
+    hessian: ca.SX
+
+
+def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
+    """Return a height with its derivatives by two symbols."""
+    place = ca.vertcat(x, y)
+    gradient = ca.gradient(height, place)
+    return Jet(height, gradient, ca.jacobian(gradient, place))
+
+
 class Terrain(Protocol):
     """A ground given by its height and its coefficient of friction.
 
@@ -29,6 +54,8 @@ class Terrain(Protocol):
        minus ``origin``; models use local ones, so that large map coordinates cost no digits.
     2. ``height(x, y)`` is an SX expression of local coordinates, at least twice continuously
        differentiable inside the domain, and continues smoothly for a margin outside.
+       ``jet(x, y)`` is the height with its first and second derivatives, by two symbols:
+       `jet_of` makes it of any height.
     3. ``elevation(x, y)`` is the same surface, numeric and vectorised, in map coordinates.
     4. ``friction(x, y)`` is an SX expression of local coordinates; a map makes it twice
        continuously differentiable. It is one if no friction was given.
@@ -53,6 +80,9 @@ class Terrain(Protocol):
 
     def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the local height at a local point [m]."""
+
+    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
+        """Return height, gradient and Hessian at a local point, two symbols."""
 
     def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the coefficient of friction at a local point [1]."""

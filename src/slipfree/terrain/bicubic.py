@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 
 from slipfree.named import Array
-from slipfree.terrain.base import Grid
+from slipfree.terrain.base import Grid, Jet, jet_of
 from slipfree.terrain.friction import Friction, bordered, check_friction, coefficient, map_domain
+from slipfree.terrain.kernel import Layout, Opened, opened
 
 ON_KNOT = 1e-10  # a point nearer to a knot than this, in cells, lies on it
 CHUNK = 8192  # points evaluated at once: the temporaries stay in the cache
@@ -64,6 +65,9 @@ class Bicubic:
     enters the look-up. (A look-up with an empty Jacobian would do the same, but forward
     differentiation of an SX graph leaves NaN or numbers of other variables in its place.)
 
+    Where a compiler was found when the package was installed, `jet` and `elevation` call the C of
+    `slipfree.terrain.kernel`; these expressions are what it is tested against.
+
     One instance must not be evaluated by two threads at once; give each its own unpickled copy.
     """
 
@@ -115,6 +119,17 @@ class Bicubic:
         height: ca.SX = self._table[1] * ca.mtimes(lines, ca.vertcat(*_basis(b - j)))
         return height
 
+    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
+        """Return height, gradient and Hessian at a local point, two symbols.
+
+        Where a compiler was found when this was installed, they can be differentiated twice more;
+        else as often as the height.
+        """
+        if self._kernel is None:
+            return jet_of(self.height(x, y), x, y)
+        h, h_x, h_y, h_xx, h_xy, h_yy = ca.vertsplit(self._kernel.jet(x, y))
+        return Jet(h, ca.vertcat(h_x, h_y), ca.blockcat([[h_xx, h_xy], [h_xy, h_yy]]))
+
     def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return the coefficient of friction at a local point; one where none was given [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y)
@@ -124,9 +139,10 @@ class Bicubic:
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         x_0, y_0, z_0 = self.origin
         flat_x, flat_y, heights = x.reshape(-1), y.reshape(-1), np.empty(x.size)
+        local_heights = self._kernel.heights if self._kernel else self._local_heights
         for start in range(0, x.size, CHUNK):
             part = slice(start, start + CHUNK)
-            heights[part] = self._local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
+            heights[part] = local_heights(flat_x[part] - x_0, flat_y[part] - y_0)
         return heights.reshape(x.shape) + z_0
 
     @cached_property
@@ -182,6 +198,14 @@ class Bicubic:
         unit = float(np.ldexp(1.0, exponent - 52))
         coefficients /= unit
         return np.rint(coefficients, out=coefficients), unit
+
+    @cached_property
+    def _kernel(self) -> Opened | None:
+        (x_0, y_0, _), (i, j) = self.origin, (cell[0] for cell in self._cells)
+        table, unit = self._table
+        place = float(self.grid.x[i] - x_0), float(self.grid.y[j] - y_0)
+        last = self._cells[0][1], self._cells[1][1]
+        return opened(table, Layout(unit, place, self.grid.spacing, (i, j), last))
 
     @cached_property
     def _gather(self) -> ca.Function:

@@ -1,0 +1,141 @@
+"""Height, gradient and Hessian of a ground: compiled, interpreted, and as CasADi's own spline.
+
+``python benchmarks/kernel.py`` prints nanoseconds of CPU for one point, the least of many runs over
+1000 points, along a driven path and at random points of the map, for maps of 20 x 20 to 4000 x 4000
+nodes: a loop over the same C code without CasADi; that code called by CasADi, as `Bicubic.jet` has
+it; CasADi's expressions, which stand in where there is no compiler; and the B-spline that CasADi
+offers, differentiated by CasADi. With the Jacobian of the six numbers, as Newton's methods need it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from direct import Stock
+from reference import heading
+
+from slipfree import Bicubic, Grid
+from slipfree.calls import jacobian
+from slipfree.terrain import kernel
+from slipfree.terrain.base import Jet, jet_of
+
+SIZES = (20, 200, 1000, 4000)
+STOCK = 200  # nodes a side up to which the stock spline is fitted
+SPACING, COUNT, REPEATS, SECONDS = 0.1, 1000, 200, 1.0
+SOURCE = Path(kernel.__file__).with_name("kernel.c")
+LOOP = f"""#include "{SOURCE}"
+API double loop(long long n, const double *at) {{
+  double d[4][4], sum = 0;
+  long long k;
+  for (k = 0; k < n; k++) {{
+    derivatives(&grounds[0], at[2 * k], at[2 * k + 1], 2, d);
+    sum += d[0][0] + d[1][0] + d[0][1] + d[2][0] + d[1][1] + d[0][2];
+  }}
+  return sum;
+}}
+"""
+
+
+def least(task: Callable[[], object]) -> float:
+    """Return the least CPU time of a task, for one of its points. [ns]."""
+    best, begin = np.inf, time.perf_counter()
+    for _ in range(REPEATS):
+        clock = time.process_time_ns()
+        task()
+        best = min(best, time.process_time_ns() - clock)
+        if time.perf_counter() - begin > SECONDS:
+            break
+    return best / COUNT
+
+
+def plain(ground: Bicubic, folder: str) -> Callable[[np.ndarray], Callable[[], object]]:
+    """Return what makes a loop over points in C."""
+    code, file = Path(folder, "loop.c"), Path(folder, f"loop{ground.grid.x.size}.so")
+    code.write_text(LOOP)
+    subprocess.run(["cc", "-O2", "-fPIC", "-shared", code, "-o", file, "-lm"], check=True)
+    library = ctypes.CDLL(str(file))
+    library.loop.restype = ctypes.c_double
+    table, unit = ground._table
+    (i, last_i), (j, last_j) = ground._cells
+    place = ground.grid.x[i] - ground.origin[0], ground.grid.y[j] - ground.origin[1]
+    numbers = np.array([unit, 0, *place, *ground.grid.spacing, i, j, last_i, last_j], dtype=float)
+    library.kernel_open(0, table.ctypes.data_as(ctypes.c_void_p),
+                        ctypes.c_longlong(table.shape[1]),
+                        numbers.ctypes.data_as(ctypes.c_void_p))  # fmt: skip
+
+    def over(at: np.ndarray) -> Callable[[], object]:
+        points = np.ascontiguousarray(at.T)
+        held = points.ctypes.data_as(ctypes.c_void_p)
+        return lambda: (library.loop(ctypes.c_longlong(COUNT), held), points)
+
+    return over
+
+
+def called(
+    jet: Jet, x: ca.SX, y: ca.SX, *, slopes: bool
+) -> Callable[[np.ndarray], Callable[[], object]]:
+    """Return what makes a run of CasADi over points, of a jet or of its Jacobian."""
+    values = ca.vertcat(jet.height, jet.gradient, *(jet.hessian[k] for k in (0, 1, 3)))
+    found = [values, jacobian(values, ca.vertcat(x, y))] if slopes else [values]
+    function = ca.Function("jet", [x, y], found).map(COUNT)
+
+    def over(at: np.ndarray) -> Callable[[], object]:
+        buffer, run = function.buffer()
+        held = [np.ascontiguousarray(row) for row in at]
+        held += [np.zeros(function.nnz_out(k)) for k in range(function.n_out())]
+        for k in range(2):
+            buffer.set_arg(k, memoryview(held[k]))
+        for k in range(function.n_out()):
+            buffer.set_res(k, memoryview(held[2 + k]))
+        return lambda: (run(), held, buffer)
+
+    return over
+
+
+def main() -> None:
+    """Print the table."""
+    heading()
+    if kernel.library() is None:
+        sys.exit("slipfree was installed without a C compiler; install it again where there is one")
+    print("ns a point                    jet: path  random    with Jacobian: path  random")
+    rng = np.random.default_rng(0)
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    with tempfile.TemporaryDirectory() as folder:
+        for size in SIZES:
+            axis = SPACING * np.arange(size)
+            waves = 0.3 * np.sin(0.7 * axis)[:, None] * np.cos(0.5 * axis)
+            grid = Grid(axis, axis, waves + 0.002 * rng.standard_normal((size, size)))
+            ground = Bicubic(grid)
+            way = np.linspace(-0.9, 0.9, COUNT)  # 1.8 m, a few mm a step, as an integrator goes
+            half = 0.499 * SPACING * (size - 1)
+            kinds = {
+                "a loop in C": (plain(ground, folder), None),
+                "compiled": (called(ground.jet(x, y), x, y, slopes=False),
+                             called(ground.jet(x, y), x, y, slopes=True)),
+                "interpreted": tuple(called(jet_of(ground.height(x, y), x, y), x, y, slopes=slopes)
+                                     for slopes in (False, True)),
+            }  # fmt: skip
+            if size <= STOCK:
+                stock = Stock(grid)
+                kinds["CasADi's B-spline"] = tuple(
+                    called(stock.jet(x, y), x, y, slopes=slopes) for slopes in (False, True)
+                )
+            for name, (values, slopes) in kinds.items():
+                corner = ground.origin[:2] if name == "CasADi's B-spline" else (0.0, 0.0)
+                places = [np.array([way, way]), rng.uniform(-half, half, (2, COUNT))]
+                times = [least(make(at + np.reshape(corner, (2, 1))))
+                         for make in (values, slopes) if make for at in places]  # fmt: skip
+                row = "".join(f"{each:10.0f}" for each in times)
+                print(f"{size:5d}^2  {name:18s}{row}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

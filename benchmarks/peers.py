@@ -1,0 +1,360 @@
+"""Error against CPU time per metre: other ways to the motion of the three-wheeler, in one run.
+
+``python benchmarks/peers.py --plot peers.png`` (extra ``bench``)
+
+The paper's three-wheeler drives 5 m straight over a map of 200 x 200 nodes, its tilts kept from
+running away by the driving law. CPU time is that of the integration alone, the least of a few;
+every line's error is the largest of any sample of the position, against its own model at the
+tightest tolerance or, for MuJoCo, against its own motion at the smallest step.
+
+ours        closure and least slip, IDAS, as ``simulate`` runs it
+naive       what is written first with CasADi: Montana's contact equations, the B-spline that CasADi
+            offers, IDAS with its defaults and CasADi's own derivatives
+scipy       our model, the algebraic unknowns solved inside: LSODA, DOP853, Radau
+sundae      our model by scikit-sundae: IDA on residual and Jacobian, CVODE on what is left when
+            the algebraic unknowns are solved inside
+MuJoCo      a dynamic simulation, another question: soft contacts of ellipsoids with the radii of
+            the torus, on a height field of the same nodes, servos in place of given rates. Its
+            vehicle has a rigid axle, since free tilts fall over in dynamics, and turns its wheels
+            as ours with that axle did; how far it ends from ours is told beside.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import matplotlib as mpl
+import numpy as np
+from direct import Stock, surface
+from reference import heading
+from scipy.integrate import solve_ivp
+from work_precision import cvodes
+
+from slipfree import Bicubic, direct_kinematics, settle, simulate, straight, three_wheeler
+from slipfree.kinematics.montana import montana_kinematics
+from slipfree.solve.consistent import consistent
+from slipfree.solve.loop import Loop, close
+from slipfree.trajectory import Trajectory, path_length
+
+NODES, SPEED, DURATION, SAMPLES = 200, 0.5, 10.0, 101
+START = {"x": 5.0, "y": 4.0, "heading": -0.2}
+TOLERANCES = 10.0 ** -np.arange(3, 10)
+EXACT, REPEATS, PATIENCE = 1e-12, 3, 400
+STEPS = (0.02, 0.01, 0.005, 0.002, 0.001)  # of MuJoCo [s]
+FINEST = 0.00025
+LEVELS = (1e-4, 1e-6)  # errors at which lines are compared [m]
+T = np.linspace(0, DURATION, SAMPLES)
+Line = list[tuple[float, float]]  # CPU time per metre [ms] and error [m]
+
+
+def prepared(axle: str = "tilting", *, naive: bool = False) -> tuple[Any, Trajectory, Loop]:
+    """Return the model, its start and its equations under the driving law."""
+    grid = surface(NODES)
+    vehicle = three_wheeler(axle=axle, mass=0.0, wheel_mass=0.0)
+    model = montana_kinematics if naive else direct_kinematics
+    dae = model(vehicle, Stock(grid) if naive else Bicubic(grid))
+    standing = direct_kinematics(vehicle, Bicubic(grid)) if naive else dae
+    start = settle(standing, **START)
+    return dae, start, close(dae, straight(dae, vehicle, start, speed=SPEED), SAMPLES - 1)
+
+
+def least(task: Callable[[], Any]) -> tuple[float, Any]:
+    """Return the least CPU time of a few calls, and the last result. [s]."""
+    times = []
+    for _ in range(REPEATS):
+        clock = time.process_time()
+        found = task()
+        times.append(time.process_time() - clock)
+    return min(times), found
+
+
+def points(run: Callable[[float], tuple[float, np.ndarray]], metres: float) -> Line:
+    """Return CPU per metre and error over the tolerance; those that fail are left out."""
+    exact = run(EXACT)[1]
+    line = []
+    for tolerance in TOLERANCES:
+        try:
+            cpu, way = run(tolerance)
+        except RuntimeError as error:
+            print(f"    {tolerance:.0e}: {str(error).strip().splitlines()[-1]}", file=sys.stderr)
+            continue
+        line.append((1e3 * cpu / metres, float(np.abs(way - exact).max())))
+    return line
+
+
+def by_idas(loop: Loop, at: dict[str, Any], *, defaults: bool) -> Callable[[float], Any]:
+    """Return an integration by CasADi's IDAS over the tolerance."""
+    if defaults:
+        symbols = dict(zip("txzu", loop.core.sx_in(), strict=True))
+    else:
+        symbols = {n: ca.MX.sym(n, loop.core.size1_in(k)) for k, n in enumerate("txzu")}
+    ode, alg = loop.core(*symbols.values())
+
+    def run(tolerance: float) -> tuple[float, np.ndarray]:
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6}
+        system = symbols | {"ode": ode, "alg": alg}
+        solver = ca.integrator("motion", "idas", system, 0.0, T, options)
+        cpu, found = least(lambda: solver(**at))
+        return cpu, np.array(found["xf"])[:2]
+
+    return run
+
+
+def buffered(f: ca.Function, size: int) -> Callable[[float, np.ndarray], list[np.ndarray]]:
+    """Return a function of time and one column, called without conversions."""
+    buffer, trigger = f.buffer()
+    t, x = np.zeros(1), np.zeros(size)
+    results = [np.zeros(f.nnz_out(k)) for k in range(f.n_out())]  # fmt: skip
+    buffer.set_arg(0, memoryview(t))
+    buffer.set_arg(1, memoryview(x))
+    for k, result in enumerate(results):
+        buffer.set_res(k, memoryview(result))
+
+    def call(time_: float, at: np.ndarray) -> list[np.ndarray]:
+        t[0], x[:] = time_, at
+        trigger()
+        return results
+
+    call.held = buffer  # type: ignore[attr-defined]
+    return call
+
+
+def explicit(loop: Loop, at: dict[str, Any]) -> ca.Function:
+    """Return ``(t, x) -> x'``, the algebraic unknowns solved for."""
+    system = cvodes(loop)
+    t, x, u = (system[name] for name in "txu")
+    function = ca.Function("rates", [t, x, u], [system["ode"]])
+    given = [ca.MX.sym("t"), ca.MX.sym("x", x.numel())]
+    return ca.Function("rates", given, [ca.densify(function(*given, at["u"]))])
+
+
+def by_scipy(kind: str, rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
+    """Return an integration by scipy over the tolerance."""
+    call = buffered(rates, rates.size1_in(1))
+
+    def run(tolerance: float) -> tuple[float, np.ndarray]:
+        cpu, found = least(
+            lambda: solve_ivp(
+                lambda t, x: call(t, x)[0].copy(), (0.0, DURATION), at["x0"],
+                method=kind, t_eval=T, rtol=max(tolerance, 3e-14), atol=tolerance,
+            )
+        )  # fmt: skip
+        if not found.success:
+            raise RuntimeError(found.message)
+        return cpu, found.y[:2]
+
+    return run
+
+
+def by_cvode(rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
+    """Return an integration by scikit-sundae's CVODE over the tolerance."""
+    from sksundae.cvode import CVODE
+
+    call = buffered(rates, rates.size1_in(1))
+
+    def right(t: float, x: np.ndarray, found: np.ndarray) -> None:
+        found[:] = call(t, x)[0]
+
+    def run(tolerance: float) -> tuple[float, np.ndarray]:
+        solver = CVODE(right, rtol=tolerance, atol=tolerance, method="Adams", max_num_steps=10**6)
+        cpu, found = least(lambda: solver.solve(T, at["x0"]))
+        return cpu, found.y.T[:2]
+
+    return run
+
+
+def by_ida(loop: Loop, at: dict[str, Any]) -> Callable[[float], Any]:
+    """Return an integration by scikit-sundae's IDA over the tolerance."""
+    from sksundae.ida import IDA
+
+    n, m = loop.core.size1_in(1), loop.core.size1_in(2)
+    t, y, cj = ca.MX.sym("t"), ca.MX.sym("y", n + m), ca.MX.sym("cj")
+    ode, alg = loop.core(t, y[:n], y[n:], at["u"])
+    rows = ca.vertcat(ode, alg)
+    residual = ca.Function("residual", [t, y], [ca.densify(rows)])
+    slopes = ca.jacobian(rows, y)
+    slopes -= cj * ca.diag(ca.DM(np.repeat([1.0, 0.0], [n, m])))
+    slope = ca.Function("slope", [ca.vertcat(t, cj), y], [ca.densify(slopes)])
+    call, matrix = buffered(residual, n + m), slope
+
+    def missed(time_: float, y: np.ndarray, rates: np.ndarray, found: np.ndarray) -> None:
+        found[:] = call(time_, y)[0]
+        found[:n] -= rates[:n]
+
+    def linearised(time_, y, rates, found, cj, jacobian):  # noqa: ARG001
+        jacobian[:] = np.array(matrix([time_, cj], y))
+
+    first = np.append(at["x0"], at["z0"])
+    rates = np.append(call(0.0, first)[0][:n], np.zeros(m))
+
+    def run(tolerance: float) -> tuple[float, np.ndarray]:
+        solver = IDA(missed, rtol=tolerance, atol=tolerance, jacfn=linearised,
+                     algebraic_idx=list(range(n, n + m)), max_num_steps=10**6)  # fmt: skip
+        cpu, found = least(lambda: solver.solve(T, first, rates))
+        return cpu, found.y.T[:2]
+
+    return run
+
+
+def ours() -> dict[str, Line]:
+    """Return the lines of our model by every integrator."""
+    dae, start, loop = prepared()
+    x = dae.rows("x", start, -1)
+    u = loop.u[:, 0]
+    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u)[: loop.moving]
+    at = {"x0": x, "z0": z, "u": u}
+    metres = SPEED * DURATION
+    rates = explicit(loop, at)
+    lines = {"ours": points(by_idas(loop, at, defaults=False), metres)}
+    for kind in ("LSODA", "DOP853", "Radau"):
+        lines[f"scipy {kind}"] = points(by_scipy(kind, rates, at), metres)
+    lines["sundae CVODE"] = points(by_cvode(rates, at), metres)
+    lines["sundae IDA"] = points(by_ida(loop, at), metres)
+    return lines
+
+
+def naive() -> dict[str, Line]:
+    """Return the line of what is written first with CasADi."""
+    dae, start, loop = prepared(naive=True)
+    x = dae.rows("x", start, -1)
+    u = loop.u[:, 0]
+    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u)[: loop.moving]
+    at = {"x0": x, "z0": z, "u": u}
+    return {"naive": points(by_idas(loop, at, defaults=True), SPEED * DURATION)}
+
+
+BODY = """<mujoco>
+<option integrator="implicitfast" cone="elliptic" impratio="10" timestep="{step}"/>
+<asset><hfield name="ground" nrow="{n}" ncol="{n}" size="{half} {half} {relief} 1"/></asset>
+<worldbody><geom type="hfield" hfield="ground" pos="{half} {half} {low}" friction="1 0.01 0.0001"/>
+<body name="platform" pos="{x} {y} {z}" quat="{quaternion}"><freejoint/>
+<inertial pos="0 0 0" mass="30" diaginertia="3 3 3"/>{rear}
+<body name="fork" pos="0 1 0"><joint name="steer" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/>{front}</body></body></worldbody>
+<actuator><velocity joint="right" kv="100"/><velocity joint="left" kv="100"/>
+<position joint="steer" kp="300" kv="20"/></actuator></mujoco>"""
+WHEEL = """<body name="{name}" pos="{at}"><joint name="{name}" axis="-1 0 0"/>
+<geom type="ellipsoid" size="0.12247 0.3 0.3" mass="2" condim="3" friction="1 0.01 0.0001"/>
+</body>"""
+
+
+def mujoco() -> dict[str, Any]:
+    """Return MuJoCo's line, and how far its end at the smallest step is from ours. [m]."""
+    import mujoco as mj
+
+    dae, start, _ = prepared("fixed")
+    vehicle = three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0)
+    law = straight(dae, vehicle, start, speed=SPEED)
+    run = simulate(dae, start, law, T, tolerance=1e-8)
+    grid = surface(NODES)
+    low, relief = float(grid.z.min()), float(np.ptp(grid.z))
+    turn = np.array(run["heading"][0])
+    placed = {
+        "n": NODES, "half": grid.x[-1] / 2, "relief": relief, "low": low,
+        "x": run["x"][0], "y": run["y"][0], "z": run["z"][0] + 0.003,
+        "quaternion": f"{np.cos(turn / 2)} 0 0 {np.sin(turn / 2)}",
+        "rear": WHEEL.format(name="right", at="1 -0.5 0")
+        + WHEEL.format(name="left", at="-1 -0.5 0"),
+        "front": WHEEL.format(name="front", at="0 0 0"),
+    }  # fmt: skip
+
+    def drive(step: float) -> tuple[float, np.ndarray]:
+        model = mj.MjModel.from_xml_string(BODY.format(step=step, **placed))
+        model.hfield_data[:] = ((grid.z.T - low) / relief).ravel()
+        best, way = np.inf, np.zeros((2, SAMPLES))
+        for _ in range(REPEATS if step > FINEST else 1):
+            data = mj.MjData(model)
+            mj.mj_forward(model, data)
+            for _ in range(round(1.0 / step)):  # it sinks in
+                mj.mj_step(model, data)
+            moved = data.qpos[:2].copy()
+            each, clock = round(T[1] / step), time.process_time()
+            for k in range(SAMPLES):
+                way[:, k] = data.qpos[:2] - moved
+                data.ctrl[:] = run["right_rate"][k], run["left_rate"][k], run["steer"][k]
+                if k < SAMPLES - 1:
+                    mj.mj_step(model, data, each)
+            best = min(best, time.process_time() - clock)
+        return best, way.copy()
+
+    exact = drive(FINEST)[1]
+    metres = path_length(run)
+    line = []
+    for step in STEPS:
+        cpu, way = drive(step)
+        line.append((1e3 * cpu / metres, float(np.abs(way - exact).max())))
+    own = np.array([run["x"] - run["x"][0], run["y"] - run["y"][0]])
+    return {"MuJoCo": line, "gap": float(np.linalg.norm(exact[:, -1] - own[:, -1]))}
+
+
+def at_error(line: Line, error: float) -> float:
+    """Return the CPU time per metre at an error, between the points of a line. [ms]."""
+    cpu, errors = np.log(np.array(sorted(line, key=lambda p: p[1]))).T
+    if not errors[0] <= np.log(error):
+        return np.nan
+    return float(np.exp(np.interp(np.log(error), errors, cpu)))
+
+
+def plot(lines: dict[str, Line], file: Path) -> None:
+    """Draw all lines."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 5), layout="constrained")
+    for k, (name, line) in enumerate(lines.items()):
+        axes.loglog(*np.array(line).T, "os^vDP*X"[k % 8] + "-", label=name)
+    axes.set(xlabel="CPU time per metre [ms/m]", ylabel="largest error of the position [m]")
+    axes.grid(visible=True, alpha=0.3)
+    axes.legend()
+    figure.savefig(file, dpi=150)
+
+
+PARTS = {"ours": ours, "naive": naive, "mujoco": mujoco}
+
+
+def main() -> None:
+    """Print the table and draw the plot; parts are processes of their own, since one may crash."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="where to draw the lines")
+    parser.add_argument("--part", choices=PARTS, help="print one part as JSON")
+    given = parser.parse_args()
+    if given.part:
+        print(json.dumps(PARTS[given.part]()))
+        return
+    heading()
+    lines, gap = dict[str, Line](), np.nan
+    for part in PARTS:
+        command = [sys.executable, __file__, "--part", part]
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=PATIENCE, check=False
+        )
+        print(done.stderr, end="")
+        if done.returncode:
+            print(f"{part}: ended with code {done.returncode}")
+            continue
+        found = json.loads(done.stdout.splitlines()[-1])
+        gap = found.pop("gap", gap)
+        lines |= found
+    print("ms of CPU a metre (largest error of the position [m])")
+    for name, line in lines.items():
+        print(f"{name:13s}" + "  ".join(f"{cpu:.2f} ({error:.0e})" for cpu, error in line))
+    for level in LEVELS:
+        own = at_error(lines["ours"], level)
+        others = ", ".join(f"{name} {at_error(line, level) / own:.1f} times" for name, line
+                           in lines.items() if name != "ours")  # fmt: skip
+        print(f"at an error of {level:.0e} m: ours {own:.2f} ms/m; {others}")
+    print(f"MuJoCo, at its smallest step, ends {gap:.3f} m from ours with the rigid axle")
+    if given.plot:
+        plot(lines, given.plot)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""The compiled evaluator of bicubic grounds, where a compiler was found when this was installed.
+
+`kernel.c` does what `slipfree.terrain.bicubic` does with CasADi's expressions, some 20 times
+faster. CasADi calls it as an external function, with first and second Jacobians of its own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import secrets
+import threading
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.named import Array
+
+KEY_BITS = 52  # whole numbers that a double holds
+
+
+class Layout(NamedTuple):
+    """Where the cells of a table of coefficients lie.
+
+    Attributes
+    ----------
+    unit : float
+        What the whole numbers of the table count. [m]
+    place : tuple of 2 floats
+        Local coordinates of the node nearest to the local origin. [m]
+    spacing : tuple of 2 floats
+        Between nodes. [m]
+    node, last : tuple of 2 int
+        Numbers of that node and of the last cell, along x and y.
+    """
+
+    unit: float
+    place: tuple[float, float]
+    spacing: tuple[float, float]
+    node: tuple[int, int]
+    last: tuple[int, int]
+
+
+class Opened(NamedTuple):
+    """A ground that the compiled evaluator knows.
+
+    Attributes
+    ----------
+    slot : int
+        Its number there.
+    key : float
+        What tells it from others of that number.
+    function : casadi Function
+        ``[x, y, key] -> [h, h_x, h_y, h_xx, h_xy, h_yy]``, local. While it or anything made of it
+        lives, the number is not given to another ground.
+    library : ctypes.CDLL
+        Where it is.
+    """
+
+    slot: int
+    key: float
+    function: ca.Function
+    library: ctypes.CDLL
+
+    def jet(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return height and derivatives at a local point, shape (6, 1) [m, 1, 1/m]."""
+        jet: ca.SX = self.function(ca.vertcat(x, y, self.key))
+        return jet
+
+    def heights(self, x: Array, y: Array) -> Array:
+        """Return the local heights at local points, shape (n,) [m]."""
+        x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+        heights = np.empty(x.size)
+        held = (_address(array) for array in (x, y, heights))
+        self.library.kernel_heights(self.slot, ctypes.c_longlong(x.size), *held)
+        return heights
+
+
+def opened(table: Array, layout: Layout) -> Opened | None:
+    """Return a ground as the compiled evaluator knows it; None without one, or if it is full.
+
+    Parameters
+    ----------
+    table : ndarray, shape (n_x + 2, n_y + 2)
+        Coefficients of the spline as whole numbers; kept while the ground is in use.
+    layout : Layout
+        Where its cells lie.
+    """
+    compiled = library()
+    if compiled is None:
+        return None
+    key = float(secrets.randbits(KEY_BITS))
+    numbers = np.array([layout.unit, key, *layout.place, *layout.spacing, *layout.node,
+                        *layout.last], dtype=float)  # fmt: skip
+    with _LOCK:
+        free = [slot for slot in range(compiled.kernel_slots()) if not compiled.kernel_in_use(slot)]
+        for slot in free:
+            _TABLES.pop(slot, None)
+        if not free:
+            return None
+        slot = free[0]
+        _TABLES[slot] = table
+        compiled.kernel_open(
+            slot, _address(table), ctypes.c_longlong(table.shape[1]), _address(numbers)
+        )
+        return Opened(slot, key, ca.external(f"ground{slot}", compiled._name), compiled)
+
+
+_LOCK = threading.Lock()
+_TABLES: dict[int, Array] = {}  # what the slots point to
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Return the compiled evaluator, None where none was built."""
+    files = [Path(__file__).with_name(f"_kernel{suffix}") for suffix in EXTENSION_SUFFIXES]
+    found = [file for file in files if file.is_file()]
+    return ctypes.CDLL(str(found[0])) if found else None
+
+
+def _address(array: Array) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)

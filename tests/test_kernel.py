@@ -1,0 +1,180 @@
+"""The compiled evaluator of grounds against the expressions that it stands for."""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import subprocess
+import sys
+from multiprocessing import get_context
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.calls import jacobian
+from slipfree.terrain import bicubic, kernel
+from slipfree.terrain.base import jet_of
+
+
+@pytest.fixture(autouse=True)
+def built():
+    """Tests run where the package was installed with a compiler, in CI always."""
+    if kernel.library() is None:
+        if os.environ.get("CI"):
+            pytest.fail("the kernel was not built")
+        pytest.skip("no C compiler was found when slipfree was installed")
+
+
+def grid(nodes=(30, 40), seed=0, corner=(-3.0, 5.0)):
+    rng = np.random.default_rng(seed)
+    x, y = (at + 0.25 * np.arange(n) for at, n in zip(corner, nodes, strict=True))
+    return Grid(x, y, 100 + rng.standard_normal(nodes))
+
+
+def flat(jet):
+    return ca.vertcat(jet.height, jet.gradient, jet.hessian[0], jet.hessian[1], jet.hessian[3])
+
+
+def chain(jet, x, y):
+    """Return a Function to a jet and its first and second derivatives."""
+    place, values = ca.vertcat(x, y), flat(jet)
+    first = jacobian(values, place)
+    return ca.Function("chain", [x, y], [values, first, jacobian(ca.vec(first), place)])
+
+
+def places(ground, count=500):
+    """Random local points, points on knots, and points outside."""
+    rng = np.random.default_rng(1)
+    x_0, y_0, _ = ground.origin
+    x = rng.choice(ground.grid.x, count) - x_0
+    y = rng.choice(ground.grid.y, count) - y_0
+    knots = np.array([x, y])
+    half = np.array([np.ptp(ground.grid.x), np.ptp(ground.grid.y)])[:, None] / 2
+    return np.hstack([knots, half * rng.uniform(-1.02, 1.02, (2, count))])
+
+
+def test_it_equals_the_expressions_to_the_fourth_derivative():
+    ground = Bicubic(grid())
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    at = places(ground)
+    compiled = chain(ground.jet(x, y), x, y).map(at.shape[1])(*at)
+    exact = chain(jet_of(ground.height(x, y), x, y), x, y).map(at.shape[1])(*at)
+    for found, expected in zip(compiled, exact, strict=True):
+        expected = np.array(expected)
+        assert_allclose(np.array(found), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_heights_equal_the_expressions():
+    ground = Bicubic(grid())
+    x, y = places(ground)
+    expected = ground._local_heights(x, y)
+    atol = 1e-13 * np.abs(expected).max()
+    assert_allclose(ground._kernel.heights(x, y), expected, rtol=0, atol=atol)
+    assert np.isnan(ground._kernel.heights(np.array([np.nan]), np.array([0.0]))).all()
+
+
+@pytest.mark.parametrize("forward", [True, False])
+def test_casadi_differentiates_it_in_both_directions(forward):
+    ground = Bicubic(grid())
+    p, seed = ca.SX.sym("p", 2), ca.SX.sym("seed", 2)
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+
+    def curve(jet):
+        at = [0.3 * ca.sin(p[0]) * p[1], p[0] + 0.1 * p[1] ** 2]
+        values = ca.Function("values", [x, y], [flat(jet)])(*at)
+        bent = values[3] * values[1] / ca.sqrt(1 + ca.sumsqr(values[1:3])) + values[5] * p[0]
+        once = ca.jtimes(bent, p, seed if forward else ca.SX(1), not forward)
+        return ca.Function("curve", [p, seed], [bent, once, ca.hessian(bent, p)[0]])
+
+    at = [0.4, 0.7], [1.0, -2.0]
+    found, expected = curve(ground.jet(x, y))(*at), curve(jet_of(ground.height(x, y), x, y))(*at)
+    for one, other in zip(found, expected, strict=True):
+        assert_allclose(np.array(one), np.array(other), rtol=1e-12, atol=1e-11)
+
+
+def test_many_grounds_at_once_and_more_than_there_is_room_for():
+    grounds = [Bicubic(grid(seed=seed)) for seed in range(kernel.library().kernel_slots() + 3)]
+    slots = [ground._kernel and ground._kernel.slot for ground in grounds]
+    taken = [slot for slot in slots if slot is not None]
+    assert len(set(taken)) == len(taken)
+    assert slots[-1] is None  # it does without
+    x = np.linspace(-1, 1, 7)
+    for ground in (grounds[0], grounds[5], grounds[-1]):
+        x_0, y_0, z_0 = ground.origin
+        expected = ground._local_heights(x, x) + z_0
+        assert_allclose(ground.elevation(x + x_0, x + y_0), expected, rtol=1e-13)
+    del grounds
+    gc.collect()
+    assert Bicubic(grid())._kernel is not None
+
+
+def test_what_is_made_of_a_ground_keeps_it_alive():
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    ground = Bicubic(grid())
+    slot = ground._kernel.slot
+    slope = ca.Function("slope", [x, y], [jacobian(ground.jet(x, y).gradient, ca.vertcat(x, y))])
+    expected = np.array(slope(0.1, 0.2))
+    del ground
+    gc.collect()
+    others = [Bicubic(grid(seed=seed)) for seed in range(1, 10)]
+    assert slot not in [other._kernel.slot for other in others]
+    assert_array_equal(np.array(slope(0.1, 0.2)), expected)
+    del slope
+    gc.collect()
+    assert not kernel.library().kernel_in_use(slot)
+
+
+def test_the_function_of_another_ground_fails_instead_of_answering():
+    ground = Bicubic(grid())
+    function = ca.external(f"ground{ground._kernel.slot}", kernel.library()._name)
+    x, y, key = 0.1, 0.2, ground._kernel.key
+    assert np.isfinite(np.array(function([x, y, key]))).all()
+    with pytest.raises(RuntimeError):
+        function([x, y, key + 1])
+
+
+def _drive(ground):
+    dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), ground)
+    run = simulate(
+        dae, settle(dae), dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0),
+        np.linspace(0, 1, 5), tolerance=1e-8,
+    )  # fmt: skip
+    return np.array([run[name][-1] for name in ("x", "y", "z", "heading")])
+
+
+def _gentle(seed=0):
+    axis = np.linspace(-6, 6, 60)
+    waves = np.random.default_rng(seed).uniform(0.3, 0.6, 2)
+    return Grid(axis, axis, 0.2 * np.sin(waves[0] * axis)[:, None] * np.cos(waves[1] * axis))
+
+
+def test_pickled_grounds_work_here_and_in_other_processes():
+    grounds = [Bicubic(_gentle(seed)) for seed in range(3)]
+    here = [_drive(ground) for ground in grounds]
+    assert_array_equal(_drive(pickle.loads(pickle.dumps(grounds[1]))), here[1])
+    with get_context("spawn").Pool(2) as pool:
+        there = pool.map(_drive, grounds)
+    assert_array_equal(np.array(there), np.array(here))
+
+
+def test_without_it_the_motion_is_the_same(monkeypatch):
+    compiled = _drive(Bicubic(_gentle()))
+    monkeypatch.setattr(bicubic, "opened", lambda *_: None)
+    assert Bicubic(_gentle())._kernel is None
+    assert_allclose(_drive(Bicubic(_gentle())), compiled, rtol=0, atol=1e-8)
+
+
+def test_without_a_library_nothing_is_opened():
+    code = (
+        "import importlib.machinery as m; m.EXTENSION_SUFFIXES[:] = []\n"
+        "from slipfree.terrain import kernel; assert kernel.library() is None\n"
+        "import numpy as np; from slipfree import Bicubic, Grid\n"
+        "a = np.arange(5.0); g = Bicubic(Grid(a, a, np.ones((5, 5))))\n"
+        "assert g._kernel is None; print(float(g.elevation(2.5, 2.5)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert float(done.stdout) == 1.0
