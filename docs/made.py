@@ -84,12 +84,13 @@ def _tables(
     record: type[schema.Record], path: tuple[str, ...], seen: set[tuple[str, ...]]
 ) -> Iterator[str]:
     """Yield the table of a record's keys, and those of the records in it."""
-    rows = ["| key | what it takes | default |", "| --- | --- | --- |"]
+    rows = ["| key | meaning | unit | what it takes | default |", "| --- | --- | --- | --- | --- |"]
     inner = []
     for key, field in record.model_fields.items():
         found, place = _record_in(field.annotation), (*path, key)
         takes = _titled(place, field) if found else _words(record, key, field.annotation)
-        rows.append(f"| `{key}` | {takes} | {_default(field)} |")
+        meaning, unit = _meaning(field)
+        rows.append(f"| `{key}` | {meaning} | {unit} | {takes} | {_default(field)} |")
         if found and (*place, found.__name__) not in seen:
             seen.add((*place, found.__name__))
             inner.append((found, place))
@@ -98,6 +99,12 @@ def _tables(
     yield "\n".join(rows)
     for found, place in inner:
         yield from _tables(found, place, seen)
+
+
+def _meaning(field: Any) -> tuple[str, str]:
+    """Return what a key means, and its unit."""
+    words, _, unit = field.description.removesuffix("]").partition(" [")
+    return words, unit
 
 
 def _titled(place: tuple[str, ...], field: Any) -> str:

@@ -86,7 +86,7 @@ figure
 # ## Feedback
 #
 # Inputs may be expressions of the model's own symbols. `follow` returns such a law: it keeps the vehicle
-# on a path and its wheels upright.
+# on a path and lets its tilts decay.
 
 # %%
 path = Path(np.array([(0.0, 0.0), (0.3, 1.5), (-0.6, 3.0), (-0.6, 4.5)]))

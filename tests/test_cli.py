@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,6 +21,7 @@ from slipfree.errors import SolverError
 from slipfree.problem import run as runner
 from slipfree.trajectory import Stop
 
+STARTERS = Path(slipfree.__file__).parent / "starters"
 PROBLEM = """\
 verb = "direct"
 title = "Überfahrt"
@@ -77,7 +79,7 @@ def test_run_writes_the_result_and_draws(folder: Path) -> None:
     for words in (
         "ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end place ",
         "a lower bound, not a prediction", "wheel front", "closure residual", "x the tolerance",
-        "certificate  ", "steps, ", "reached the time asked for", "wrote p.nc",
+        "certificate  ", "; a sample every ", "steps, ", "reached the time asked for", "wrote p.nc",
     ):  # fmt: skip
         assert words in result.stdout, words
     motion = result_file.read("p.nc")
@@ -149,7 +151,34 @@ def test_check() -> None:
     assert result.stdout.endswith("ok\n")
     assert "driver straight" in result.stdout
     assert "z 0.3" in result.stdout
-    assert "clean: clearance beside the contacts" in result.stdout
+    assert "clean: no second place where the ground comes near, relative" in result.stdout
+    assert "a sample every" not in result.stdout  # there is but one
+    assert re.search(r"^samples +6 to 0.5 s$", result.stdout, re.MULTILINE)
+
+
+def test_check_announces_no_number_of_samples_of_a_plan(folder: Path) -> None:
+    (folder / "plan.toml").write_bytes((STARTERS / "plan.toml").read_bytes())
+    result = _invoke("check", "plan.toml")
+    assert result.exit_code == 0, result.output
+    assert "0.1 s apart or less, as the intervals of the plan need" in result.stdout
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("command", ["run", "check", "compare"])
+def test_a_result_is_no_problem(command: str) -> None:
+    _invoke("run", "p.toml", "--no-draw")
+    told = _refused(command, "p.nc")
+    assert told.startswith("p.nc: expected a problem file, found a result; slipfree info and")
+
+
+@pytest.mark.usefixtures("folder")
+def test_friction_used_is_told_where_there_is_friction() -> None:
+    _invoke("run", "p.toml", "--no-draw")
+    rows = [line.split()[0] for line in _invoke("info", "p.nc").stdout.splitlines() if line]
+    assert ("friction_needed" in rows, "utilisation" in rows) == (True, False)
+    _invoke("run", "p.toml", "--no-draw", "--set", "terrain.friction=0.8")
+    rows = [line.split()[0] for line in _invoke("info", "p.nc").stdout.splitlines() if line]
+    assert ("friction_needed" in rows, "utilisation" in rows) == (True, True)
 
 
 def test_info(folder: Path) -> None:

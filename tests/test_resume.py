@@ -76,12 +76,24 @@ def test_a_search_that_is_interrupted_leaves_a_file_to_go_on_from(tmp_path):
     stop = outcome.trajectory.stop
     assert stop.name == "plan"
     assert "the search was stopped" in stop.words
+    assert stop.words.endswith("; go on with --resume OUT.nc")
     file = tmp_path / "stopped.nc"
     result_file.write(file, outcome.trajectory, outcome.arrays)
     kept = from_arrays(result_file.read_arrays(file), str(file))
     assert np.isfinite(kept.unknowns).all()
     assert result_file.read(file).stop.name == "plan"
     assert command(tmp_path / "on.nc", "--resume", str(file)).exit_code == 0
+
+
+def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
+    def interrupt(line):
+        if "intervals: iteration" in line:
+            raise KeyboardInterrupt
+
+    outcome = run(read(HILLS, [*SMALL, "plan.accuracy=1e-7"]), tell=interrupt)
+    stop = outcome.trajectory.stop
+    assert stop.name == "plan_accuracy"
+    assert stop.words.endswith("was asked for: interrupted; go on with --resume OUT.nc")
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+import slipfree
 from slipfree import result_file
 from slipfree.cli import app, voice
 from test_cli import PROBLEM
@@ -153,6 +154,7 @@ def test_verbose_says_what_is_done_and_when() -> None:
     assert times == sorted(times)
     for words in ("read p.toml", "stood the vehicle on its start", "solved: steps ", "wrote p.nc"):
         assert words in result.stderr
+    assert "integrated to" not in result.stderr  # it took no second
     names = [[line.split("  ")[0] for line in each.stdout.splitlines()] for each in (plain, result)]
     assert names[0] == names[1]
     both = _invoke("run", "p.toml", "-v", "-q")
@@ -188,6 +190,37 @@ def test_early_ends_and_bad_input_in_json() -> None:
         "--set solver.tol",
     ]
     assert _json("info", "no.nc", code=2)["errors"][0].startswith("no.nc: expected a result file")
+
+
+@pytest.mark.parametrize(
+    ("words", "command", "told"),
+    [
+        (["new", "foo", "q"], "new", "'foo' is not one of"),
+        (["run", "p.toml", "--bogus"], "run", "No such option: --bogus"),
+        (["run"], "run", "Missing argument 'FILE'"),
+        (["bogus"], "bogus", "No such command 'bogus'"),
+        (["--frob", "check", "p.toml"], "check", "No such option: --frob"),
+        ([], "", "Missing command"),
+        (["check", "p.toml", "-q", "-v"], "check", "expected --quiet or --verbose, found both"),
+    ],
+)
+def test_words_that_are_no_command_in_json(words: list[str], command: str, told: str) -> None:
+    result = _invoke(*words, "--json")
+    assert result.exit_code == 2
+    found = json.loads(result.stdout)
+    assert (found["command"], found["exit_code"]) == (command, 2)
+    assert found["meaning"] == voice.MEANINGS[2]
+    assert len(found["errors"]) == 1
+    assert told in found["errors"][0]
+    assert told in result.stderr
+    assert _invoke(*words).stdout == ""
+
+
+@pytest.mark.parametrize("words", [("--version", "--json"), ("--json", "--version")])
+def test_the_version_in_json(words: tuple[str, str]) -> None:
+    result = _invoke(*words)
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["version"] == slipfree.__version__
 
 
 def test_interruption_in_json(monkeypatch: pytest.MonkeyPatch) -> None:

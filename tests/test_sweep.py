@@ -24,14 +24,16 @@ from slipfree import result_file
 from slipfree.cli import app
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.problem.locate import ProblemError
+from slipfree.problem.units import unit_of
 from slipfree.show import sweep as show
-from slipfree.show.sweep import Swept, Varied
+from slipfree.show.swept import Swept, Varied
 from slipfree.sweep import pools
 from slipfree.sweep.grid import axis_of, sweep_of
 from slipfree.sweep.log import Log, Row
 from slipfree.sweep.pools import cluster, processes
-from slipfree.sweep.table import drawn, unit_of
-from slipfree.sweep.work import Task, work
+from slipfree.sweep.table import drawn, facts, write_table
+from slipfree.sweep.task import Task
+from slipfree.sweep.work import work
 from slipfree.version import __version__
 
 PROBLEMS = Path(__file__).parent.parent / "problems"
@@ -66,6 +68,7 @@ step = 0.1
 """
 SPEED, ROUGH = "driver.speed", "terrain.synthetic.power_law.rms"
 GRID = ["--vary", f"{SPEED}=0.5,1.0", "--vary", f"{ROUGH}=0.01,0.02", "--repeat", "3"]
+SLOW = [*GRID, "--set", "time.step=0.001"]  # so long that many are left when it is killed
 RUNS = 12  # of the grid
 
 
@@ -82,6 +85,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     folder = tmp_path_factory.mktemp("whole")
     (folder / "p.toml").write_text(PROBLEM)
     return folder, _sweep(folder, *GRID, "--processes", "2", "--keep")
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a sweep of longer runs that nothing interrupts."""
+    folder = tmp_path_factory.mktemp("slow")
+    (folder / "p.toml").write_text(PROBLEM)
+    assert _sweep(folder, *SLOW, "--processes", "2", "--no-draw").exit_code == 0
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +175,10 @@ def test_values_of_a_key(text: str, key: str, values: tuple[str, ...]) -> None:
         ("a=1:2:1", "expected two different ends and 2 to"),
         ("a=1:1:3", "expected two different ends"),
         ("a=1,1", "found 1 twice"),
+        ("a=1,2,1.0", "found 1 and 1.0, which is the same"),
+        ('a=x,"x"', 'found x and "x", which is the same'),
+        ("a=1e999:2:3", "all finite, found 1e999:2:3"),
+        ("a=0:1e999:3", "all finite, found 0:1e999:3"),
         ("a=x,,y", "found an empty one"),
     ],
 )
@@ -198,6 +214,15 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
         (["--repeat", "2", "--vary", "terrain.synthetic.power_law.seed=1,2"], "which is varied"),
         (["--vary", f"{SPEED}=1,2", "--vary", f"{SPEED}=3,4"], "found driver.speed twice"),
         (["--vary", f"{SPEED}=1,2", "--set", f"{SPEED}=3"], "leave out one of the two"),
+        (["--vary", f"{SPEED}=1,2", "--set", "driver . 'speed'=3"], "leave out one of the two"),
+        (
+            ["--vary", f"{ROUGH}=1,2", "--vary", "terrain.synthetic.power_law=1,2"],
+            "expected keys of which none holds another",
+        ),
+        (
+            ["--vary", "terrain.synthetic.power_law=1,2", "--set", f"{ROUGH}=3"],
+            "found --set terrain.synthetic.power_law.rms=3",
+        ),
         (["--vary", f"{SPEED}=1,0"], "expected a speed other than zero, found 0"),
         (["--vary", "driver.sped=1,2"], "did you mean 'speed'?"),
         (["--vary", f"{SPEED}=1:2:1000", "--repeat", "1000"], "at most 100000 runs, found 1000000"),
@@ -261,29 +286,27 @@ def test_the_same_run_by_itself_is_the_same(whole: tuple[Path, Any], tmp_path: P
         np.testing.assert_allclose(alone[name], swept[name], rtol=1e-9, atol=1e-12)
 
 
-def test_a_killed_sweep_goes_on(whole: tuple[Path, Any], file: Path) -> None:
-    process = _begun(file.parent, *GRID, "--processes", "2")
+def test_a_killed_sweep_goes_on(slow: Path, file: Path) -> None:
+    process = _begun(file.parent, *SLOW, "--processes", "2")
     _kill(process)
     kept = [line for line in _lines(file.parent) if line.endswith(b"\n")]
     assert 3 <= len(kept) < RUNS + 1
     with (file.parent / "out" / "runs.jsonl").open("ab") as log:
         log.write(b'{"run": 11, "settings": ["dri')  # as if it had been killed while it wrote
-    result = _sweep(file.parent, *GRID, "--processes", "2", "--no-draw")
+    result = _sweep(file.parent, *SLOW, "--processes", "2", "--no-draw")
     assert result.exit_code == 0, result.output
-    _check_resumed(file.parent, kept, whole[0])
+    _check_resumed(file.parent, kept, slow)
 
 
-def test_a_killed_sweep_goes_on_through_a_cluster(
-    whole: tuple[Path, Any], file: Path, dask: str
-) -> None:
-    process = _begun(file.parent, *GRID, "--scheduler", dask)
+def test_a_killed_sweep_goes_on_through_a_cluster(slow: Path, file: Path, dask: str) -> None:
+    process = _begun(file.parent, *SLOW, "--scheduler", dask)
     process.kill()
     process.communicate()
     kept = [line for line in _lines(file.parent) if line.endswith(b"\n")]
     assert 3 <= len(kept) < RUNS + 1
-    result = _sweep(file.parent, *GRID, "--scheduler", dask, "--no-draw")
+    result = _sweep(file.parent, *SLOW, "--scheduler", dask, "--no-draw")
     assert result.exit_code == 0, result.output
-    _check_resumed(file.parent, kept, whole[0])
+    _check_resumed(file.parent, kept, slow)
 
 
 def _check_resumed(folder: Path, kept: list[bytes], whole: Path) -> None:
@@ -347,9 +370,40 @@ def test_results_of_another_problem_are_not_mixed(file: Path) -> None:
         Log(file.parent / "runs.jsonl", sweep_of(file, []).head)
 
 
+@pytest.mark.parametrize(
+    ("settings", "vary", "name"),
+    [
+        (["terrain.file=map.npz", "terrain.synthetic="], [], "map.npz"),
+        (["terrain.synthetic="], ["terrain.file=other.npz,map.npz"], "map.npz"),
+        (["terrain.friction=grip.npz"], [], "grip.npz"),
+        (["vehicle.file=rover.toml", "vehicle.catalog="], [], "rover.toml"),
+        (["vehicle.file=parts/of.toml", "vehicle.catalog="], [], "parts/rover.urdf"),
+        (["driver.file=way.csv", "driver.name=follow"], [], "way.csv"),
+    ],
+)
+def test_results_of_other_input_files_are_not_mixed(
+    file: Path, settings: list[str], vary: list[str], name: str
+) -> None:
+    folder = file.parent
+    (folder / "parts").mkdir()
+    (folder / "parts/of.toml").write_text('urdf = "rover.urdf"')
+    changed = folder / name
+    changed.write_text("one")
+    log, head = folder / "runs.jsonl", sweep_of(file, vary, settings).head
+    with Log(log, head):
+        pass
+    with Log(log, sweep_of(file, vary, settings).head):
+        pass
+    changed.write_text("other")
+    with pytest.raises(DataError, match=f"those of another input file: {name}; choose another"):
+        Log(log, sweep_of(file, vary, settings).head)
+    changed.unlink()
+    assert sweep_of(file, vary, settings).files[name] == "missing"
+
+
 ROW = Row(1, ("a=1",), "complete", "", 0.5, {"end_x": (1.25, "m")}, 0.1)
-HEAD: dict[str, Any] = {"slipfree": "0", "problem": "", "settings": [], "vary": {}, "repeat": 1,
-                        "seeds": {}}  # fmt: skip
+HEAD: dict[str, Any] = {"slipfree": "0", "problem": "", "files": {}, "settings": [], "vary": {},
+                        "repeat": 1, "seeds": {}}  # fmt: skip
 
 
 def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
@@ -367,6 +421,104 @@ def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
     path.write_bytes(whole[:20])  # not even the first line
     with Log(path, HEAD) as log:
         assert log.rows == []
+
+
+def test_runs_that_were_lost_are_done_again(tmp_path: Path) -> None:
+    path, rows = tmp_path / "runs.jsonl", []
+    for number, outcome in enumerate(("complete", "lost", "failed"), 1):
+        rows.append(ROW._replace(run=number, outcome=outcome))
+    with Log(path, HEAD) as log:
+        for row in rows:
+            log.append(row)
+    with Log(path, HEAD) as log:
+        assert log.rows == [rows[0], rows[2]]
+    with Log(path, HEAD, again=True) as log:
+        assert log.rows == [rows[0]]
+        for row in rows[1:]:
+            log.append(row._replace(outcome="complete"))
+    with Log(path, HEAD) as log:
+        assert [(row.run, row.outcome) for row in log.rows] == [(k, "complete") for k in (1, 2, 3)]
+
+
+def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("slipfree.sweep.work.solved", fail)
+        (task,) = _tasks(file, "time.step=0.1")
+        done = work(task)
+    assert (done.row.outcome, done.row.t) == ("lost", None)
+    assert done.row.words == "OSError: [Errno 28] No space left on device"
+    sweep = sweep_of(file, ["time.step=0.1,0.05"])
+    failed = done.row._replace(run=2, outcome="failed", words="by chance")
+    with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
+        log.append(done.row)
+        log.append(failed)
+    told = dict(facts(sweep, [done.row, failed], ()))
+    assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
+    assert told["  run 2 failed"] == "by chance (time.step=0.1)"
+    assert told["  ..."] == "the same command does runs that were lost again"
+    words = ["--vary", "time.step=0.1,0.05", "--processes", "1", "--no-draw"]
+    result = _sweep(file.parent, *words)
+    assert result.exit_code == 1
+    assert "2 of 2: 1 failed, 1 complete" in result.stdout
+    assert "--again repeats runs that failed" in result.stdout
+    result = _sweep(file.parent, *words, "--again")
+    assert result.exit_code == 0
+    assert "2 of 2: 2 complete" in result.stdout
+    assert [row["outcome"] for row in _table(file.parent)] == ["complete", "complete"]
+
+
+def test_results_that_were_not_kept_are_told(file: Path) -> None:
+    words = ["--set", "time.step=0.15", "--no-draw", "--processes", "1"]
+    assert _sweep(file.parent, *words).exit_code == 0
+    result = _sweep(file.parent, *words, "--keep")
+    assert result.exit_code == 0
+    assert "--keep: 1 runs were finished without it and have no result file" in result.stderr
+    command = result.stderr[result.stderr.index("slipfree run") :].split()
+    assert CliRunner().invoke(app, [*command[1:], "--no-draw"]).exit_code == 0
+    assert "no result file" not in _sweep(file.parent, *words, "--keep").stderr
+
+
+def test_long_words_are_one_line_in_table_and_summary(file: Path) -> None:
+    sweep = sweep_of(file, [])
+    row = Row(1, (), "failed", "one\n  two\n" + "x" * 1000, None, {}, 0.1)
+    write_table(file.parent / "out.csv", sweep, [row])
+    with (file.parent / "out.csv").open(newline="") as lines:
+        (found,) = csv.DictReader(lines)
+    assert found["words"].startswith("one two xxx")
+    assert len(found["words"]) == 300
+    assert dict(facts(sweep, [row], ()))["  run 1 failed"] == found["words"]
+
+
+def test_a_summary_tells_of_ten_values_a_key(file: Path) -> None:
+    sweep = sweep_of(file, ["time.step=0.01:0.3:30"])
+    rows = [ROW._replace(run=k, figures={"end_x": (float(k), "m")}) for k in range(1, 31)]
+    told = facts(sweep, rows, ["end_x"])
+    assert len(told) == 13
+    assert told[-1] == ("  ...", "20 more values; table.csv has all")
+
+
+def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:
+    (file.parent / "out").mkdir()
+    (file.parent / "out" / "figures").write_text("")
+    result = _sweep(file.parent, "--repeat", "2")
+    assert result.exit_code == 2
+    assert "figures: expected a folder for figures, found a file" in result.stderr
+    assert [path.name for path in (file.parent / "out").iterdir()] == ["figures"]
+
+
+def test_figures_that_cannot_be_written_are_told(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
+    result = _sweep(file.parent, "--vary", "time.step=0.1,0.15", "--processes", "1")
+    assert result.exit_code == 2
+    assert "cannot be written (No space left on device)" in result.stderr
 
 
 @pytest.mark.parametrize("line", [b"{\n", b"[1]\n", b'{"run": 2}\n', b"\0\0\n"])
@@ -419,12 +571,28 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
     assert next(found).row.outcome == "complete"
     aims[0] = True
     row = next(found).row
-    assert (row.run, row.outcome) == (2, "failed")
+    assert (row.run, row.outcome) == (2, "lost")
     assert row.words == "its process died (signal SIGKILL; was memory short?)"
     row = next(found).row
     assert (row.run, row.outcome) == (3, "complete")
     assert list(found) == []
     assert {each.pid for each in active_children()} <= before
+
+
+def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path) -> None:
+    command = [sys.executable, "-m", "slipfree", "sweep", str(file), "-o", str(file.parent / "out"),
+               "--set", "time.step=0.000001", "--processes", "1"]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        seen, end = psutil.Process(process.pid), time.monotonic() + 60
+        while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        children = seen.children(recursive=True)
+        process.kill()
+    _, alive = psutil.wait_procs(children, timeout=3)
+    for each in alive:
+        each.kill()
+    assert not alive
 
 
 def test_processes_that_cannot_start_are_no_fault_of_the_runs(
@@ -499,12 +667,18 @@ def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
     np.testing.assert_array_equal(share.values, [[1.0], [0.0]])
 
 
-def test_units_of_keys() -> None:
-    assert unit_of("terrain.synthetic.power_law.rms") == "m"
-    assert unit_of("inputs.left_rate") == "rad s-1"
-    assert unit_of("terrain.friction") == "1"
-    assert unit_of("time.duration") == "s"
-    assert unit_of("vehicle.axle") == ""
+def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
+    sets = [f"{SPEED}=1", "traction.creep=1e-3", "slip=traction", "terrain.friction=0.6",
+            "terrain.synthetic.ramp={start=0, end=1, rise=0.1, smooth=true}",
+            "vehicle.stiffness=9.0"]  # fmt: skip
+    spec = sweep_of(file, [], sets).problem.spec
+    ramp = "terrain.synthetic.ramp."
+    for key, unit in {
+        SPEED: "m/s", ROUGH: "m", f"{ramp}start": "m", f"{ramp}end": "m", f"{ramp}smooth": "",
+        "traction.creep": "m/s", "time.duration": "s", "start.heading": "", "nothing.at.all": "",
+        "terrain.synthetic.power_law.seed": "",
+    }.items():  # fmt: skip
+        assert unit_of(spec, key) == unit, key
 
 
 def test_a_cluster_that_does_not_fit_is_refused(
@@ -526,7 +700,7 @@ def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert "pip install 'slipfree[cluster]'" in result.stderr
 
 
-SPEEDS = Varied("driver.speed", "m s-1", ("2.0", "0.5", "1.0"), (2.0, 0.5, 1.0))
+SPEEDS = Varied("driver.speed", "m/s", ("2.0", "0.5", "1.0"), (2.0, 0.5, 1.0))
 AXLES = Varied("vehicle.axle", "", ('"fixed"', '"tilting"'), None)
 
 

@@ -1,15 +1,19 @@
 """The command line: ``slipfree new | examples | run | check | vehicle | compare | info ...``.
 
-Exit codes: 0 done; 1 stopped early or failed, with what was reached saved; 2 bad input; 130
-interrupted. ``--quiet``, ``--verbose`` and ``--json`` belong to every command (`cli.voice`).
-What a command needs is imported inside it, so that ``slipfree --help`` answers at once.
+Exit codes: 0 done; 1 stopped early or failed, with what was reached saved; 2 bad input, or an extra
+that is not installed; 130 interrupted. ``--quiet``, ``--verbose`` and ``--json`` belong to every
+command (`cli.voice`). What a command needs is imported inside it, so that ``slipfree --help``
+answers at once.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 import slipfree
 from slipfree.cli.examples import examples
@@ -19,10 +23,38 @@ from slipfree.cli.report import report
 from slipfree.cli.run import run
 from slipfree.cli.show import show
 from slipfree.cli.sweep import sweep
-from slipfree.cli.voice import Json, Quiet, Verbose, ask, voiced
+from slipfree.cli.voice import BAD_INPUT, DONE, Json, Quiet, Verbose, ask, print_json, voiced
+
+UsageError: Any = typer.BadParameter.__bases__[0]  # of click, of which newer typer has a copy
+
+
+class _Commands(TyperGroup):
+    """The commands; words that are none of theirs are told in JSON as well, if that is wanted."""
+
+    def make_context(self, info_name: Any, args: list[str], *rest: Any, **more: Any) -> Any:
+        words = tuple(args)  # which are used up
+        with self._telling(words):
+            return super().make_context(info_name, args, *rest, obj=words, **more)
+
+    def invoke(self, ctx: Any) -> Any:
+        with self._telling(ctx.obj):
+            return super().invoke(ctx)
+
+    @contextmanager
+    def _telling(self, words: Sequence[str]) -> Iterator[None]:
+        try:
+            yield
+        except UsageError as error:
+            if "--json" in words:
+                names = [word for word in words if not word.startswith("-")]
+                name = next((word for word in names if word in self.commands), [*names, ""][0])
+                print_json(name, BAD_INPUT, {"errors": [error.format_message()]})
+            raise
+
 
 app = typer.Typer(
     name="slipfree",
+    cls=_Commands,
     help="How a wheeled vehicle moves over uneven ground without slipping.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -37,10 +69,14 @@ def main() -> None:
     app()
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(ctx: typer.Context, wanted: bool) -> None:
+    if not wanted:
+        return
+    if "--json" in ctx.obj:
+        print_json("--version", DONE, {"version": slipfree.__version__})
+    else:
         typer.echo(f"slipfree {slipfree.__version__}")
-        raise typer.Exit
+    raise typer.Exit
 
 
 @app.callback()

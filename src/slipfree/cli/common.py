@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from slipfree.problem.read import Problem
     from slipfree.problem.schema import Climb, Motion
 
+RESULT = b"CDF"  # how netCDF begins
+NO_MEMORY = (
+    "there is not enough memory for this: cut the ground by terrain.window, make its spacing "
+    "larger, or take fewer samples or intervals"
+)
 REFRESH = 0.1  # between two updates of the progress bar [s]
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Problem file (TOML).")]
@@ -47,31 +52,63 @@ def reported() -> Iterator[None]:
     except SlipfreeError as error:
         complain(str(error))
         raise typer.Exit(STOPPED) from error
+    except MemoryError as error:
+        complain(NO_MEMORY)
+        raise typer.Exit(STOPPED) from error
     except KeyboardInterrupt as error:
         complain("interrupted")
         raise typer.Exit(INTERRUPTED) from error
+
+
+@contextmanager
+def about(file: Path) -> Iterator[None]:
+    """Say which result an error concerns."""
+    try:
+        yield
+    except (ModelError, DataError) as error:
+        if str(file) in str(error):
+            raise
+        raise DataError(f"{file}: {error}") from error
+    except KeyError as error:  # of a quantity, a count or a word that every result has
+        raise DataError(
+            f"{file}: expected a result as slipfree run writes it, found no {error} in it; run the "
+            "problem again"
+        ) from error
 
 
 def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Problem[Climb]:
     """Return a checked problem, some of its values replaced."""
     from slipfree.problem.read import read
 
+    refuse_result(file)
     problem = read(file, settings or [])
     detail(f"read {file}")
     return problem
+
+
+def refuse_result(file: Path) -> None:
+    """Refuse a result where a problem is expected."""
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(len(RESULT))
+    except OSError:
+        return  # which reading it tells
+    if head == RESULT:
+        raise DataError(
+            f"{file}: expected a problem file, found a result; slipfree info and slipfree report "
+            "tell about it, slipfree info --problem prints the problem that led to it"
+        )
 
 
 def check_places(
     files: list[Path | None], folder: Path | None, problem: Problem[Motion] | Problem[Climb]
 ) -> None:
     """Refuse places that cannot be written to, or that are read, before anything is computed."""
-    spec = problem.spec
-    tables = [getattr(spec, name, None)
-              for name in ("terrain", "vehicle", "driver", "path", "profile")]  # fmt: skip
-    names = [getattr(table, "file", None) for table in tables]
-    names += [each for each in (getattr(tables[0], "friction", None),) if isinstance(each, str)]
+    from slipfree.problem.inputs import input_names
+
     taken = {problem.source.path.resolve(): "the problem file"}
-    taken |= {(problem.folder / name).resolve(): f"the input {name}" for name in names if name}
+    taken |= {(problem.folder / name).resolve(): f"the input {name}"
+              for name in input_names(problem.spec)}  # fmt: skip
     for path in files:
         if path is None:
             continue
@@ -86,10 +123,26 @@ def check_places(
         _check_writable(folder, above)
 
 
+def check_page(out: Path, files: Sequence[Path]) -> None:
+    """Refuse a page that cannot be written, or is one of the results, before anything is drawn."""
+    check_apart(out, files)
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise DataError(f"{out}: expected a name that ends in .html")
+    check_place(out)
+
+
+def check_apart(out: Path, files: Sequence[Path]) -> None:
+    """Refuse to write over a result file that is read."""
+    if out.resolve() in [file.resolve() for file in files]:
+        raise DataError(f"{out}: expected a file of its own, found the result file")
+
+
 def check_place(path: Path) -> None:
     """Refuse a name of a file that cannot be written, before anything is computed."""
     if path.is_dir():
         raise DataError(f"{path}: expected the name of a file to write, found a folder")
+    if path.exists() and not path.is_file():
+        raise DataError(f"{path}: expected the name of a file to write, found a device or a pipe")
     if not path.parent.is_dir():
         raise DataError(f"{path}: expected a folder {path.parent} to write to, found none")
     _check_writable(path, path.parent)

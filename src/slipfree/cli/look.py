@@ -9,14 +9,25 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipfree.cli.answer import motion_answer, quantities, row_answer
-from slipfree.cli.common import BAD_INPUT, File, Settings, read_problem, reported, show, tell
+from slipfree.cli.common import (
+    BAD_INPUT,
+    File,
+    Settings,
+    about,
+    read_problem,
+    refuse_result,
+    reported,
+    show,
+    tell,
+)
 from slipfree.cli.voice import complain, detail, has_bar, put, put_file
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
     from slipfree.problem.compare import Drive
+    from slipfree.problem.parts import Setup
     from slipfree.problem.read import Problem
-    from slipfree.problem.schema import Climb
+    from slipfree.problem.schema import Climb, Motion
 
 
 def check(file: File, settings: Settings = None) -> None:
@@ -41,10 +52,17 @@ def check(file: File, settings: Settings = None) -> None:
             *setup_facts(setup),
             ("start", f"{pose} (m, rad)"),
             ("contact certificate", certificate(start)),
-            ("samples", f"{setup.t.size} to {setup.t[-1]:g} s"),
+            ("samples", _samples(problem, setup)),
         ]
         tell(facts)
         typer.echo("ok")
+
+
+def _samples(problem: Problem[Motion], setup: Setup) -> str:
+    """Return how the result will be sampled; how long a plan takes may be its own choice."""
+    if problem.spec.verb == "plan":
+        return f"{problem.spec.time.step:g} s apart or less, as the intervals of the plan need"
+    return f"{setup.t.size} to {setup.t[-1]:g} s"
 
 
 def _check_climb(problem: Problem[Climb]) -> None:
@@ -92,6 +110,7 @@ def compare(file: File, settings: Settings = None) -> None:
                 typer.echo(f"  {name}", err=True)
             detail(f"vehicle {name}")
 
+        refuse_result(file)
         ground, rows = solve(read_as(Compare, file, settings or []), told)
         tell(ground_facts(ground))
         put("vehicles", lambda: [row_answer(row) for row in rows])
@@ -127,7 +146,7 @@ def info(
     ] = False,
 ) -> None:
     """Say what a result file holds."""
-    with reported():
+    with reported(), about(file):
         from slipfree.problem.summary import motion_facts, ranges
         from slipfree.result_file import read
 
@@ -159,7 +178,7 @@ def export(
     ] = None,
 ) -> None:
     """Write a result for other programs: the path on its map, rates that a robot plays."""
-    with reported():
+    with reported(), about(file):
         from slipfree.problem.export import export_path, export_rates
 
         if path is None and rates is None:

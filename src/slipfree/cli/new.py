@@ -49,9 +49,7 @@ def place(text: str, out: Path, force: bool) -> None:
     check_place(out)
     if out.exists() and not force:
         raise DataError(f"{out}: expected no file of that name, found one; replace it by --force")
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{out}: cannot be written ({error.strerror}); choose another place") \
-            from error  # fmt: skip
+    from slipfree.result_file import replaced
+
+    replaced(out, lambda part: part.write_text(text, encoding="utf-8"))
     put_file(out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +24,6 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.voice import complain, detail, has_bar, is_verbose, put, put_file, warn
 from slipfree.errors import DataError
-from slipfree.trajectory import Stop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from slipfree.problem.read import Problem
     from slipfree.problem.run import Outcome
     from slipfree.problem.schema import Climb, Motion
+    from slipfree.trajectory import Stop
 
 SELDOM = 1.0  # between two lines on the time reached [s]
 
@@ -144,17 +145,18 @@ def _telling(
     poll: Callable[[], None], duration: float
 ) -> tuple[Callable[[float], None], Callable[[str], None]]:
     """Return what says the time reached, and every iterate of a plan, as details."""
-    begun = False
-    say = throttled(lambda t: detail(f"integrated to {t:.4g} of {duration:g} s"), SELDOM)
+    last = 0.0
 
     def progress(t: float) -> None:
-        nonlocal begun
+        nonlocal last
         poll()
-        if not begun:
-            begun = True
+        now = time.monotonic()
+        if not last:
+            last = now
             detail("stood the vehicle on its start; integrates")
-        else:
-            say(t)
+        elif now - last > SELDOM:
+            last = now
+            detail(f"integrated to {t:.4g} of {duration:g} s")
 
     def line(words: str) -> None:
         poll()

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from slipfree.cli.common import reported
-from slipfree.cli.voice import put_file
+from slipfree.cli.common import about, check_apart, check_page, check_place, reported
+from slipfree.cli.voice import put_file, warn
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
     from slipfree.show.climb_scene import Climbed
-    from slipfree.show.scene import Driven, Scene
+    from slipfree.show.drive_scene import Driven
+    from slipfree.show.scene import Scene
 
 Layer = Literal["height", "slope", "traversability"]
 
@@ -50,6 +51,10 @@ def show(
     with reported():
         _check_places(files, html, animation)
         found = _read(files, folder)
+        with about(files[0]):
+            scene = _scene(found)
+        for words in scene.warnings:
+            warn(words)
         if animation is not None:
             _film(found, animation)
             put_file(animation)
@@ -57,20 +62,26 @@ def show(
             from slipfree.result_file import replaced
             from slipfree.show.viewer import page
 
-            text = page(_scene(found), _title(found), color)
+            text = page(scene, _title(found), color)
             replaced(html, lambda part: _write(part, text))
             put_file(html)
             typer.echo(f"wrote {html}, {len(text) / 1e6:.1f} MB")
         if html is None and animation is None:
             from slipfree.show.viewer import serve
 
-            serve(_scene(found), _title(found), color, port, lambda url: _ready(url, browser))
+            serve(scene, _title(found), color, port, lambda url: _ready(url, browser))
 
 
-def _check_places(files: Sequence[Path], *outs: Path | None) -> None:
-    for out in outs:
-        if out is not None and out.resolve() in [file.resolve() for file in files]:
-            raise DataError(f"{out}: expected a file of its own, found a result file")
+def _check_places(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
+    """Refuse places that cannot be written to, before anything is computed."""
+    if html is not None:
+        check_page(html, files)
+    if animation is not None:
+        from slipfree.show.film import FRAMES, film_writer
+
+        check_apart(animation, files)
+        film_writer(animation, FRAMES)
+        check_place(animation)
 
 
 def _write(part: Path, text: str) -> None:
@@ -80,10 +91,12 @@ def _write(part: Path, text: str) -> None:
 def _read(files: Sequence[Path], folder: Path | None) -> list[Driven] | list[Climbed]:
     from slipfree.problem.shown import shown
     from slipfree.show.climb_scene import Climbed
-    from slipfree.show.scene import Driven
+    from slipfree.show.drive_scene import Driven
 
-    found = [shown(file, name, folder)
-             for file, name in zip(files, _names(files), strict=True)]  # fmt: skip
+    found = []
+    for file, name in zip(files, _names(files), strict=True):
+        with about(file):
+            found.append(shown(file, name, folder))
     driven = [each for each in found if isinstance(each, Driven)]
     climbed = [each for each in found if isinstance(each, Climbed)]
     if driven and climbed:
@@ -99,7 +112,7 @@ def _names(files: Sequence[Path]) -> list[str]:
 
 def _scene(found: list[Driven] | list[Climbed]) -> Scene:
     from slipfree.show.climb_scene import Climbed, climb_scene
-    from slipfree.show.scene import drive_scene
+    from slipfree.show.drive_scene import drive_scene
 
     climbs = [each for each in found if isinstance(each, Climbed)]
     if climbs:
@@ -128,8 +141,8 @@ def _film(found: list[Driven] | list[Climbed], file: Path) -> None:
 
 
 def _ready(url: str, browser: bool) -> None:
-    """Say where the page is, and open it if somebody can see it."""
-    typer.echo(f"{url} shows it; Ctrl-C ends it")
+    """Say where the page is, however quiet all else is, and open it if somebody can see it."""
+    typer.echo(f"{url} shows it; Ctrl-C ends it", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )

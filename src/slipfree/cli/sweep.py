@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipfree.cli.common import STOPPED, File, Settings, interruptible, reported, tell
-from slipfree.cli.voice import detail, has_bar, put_file
+from slipfree.cli.voice import detail, has_bar, put_file, warn
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from slipfree.sweep.pools import Pool
 
 MOST_KEYS = 2  # that are drawn
+FIGURES = "figures"
 
 
 def sweep(
@@ -57,6 +59,7 @@ def sweep(
     keep: Annotated[
         bool, typer.Option("--keep", help="Write the result of every run: DIR/run_0001.nc.")
     ] = False,
+    again: Annotated[bool, typer.Option("--again", help="Repeat runs that failed.")] = False,
     figures: Annotated[
         list[str] | None,
         typer.Option(
@@ -71,19 +74,48 @@ def sweep(
     """
     with reported():
         from slipfree.sweep.grid import sweep_of
+        from slipfree.sweep.log import FAILED, LOST
         from slipfree.sweep.table import NAME, chosen, facts
 
         plan = sweep_of(file, vary or [], settings or [], repeat, seed)
         folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
-        rows = _done(plan, folder, _pool(processes, scheduler), keep)
+        if draw:
+            _check_figures(folder / FIGURES)
+        rows = _done(plan, folder, _pool(processes, scheduler), keep, again)
         names = chosen(plan, rows, figures or [])
         tell(facts(plan, rows, names))
         put_file(folder / NAME)
         typer.echo(f"wrote {folder / NAME}")
+        if keep:
+            _tell_missing(plan, rows, folder)
         if draw:
-            _draw(plan, rows, names, folder / "figures")
-        if any(row.outcome == "failed" for row in rows):
+            _draw(plan, rows, names, folder / FIGURES)
+        if any(row.outcome in (FAILED, LOST) for row in rows):
             raise typer.Exit(STOPPED)
+
+
+def _check_figures(folder: Path) -> None:
+    """Refuse a place for figures that is none, before anything runs."""
+    if folder.exists() and not folder.is_dir():
+        raise DataError(
+            f"{folder}: expected a folder for figures, found a file; move it, or draw none: "
+            "--no-draw"
+        )
+
+
+def _tell_missing(plan: Sweep, rows: Sequence[Row], folder: Path) -> None:
+    """Warn of runs that were finished before their results were to be kept."""
+    from slipfree.sweep.run import not_kept, result_path
+
+    if missing := not_kept(folder, plan, rows):
+        first = missing[0]
+        sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
+        file = result_path(folder, plan, first.run)
+        words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
+        warn(
+            f"--keep: {len(missing)} runs were finished without it and have no result file; for "
+            f"all of them sweep into another folder with -o, for one: {shlex.join(words)}"
+        )
 
 
 def _pool(count: int | None, scheduler: str | None) -> Pool:
@@ -106,7 +138,9 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _done(plan: Sweep, folder: Path, pool: Pool, keep: bool) -> Sequence[Row]:
+def _done(
+    plan: Sweep, folder: Path, pool: Pool, keep: bool, again: bool
+) -> Sequence[Row]:  # fmt: skip
     """Return the rows of all runs; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
@@ -116,12 +150,13 @@ def _done(plan: Sweep, folder: Path, pool: Pool, keep: bool) -> Sequence[Row]:
     console = Console(stderr=True)
     with interruptible() as poll:
         if not (console.is_terminal and has_bar()):
-            return swept(plan, folder, pool, keep=keep, poll=poll, progress=_detailed(plan.count))
+            show = _detailed(plan.count)
+            return swept(plan, folder, pool, keep=keep, again=again, poll=poll, progress=show)
         columns = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
         with Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("runs", total=plan.count)
             show = _shown(lambda done, words: bar.update(task, completed=done, description=words))
-            return swept(plan, folder, pool, keep=keep, poll=poll, progress=show)
+            return swept(plan, folder, pool, keep=keep, again=again, poll=poll, progress=show)
 
 
 def _detailed(count: int) -> Callable[[Sequence[Row]], None]:
@@ -139,7 +174,7 @@ def _shown(update: Callable[[int, str], None]) -> Callable[[Sequence[Row]], None
     """Return what tells how many runs are done, and how many of them failed."""
 
     def show(rows: Sequence[Row]) -> None:
-        wrong = sum(row.outcome == "failed" for row in rows)
+        wrong = sum(row.t is None for row in rows)
         update(len(rows), f"runs, {wrong} failed" if wrong else "runs")
 
     return show

@@ -25,7 +25,7 @@ DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
     DONE: "done",
     STOPPED: "stopped early or failed; what was reached is saved",
-    BAD_INPUT: "bad input",
+    BAD_INPUT: "bad input, or an extra that is not installed",
     INTERRUPTED: "interrupted",
 }
 
@@ -90,10 +90,10 @@ def voiced(command: Callable[..., None]) -> Callable[..., None]:
     def spoken(*, quiet: bool, verbose: bool, json: bool, **values: Any) -> None:
         before = _asked[0]
         voice = Voice(quiet or before.quiet, verbose or before.verbose, json or before.json)
-        if voice.quiet and voice.verbose:
-            typer.echo("expected --quiet or --verbose, found both", err=True)
-            raise typer.Exit(BAD_INPUT)
         with _speaking(command.__name__, voice):
+            if voice.quiet and voice.verbose:
+                complain("expected --quiet or --verbose, found both")
+                raise typer.Exit(BAD_INPUT)
             command(**values)
 
     hints |= options
@@ -126,8 +126,13 @@ def _speaking(name: str, voice: Voice) -> Iterator[None]:
     finally:
         _speakers.pop()
         if voice.json:
-            head = {"command": name, "exit_code": code, "meaning": MEANINGS[code]}
-            typer.echo(to_json.dumps(plain(head | answer.content)))
+            print_json(name, code, answer.content)
+
+
+def print_json(command: str, code: int, content: Mapping[str, Any]) -> None:
+    """Print the JSON object of a command."""
+    head = {"command": command, "exit_code": code, "meaning": MEANINGS[code]}
+    typer.echo(to_json.dumps(plain({**head, **content})))
 
 
 def put(name: str, make: Callable[[], Any]) -> None:

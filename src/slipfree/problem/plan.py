@@ -15,7 +15,7 @@ from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow
 from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.named import Array, Label
-from slipfree.plan.plan import Plan, plan
+from slipfree.plan.plan import STOPPED, Plan, plan
 from slipfree.plan.proof import rerun
 from slipfree.plan.reachable import unreachable
 from slipfree.plan.region import Region
@@ -55,6 +55,7 @@ from slipfree.vehicle.chain import Vehicle
 
 ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
 FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
+GO_ON = "go on with --resume OUT.nc"  # its own result file
 Tell = Callable[[str], None]
 Model = Dae[Any, Any, Any, Any, Any]
 
@@ -155,7 +156,8 @@ def planned(
         )  # fmt: skip
     run, stop = found.replay, found.run.stop
     if stop is not None and not found.success:
-        run = replace(run, stop=stop._replace(t=float(run.t[-1])))
+        words = f"{stop.words}; {GO_ON}" if found.solution.status == STOPPED else stop.words
+        run = replace(run, stop=stop._replace(t=float(run.t[-1]), words=words))
     elif run.stop is None and not found.accurate:
         run = replace(run, stop=_inaccurate(spec, found))
     attributes = {**run.attributes, **_by_friction(setup, found)}
@@ -203,13 +205,14 @@ def _inaccurate(spec: schema.Plan, found: Plan) -> Stop:
              if size > spec.plan.accuracy}  # fmt: skip
     worst = ", ".join(f"{name} by {size:.1e}" for name, size in parts.items())
     last = found.stages[-1]
-    why = {"Solve_Succeeded": "its mesh was not refined any further"}.get(
-        last.status, f"its mesh of {last.words} was not solved ({last.status})"
-    )
+    advice = "raise plan.intervals or plan.accuracy"
+    why = {
+        "Solve_Succeeded": f"its mesh was not refined any further; {advice}",
+        STOPPED: f"interrupted; {GO_ON}",
+    }.get(last.status, f"its mesh of {last.words} was not solved ({last.status}); {advice}")
     words = (
         f"the plan is solved, but its simulation misses {worst or 'a narrow limit'}, where an "
-        f"accuracy of {spec.plan.accuracy:g} was asked for: {why}; raise plan.intervals or "
-        "plan.accuracy"
+        f"accuracy of {spec.plan.accuracy:g} was asked for: {why}"
     )
     return Stop("plan_accuracy", float(found.replay.t[-1]), words)
 

@@ -30,6 +30,13 @@ if TYPE_CHECKING:
 
 LARGEST = 1e300  # number that is shown as one
 MOST_SAMPLES = 1_000_000
+MOST_BYTES = 10_000_000  # of a file of TOML
+MOST_KNOWN = 60  # names that are listed in full
+DEEPEST = 3  # nesting of an array that is shown
+# Python's reader takes hours for keys of very many parts.
+LONG_KEY = re.compile(
+    r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
+)
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a --set value that may stand without quotes
 EXPECTED = {
     "float_type": "a number",
@@ -120,10 +127,7 @@ def _read(schemas: Sequence[type[A]], path: str | Path, settings: Sequence[str])
     """Return the problem in a TOML file, by the schema that its verb names."""
     path = Path(path)
     text = _text(path)
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProblemError(_syntax(path, text, str(error))) from error
+    data = loaded(path, text)
     places = _replaced(data, settings)
     source = Source(path, text, key_lines(text), places)
     schema = _by_verb(schemas, data, source)
@@ -177,8 +181,32 @@ def names(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[
             yield _unknown((*place, name), known)
 
 
+def loaded(path: Path, text: str) -> dict[str, Any]:
+    """Return what a text in TOML holds; ProblemError if it is none, or nested beyond reason."""
+    if (found := LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ProblemError(
+            f"{path}:{line}: expected keys of a few parts, found one of more than 60 parts"
+        )
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ProblemError(_syntax(path, text, str(error))) from error
+    except RecursionError as error:
+        raise ProblemError(
+            f"{path}: expected arrays and tables nested a few deep, found them hundreds deep"
+        ) from error
+    except ValueError as error:  # of a number
+        raise ProblemError(f"{path}: expected numbers, found one that is none: {error}") from error
+
+
 def _text(path: Path) -> str:
     try:
+        if path.is_file() and path.stat().st_size > MOST_BYTES:
+            raise ProblemError(
+                f"{path}: expected a file of TOML of at most {MOST_BYTES / 1e6:g} MB, found "
+                f"{path.stat().st_size / 1e6:.3g} MB; check the name"
+            )
         raw = path.read_bytes()
     except OSError as error:
         raise ProblemError(
@@ -324,7 +352,13 @@ def _unknown(place: Place, known: Sequence[str]) -> Fault:
     name = str(place[-1])
     nearest = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-    return Fault(place, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
+    return Fault(place, f"one of {listed(known)}", f"the unknown key {_cut(name)!r}{hint}")
+
+
+def listed(known: Sequence[str]) -> str:
+    """Return names one after the other, the first ones of very many."""
+    more = len(known) - MOST_KNOWN
+    return ", ".join(known[:MOST_KNOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
@@ -343,7 +377,7 @@ def _cut(text: str) -> str:
     return text if len(text) < 40 else text[:37] + "..."
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Any, deepest: int = DEEPEST) -> str:
     """Return a value as TOML would have it, shortened."""
     if isinstance(value, bool):
         return str(value).lower()
@@ -354,5 +388,6 @@ def _shown(value: Any) -> str:
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list):
-        return f"[{', '.join(map(_shown, value[:4]))}{', ...' * (len(value) > 4)}]"
+        parts = [_shown(each, deepest - 1) for each in value[:4] if deepest]
+        return f"[{', '.join([*parts, *['...'] * (len(value) > len(parts))])}]"
     return str(value)

@@ -40,7 +40,7 @@ OF_AXLES = {"wheel_rate": "rad s-1", "friction": "N", "load": "N"}  # what figur
 VERSION = "_version"
 ELSEWHERE = (  # attributes that are told in other places
     "problem", "settings", "history", "title", "outcome", "slow_climb", "by_friction",
-    "replay_stopped", "date_created",
+    "replay_stopped", "date_created", "problem_folder",
 )  # fmt: skip
 
 
@@ -117,7 +117,7 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
     """Return the problem file, and how to run it again."""
     if "problem" not in found:
         return {}
-    name = found.get("problem_file", "problem.toml")
+    name = f"{Path(found.get('problem_file', 'problem.toml')).stem}_again.toml"  # theirs is kept
     settings = found.get("settings", "").splitlines()
     words = ["slipfree", "run", name, *(part for each in settings for part in ("--set", each))]
     again = f"slipfree info {shlex.quote(file.name)} --problem > {shlex.quote(name)}\n"

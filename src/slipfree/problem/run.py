@@ -172,6 +172,7 @@ def _attributes(
     return {
         "title": problem.spec.title or source.path.stem,
         "problem_file": source.path.name,
+        "problem_folder": str(source.path.parent),  # as it was given
         "problem": source.text,
         **(settings if source.settings else {}),
         **inputs,

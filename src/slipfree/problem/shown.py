@@ -6,18 +6,19 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from slipfree.climb.vehicle import Climber
 from slipfree.errors import DataError
+from slipfree.kinematics.poses import wheel_poses
 from slipfree.named import Array
 from slipfree.plan.saved import PREFIX, from_arrays
 from slipfree.problem import schema
 from slipfree.problem.climb import build_climb
 from slipfree.problem.climb_plan import PROGRESS
 from slipfree.problem.ground import at, build_ground
+from slipfree.problem.inputs import DRAWN, input_names
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import build_terrain, build_vehicle
 from slipfree.problem.places import regions
@@ -25,11 +26,13 @@ from slipfree.problem.read import Problem, climbs, read
 from slipfree.result_file import read as read_result
 from slipfree.result_file import read_arrays
 from slipfree.show.climb_scene import Climbed
-from slipfree.show.scene import Driven
+from slipfree.show.drive_scene import Driven
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Column, Trajectory
+from slipfree.vehicle.chain import Vehicle
 
 MOST = 401  # samples of a plan
+SAME = 1e-3  # how far wheels may be from where they were and from the ground, in radii
 POSE = ("x", "z", "tilt_rear", "tilt_front")  # of a climb
 
 
@@ -43,13 +46,14 @@ def shown(file: Path, name: str, folder: Path | None = None) -> Driven | Climbed
     name : str
         What to call the motion.
     folder : Path, optional
-        Where names of files in the problem start; by default the folder of the result, or else the
-        current one, whichever has them.
+        Where names of files in the problem start; by default the folder that the problem was in,
+        that of the result, or the current one, whichever has them first.
 
     Raises
     ------
     DataError
-        If the file cannot be read, holds no problem, or files that its problem names are missing.
+        If the file cannot be read, holds no problem, or files that its problem names are missing or
+        make another ground or vehicle than that of the motion.
     """
     run = read_result(file)
     problem = problem_of(file, run, folder)
@@ -61,6 +65,8 @@ def shown(file: Path, name: str, folder: Path | None = None) -> Driven | Climbed
     terrain = build_terrain(problem, build_ground(problem))
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+    _check_vehicle(file, run, vehicle, problem)
+    _check_ground(file, run, terrain, vehicle, problem)
     keep_out = regions(problem, problem.spec) if isinstance(problem.spec, schema.Plan) else ()
     return Driven(name, run, terrain, vehicle, keep_out, _planned(run, arrays, terrain))
 
@@ -81,7 +87,7 @@ def problem_of(
     settings = run.attributes.get("settings", "").splitlines()
     name = Path(run.attributes.get("problem_file", "problem.toml")).name
     with tempfile.TemporaryDirectory() as scratch:
-        copy = Path(scratch) / name
+        copy = Path(scratch) / "problem.toml"  # a name out of a file may be anything
         copy.write_text(text, encoding="utf-8")
         try:
             problem = read(copy, settings)
@@ -89,15 +95,19 @@ def problem_of(
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(f"{file}: its problem is not one of this version:", *faults) \
                 from error  # fmt: skip
-    place = _folder(file, problem.spec, folder)
+    place = _folder(file, problem.spec, run.attributes.get("problem_folder"), folder)
     source = replace(problem.source, path=place / name)
     return replace(problem, source=source)
 
 
-def _folder(file: Path, spec: Any, folder: Path | None) -> Path:
+def _folder(
+    file: Path, spec: schema.Motion | schema.Climb, recorded: str | None, folder: Path | None
+) -> Path:
     """Return the folder that holds the files which a problem names."""
-    needed = [name for name in _files(spec) if name]
-    tried = [folder] if folder is not None else [file.absolute().parent, Path.cwd()]
+    needed = input_names(spec, DRAWN)
+    here, beside = Path.cwd(), file.absolute().parent
+    usual = [*((each / recorded).resolve() for each in (here, beside) if recorded), beside, here]
+    tried = [folder] if folder is not None else list(dict.fromkeys(usual))
     for place in tried:
         if all((place / name).is_file() for name in needed):
             return place
@@ -108,12 +118,42 @@ def _folder(file: Path, spec: Any, folder: Path | None) -> Path:
     )
 
 
-def _files(spec: Any) -> list[str | None]:
-    """Return the names of files that ground and vehicle of a problem are made of."""
-    tables = [getattr(spec, name, None) for name in ("terrain", "vehicle", "profile")]
-    names = [getattr(table, "file", None) for table in tables]
-    friction = getattr(tables[0], "friction", None)
-    return [*names, friction if isinstance(friction, str) else None]
+def _check_vehicle(
+    file: Path, run: Trajectory, vehicle: Vehicle, problem: Problem[schema.Motion]
+) -> None:
+    """Refuse a vehicle whose parts were not where the motion has its wheels and their contacts."""
+    named = problem.spec.vehicle.file or str(problem.spec.vehicle.catalog)
+    wheels = tuple(wheel.name for wheel in vehicle.wheels)
+    if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
+        raise _changed(file, "vehicle", named, "its wheels or joints have other names")
+    placed = wheel_poses(vehicle, run)
+    center, contact = (np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
+                       for name in ("center", "contact"))  # fmt: skip
+    away = np.linalg.norm(placed.origins - center, axis=-1)
+    along = np.einsum("nki,nki->nk", contact - center, placed.rotations[..., 0])
+    r1, r2 = (np.array([getattr(wheel, name) for wheel in vehicle.wheels]) for name in ("r1", "r2"))
+    out = np.sqrt(np.maximum(((contact - center) ** 2).sum(axis=-1) - along**2, 0))
+    off = max(away.max(), np.abs(np.hypot(out - r2, along) - r1).max())
+    if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
+        raise _changed(file, "vehicle", named, f"its wheels are {off:.2g} m from the motion's")
+
+
+def _check_ground(
+    file: Path, run: Trajectory, terrain: Bicubic, vehicle: Vehicle,
+    problem: Problem[schema.Motion],
+) -> None:  # fmt: skip
+    """Refuse a ground that is not where the wheels of the motion touched it."""
+    off = np.abs(terrain.elevation(run["contact_x"], run["contact_y"]) - run["contact_z"]).max()
+    if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
+        words = f"it is up to {off:.2g} m from the contact points"
+        raise _changed(file, "ground", problem.spec.terrain.file or "that is made", words)
+
+
+def _changed(file: Path, what: str, named: str, words: str) -> DataError:
+    return DataError(
+        f"{file}: expected the {what} that it was run with, found another one ({named}): {words}; "
+        "put the file back as it was, name the folder that has it by --folder DIR, or run again"
+    )
 
 
 def _planned(
@@ -121,8 +161,8 @@ def _planned(
 ) -> Trajectory | None:  # fmt: skip
     """Return the plan that a motion simulates, as far as its poses go; None if there is none.
 
-    States and algebraic unknowns of a plan are the first quantities of its simulation, in order.
-    The turns of its wheels are those of the simulation.
+    States and algebraic unknowns of a plan are the first quantities of its simulation, in order,
+    up to the contacts. The turns of its wheels are those of the simulation.
     """
     if f"{PREFIX}unknowns" not in arrays:
         return None
@@ -133,12 +173,14 @@ def _planned(
     rows = rows + saved.shift[: len(rows), None]
     columns, t, first = {}, run.t[0] + places * course.duration, 0
     for name, column in run.columns.items():
-        count = 1 if column.values.ndim == 1 else column.values.shape[1]
-        if first + count > len(rows):
+        if name == "contact_x":
             break
-        values = rows[first : first + count].T
-        columns[name] = Column(column.label, values[:, 0] if column.values.ndim == 1 else values)
-        first += count
+        columns[name] = Column(column.label, rows[first])
+        first += 1
+    # Contacts are unknowns wheel by wheel: x and y of the first one, then those of the next.
+    pairs = rows[first : first + 2 * len(run.wheels)].reshape(len(run.wheels), 2, -1)
+    for axis, name in enumerate(("contact_x", "contact_y")):
+        columns[name] = Column(run.columns[name].label, pairs[:, axis].T)
     columns["wheel_angle"] = _turns(run, t)
     height = terrain.elevation(columns["contact_x"].values, columns["contact_y"].values)
     columns["contact_z"] = Column(run.columns["contact_z"].label, height)

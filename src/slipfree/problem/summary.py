@@ -27,13 +27,24 @@ def motion_facts(run: Trajectory) -> Facts:
 
 
 def ranges(run: Trajectory) -> Facts:
-    """Return every quantity with its range, over the wheels as well."""
+    """Return every quantity with its range, over the wheels as well.
+
+    Without friction of the ground ``utilisation`` is but ``friction_needed`` again, and left out.
+    """
     facts = []
     for name, column in run.columns.items():
+        if name == "utilisation" and not has_friction(run):
+            continue
         low, high, unit = column.values.min(), column.values.max(), column.label.unit
         span = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
         facts.append((name, span if unit == "1" else f"{span} {unit}"))
     return facts
+
+
+def has_friction(run: Trajectory) -> bool:
+    """Return whether the ground of a motion has friction, as far as its result tells."""
+    given = "ground_friction" in run.attributes
+    return given or not np.array_equal(run["utilisation"], run["friction_needed"])
 
 
 def _way(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -206,11 +217,15 @@ def certificate(run: Trajectory) -> str:
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
         clean += " up to the stop"
-    room = "more than a metre" if clearance >= NONE else f"{clearance:.4g} m at least"
-    return (
-        f"{clean}: clearance beside the contacts {room}, relative curvature {curvature:.4g} 1/m "
-        f"at least; looked at every {_apart(run):.3g} m or less"
+    room = (
+        "no second place where the ground comes near"
+        if clearance >= NONE
+        else f"clearance beside the contacts {clearance:.4g} m at least"
     )
+    words = f"{clean}: {room}, relative curvature {curvature:.4g} 1/m at least"
+    if run.t.size == 1:
+        return words
+    return f"{words}; a sample every {_apart(run):.3g} m of way or less"
 
 
 def _apart(run: Trajectory) -> float:

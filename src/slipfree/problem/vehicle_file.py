@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Vector
 from slipfree.problem.locate import PIECE, Place, ProblemError, Source, key_lines, spelled
-from slipfree.problem.read import Fault, _fault, _syntax, _text, names
+from slipfree.problem.read import Fault, _fault, _text, listed, loaded, names
 from slipfree.problem.schema import Length, Radius, Record
 from slipfree.problem.schema import Place as Place3
 from slipfree.vehicle.chain import Body, Coordinate, Joint, Kind
@@ -186,10 +185,7 @@ class File(NamedTuple):
 def open_file(path: Path) -> File:
     """Return what a TOML file holds; ProblemError if it cannot be read."""
     text = _text(path)
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProblemError(_syntax(path, text, str(error))) from error
+    data = loaded(path, text)
     lines = key_lines(text)
     for part in PARTS:
         if (part,) in lines and (part, 0) not in lines:
@@ -285,7 +281,7 @@ def _hanging(table: VehicleTable) -> Iterator[Fault]:
     for part in ("joints", "wheels"):
         for index, each in enumerate(getattr(table, part)):
             if each.parent not in known:
-                yield Fault((part, index, "parent"), f"{PARENT}: {', '.join(known)}",
+                yield Fault((part, index, "parent"), f"{PARENT}: {listed(known)}",
                             _near(each.parent, known))  # fmt: skip
     told: set[str] = set()
     for index, joint in enumerate(table.joints):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,15 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from slipfree.named import Array
 from slipfree.plan.traversability import extents
 from slipfree.show import relief, style
-from slipfree.show.film import FILM_DPI, FRAMES, film_writer
-from slipfree.show.scene import Actor, Driven, Scene, drive_scene, scale_words
+from slipfree.show.drive_scene import Driven, drive_scene
+from slipfree.show.film import FRAMES, film_writer, write_film
+from slipfree.show.scene import ARROWS, Actor, Color, Scene, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
 
 MOST = 400  # pictures of a film; a longer motion is sped up
 NEAR = 1.6  # half of the ground around the vehicle, in its reach
 CELLS = 24  # of that ground along a side
-RIM = 16  # points on a wheel's rim
-LOOK = {"slip": "#D55E00", "force": "#CC79A7"}
+WIDTH = 150  # letters in a line below
 
 
 def animate_drives(drives: Sequence[Driven], file: str | Path) -> str:
@@ -57,10 +58,8 @@ def animate_drives(drives: Sequence[Driven], file: str | Path) -> str:
         film = _Film(figure, scene, drives, speed)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # nothing moves from one picture to the next
-        with writer.saving(figure, str(file), FILM_DPI):
-            for t in np.linspace(first, last, count):
-                film.show(float(t))
-                writer.grab_frame()
+        times = np.linspace(first, last, count).tolist()
+        write_film(writer, figure, Path(file), film.show, times)
     return f"{speed:.3g} times as fast as it happened"
 
 
@@ -74,10 +73,13 @@ class _Film:
         self.scene, self.space, self.terrain = scene, space, drives[0].terrain
         self.reach = NEAR * extents(drives[0].vehicle)[2]
         self.places = _draw_map(plan, scene, drives)
-        self.title = figure.suptitle("", x=0.02, ha="left", fontsize=8)
+        self.title = figure.suptitle("", x=0.98, ha="right", fontsize=8)
         told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
         told += [f"{speed:.3g} times as fast"] if speed > 1 else []
-        figure.supxlabel("; ".join(told), x=0.02, ha="left", fontsize=7)
+        lines = ["; ".join(told), *scene.warnings]
+        lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
+        words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
+        figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False)
         space.set_axis_off()
         space.computed_zorder = False  # the vehicle is always in front of its ground
         space.view_init(elev=28, azim=-55)
@@ -123,7 +125,7 @@ class _Film:
             for mesh, color in body.meshes:
                 points = mesh.vertices @ body.rotations[k].T + body.origins[k]
                 faces.append(points[mesh.faces])
-                colors += [np.array(color) / 255] * len(mesh.faces)
+                colors += [_shares(color)] * len(mesh.faces)
         shape = Poly3DCollection(np.concatenate(faces), facecolors=colors, shade=True, zorder=1)
         return [self.space.add_collection3d(shape)]
 
@@ -134,7 +136,9 @@ class _Film:
             if scale := self.scene.scales[each.name]:
                 lines = np.stack([each.starts[k], each.starts[k] + scale * each.vectors[k]], axis=1)
                 lines = lines[np.isfinite(lines).all(axis=(1, 2))]
-                style_ = Line3DCollection(lines, colors=LOOK[each.name], lw=1.2, zorder=2)
+                style_ = Line3DCollection(
+                    lines, colors=_shares(ARROWS[each.name]), lw=1.2, zorder=2
+                )
                 found.append(self.space.add_collection3d(style_))
         return found
 
@@ -150,12 +154,20 @@ def _draw_map(ax: Axes, scene: Scene, drives: Sequence[Driven]) -> list[Any]:
     relief.muted(drives[0].terrain.grid, ax, window)
     places = []
     for actor in scene.actors:
-        way, color = actor.bodies[0].origins + scene.origin, np.array(actor.color) / 255
+        way, color = actor.bodies[0].origins + scene.origin, _shares(actor.color)
         ax.plot(way[:, 0], way[:, 1], color=color, lw=1, ls="--" if actor.ghost else "-",
                 label=actor.name, zorder=3)  # fmt: skip
         places += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
+    for name in scene.scales:
+        if scene.scales[name]:
+            ax.plot([], [], color=_shares(ARROWS[name]), label=f"{name} (arrows)")
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     return places
+
+
+def _shares(color: Color) -> tuple[float, ...]:
+    """Return red, green and blue from 0 to 1."""
+    return tuple(part / 255 for part in color)
 
 
 def _ends(values: Array) -> tuple[float, float]:

@@ -7,7 +7,9 @@ writes them, and ``animate`` writes a moving picture.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,9 @@ from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.named import Array
 from slipfree.show import style
-from slipfree.show.film import FILM_DPI, FRAMES, film_writer
+from slipfree.show.film import FRAMES, film_writer, write_film
 from slipfree.show.plot import check_formats, write
+from slipfree.show.scene import stopped
 from slipfree.show.style import MM, PAGE, PLATFORM, STYLE
 from slipfree.trajectory import Trajectory
 
@@ -35,6 +38,7 @@ LATEST = 0.85  # of the scale of colors: its yellow end is too light for lines
 GROUND = "0.85"
 ROOM, BELOW = 0.04, 0.03  # around and below what is drawn [m]
 HIGHEST = 100.0  # of ratios that are drawn [%]
+WIDTH = 110  # letters in a line of a film
 ROW = 38 * MM  # height of a panel over time [in]
 
 
@@ -394,11 +398,9 @@ def animate(
         ax = _framed(run, climber, ground(profile, figure.subplots()))
         _sized(figure, ax, 12 * MM)
         film = _Film(climber, ax)
-        times = np.arange(run.t[0], run.t[-1], 1 / rate)
-        with writer.saving(figure, str(file), FILM_DPI):
-            for k in np.searchsorted(run.t, times - 1e-9):
-                film.show(run, int(k))
-                writer.grab_frame()
+        times = np.append(np.arange(run.t[0], run.t[-1], 1 / rate), run.t[-1])
+        samples = np.searchsorted(run.t, times - 1e-9).tolist()
+        write_film(writer, figure, Path(file), partial(film.show, run), samples)
 
 
 class _Film:
@@ -413,7 +415,7 @@ class _Film:
         self.spokes: list[Line2D] = [ax.plot([], [], color=each, lw=1)[0] for each in colors]
         (self.links,) = ax.plot([], [], "-o", color=PLATFORM, lw=2, ms=3)
         (self.centers,) = ax.plot([], [], "+", color=PLATFORM, ms=6)
-        self.time = ax.text(0.01, 0.97, "", transform=ax.transAxes, va="top")
+        self.time = ax.text(0.01, 0.97, "", transform=ax.transAxes, va="top", parse_math=False)
 
     def show(self, run: Trajectory, k: int) -> None:
         """Move everything to where it is at a sample."""
@@ -425,4 +427,5 @@ class _Film:
             self.wheels[i].center = (x, z)
             spoke = self.climber.radius * np.array([np.cos(angle), -np.sin(angle)])
             self.spokes[i].set_data([x - spoke[0], x + spoke[0]], [z - spoke[1], z + spoke[1]])
-        self.time.set_text(f"$t$ = {run.t[k]:.2f} s")
+        end = f"\n{textwrap.fill(stopped(run), WIDTH)}" if k == run.t.size - 1 else ""
+        self.time.set_text(f"t = {run.t[k]:.2f} s{end}")

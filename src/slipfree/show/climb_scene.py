@@ -124,7 +124,7 @@ def _actor(
     climber, color = each.climber, scene.color_of(k)
     bodies = [*_bodies(climber, run, origin, color), *_wheels(climber, run, origin, color)]
     contacts, arrows = _contacts(each, run, origin)
-    return Actor(name, color, run.t, tuple(bodies), contacts, arrows, ghost)
+    return Actor(name, color, run.t, tuple(bodies), contacts, arrows, ghost, scene.stopped(run))
 
 
 def _bodies(

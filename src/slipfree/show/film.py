@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from subprocess import CalledProcessError
+from typing import TypeVar
 
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.figure import Figure
 
 from slipfree.errors import DataError
+from slipfree.result_file import replaced
 
 FRAMES, FILM_DPI = 20, 110  # of a film, by second and by inch
 ENDINGS = (".gif", ".mp4")
+T = TypeVar("T")
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
@@ -30,3 +36,31 @@ def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
             "install ffmpeg; conda: conda install ffmpeg) or write a .gif"
         )
     return FFMpegWriter(fps=rate)
+
+
+def write_film(
+    writer: AbstractMovieWriter, figure: Figure, file: Path, show: Callable[[T], None],
+    steps: Iterable[T],
+) -> None:  # fmt: skip
+    """Write a film of a figure as it is after each step is shown; the file is old or whole.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be written.
+    """
+
+    def fill(part: Path) -> None:
+        with writer.saving(figure, str(part), FILM_DPI):
+            for step in steps:
+                show(step)
+                writer.grab_frame()
+
+    try:
+        replaced(file, fill)
+    except CalledProcessError as error:
+        if isinstance(error.__context__, KeyboardInterrupt):  # which ended ffmpeg as well
+            raise error.__context__ from None
+        raise DataError(
+            f"{file}: cannot be written (ffmpeg: {error}); choose another place"
+        ) from error

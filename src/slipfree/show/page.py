@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 
-from slipfree.show.scene import Color, Layer, Scene, scale_words
+from slipfree.show.scene import ARROWS, Color, Layer, Scene, scale_words
 
 BOX = (
     "position:fixed;left:8px;bottom:52px;z-index:2;max-width:22em;padding:6px 10px;"
     "font:12px/1.4 sans-serif;color:#222;background:rgba(255,255,255,.85);border-radius:4px"
 )
 HOLLOW = "background:none;border:2px dotted"
+SQUARE = "display:inline-block;width:12px;height:12px;margin-right:6px"
+WARNING = "color:#a00"
 
 
 def legend(layer: Layer) -> str:
@@ -22,7 +25,18 @@ def legend(layer: Layer) -> str:
     )
 
 
-def with_legend(html: str, scene: Scene, title: str, color: str, words: str) -> str:
+def swatch(color: Color, words: str = "", *, ghost: bool = False) -> str:
+    """Return HTML of a square of a color, dotted for what is drawn as edges, and words beside."""
+    look = f"{HOLLOW} {_css(color)}" if ghost else f"background:{_css(color)}"
+    return f'<div><span style="{SQUARE};{look}"></span>{escape(words)}</div>'
+
+
+def warned(scene: Scene) -> str:
+    """Return HTML of what must not be missed."""
+    return "".join(f'<p style="{WARNING}">{escape(each)}</p>' for each in scene.warnings)
+
+
+def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
     """Return a page that plays a scene, with a box that says what is seen.
 
     Parameters
@@ -35,21 +49,21 @@ def with_legend(html: str, scene: Scene, title: str, color: str, words: str) -> 
         What it is called.
     color : str
         The layer that the ground is colored by.
-    words : str
+    words : iterable of str
         What else to say.
     """
     layer = next(each for each in scene.ground.layers if each.name == color)
     runs = "".join(
-        f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:6px;'
-        f'{_swatch(actor.color, actor.ghost)}"></span>{escape(actor.name)}</div>'
+        swatch(actor.color, actor.name, ghost=actor.ghost)
+        + (f'<div style="{WARNING}">{escape(actor.stop)}</div>' if actor.stop else "")
         for actor in scene.actors
     )
-    arrows = "".join(f"<div>{name}: {each}</div>" for name in scene.scales
+    arrows = "".join(swatch(ARROWS[name], f"{name}: {each}") for name in scene.scales
                      if (each := scale_words(scene, name)))  # fmt: skip
-    notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, words) if note)
+    notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words))
     box = (
         f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{legend(layer)}{runs}{arrows}'
-        f"<details><summary>notes</summary>{notes}</details></div>"
+        f"{warned(scene)}<details><summary>notes</summary>{notes}</details></div>"
     )
     html = html.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     end = html.rindex("</body>")
@@ -58,7 +72,3 @@ def with_legend(html: str, scene: Scene, title: str, color: str, words: str) -> 
 
 def _css(color: Color) -> str:
     return "rgb({},{},{})".format(*color)
-
-
-def _swatch(color: Color, ghost: bool) -> str:
-    return f"{HOLLOW} {_css(color)}" if ghost else f"background:{_css(color)}"

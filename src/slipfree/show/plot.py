@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,9 @@ from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
 from slipfree.contact.certify import NONE
-from slipfree.errors import ModelError
+from slipfree.errors import DataError, ModelError
 from slipfree.named import Array
+from slipfree.result_file import replaced
 from slipfree.show import relief, style
 from slipfree.show.load import load_figures
 from slipfree.show.relief import HEATMAP, Window
@@ -340,11 +342,17 @@ def check_formats(formats: Sequence[str]) -> None:
 
 def write(drawn: Mapping[str, Figure], folder: str | Path, formats: Sequence[str]) -> list[Path]:
     """Write figures to a folder, which is made if needed, and return their files."""
-    Path(folder).mkdir(parents=True, exist_ok=True)
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"{folder}: expected a folder for figures, found none that can be made "
+            f"({error.strerror}); choose another place"
+        ) from error
     files = [(Path(folder) / f"{name}.{end}", drawn[name]) for name in drawn for end in formats]
     with rc_context(STYLE):  # type: ignore[arg-type]
         for file, figure in files:
-            figure.savefig(file, dpi=DPI)
+            replaced(file, partial(figure.savefig, dpi=DPI))
     return [file for file, _ in files]
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -21,53 +21,12 @@ from slipfree.named import Array
 from slipfree.show import style
 from slipfree.show.plot import check_formats, write
 from slipfree.show.style import COLUMN, MM, PALETTE, STYLE
+from slipfree.show.swept import Swept, Varied
 
 COLOURS = "viridis"
 NOTHING = "0.85"  # cells without a run
 MOST_WORDS = 8  # cells a side in which numbers are written
 ROOM = 7  # ticks of an axis of words that fit lengthwise
-
-
-class Varied(NamedTuple):
-    """What was varied.
-
-    Attributes
-    ----------
-    name : str
-        The key.
-    unit : str
-        Its unit, as in ``m s-1``; empty if not known.
-    values : tuple of str
-        Its values as they were given.
-    numbers : tuple of float or None
-        The same as numbers; None if they are not.
-    """
-
-    name: str
-    unit: str
-    values: tuple[str, ...]
-    numbers: tuple[float, ...] | None
-
-
-class Swept(NamedTuple):
-    """A quantity over what was varied.
-
-    Attributes
-    ----------
-    name : str
-        Its name.
-    unit : str
-        Its unit; empty if not known.
-    axes : tuple of Varied
-        What was varied.
-    values : ndarray, shape (n_1, ..., n_repeat)
-        One dimension an axis, and one for repetitions; not a number where there is none.
-    """
-
-    name: str
-    unit: str
-    axes: tuple[Varied, ...]
-    values: Array
 
 
 def distribution(swept: Swept, ax: Axes) -> Axes:

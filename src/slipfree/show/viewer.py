@@ -17,8 +17,8 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.named import Array
-from slipfree.show.page import legend, with_legend
-from slipfree.show.scene import Actor, Arrows, Colors, Ground, Layer, Scene, scale_words
+from slipfree.show.page import legend, swatch, warned, with_legend
+from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Layer, Scene, scale_words
 
 if TYPE_CHECKING:
     import viser
@@ -29,10 +29,11 @@ SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x", "50x")
 LONGEST = 60.0  # that a saved page plays; longer motions are sped up [s]
 MOST = 400  # points of a track
 SIZES = {"contact": 0.05, "shaft": 0.014, "head": 0.035, "tip": 0.08}  # in the vehicle's reach
-COLORS = {"slip": (213, 94, 0), "force": (204, 121, 167)}  # vermilion and purple, of Okabe and Ito
 CONTACT = (255, 255, 255)
 SKY = 0.5  # light from all around, beside viser's two lamps
 FAR = 1000.0  # that a camera sees, unless the ground is larger [m]
+CLOSE, NEAREST = 3.5, 0.05  # camera's distance when it follows, and what it sees, in reaches
+WORLD = "/world"  # what moves under the camera that follows
 
 
 def serve(
@@ -95,7 +96,8 @@ def page(scene: Scene, title: str, color: str) -> str:
         html = recording.as_html()
     finally:
         _stop(server)
-    words = f"Played {speed:.3g} times as fast as it happened." if speed > 1 else ""
+    words = [f"Played {speed:.3g} times as fast as it happened."] if speed > 1 else []
+    words += [f"The view follows {scene.actors[0].name}."] if scene.is_far else []
     return with_legend(html, scene, title, color, words)
 
 
@@ -141,20 +143,34 @@ class Stage:
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(cast_shadow=False)  # slow where there is no GPU
         server.scene.add_light_hemisphere("/sky", intensity=SKY)
+        self.world = server.scene.add_frame(WORLD, show_axes=False)
         self.grounds = {
             layer.name: _add_ground(server, scene.ground, layer, layer.name == color)
             for layer in scene.ground.layers
             if others or layer.name == color
         }
         self.actors = [_Drawn(server, scene, k) for k in range(len(scene.actors))]
+        self.anchor: Array | None = None
         _set_camera(server, scene)
         self.show(scene.span[0])
+        self.follow(scene.is_far)
 
     def show(self, t: float) -> None:
         """Move everything to where it is at a time [s]."""
         with self._lock, self.server.atomic():
             for actor in self.actors:
                 actor.show(t)
+            self._hold()
+
+    def follow(self, wanted: bool) -> None:
+        """Keep the first vehicle where it is seen and move the world, or let the world rest."""
+        with self._lock, self.server.atomic():
+            self.anchor = self.actors[0].place + self.world.position if wanted else None
+            self._hold()
+
+    def _hold(self) -> None:
+        anchor = self.anchor
+        self.world.position = np.zeros(3) if anchor is None else anchor - self.actors[0].place
 
     def paint(self, color: str) -> None:
         """Color the ground by another layer."""
@@ -167,11 +183,11 @@ class _Drawn:
 
     def __init__(self, server: viser.ViserServer, scene: Scene, k: int) -> None:
         actor, self.scales = scene.actors[k], scene.scales
-        root, self.actor, self.last = f"/run {k + 1}", actor, -1
+        root, self.actor, self.last = f"{WORLD}/run {k + 1}", actor, -1
         self.root = server.scene.add_frame(root, show_axes=False)
         self.frames = []
-        for body in actor.bodies:
-            name = f"{root}/{body.name}"
+        for count, body in enumerate(actor.bodies, 1):
+            name = f"{root}/body {count}"  # parts may be called like any other node
             self.frames.append((server.scene.add_frame(name, show_axes=False), body.origins,
                                 body.quaternions))  # fmt: skip
             for number, (mesh, color) in enumerate(body.meshes):
@@ -182,14 +198,21 @@ class _Drawn:
         self.label = server.scene.add_label(f"{root}/name", actor.name, anchor="bottom-center")
         self.above = np.array([0.0, 0.0, (0.6 + 0.25 * k) * scene.reach])  # names side by side
         size = SIZES["contact"] * scene.reach
+        # A browser takes what it draws to be where it was at first: so all of it moves along.
+        self.here = server.scene.add_frame(f"{root}/here", show_axes=False)
         self.contacts = server.scene.add_point_cloud(
-            f"{root}/contacts", np.zeros((1, 3)), CONTACT, point_size=size, point_shape="circle",
-            precision="float32",
+            f"{root}/here/contacts", np.zeros((1, 3)), CONTACT, point_size=size,
+            point_shape="circle", precision="float32",
         )  # fmt: skip
-        self.arrows = [(_add_arrows(server, scene, root, each), each) for each in actor.arrows
-                       if scene.scales[each.name]]  # fmt: skip
+        self.arrows = [(_add_arrows(server, scene, f"{root}/here", each), each)
+                       for each in actor.arrows if scene.scales[each.name]]  # fmt: skip
         self.shown = {each.name: True for each in actor.arrows}
         _add_tracks(server, root, actor)
+
+    @property
+    def place(self) -> Array:
+        """Where its platform is [m]."""
+        return np.asarray(self.actor.bodies[0].origins[self.last])
 
     def show(self, t: float) -> None:
         """Move the motion to a time; before its first and after its last one it rests."""
@@ -202,26 +225,32 @@ class _Drawn:
         self.last = k
         for node, origins, quaternions in self.frames:
             node.position, node.wxyz = origins[k], quaternions[k]
-        self.label.text = f"{actor.name}, t = {actor.t[k]:.2f} s"
-        self.label.position = actor.bodies[0].origins[k] + self.above
+        stopped = actor.stop.partition(":")[0] if k == actor.t.size - 1 else ""
+        self.label.text = f"{actor.name}, {stopped or f't = {actor.t[k]:.2f} s'}"
+        self.label.position = self.place + self.above
+        self.here.position = self.place
         touching = np.isfinite(actor.contacts[k]).all(axis=-1)
         self.contacts.visible = bool(touching.any())
         if touching.any():
-            self.contacts.points = actor.contacts[k, touching].astype(np.float32)
+            points = actor.contacts[k, touching] - self.place
+            self.contacts.points = points.astype(np.float32)
         self.point(k)
 
     def point(self, k: int) -> None:
         """Let the arrows be those of a sample."""
         for node, each in self.arrows:
-            lines = _lines(each, k, self.scales[each.name])
+            lines = _lines(each, k, self.scales[each.name], self.place)
             node.visible = self.shown[each.name] and len(lines) > 0
             if len(lines):
                 node.points = lines
 
 
-def _lines(arrows: Arrows, k: int, scale: float) -> Array:
-    """Return starts and ends of the arrows at a sample, shape (n, 2, 3), without missing ones."""
-    starts, vectors = arrows.starts[k], arrows.vectors[k] * scale
+def _lines(arrows: Arrows, k: int, scale: float, place: Array) -> Array:
+    """Return starts and ends of the arrows at a sample, shape (n, 2, 3), without missing ones.
+
+    They count from a place.
+    """
+    starts, vectors = arrows.starts[k] - place, arrows.vectors[k] * scale
     kept = np.isfinite(starts).all(axis=-1) & (np.linalg.norm(vectors, axis=-1) > 0)
     return np.asarray(np.stack([starts, starts + vectors], axis=1)[kept], dtype=np.float32)
 
@@ -235,7 +264,7 @@ def _add_ground(server: viser.ViserServer, ground: Ground, layer: Layer, visible
         ground.mesh.vertices, ground.mesh.faces, vertex_colors=light, process=False
     )
     data: Any = mesh.export(file_type="glb", tree_postprocessor=_matt)
-    return server.scene.add_glb(f"/ground {layer.name}", data, visible=visible)
+    return server.scene.add_glb(f"{WORLD}/ground {layer.name}", data, visible=visible)
 
 
 def _matt(tree: dict[str, Any]) -> None:
@@ -256,7 +285,7 @@ def linear(colors: Colors) -> Colors:
 def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arrows) -> Any:
     sizes = {name: SIZES[name] * scene.reach for name in ("shaft", "head", "tip")}
     return server.scene.add_arrows(
-        f"{root}/{arrows.name}", np.zeros((1, 2, 3)), COLORS[arrows.name],
+        f"{root}/{arrows.name}", np.zeros((1, 2, 3)), ARROWS[arrows.name],
         shaft_radius=sizes["shaft"], head_radius=sizes["head"], head_length=sizes["tip"],
         visible=False,
     )  # fmt: skip
@@ -279,15 +308,16 @@ def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:
 
 
 def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
-    """Look at the ways of all vehicles from the right and above."""
-    places = np.concatenate([actor.bodies[0].origins for actor in scene.actors])
-    low, high = places.min(axis=0), places.max(axis=0)
-    away = max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
+    """Look from the right and above at all ways, or from near by at the first vehicle."""
+    low, high = scene.ways.min(axis=0), scene.ways.max(axis=0)
+    middle, away = (low + high) / 2, max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
+    if scene.is_far:
+        middle, away = scene.actors[0].bodies[0].origins[0], CLOSE * scene.reach
     camera = server.initial_camera
-    camera.look_at = (low + high) / 2
-    camera.position = (low + high) / 2 + away * np.array([0.75, -0.75, 0.65])
+    camera.look_at = middle
+    camera.position = middle + away * np.array([0.75, -0.75, 0.65])
     size = float(np.linalg.norm(np.ptp(scene.ground.mesh.vertices, axis=0)))
-    camera.far = max(FAR, 10 * size)
+    camera.near, camera.far = NEAREST * scene.reach, max(FAR, 10 * size)
 
 
 class _Panel:
@@ -304,6 +334,10 @@ class _Panel:
         self.playing = gui.add_checkbox("play", False)
         self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="1x")
         self.time.on_update(lambda _: stage.show(self.time.value))
+        self.following = gui.add_checkbox(f"follow {scene.actors[0].name}", scene.is_far)
+        self.following.on_update(lambda _: stage.follow(self.following.value))
+        if scene.warnings:
+            gui.add_html(warned(scene))
         self._choose_ground(gui, scene)
         self._choose_arrows(gui, scene)
         with gui.add_folder("runs"):
@@ -334,6 +368,7 @@ class _Panel:
         with gui.add_folder("arrows"):
             for name in scene.scales:
                 if words := scale_words(scene, name):
+                    gui.add_html(swatch(ARROWS[name]))
                     box = gui.add_checkbox(f"{name} ({words})", True)
                     box.on_update(lambda _, box=box, name=name: self._point(name, box.value))
 
@@ -343,5 +378,6 @@ class _Panel:
             actor.point(actor.last)
 
     def _choose_run(self, gui: Any, k: int, actor: Actor) -> None:
+        gui.add_html(swatch(actor.color, actor.stop, ghost=actor.ghost))
         box = gui.add_checkbox(actor.name, True)
         box.on_update(lambda _: setattr(self.stage.actors[k].root, "visible", box.value))

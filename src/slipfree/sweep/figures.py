@@ -10,6 +10,7 @@ import numpy as np
 
 from slipfree.problem.climb_summary import is_climb
 from slipfree.problem.schema import Climb, Motion, Plan
+from slipfree.sweep.task import COMPLETE
 from slipfree.trajectory import Trajectory, path_length
 
 Figures = dict[str, tuple[float, str]]
@@ -25,13 +26,6 @@ LEAST = (
 GAINED = ("work", "rubbed", "damped", "energy", "potential_energy")
 MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 CLOCK = "seconds"  # statistics with this in their names differ from run to run
-DEFAULT = {
-    "direct": ("slip_rms", "tilt_largest", "utilisation_largest"),
-    "inverse": ("inverse_margin_least", "slip_rms", "utilisation_largest"),
-    "plan": ("within_limits", "plan_violation", "slip_rms"),
-    "climb": ("climb_up", "climb_true_slip", "climb_limited"),
-}
-COMPLETE = "complete"
 
 
 class Quantity(NamedTuple):

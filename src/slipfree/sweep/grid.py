@@ -7,14 +7,16 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.problem.inputs import digest, input_files
 from slipfree.problem.locate import key_path
 from slipfree.problem.read import Problem, read
 from slipfree.problem.schema import Climb, Motion
@@ -90,6 +92,8 @@ class Sweep:
         Number of repetitions of every point of the grid.
     seed : int
         The first seed.
+    files : mapping of str to str
+        SHA-256 of all input files that its problems name, by their names.
     """
 
     problem: Problem[Motion] | Problem[Climb]
@@ -98,6 +102,7 @@ class Sweep:
     seeds: tuple[str, ...]
     repeat: int
     seed: int
+    files: Mapping[str, str]
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -129,6 +134,7 @@ class Sweep:
         return {
             "slipfree": __version__,
             "problem": hashlib.sha256(text.encode()).hexdigest(),
+            "files": dict(self.files),
             "settings": list(self.settings),
             "vary": {axis.key: list(axis.values) for axis in self.axes},
             "repeat": self.repeat,
@@ -172,13 +178,13 @@ def sweep_of(
         raise DataError(
             f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values"
         )
-    bare = Sweep(read(file, settings), tuple(settings), axes, (), 1, seed) if not axes else None
-    if bare is None:
-        problems = [
-            read(file, [*settings, *(f"{a.key}={v}" for a, v in zip(axes, point, strict=True))])
-            for point in product(*(axis.values for axis in axes))
-        ]
-        bare = Sweep(problems[0], tuple(settings), axes, (), 1, seed)
+    problems = [
+        read(file, [*settings, *(f"{a.key}={v}" for a, v in zip(axes, point, strict=True))])
+        for point in product(*(axis.values for axis in axes))
+    ]
+    paths = {name: path for each in problems for name, path in input_files(each).items()}
+    files = {name: digest(paths[name]) for name in sorted(paths)}
+    bare = Sweep(problems[0], tuple(settings), axes, (), 1, seed, files)
     if repeat is None:
         return bare
     found = seed_keys(bare.problem.spec.model_dump())
@@ -191,7 +197,7 @@ def sweep_of(
             + "; add a random table such as [terrain.synthetic.power_law], [terrain.error] or "
             "[control.noise], or leave out --repeat"
         )
-    return Sweep(bare.problem, tuple(settings), axes, seeds, repeat, seed)
+    return replace(bare, seeds=seeds, repeat=repeat)
 
 
 def axis_of(text: str) -> Axis:
@@ -214,12 +220,13 @@ def axis_of(text: str) -> Axis:
         )
     found = RANGE.fullmatch(rest)
     values = _range(text, *found.groups()) if found else _values(rest)
-    twice = sorted({value for value in values if values.count(value) > 1})
-    if "" in values or twice:
-        raise DataError(
-            f"--vary {text}: expected values that differ, none of them empty, found "
-            f"{f'{twice[0]} twice' if twice and twice[0] else 'an empty one'}"
-        )
+    if "" in values:
+        raise DataError(f"--vary {text}: expected values, none of them empty, found an empty one")
+    meant: dict[object, str] = {}
+    for value in values:
+        if (same := meant.setdefault(_meant(value), value)) is not value:
+            also = "twice" if same == value else f"and {value}, which is the same"
+            raise DataError(f"--vary {text}: expected values that differ, found {same} {also}")
     return Axis(spelled, values)
 
 
@@ -234,27 +241,54 @@ def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
     return tuple(keys)
 
 
+def _meant(value: str) -> object:
+    """Return what tells values apart: ``1`` and ``1.0`` are one, as are a word and its quotes."""
+    try:
+        found = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return value.strip()
+    if isinstance(found, int | float) and not isinstance(found, bool):
+        return float(found)
+    return found if isinstance(found, str) else repr(found)
+
+
 def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
-    """Refuse keys that are given more than once."""
-    keys = [axis.key for axis in axes]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise DataError(f"--vary {key}: expected every key once, found {key} twice")
+    """Refuse keys that are given more than once, and those that are within another one's value.
+
+    A table may be set and a key of it varied: the values of the key then take their place in it.
+    """
+    paths = [key_path(axis.key) for axis in axes]
+    for k, path in enumerate(paths):
+        for other in paths[:k]:
+            if path == other:
+                key = axes[k].key
+                raise DataError(f"--vary {key}: expected every key once, found {key} twice")
+            short, long = sorted((path, other), key=len)
+            if long[: len(short)] == short:
+                raise DataError(
+                    f"--vary {'.'.join(long)}: expected keys of which none holds another, found "
+                    f"--vary {'.'.join(short)} as well; leave out one of the two"
+                )
     for setting in settings:
-        if (key := setting.partition("=")[0].strip()) in keys:
-            raise DataError(
-                f"--vary {key}: expected a key that is not set, found --set {setting}; "
-                "leave out one of the two"
-            )
+        try:
+            given = key_path(setting.partition("=")[0])
+        except tomllib.TOMLDecodeError:
+            continue  # which reading the problem tells
+        for path in paths:
+            if given[: len(path)] == path:
+                raise DataError(
+                    f"--vary {'.'.join(path)}: expected a key that is not set, found "
+                    f"--set {setting}; leave out one of the two"
+                )
 
 
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
     """Return numbers at equal distances, whole ones if the ends and the steps are whole."""
     low, high, n = float(first), float(last), int(count)
-    if not (2 <= n <= MOST_RUNS and low != high):
+    if not (2 <= n <= MOST_RUNS and low != high and isfinite(low) and isfinite(high)):
         raise DataError(
             f"--vary {text}: expected two different ends and 2 to {MOST_RUNS} values, "
-            f"found {first}:{last}:{count}"
+            f"all finite, found {first}:{last}:{count}"
         )
     numbers = [float(f"{value:.{DIGITS}g}") for value in np.linspace(low, high, n)]
     whole = WHOLE.fullmatch(first) and WHOLE.fullmatch(last) and (high - low) % (n - 1) == 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple
@@ -21,9 +22,11 @@ except ImportError:  # not on Windows: there two sweeps at a time are the user's
     fcntl = None  # type: ignore[assignment]
 
 NAME = "runs.jsonl"
+FAILED, LOST = "failed", "lost"
 WORDS = {
     "slipfree": "version of slipfree",
     "problem": "problem file",
+    "files": "input file",
     "settings": "--set",
     "vary": "--vary",
     "repeat": "--repeat",
@@ -41,7 +44,8 @@ class Row(NamedTuple):
     settings : tuple of str
         What it had beside the problem file and what is set for all.
     outcome : str
-        ``"complete"``, ``"stopped by NAME"`` or ``"failed"``.
+        ``"complete"``, ``"stopped by NAME"``, ``"failed"``, or ``"lost"`` if it came to nothing
+        through no fault of its own.
     words : str
         Why it stopped or failed.
     t : float or None
@@ -70,15 +74,18 @@ class Log:
         Of the runs that are finished, in the order in which they did.
     """
 
-    def __init__(self, path: Path, head: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, head: Mapping[str, Any], *, again: bool = False) -> None:
         """Open or begin a log.
+
+        Runs that were lost do not count as finished; nor do those that failed if they are to be
+        done ``again``.
 
         Raises
         ------
         DataError
             If it cannot be written, is open elsewhere, is damaged, or is that of another sweep.
         """
-        self.path = path
+        self.path, self._open = path, {LOST, *([FAILED] if again else [])}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: IO[bytes] = path.open("a+b")
@@ -111,7 +118,8 @@ class Log:
         trace: TracebackType | None,
     ) -> None:  # fmt: skip
         """Close the file, which lets others open it."""
-        self._file.close()
+        with suppress(OSError):  # of what could not be written, which was told
+            self._file.close()
 
     def _lock(self) -> None:
         """Keep others off until the file is closed, or this process ends in whatever way."""
@@ -140,7 +148,9 @@ class Log:
         rows: dict[int, Row] = {}
         for k, line in enumerate(lines[1:], 2):
             row = self._row(k, line)
-            rows.setdefault(row.run, row)
+            rows.pop(row.run, None)  # it was done again
+            if row.outcome not in self._open:
+                rows[row.run] = row
         return list(rows.values())
 
     def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
@@ -173,10 +183,9 @@ class Log:
             if found.get(key) != head[key]:
                 raise DataError(
                     f"{self.path}: expected results of this sweep, found those of another {words}"
-                    + (f": {_short(found.get(key))}, now {_short(head[key])}"
-                       if key != "problem" else "")
-                    + "; choose another folder with -o, or remove this one"
-                )  # fmt: skip
+                    f"{_how(key, found.get(key), head[key])}; choose another folder with -o, or "
+                    "remove this one"
+                )
 
     def _write(self, what: Mapping[str, Any]) -> None:
         try:
@@ -191,6 +200,16 @@ class Log:
             f"{self.path}: cannot be written ({error.strerror}); make room or choose another "
             "folder with -o; what was written is kept"
         )
+
+
+def _how(key: str, old: Any, new: Any) -> str:
+    """Return in words how values of the first line differ."""
+    if key == "problem":
+        return ""
+    if key == "files":
+        names = {**(old or {}), **new}
+        return ": " + ", ".join(name for name in names if (old or {}).get(name) != new.get(name))
+    return f": {_short(old)}, now {_short(new)}"
 
 
 def _short(value: Any) -> str:

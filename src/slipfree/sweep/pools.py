@@ -16,7 +16,8 @@ from multiprocessing import connection, get_context
 from typing import Any
 
 from slipfree.errors import DataError, SlipfreeError
-from slipfree.sweep.work import Done, Task, failed, serve, work
+from slipfree.sweep.log import LOST
+from slipfree.sweep.task import Done, Task, nothing, serve
 from slipfree.version import __version__
 
 TICK = 0.2  # between two looks at Ctrl-C [s]
@@ -62,7 +63,7 @@ class _Worker:
                     f"a process for the runs could not start ({how}): see what it printed; what "
                     "is finished is kept, and the same command goes on"
                 ) from error
-            done = failed(task, f"its process died ({how})")
+            done = nothing(task, LOST, f"its process died ({how})")
         if done is None:
             self.ready = True
         else:
@@ -124,6 +125,8 @@ def cluster(address: str) -> Pool:
     def pool(tasks: Sequence[Task], poll: Poll) -> Generator[Done, None, None]:
         if not tasks:
             return  # a finished sweep needs no cluster
+        from slipfree.sweep.work import work
+
         with _client(address) as client:
             finished: queue.Queue[Any] = queue.Queue()
             open_tasks = {}
@@ -154,7 +157,7 @@ def _result(task: Task, future: Any, address: str) -> Done:
         done: Done = future.result()
         return done
     if future.status == "error":
-        return failed(task, f"its worker failed ({future.exception()})")
+        return nothing(task, LOST, f"its worker failed ({future.exception()})")
     raise _gone(address)
 
 

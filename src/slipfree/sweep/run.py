@@ -13,7 +13,7 @@ from slipfree.sweep.log import NAME, Log, Row
 from slipfree.sweep.pools import Poll, Pool
 from slipfree.sweep.table import NAME as TABLE
 from slipfree.sweep.table import write_table
-from slipfree.sweep.work import Task
+from slipfree.sweep.task import Task
 
 
 def swept(
@@ -22,6 +22,7 @@ def swept(
     pool: Pool,
     *,
     keep: bool = False,
+    again: bool = False,
     poll: Poll = lambda: None,
     progress: Callable[[Sequence[Row]], None] = lambda _: None,
 ) -> list[Row]:
@@ -38,6 +39,8 @@ def swept(
         Where the runs are done: ``processes(2)``, ``cluster("tcp://...")``.
     keep : bool
         Whether to write every motion as ``run_0001.nc`` and so on.
+    again : bool
+        Whether to repeat runs that failed; those that were lost are always done again.
     poll : callable
         Called several times a second; what it raises interrupts the sweep.
     progress : callable
@@ -51,10 +54,9 @@ def swept(
         If a cluster goes away.
     """
     path = str(sweep.problem.source.path.resolve())
-    width = max(4, len(str(sweep.count)))
     if folder.exists() and not folder.is_dir():
         raise DataError(f"{folder}: expected a folder for the sweep, found a file")
-    with Log(folder / NAME, sweep.head) as log:
+    with Log(folder / NAME, sweep.head, again=again) as log:
         finished = {row.run for row in log.rows}
         tasks = [
             Task(run.number, path, sweep.problem.source.text, run.settings, len(sweep.keys), keep)
@@ -66,10 +68,21 @@ def swept(
             with closing(pool(tasks, poll)) as results:
                 for done in results:
                     if done.trajectory is not None:
-                        file = folder / f"run_{done.row.run:0{width}d}.nc"
+                        file = result_path(folder, sweep, done.row.run)
                         write(file, done.trajectory, done.arrays)
                     log.append(done.row)
                     progress(log.rows)
         finally:
             write_table(folder / TABLE, sweep, log.rows)
         return log.rows
+
+
+def result_path(folder: Path, sweep: Sweep, number: int) -> Path:
+    """Return where the result of a run is written, if results are."""
+    return folder / f"run_{number:0{max(4, len(str(sweep.count)))}d}.nc"
+
+
+def not_kept(folder: Path, sweep: Sweep, rows: Sequence[Row]) -> list[Row]:
+    """Return the runs that have a motion, but no result file in a folder."""
+    return [row for row in rows
+            if row.t is not None and not result_path(folder, sweep, row.run).exists()]  # fmt: skip

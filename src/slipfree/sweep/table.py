@@ -3,36 +3,39 @@
 from __future__ import annotations
 
 import csv
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.named import Array
-from slipfree.problem.summary import Facts
+from slipfree.problem.units import unit_of
 from slipfree.result_file import replaced
-from slipfree.show.sweep import Swept, Varied
-from slipfree.sweep.figures import COMPLETE, DEFAULT
+from slipfree.show.swept import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import Row
+from slipfree.sweep.log import FAILED, LOST, Row
+from slipfree.sweep.task import COMPLETE
+
+if TYPE_CHECKING:
+    from slipfree.problem.summary import Facts
 
 NAME = "table.csv"
 SHOWN = 3  # failures that are told in words
-UNITS = {
-    r"(power_law|rocks|error)\.rms|longest|shortest|spacing|base|correlation|smooth|rolled|cell|"
-    r"rise|rounding|height|depth|length|distance|r1|r2|half_track|wheelbase|trail|radius|"
-    r"start\.[xyz]|goal\.[xyz]": "m",
-    r"speed|control\.speed": "m s-1",
-    r"duration|step|lag|period": "s",
-    r"heading|pitch|roll|steer|angle|\w+_stop|tilt_\w+": "rad",
-    r"\w+_rate": "rad s-1",
-    r"mass|\w+_mass": "kg",
-    r"torque": "N m",
-    r"friction|hurst|static|kinetic|utilisation|scale|\w+_scale|tolerance|height_ratio|count": "1",
-}  # of the last part of a key, or of its last two
+MOST_VALUES = 10  # of a key whose figures are told
+MOST_LETTERS = 300  # of the words of a run; the log has all
+DEFAULT = {
+    "direct": ("slip_rms", "tilt_largest", "utilisation_largest"),
+    "inverse": ("inverse_margin_least", "slip_rms", "utilisation_largest"),
+    "plan": ("within_limits", "plan_violation", "slip_rms"),
+    "climb": ("climb_up", "climb_true_slip", "climb_limited"),
+}
+REMEDIES = {
+    FAILED: "--again repeats runs that failed",
+    LOST: "the same command does runs that were lost again",
+}
 
 
 def write_table(file: Path, sweep: Sweep, rows: Sequence[Row]) -> None:
@@ -67,7 +70,13 @@ def write_table(file: Path, sweep: Sweep, rows: Sequence[Row]) -> None:
 def _line(run: Run, row: Row, names: dict[str, str]) -> list[object]:
     values = [row.figures[name][0] if name in row.figures else "" for name in names]
     time = "" if row.t is None else row.t
-    return [run.number, *run.values, *run.seeds, row.outcome, row.words, time, *values]
+    return [run.number, *run.values, *run.seeds, row.outcome, _line_of(row.words), time, *values]
+
+
+def _line_of(words: str) -> str:
+    """Return words as one line that is not too long."""
+    joined = " ".join(words.split())
+    return joined if len(joined) <= MOST_LETTERS else f"{joined[: MOST_LETTERS - 3]}..."
 
 
 def chosen(sweep: Sweep, rows: Sequence[Row], names: Sequence[str]) -> tuple[str, ...]:
@@ -103,12 +112,14 @@ def _outcomes(sweep: Sweep, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
     for i, key in enumerate(sweep.seeds):
         first = sweep.seed + i * sweep.repeat
         yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
-    wrong = sorted((row for row in rows if row.outcome == "failed"), key=lambda row: row.run)
-    for row in wrong[:SHOWN]:
-        given = f" ({', '.join(row.settings)})" if row.settings else ""
-        yield f"  run {row.run} failed", f"{row.words}{given}"
-    if len(wrong) > SHOWN:
-        yield "  ...", f"{len(wrong) - SHOWN} more; the table has their words"
+    for outcome, remedy in REMEDIES.items():
+        wrong = sorted((row for row in rows if row.outcome == outcome), key=lambda row: row.run)
+        for row in wrong[:SHOWN]:
+            given = f" ({', '.join(row.settings)})" if row.settings else ""
+            yield f"  run {row.run} {outcome}", f"{_line_of(row.words)}{given}"
+        more = f"{len(wrong) - SHOWN} more; the table has their words; " * (len(wrong) > SHOWN)
+        if wrong:
+            yield "  ...", f"{more}{remedy}"
 
 
 def _kept(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
@@ -133,8 +144,10 @@ def _spreads(
         yield name, f"{_spread(swept.values, unit)}"
         for k, axis in enumerate(swept.axes):
             parts = np.moveaxis(swept.values, k, 0)
-            for value, part in zip(axis.values, parts, strict=True):
+            for value, part in list(zip(axis.values, parts, strict=True))[:MOST_VALUES]:
                 yield f"  {axis.name} = {value}", _spread(part, unit)
+            if len(parts) > MOST_VALUES:
+                yield "  ...", f"{len(parts) - MOST_VALUES} more values; {NAME} has all"
 
 
 def _spread(values: Array, unit: str) -> str:
@@ -154,20 +167,11 @@ def swept_of(sweep: Sweep, rows: Sequence[Row], name: str) -> Swept:
     for row in rows:
         if name in row.figures:
             values[row.run - 1], unit = row.figures[name]
+    spec = sweep.problem.spec
     axes = tuple(
-        Varied(axis.key, unit_of(axis.key), axis.values, axis.numbers) for axis in sweep.axes
+        Varied(axis.key, unit_of(spec, axis.key), axis.values, axis.numbers) for axis in sweep.axes
     )
     return Swept(name, unit, axes, values.reshape(shape))
-
-
-def unit_of(key: str) -> str:
-    """Return the unit of a key of a problem file; empty if it is not known."""
-    *above, last = key.split(".")
-    spelled = (last, f"{above[-1]}.{last}" if above else last)
-    for pattern, unit in UNITS.items():
-        if any(re.fullmatch(pattern, each) for each in spelled):
-            return unit
-    return ""
 
 
 def drawn(sweep: Sweep, rows: Sequence[Row], figures: Sequence[str]) -> list[Swept]:

@@ -1,0 +1,50 @@
+"""Files that a problem names, and what tells whether they are still the same."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from slipfree.problem.read import Problem
+from slipfree.problem.schema import Climb, Motion
+
+TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # that may name a file
+DRAWN = ("terrain", "vehicle", "profile")  # those of them that make ground and vehicle
+MISSING = "missing"
+
+
+def input_names(spec: Motion | Climb, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
+    """Return the names of the files that tables of a problem name, as they stand there."""
+    found = [getattr(spec, name, None) for name in tables]
+    names: list[Any] = [getattr(table, "file", None) for table in found]
+    names += [getattr(table, "friction", None) for table in found]
+    return tuple(name for name in names if isinstance(name, str))
+
+
+def input_files(problem: Problem[Motion] | Problem[Climb]) -> dict[str, Path]:
+    """Return all input files of a problem by their names; those that a vehicle file names too."""
+    names = list(input_names(problem.spec))
+    for name in input_names(problem.spec, ["vehicle"]):
+        names += _named_urdf(problem.folder, name)
+    return {name: problem.folder / name for name in names}
+
+
+def digest(file: Path) -> str:
+    """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
+    try:
+        return sha256(file.read_bytes()).hexdigest()
+    except OSError:
+        return MISSING
+
+
+def _named_urdf(folder: Path, name: str) -> list[str]:
+    """Return the name of the URDF that a vehicle file completes, from the problem's folder."""
+    with suppress(OSError, ValueError):  # what is wrong with it is told where it is read
+        table = tomllib.loads((folder / name).read_text(encoding="utf-8"))
+        if isinstance(table.get("urdf"), str):
+            return [str(Path(name).parent / table["urdf"])]
+    return []

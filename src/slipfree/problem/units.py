@@ -1,0 +1,24 @@
+"""Units of the keys of a problem, from the descriptions of its schema."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from slipfree.problem.locate import key_path
+from slipfree.problem.schema import Climb, Motion
+
+UNIT = re.compile(r"\[([^\],]+)\]$")  # at the end of a description; one of several is none
+
+
+def unit_of(spec: Motion | Climb, key: str) -> str:
+    """Return the unit of a dotted key of a problem, as in ``m/s``; empty if it has none."""
+    table: Any = spec
+    words = ""
+    for part in key_path(key):
+        if not isinstance(table, dict):
+            field = getattr(type(table), "model_fields", {}).get(part)
+            words = (field.description or "") if field else ""
+        table = table.get(part) if isinstance(table, dict) else getattr(table, part, None)
+    found = UNIT.search(words)
+    return found[1] if found else ""

@@ -1,0 +1,292 @@
+"""What there is to draw of motions over terrain: the ground around them, vehicles, arrows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.kinematics.poses import Placed, part_poses, wheel_poses
+from slipfree.named import Array
+from slipfree.plan.region import Region
+from slipfree.plan.traversability import extents, nodes_at, traversability
+from slipfree.show import relief
+from slipfree.show.refine import Refined, refined
+from slipfree.show.relief import Window
+from slipfree.show.scene import (
+    BLOCKED,
+    ROD,
+    TYRE,
+    Actor,
+    Arrows,
+    Body,
+    Color,
+    Ground,
+    Layer,
+    Scene,
+    chassis,
+    color_of,
+    framed,
+    layer,
+    stopped,
+)
+from slipfree.show.shapes import joined, rod, spokes, tyre
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.mend import cut
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.chain import Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+SIDE = 161  # nodes of the drawn ground along an axis, at most: 51 200 faces
+MARGIN = 0.35  # of the ground around the paths, in parts of their extent
+NEXT = 3.0  # least margin, in parts of the vehicle's reach
+FINE = 0.125  # distance of nodes near the ways, in parts of the vehicle's reach
+SEEN = 0.1  # how far the drawn ground may be from wheels before it is said, in their radii
+SAME = 1e-9  # difference of grounds that is none [m]
+
+
+class Driven(NamedTuple):
+    """A motion over terrain, and what it happened with.
+
+    Attributes
+    ----------
+    name : str
+        As it is to be shown.
+    run : Trajectory
+        The motion.
+    terrain : Bicubic
+        The ground.
+    vehicle : Vehicle
+        What moved.
+    keep_out : tuple of Region
+        Where a plan must not go.
+    plan : Trajectory or None
+        The plan that the motion simulates: poses and contact points.
+    """
+
+    name: str
+    run: Trajectory
+    terrain: Bicubic
+    vehicle: Vehicle
+    keep_out: tuple[Region, ...] = ()
+    plan: Trajectory | None = None
+
+
+def drive_scene(drives: Sequence[Driven]) -> Scene:
+    """Return what to draw of motions over one ground, that of the first.
+
+    Parameters
+    ----------
+    drives : sequence of Driven
+        One or more.
+
+    Raises
+    ------
+    ModelError
+        If a motion lacks its poses or is not on the ground of the first one.
+    """
+    first, grid = drives[0], drives[0].terrain.grid
+    reach = max(extents(drive.vehicle)[2] for drive in drives)
+    window = _window(drives, grid, reach)
+    x, y, z = relief.patch(grid, window, SIDE)
+    drawn = Grid(x, y, z)
+    ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
+    fine = refined(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
+    origin = np.round([x.mean(), y.mean(), z.mean()])
+    layers = [each._replace(colors=fine.spread(each.colors))
+              for each in _layers(drawn, first, window)]  # fmt: skip
+    warnings = [*_off(drives, fine, SEEN), *_others(drives)]
+    actors = []
+    for k, drive in enumerate(drives):
+        actors.append(_actor(drive, drive.run, drive.name, k, origin))
+        if drive.plan is not None:
+            actors.append(
+                _actor(
+                    drive, drive.plan, f"{drive.name}: plan", k + len(drives), origin, ghost=True
+                )
+            )
+    notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
+    ground = Ground(fine.mesh(origin), tuple(layers))
+    return framed(ground, actors, origin, reach, notes, warnings)
+
+
+def _runs(drives: Sequence[Driven]) -> list[Trajectory]:
+    return [run for drive in drives for run in (drive.run, drive.plan) if run is not None]
+
+
+def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
+    """Return the part of the ground to draw: the surroundings of all paths, on the map."""
+    x, y = (np.concatenate([np.append(run[name], run[f"contact_{name}"]) for run in _runs(drives)])
+            for name in "xy")  # fmt: skip
+    around = relief.about(x, y, grid, MARGIN)
+    least = [x.min() - NEXT * reach, x.max() + NEXT * reach,
+             y.min() - NEXT * reach, y.max() + NEXT * reach]  # fmt: skip
+    low, high = slice(0, None, 2), slice(1, None, 2)
+    whole = np.array(relief.whole(grid))
+    found = np.empty(4)
+    found[low] = np.maximum(np.minimum(around[low], least[low]), whole[low])
+    found[high] = np.minimum(np.maximum(around[high], least[high]), whole[high])
+    west, east, south, north = (float(each) for each in found)
+    return west, east, south, north
+
+
+def _layers(drawn: Grid, drive: Driven, window: Window) -> Iterable[Layer]:
+    """Yield the ways to color the ground."""
+    low, high = float(drawn.z.min()), float(drawn.z.max())
+    yield layer("height", drawn.z.ravel(), f"{low:.4g} to {high:.4g} m", low, high)
+    slope = np.degrees(np.arctan(np.hypot(*np.gradient(drawn.z, *drawn.spacing)))).ravel()
+    yield layer("slope", slope, f"0 to {slope.max():.3g} degrees", 0.0, float(slope.max()))
+    yield _traversability(drawn, drive, window)
+
+
+def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
+    """Return what a metre of way costs the first vehicle, gray where it cannot be."""
+    terrain, reach = drive.terrain, extents(drive.vehicle)[2]
+    wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
+    wide = (window[0] - wide_x, window[1] + wide_x, window[2] - wide_y, window[3] + wide_y)
+    whole = relief.whole(terrain.grid)
+    near = (max(wide[0], whole[0]), min(wide[1], whole[1]),
+            max(wide[2], whole[2]), min(wide[3], whole[3]))  # fmt: skip
+    part = Bicubic(cut(terrain.grid, near), terrain.center, terrain.mu)
+    layers = traversability(part, drive.vehicle, keep_out=drive.keep_out)
+    places = np.stack(np.meshgrid(drawn.x, drawn.y, indexing="ij"), axis=-1).reshape(-1, 2)
+    cost = layers.cost[nodes_at(layers, places)]
+    free = np.isfinite(cost)
+    top = float(np.percentile(cost[free], 99)) if free.any() else 1.0
+    legend = f"cost of a metre, 1 to {top:.3g}; gray: cannot be there"
+    found = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
+    found.colors[~free] = BLOCKED
+    return found
+
+
+def _actor(
+    drive: Driven, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
+) -> Actor:
+    """Return what to draw of a motion."""
+    vehicle, color = drive.vehicle, color_of(k)
+    parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
+    contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
+    bodies = [*_parts(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
+    axles = wheels.rotations[..., 0]
+    arrows = [] if ghost else _arrows(run, drive.terrain, contacts, axles)
+    return Actor(
+        name, color, run.t, tuple(b._replace(origins=b.origins - origin) for b in bodies),
+        contacts - origin, tuple(a._replace(starts=a.starts - origin) for a in arrows), ghost,
+        stopped(run),
+    )  # fmt: skip
+
+
+def _parts(
+    vehicle: Vehicle, parts: Placed, wheels: Placed, color: Color
+) -> Iterable[Body]:  # fmt: skip
+    """Yield the platform and the parts of the joints, as rods to what they carry."""
+    radius = max(wheel.radius for wheel in vehicle.wheels)
+    names = ["platform", *(joint.name for joint in vehicle.joints)]
+    for number, name in enumerate(names):
+        origins, rotations = parts.origins[:, number], parts.rotations[:, number]
+        carried: list[Joint | Wheel] = [*vehicle.joints, *vehicle.wheels]
+        ends = [np.array(each.at) for each in carried if each.parent == name]
+        for joint in vehicle.joints:
+            if joint.parent == name and joint.motion == "slide":
+                away = parts.origins[:, names.index(joint.name)] - origins
+                places = np.einsum("nji,nj->ni", rotations, away)
+                ends += [places.min(axis=0), places.max(axis=0)]
+        meshes = [rod((0.0, 0.0, 0.0), end, ROD * radius) for end in ends
+                  if np.linalg.norm(end) > ROD * radius]  # fmt: skip
+        if name == "platform":
+            away = wheels.origins[0] - origins[0]
+            meshes.append(chassis(away @ rotations[0], radius))
+        if meshes:
+            yield Body(name, ((joined(*meshes), color),), origins, rotations)
+
+
+def _wheels(vehicle: Vehicle, wheels: Placed, color: Color) -> Iterable[Body]:
+    for k, wheel in enumerate(vehicle.wheels):
+        looks = ((tyre(wheel.r1, wheel.r2), TYRE), (spokes(wheel.radius * 0.97), color))
+        yield Body(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
+
+
+def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) -> list[Arrows]:
+    """Return slip and forces, from their parts along, across and normal to the ground."""
+    normals = ground_normals(terrain, contacts)
+    along = np.cross(normals, axles)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    frame = {"along": along, "across": np.cross(along, normals), "normal": normals}
+    found = []
+    for name, directions in (("slip", ("along", "across")), ("force", tuple(frame))):
+        if all(f"{name}_{each}" in run.columns for each in directions):
+            vectors = sum(run[f"{name}_{each}"][..., None] * frame[each] for each in directions)
+            found.append(Arrows(name, contacts, np.asarray(vectors)))
+    return found
+
+
+def ground_normals(terrain: Bicubic, points: Array) -> Array:
+    """Return upward unit normals of a ground at points of it, shape (..., 3)."""
+    slopes = []
+    for axis, cell in enumerate(terrain.grid.spacing):
+        step = 1e-3 * cell
+        away = np.zeros(2)
+        away[axis] = step
+        ahead, behind = points[..., :2] + away, points[..., :2] - away
+        rise = terrain.elevation(*np.moveaxis(ahead, -1, 0))
+        rise = rise - terrain.elevation(*np.moveaxis(behind, -1, 0))
+        slopes.append(rise / (2 * step))
+    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])], axis=-1)
+    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+
+
+def _cropped(grid: Grid, fine: Refined) -> str:
+    (h_x, h_y), (d_x, d_y) = grid.spacing, fine.grid.spacing
+    sizes = [f"{np.ptp(each.x):.4g} x {np.ptp(each.y):.4g} m" for each in (fine.grid, grid)]
+    near = f", near the ways every {fine.spacing:.3g} m" if fine.parts > 1 else ""
+    return (
+        f"Ground drawn: {sizes[0]} of {sizes[1]}, a node every {d_x:.3g} x {d_y:.3g} m{near}; "
+        f"the map has one every {h_x:.3g} x {h_y:.3g} m."
+    )
+
+
+def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]:
+    """Yield in words how far the drawn ground is from the true one, where wheels touch it.
+
+    Only if that is more than ``least`` radii of the smallest wheel.
+    """
+    off = max(
+        float(np.abs(fine.height(x, y) - drive.terrain.elevation(x, y)).max())
+        for drive in drives
+        for x, y in [(drive.run["contact_x"], drive.run["contact_y"])]
+    )
+    radius = min(wheel.radius for drive in drives for wheel in drive.vehicle.wheels)
+    if off >= least * radius:
+        sunk = ": wheels may look sunk in, or floating" if off >= SEEN * radius else ""
+        yield f"Drawn ground and contact points are {off:.2g} m apart at most{sunk}."
+
+
+def _others(drives: Sequence[Driven]) -> Iterable[str]:
+    """Yield in words how the ground of other motions differs from the one that is drawn.
+
+    Raises
+    ------
+    ModelError
+        If one differs by more than a wheel's radius where its motion went.
+    """
+    first = drives[0]
+    west, east, south, north = first.terrain.domain
+    for drive in drives[1:]:
+        x, y = drive.run["contact_x"], drive.run["contact_y"]
+        if x.min() < west or x.max() > east or y.min() < south or y.max() > north:
+            raise ModelError(
+                f"{drive.name} is on other ground than {first.name}, partly beside it: show them "
+                "one by one, or the one on the larger ground first"
+            )
+        apart = np.abs(first.terrain.elevation(x, y) - drive.terrain.elevation(x, y)).max()
+        if apart > min(wheel.radius for wheel in drive.vehicle.wheels):
+            raise ModelError(
+                f"{drive.name} is on other ground than {first.name}, up to {apart:.3g} m higher or "
+                "lower where it went: show them one by one"
+            )
+        if apart > SAME:
+            yield (f"The ground is that of {first.name}; that of {drive.name} differs by up to "
+                   f"{apart:.3g} m where it went.")  # fmt: skip
