@@ -7,10 +7,12 @@ from (0, 0, 0) to (0.6, 2.6) in 20 s:
    is its root mean square over time and wheels, or its path over that of the platform. Under
    traction the same inputs, or the same law, drive the vehicle by friction.
 2. Time against that of the prototype, run now, on its problem: the weights are its own.
-3. Time and memory of an iteration over the number of intervals; a process each.
-4. Iterations from a plan that is at hand: the same, another mesh, a goal moved by 5 %.
-5. The ramp of the tests, too steep to climb straight with its friction, from several starts.
-6. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
+3. A plan as it is called, on the hills and on a map of them: its functions interpreted, compiled,
+   and taken from the cache, which the hills' and the map's do not share; a process each.
+4. Time and memory of an iteration over the number of intervals, compiled; a process each.
+5. Iterations from a plan that is at hand: the same, another mesh, a goal moved by 5 %.
+6. The ramp of the tests, too steep to climb straight with its friction, from several starts.
+7. The same task by ``casadi.Opti`` with ``casadi.interpolant`` for the ground, on a map of the
    hills, and ours on that map; a process each, since the stock node may crash.
 """
 
@@ -18,11 +20,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path as File
@@ -46,9 +51,11 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
+from slipfree.compiled import FOLDER
 from slipfree.kinematics.hold import best_utilisation
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.proof import rerun
+from slipfree.plan.transcribe import transcribe
 from slipfree.trajectory import Trajectory, path_length
 
 sys.path.insert(0, str(File(__file__).parent.parent / "tests"))
@@ -266,7 +273,7 @@ def to_equal(staged: list[list[float]], cold: list[float], slip: float) -> float
 
 def grown(intervals: int) -> dict[str, float]:
     """Return what a plan on a number of intervals took."""
-    found, seconds = planned(Analytic(hills), costs=EASY, intervals=intervals)
+    found, seconds = planned(Analytic(hills), costs=EASY, intervals=intervals, compiled=True)
     count = sum(stage.iterations for stage in found.stages)
     parts = {part: 1e3 * sum(stage.seconds[part] for stage in found.stages) / count
              for part in ("functions", "rest")}  # fmt: skip
@@ -276,6 +283,44 @@ def grown(intervals: int) -> dict[str, float]:
         "iterations": count, "outside": seconds - search(found), "peak": peak,
         "success": found.success, **parts,
     }  # fmt: skip
+
+
+def called(ground: str, intervals: int, *, compiled: bool) -> dict[str, Any]:
+    """Return what a plan of continuous inputs took, as it is called."""
+    terrain = Analytic(hills) if ground == "hills" else Bicubic(surface())
+    found, seconds = planned(terrain, intervals=intervals, continuous=True, compiled=compiled)
+    parts = {part: sum(stage.seconds[part] for stage in found.stages)
+             for part in ("functions", "total")}  # fmt: skip
+    begin = time.perf_counter()
+    transcribe(found.program.task, found.program.mesh)
+    return {
+        "iterations": "+".join(str(stage.iterations) for stage in found.stages), **parts,
+        "seconds": seconds, "build": time.perf_counter() - begin,
+        "compiled": found.program.compiled,
+    }  # fmt: skip
+
+
+def calls() -> None:
+    """Print what plans take as they are called."""
+    print(
+        "                                     iterations  all    IPOPT  functions  building  rest\n"
+        "                                                 [s]    [s]    of IPOPT   again [s] [s]"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        for ground, intervals in (("hills", 50), ("hills", 200), ("map", 50), ("map", 200)):
+            os.environ[FOLDER] = folder
+            for words, asked in (("interpreted", ""), ("compiled", "yes"), ("cached", "")):
+                found = apart("called", ground, str(intervals), asked)
+                if isinstance(found, str):
+                    print(f"{ground:5} {intervals:4} {words:25} {found}")
+                    continue
+                rest = found["seconds"] - found["total"] - found["build"]
+                print(f"{ground:5} {intervals:4} {words:25} {found['iterations']:10}  "
+                      f"{found['seconds']:5.2f}  {found['total']:5.2f}  "
+                      f"{100 * found['functions'] / found['total']:7.0f} %  "
+                      f"{found['build']:8.2f}  {rest:5.2f}", flush=True)  # fmt: skip
+            shutil.rmtree(folder)
+    os.environ.pop(FOLDER)
 
 
 def growth() -> None:
@@ -481,7 +526,7 @@ def beside() -> None:
 def main() -> None:
     """Print all tables."""
     heading()
-    for part in (table, prototype, growth, warm, ramp, beside):
+    for part in (table, prototype, calls, growth, warm, ramp, beside):
         print()
         part()
 
@@ -489,6 +534,11 @@ def main() -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["growth"]:
         print(json.dumps(grown(int(sys.argv[2]))))
+    elif sys.argv[1:2] == ["called"]:
+        print(json.dumps(called(sys.argv[2], int(sys.argv[3]), compiled=bool(sys.argv[4]))))
+    elif sys.argv[1:2] == ["calls"]:
+        heading()
+        calls()
     elif sys.argv[1:2] == ["plain"]:
         print(json.dumps(plain(sys.argv[2])))
     elif sys.argv[1:2] == ["ours"]:

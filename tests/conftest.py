@@ -1,10 +1,13 @@
 """Fixtures shared by the tests."""
 
+import os
+
 import matplotlib
 import numpy as np
 import pytest
 
 matplotlib.use("Agg")
+os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
 
 
 @pytest.fixture

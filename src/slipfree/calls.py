@@ -71,7 +71,7 @@ def without_calls(
         elif kind == ca.OP_CONST:
             made[target[0]] = ca.SX(function.instruction_constant(k))
         elif kind == ca.OP_CALL:
-            calls.append(_call(nodes[k].which_function(), [made[i] for i in source]))
+            calls.append(_call(nodes[k].which_function(), [made[i] for i in source], len(calls)))
             found = ca.vertcat(ca.SX(0, 1), *(_entries(each) for each in calls[-1].results))
             made.update(zip(target, ca.vertsplit(found), strict=True))
         elif len(source) == 1:
@@ -82,11 +82,13 @@ def without_calls(
             for k, parts in enumerate(results)], calls  # fmt: skip
 
 
-def _call(function: ca.Function, entries: Sequence[ca.SX]) -> Call:
+def _call(function: ca.Function, entries: Sequence[ca.SX], number: int) -> Call:
     ends = np.cumsum([0, *(function.nnz_in(k) for k in range(function.n_in()))]).tolist()
     arguments = tuple(ca.SX(function.sparsity_in(k), ca.vertcat(ca.SX(0, 1), *entries[a:b]))
                       for k, (a, b) in enumerate(pairwise(ends)))  # fmt: skip
-    results = tuple(ca.SX.sym("result", function.sparsity_out(k)) for k in range(function.n_out()))
+    # Symbols of one name are one to CasADi's search for common subexpressions.
+    results = tuple(ca.SX.sym(f"call{number}_{k}", function.sparsity_out(k))
+                    for k in range(function.n_out()))  # fmt: skip
     return Call(function, arguments, results)
 
 
@@ -101,7 +103,7 @@ def with_calls(expressions: Sequence[ca.SX], calls: Sequence[Call]) -> list[ca.S
 
 
 def _entries(matrix: ca.SX) -> ca.SX:
-    return ca.SX(matrix.nz[:])
+    return ca.SX(ca.vec(matrix).nz[:])
 
 
 def jacobian(rows: ca.SX, symbols: ca.SX) -> ca.SX:

@@ -1,51 +1,23 @@
 """Sparse functions with exact derivatives, put together from small elements that repeat.
 
-An element is a symbolic function of few unknowns that stands at many places, such as what happens
-at one point of time. It is differentiated once, and evaluated for all its places at a time: each
-of its operations becomes one on a column of numbers. What comes out is put into large sparse
-matrices by index.
+What an element is at all its places comes out at a time. Where it is compiled, its functions run
+from place to place; else each of their operations becomes one on a column of numbers. What comes
+out is put into large sparse matrices by index.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 
 from slipfree.named import Array
+from slipfree.plan.element import Element, Index
 
-Index = npt.NDArray[np.intp]
 Columns = Sequence[ca.MX]
-
-
-class Element(NamedTuple):
-    """A function that stands at several places of a program.
-
-    Attributes
-    ----------
-    values, jacobian, hessian : casadi Function
-        ``(v, q, p) -> (cost, rows)``; ``-> (rows, their Jacobian)``; and with multipliers of cost
-        and rows, ``(v, q, p, s, l) ->`` upper half of the Hessian of ``s cost + l' rows``; all
-        with respect to ``v``.
-    where : ndarray, shape (n, n_v)
-        Which unknowns of the program ``v`` are, at every place.
-    rows : ndarray, shape (n, n_rows)
-        Which rows of the program the rows are.
-    constants : ndarray, shape (n, n_q)
-        Values of ``q``.
-    """
-
-    values: ca.Function
-    jacobian: ca.Function
-    hessian: ca.Function
-    where: Index
-    rows: Index
-    constants: Array
 
 
 class Functions(NamedTuple):
@@ -55,6 +27,8 @@ class Functions(NamedTuple):
     ----------
     w, p, f, g : MX
         Unknowns, parameters, cost and rows.
+    gradient : casadi Function
+        ``(w, p) -> (f, its gradient)``.
     jacobian : casadi Function
         ``(w, p) -> (g, its Jacobian)``.
     hessian : casadi Function
@@ -65,35 +39,9 @@ class Functions(NamedTuple):
     p: ca.MX
     f: ca.MX
     g: ca.MX
+    gradient: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
-
-
-def element(
-    symbols: tuple[ca.SX, ca.SX, ca.SX], cost: ca.SX, rows: ca.SX,
-    where: Index, places: Index, constants: Array,
-) -> Element:  # fmt: skip
-    """Return an element with its derivatives.
-
-    Parameters
-    ----------
-    symbols : tuple of three SX columns
-        Unknowns, constants and parameters, ``v, q, p``.
-    cost, rows : SX
-        A scalar and a column.
-    where, places, constants : ndarray
-        See `Element`.
-    """
-    sigma, multipliers = ca.SX.sym("sigma"), ca.SX.sym("lambda", rows.numel())
-    lagrangian = sigma * cost + ca.dot(multipliers, rows)
-    hessian = ca.triu(ca.hessian(lagrangian, symbols[0])[0])
-    given, shared = list(symbols), {"cse": True}
-    return Element(
-        ca.Function("values", given, [ca.densify(cost), ca.densify(rows)], shared),
-        ca.Function("jacobian", given, [ca.densify(rows), ca.jacobian(rows, symbols[0])], shared),
-        ca.Function("hessian", [*given, sigma, multipliers], [hessian], shared),
-        where, places, constants,
-    )  # fmt: skip
 
 
 def assembled(elements: Sequence[Element], scale: Array, n_p: int) -> Functions:
@@ -112,32 +60,76 @@ def assembled(elements: Sequence[Element], scale: Array, n_p: int) -> Functions:
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", n_g)
     v = w * scale
-    f, g = _values(elements, v, p)
+    f, g = _cost(elements, v, p), _rows(elements, v, p)
     return Functions(
         w, p, f, g,
+        ca.Function("gradient", [w, p], [*_gradient(elements, v, p, scale)]),
         ca.Function("jacobian", [w, p], [*_jacobian(elements, v, p, scale)]),
         ca.Function("hessian", [w, p, sigma, multipliers],
                     [_hessian(elements, v, p, scale, (sigma, multipliers))]),
     )  # fmt: skip
 
 
-def _arguments(each: Element, v: ca.MX, p: ca.MX) -> list[Columns]:
-    """Return what the functions of an element take, a column over all places for each scalar."""
-    return [_picked(v, each.where), [ca.MX(ca.DM(column)) for column in each.constants.T],
-            ca.vertsplit(p)]  # fmt: skip
+def _arguments(each: Element, v: ca.MX, p: ca.MX, order: int) -> list[ca.MX]:
+    """Return what the functions of an element take, ``v, q, p`` and what its calls return.
+
+    One row a place; ``p`` is the same for all. Derivatives of calls follow up to an order.
+    """
+    count = len(each.where)
+    given = [_picked(v, each.where), ca.MX(ca.DM(each.constants)), p.T]
+    results = [[ca.MX(count, 0)] for _ in range(order + 1)]
+    for call in each.calls:
+        before = ca.horzcat(*results[0])
+        own = _columns(vectorized(call.arguments, [*map(_split, [*given, before])]), count)[0]
+        found = [ca.reshape(own, count, -1).T]
+        for function, known in zip(call.orders, results, strict=False):
+            found.append(function.map(count).call(found)[0])
+            known.append(ca.reshape(found[-1], -1, count).T)
+    return [*given, *(ca.horzcat(*known) for known in results)]
 
 
-def _picked(values: ca.MX, where: Index) -> Columns:
-    return [values[column.tolist()] for column in where.T]
+def _picked(values: ca.MX, where: Index) -> ca.MX:
+    """Return values by index, one row a place."""
+    return ca.reshape(values[where.T.ravel().tolist()], *where.shape)
 
 
-def _values(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
-    cost, parts = ca.MX(0), []
+def _split(rows: ca.MX) -> Columns:
+    return ca.horzsplit(rows) if rows.shape[1] else []
+
+
+def _at_places(f: ca.Function, each: Element, arguments: Sequence[ca.MX]) -> list[ca.MX]:
+    """Return the results of a function of an element, entry by entry, each a column of places."""
+    count = len(each.where)
+    if f.is_a("SXFunction"):
+        return _columns(vectorized(f, [*map(_split, arguments)]), count)
+    same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
+    found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
+    return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in found]
+
+
+def _cost(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
+    return sum((ca.sum1(_at_places(each.parts.cost, each, _arguments(each, v, p, 0))[0])
+                for each in elements), ca.MX(0))  # fmt: skip
+
+
+def _rows(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
+    return _ordered(elements, [
+        _at_places(each.parts.rows, each, _arguments(each, v, p, 0))[0] for each in elements
+    ])  # fmt: skip
+
+
+def _gradient(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> tuple[ca.MX, ca.MX]:
+    """Return the cost and its gradient."""
+    cost, values, places, factors = ca.MX(0), [], [], []
     for each in elements:
-        paid, rows = _columns(each.values, _arguments(each, v, p), len(each.where))
-        cost += ca.sum1(paid)
-        parts.append(rows)
-    return cost, _ordered(elements, parts)
+        own, found = _at_places(each.parts.gradient, each, _arguments(each, v, p, 1))
+        which, _ = _pattern(each.parts.gradient.sparsity_out(1))
+        rows = each.where.T[which].ravel()
+        cost += ca.sum1(own)
+        values.append(found)
+        places.append((rows, np.zeros_like(rows)))
+        factors.append(scale[rows])
+    return cost, ca.densify(_sum(values, places, factors, (scale.size, 1)))
 
 
 def _ordered(elements: Sequence[Element], parts: Sequence[ca.MX]) -> ca.MX:
@@ -150,8 +142,8 @@ def _jacobian(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> 
     """Return all rows and their Jacobian."""
     parts, values, places, factors = [], [], [], []
     for each in elements:
-        own, found = _columns(each.jacobian, _arguments(each, v, p), len(each.where))
-        row, column = _pattern(each.jacobian.sparsity_out(1))
+        own, found = _at_places(each.parts.jacobian, each, _arguments(each, v, p, 1))
+        row, column = _pattern(each.parts.jacobian.sparsity_out(1))
         rows, columns = each.rows.T[row].ravel(), each.where.T[column].ravel()
         parts.append(own)
         values.append(found)
@@ -167,9 +159,9 @@ def _hessian(
     """Return the upper half of the Lagrangian's Hessian."""
     values, places, factors = [], [], []
     for each in elements:
-        given = [*_arguments(each, v, p), [prices[0]], _picked(prices[1], each.rows)]
-        (found,) = _columns(each.hessian, given, len(each.where))
-        row, column = _pattern(each.hessian.sparsity_out(0))
+        given = [*_arguments(each, v, p, 2), prices[0], _picked(prices[1], each.rows)]
+        (found,) = _at_places(each.parts.hessian, each, given)
+        row, column = _pattern(each.parts.hessian.sparsity_out(0))
         rows, columns = each.where.T[row].ravel(), each.where.T[column].ravel()
         # Where two of its unknowns are one of the program, both entries of the pair meet.
         twice = np.repeat(row != column, len(each.where)) & (rows == columns)
@@ -184,9 +176,8 @@ def _pattern(sparsity: ca.Sparsity) -> tuple[Index, Index]:
     return row, column
 
 
-def _columns(f: ca.Function, arguments: Sequence[Columns], count: int) -> list[ca.MX]:
-    """Return the results of a function at all places, entry by entry, each a column of all."""
-    found = vectorized(f, arguments)
+def _columns(found: Sequence[Columns], count: int) -> list[ca.MX]:
+    """Return results at all places in columns, numbers that hold for all of them repeated."""
     return [ca.vertcat(ca.MX(0, 1), *(each if each.numel() == count else ca.repmat(each, count)
                                       for each in entries)) for entries in found]  # fmt: skip
 
@@ -200,7 +191,7 @@ def vectorized(f: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]
     Parameters
     ----------
     f : casadi Function
-        Of SX; functions that it calls are evaluated column by column.
+        Of SX, without calls of others.
     arguments : sequence of sequences of MX
         For each argument of ``f`` and each of its entries a column, or a number for all.
 
@@ -209,7 +200,6 @@ def vectorized(f: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]
     list of lists of MX
         For each result of ``f`` and each of its nonzero entries a column, or a number for all.
     """
-    expressions = f.instructions_sx()
     work: dict[int, ca.MX] = {}
     found: list[list[ca.MX]] = [[ca.MX()] * f.nnz_out(k) for k in range(f.n_out())]
     for k in range(f.n_instructions()):
@@ -221,25 +211,11 @@ def vectorized(f: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]
             found[target[0]][target[1]] = work[source[0]]
         elif kind == ca.OP_CONST:
             work[target[0]] = ca.MX(f.instruction_constant(k))
-        elif kind == ca.OP_CALL:
-            results = _called(expressions[k].which_function(), [work[i] for i in source])
-            work.update(zip(target, results, strict=True))
         elif len(source) == 1:
             work[target[0]] = ca.MX.unary(kind, work[source[0]])
         else:
             work[target[0]] = ca.MX.binary(kind, work[source[0]], work[source[1]])
     return found
-
-
-def _called(f: ca.Function, entries: Columns) -> Any:
-    """Return the results of a called function for columns of entries of all its arguments."""
-    count = max(each.numel() for each in entries)
-    full = [each if each.numel() == count else ca.repmat(each, count) for each in entries]
-    ends = np.cumsum([0, *(f.nnz_in(k) for k in range(f.n_in()))]).tolist()
-    given = [ca.reshape(ca.horzcat(*full[a:b]).T, f.size1_in(k), f.size2_in(k) * count)
-             for k, (a, b) in enumerate(pairwise(ends))]  # fmt: skip
-    found = [ca.reshape(each, -1, count).T for each in f.map(count).call(given)]
-    return [column for each in found for column in ca.horzsplit(each)]
 
 
 def _sum(

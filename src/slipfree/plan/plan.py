@@ -145,6 +145,7 @@ def plan(
     tolerance: float = 1e-8,
     step: float = STEP,
     resume: Saved | None = None,
+    compiled: bool = False,
     progress: Progress | None = None,
 ) -> Plan:
     """Return the inputs that reach a goal at the least cost, with the motion they lead to.
@@ -189,6 +190,10 @@ def plan(
     resume : Saved, optional
         A plan from which to start instead, on another mesh, ground or goal as well; from another
         place, what comes after the nearest one on its way counts.
+    compiled : bool
+        Whether to compile the functions of the program, if the system has a C compiler. That takes
+        seconds once; they are kept for plans of the same vehicle, costs and limits, on any map,
+        which use them whether asked to or not.
     progress : callable, optional
         Called with words and every iterate; returning False ends the search, the best iterate kept.
 
@@ -203,6 +208,7 @@ def plan(
         continuous=continuous, limits=limits, way_points=way_points, inputs=inputs,
         accelerations=accelerations,
     )  # fmt: skip
+    task = replace(task, compiled=compiled)
     if intervals < 1:
         raise ModelError(f"plan: expected one interval or more, found {intervals}")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
@@ -220,7 +226,8 @@ def plan(
     search, proof = _refined(_within_limits(search, progress), proved, progress)
     result = _result(search, proof)
     iterations = sum(stage.iterations for stage in search.stages)
-    statistics = {"cpu_seconds": time.process_time() - clock, "iterations": float(iterations)}
+    statistics = {"cpu_seconds": time.process_time() - clock, "iterations": float(iterations),
+                  "compiled": float(search.program.compiled)}  # fmt: skip
     return replace(result, run=replace(result.run, statistics=statistics))
 
 

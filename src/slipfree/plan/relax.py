@@ -150,12 +150,12 @@ def _elastic(
     n_all = program.g_lower.size + program.scale.size
     pick = _sparse(np.ones(rows.size), np.arange(rows.size), rows, (rows.size, n_all))
     move = _sparse(signs * sizes[which], own, which, (rows.size, len(soft)))
-    problem, jacobian, hessian = _problem(program, pick, move, first, weights)
+    problem, gradient, jacobian, hessian = _problem(program, pick, move, first, weights)
     lower, upper = (_fixed(program, side, free) for side, free in
                     ((program.lower, -np.inf), (program.upper, np.inf)))  # fmt: skip
     zeros = np.zeros(hard.size)
     return replace(
-        program, problem=problem, jacobian=jacobian, hessian=hessian,
+        program, problem=problem, gradient=gradient, jacobian=jacobian, hessian=hessian,
         scale=np.append(program.scale, sizes),
         lower=np.append(lower, np.zeros(len(soft))),
         upper=np.append(upper, np.full(len(soft), np.inf)),
@@ -166,7 +166,7 @@ def _elastic(
 
 def _problem(
     program: Program, pick: ca.DM, move: ca.DM, first: Array, weights: Array
-) -> tuple[dict[str, Any], ca.Function, ca.Function]:
+) -> tuple[dict[str, Any], ca.Function, ca.Function, ca.Function]:
     """Return what is solved, with the derivatives of the program reused.
 
     Rows are ``pick (rows, unknowns) + move slacks``.
@@ -178,13 +178,16 @@ def _problem(
                        [program.problem[name] for name in "fg"])  # fmt: skip
     part = REGULAR / max(1.0, abs(float(cost(first / program.scale, weights)[0])))
     f, g = cost(w, p)
+    total = ca.sum1(s) + part * f
+    steep = ca.vertcat(part * program.gradient(w, p)[1], ca.MX.ones(n_s))
     rows = pick @ ca.vertcat(g, w * program.scale) + move @ s
     inner = program.jacobian(w, p)[1]
     slopes = pick @ ca.vertcat(inner, ca.MX(ca.diag(ca.DM(program.scale))))
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", rows.numel())
     curved = program.hessian(w, p, sigma * part, pick[:, :n_g].T @ multipliers)
     return (
-        {"x": x, "p": p, "f": ca.sum1(s) + part * f, "g": rows},
+        {"x": x, "p": p, "f": total, "g": rows},
+        ca.Function("gradient", [x, p], [total, steep]),
         ca.Function("jacobian", [x, p], [rows, ca.horzcat(slopes, ca.MX(move))]),
         ca.Function("hessian", [x, p, sigma, multipliers],
                     [ca.diagcat(curved, ca.MX(n_s, n_s))]),

@@ -15,8 +15,13 @@ INFEASIBLE = "Infeasible_Problem_Detected"
 ITERATIONS = 500
 GROWTH = 100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
 TOLERANCE = 1e-8
-FIRST_BARRIER = 1e-3  # of a warm start
+NEARBY = 1e-5  # barrier of a start from a solution nearby
 PUSH = 1e-9  # from the bounds in a warm start
+WARM: dict[str, Any] = {
+    "warm_start_init_point": "yes",
+    **{f"warm_start_{name}_push": PUSH for name in ("bound", "slack_bound", "mult_bound")},
+    "warm_start_bound_frac": PUSH, "warm_start_slack_bound_frac": PUSH,
+}  # fmt: skip
 QUASI_DENSE = 6  # minimum degree ordering for matrices with a few full rows, as of a free duration
 Look = Callable[["Iterate"], bool]
 
@@ -156,23 +161,9 @@ def solve(
     look : callable, optional
         Called with every iterate; the iteration ends where it returns False.
     """
-    quiet: dict[str, Any] = {
-        "print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": iterations,
-        "mu_strategy": "adaptive", "mumps_permuting_scaling": 0,
-        "mumps_pivot_order": QUASI_DENSE, "theta_max_fact": GROWTH,
-    }  # fmt: skip
-    if warm is not None:
-        quiet |= {"warm_start_init_point": "yes", "mu_strategy": "monotone",
-                  "mu_init": FIRST_BARRIER}  # fmt: skip
-        quiet |= {f"warm_start_{name}_push": PUSH
-                  for name in ("bound", "slack_bound", "mult_bound")}  # fmt: skip
-        quiet |= {"warm_start_bound_frac": PUSH, "warm_start_slack_bound_frac": PUSH}
-    options: dict[str, Any] = {
-        "ipopt": quiet, "print_time": False, "error_on_fail": False,
-        "jac_g": program.jacobian, "hess_lag": program.hessian, "record_time": True,
-    }  # fmt: skip
     watch = _Watch(program, look or (lambda _: True))
-    solver = ca.nlpsol("plan", "ipopt", program.problem, options | {"iteration_callback": watch})
+    ipopt = ({} if warm is None else WARM) | {"max_iter": iterations}
+    solver = _ready(program, ipopt, {"iteration_callback": watch})
     given = {"x0": completed(program, first) / program.scale, "p": weights,
              "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
              "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
@@ -188,6 +179,31 @@ def solve(
     if best.violation >= violation(program, solution.rows):
         return solution
     return solution._replace(unknowns=best.unknowns, rows=rows, cost=best.cost)
+
+
+def kept_going(program: Program, iterations: int) -> ca.Function:
+    """Return a solver that takes iterations from a solution nearby, in full steps.
+
+    It takes unknowns, divided by their scale, multipliers and bounds under CasADi's names for them.
+    """
+    ipopt = WARM | {"max_iter": iterations, "mu_strategy": "monotone", "mu_init": NEARBY,
+                    "accept_every_trial_step": "yes"}  # fmt: skip
+    return _ready(program, ipopt, {})
+
+
+def _ready(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
+    """Return IPOPT for a program."""
+    quiet: dict[str, Any] = {
+        "print_level": 0, "sb": "yes", "tol": TOLERANCE, "mu_strategy": "adaptive",
+        "honor_original_bounds": "yes",
+        "mumps_permuting_scaling": 0, "mumps_pivot_order": QUASI_DENSE, "theta_max_fact": GROWTH,
+    }  # fmt: skip
+    every: dict[str, Any] = {
+        "ipopt": quiet | ipopt, "print_time": False, "error_on_fail": False, "record_time": True,
+        "grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian,
+        "no_nlp_grad": True, "calc_lam_p": False,
+    }  # fmt: skip
+    return ca.nlpsol("plan", "ipopt", program.problem, every | options)
 
 
 def _solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:

@@ -17,8 +17,9 @@ import numpy as np
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves
-from slipfree.plan.assemble import Element, Functions, assembled, element
-from slipfree.plan.assemble import Index as Index
+from slipfree.plan.assemble import Functions, assembled
+from slipfree.plan.element import Element, element
+from slipfree.plan.element import Index as Index
 from slipfree.plan.point import Cost as Cost
 from slipfree.plan.point import Point, point_of
 from slipfree.solve.loop import Loop, close
@@ -68,6 +69,8 @@ class Task:
         Weight of the squared rates of the inputs, integrated over time.
     continuous : bool
         Whether inputs are continuous and linear on every interval, else constant on it.
+    compiled : bool
+        Whether to compile its functions where they are not in the cache.
     """
 
     dae: Model
@@ -80,6 +83,7 @@ class Task:
     accelerations: Array
     smooth: float
     continuous: bool = False
+    compiled: bool = False
 
 
 class Mesh(NamedTuple):
@@ -166,7 +170,7 @@ class Program:
         What its rows are made of, in their order.
     problem : dict
         ``x, p, f, g`` for CasADi.
-    jacobian, hessian : casadi Function
+    gradient, jacobian, hessian : casadi Function
         Exact derivatives, in the form that its interface to IPOPT takes.
     scale, lower, upper : ndarray, shape (n_w,)
         Sizes of the unknowns, and their bounds, not scaled.
@@ -174,6 +178,8 @@ class Program:
         Bounds of the rows.
     roots : casadi Function
         ``x ->`` what is squared in the costs, from the other unknowns, in the order of the layout.
+    compiled : bool
+        Whether its functions are compiled, not interpreted.
     """
 
     task: Task
@@ -181,6 +187,7 @@ class Program:
     layout: Layout
     pieces: tuple[Piece, ...]
     problem: dict[str, Any]
+    gradient: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
     scale: Array
@@ -189,6 +196,7 @@ class Program:
     g_lower: Array
     g_upper: Array
     roots: ca.Function
+    compiled: bool
 
 
 def transcribe(task: Task, mesh: Mesh) -> Program:
@@ -220,10 +228,10 @@ def transcribe(task: Task, mesh: Mesh) -> Program:
     lower, upper = _bounds(task, layout, bounds, scale.size)
     return Program(
         task, mesh, layout, pieces, {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
-        made.jacobian, made.hessian, scale, lower, upper,
+        made.gradient, made.jacobian, made.hessian, scale, lower, upper,
         np.concatenate([np.tile(each.lower, len(each.where)) for each in pieces]),
         np.concatenate([np.tile(each.upper, len(each.where)) for each in pieces]),
-        _completion(elements[0], made, layout),
+        _completion(elements[0], made, layout), not elements[0].parts.rows.is_a("SXFunction"),
     )  # fmt: skip
 
 
@@ -240,8 +248,9 @@ def _completion(points: Element, made: Functions, layout: Layout) -> ca.Function
     n_x, n_r = layout.first.size, layout.roots.shape[2]
     begin = n_x + layout.unknowns.shape[2]
     rows = points.rows[:, begin : begin + n_r].ravel().tolist()
+    all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
     return ca.Function("roots", [made.w],
-                       [made.w[layout.roots.ravel().tolist()] + made.g[rows]])  # fmt: skip
+                       [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])  # fmt: skip
 
 
 def positions(mesh: Mesh, counts: tuple[int, int, int], *, continuous: bool) -> Layout:
@@ -345,6 +354,7 @@ def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
         (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
         weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
         ca.vertcat(nodes @ slopes - h * ode, rows), where, places, _constants(mesh),
+        compile=task.compiled,
     )  # fmt: skip
 
 

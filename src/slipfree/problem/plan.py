@@ -152,6 +152,7 @@ def planned(
             duration=spec.plan.duration or (length, length), intervals=spec.plan.intervals,
             degree=spec.plan.degree, accuracy=spec.plan.accuracy,
             tolerance=spec.solver.tolerance, step=spec.time.step, resume=resume,
+            compiled=spec.plan.compiled,
             progress=_telling(tell),
         )  # fmt: skip
     run, stop = found.replay, found.run.stop
@@ -289,5 +290,6 @@ def _statistics(found: Plan) -> dict[str, float]:
             f"plan_violation_{re.sub('[^a-zA-Z0-9.]+', '_', name).strip('_')}": size
             for name, size in found.violation.items()
         },
+        "plan_compiled": float(found.program.compiled),
         "plan_intervals": float(found.course.mesh.ends.size - 1),
     }

@@ -216,6 +216,13 @@ class Search(Record):
     continuous: bool = Field(
         default=True, description="inputs are linear on an interval without jumps; else constant"
     )
+    compiled: bool = Field(
+        default=False,
+        description=(
+            "whether to compile the plan's functions, seconds once a vehicle; what is kept of "
+            "earlier times is used anyway"
+        ),
+    )
     accuracy: Length = Field(
         default=1e-3,
         description="by which the simulation may miss the plan and its limits [m, rad]",

@@ -1,0 +1,241 @@
+"""Plans that are kept up to date while the vehicle moves: a step of Newton's method a cycle.
+
+A window of fixed length goes ahead of the vehicle along a plan, and ends where the plan is then, in
+what the goal asks for. From cycle to cycle its program stays the same but for bounds; its solution
+is shifted, the measured state put in, and one iteration taken (Diehl, Bock, Schloeder, A real-time
+iteration scheme for nonlinear optimization in optimal feedback control, SIAM J. Control Optim. 43,
+2005). Behind the end of the plan the window shrinks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.named import Array
+from slipfree.plan.course import Course, course
+from slipfree.plan.plan import Plan
+from slipfree.plan.proof import inputs_along
+from slipfree.plan.solver import ITERATIONS, kept_going, violation
+from slipfree.plan.transcribe import Index, Mesh, Program, completed, transcribe
+
+APART = 1e-6  # times that are nearer are one [s]
+SHORTEST = 0.25  # part of the window that is left when nothing is decided any more
+
+
+@dataclass(frozen=True, eq=False)
+class Horizon:
+    """A window ahead of the vehicle.
+
+    Attributes
+    ----------
+    program : Program
+        Of the window.
+    plan : Course
+        The motion along which it goes.
+    targets : casadi Function
+        ``(x, z, u) ->`` what the goal asks for.
+    span : float
+        Length of the window. [s]
+    weights : ndarray, shape (n_costs + 1,)
+        Of the costs, the smoothness last.
+    solver : casadi Function
+        Takes the iterations of a cycle.
+    """
+
+    program: Program
+    plan: Course
+    targets: ca.Function
+    span: float
+    weights: Array
+    solver: ca.Function
+
+
+class Cycle(NamedTuple):
+    """What is known at a time, and what the next cycle starts from.
+
+    Attributes
+    ----------
+    t : float
+        When. [s]
+    course : Course
+        The motion from then on.
+    row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
+        Of rows and bounds.
+    violation : float
+        By how much the motion violates its equations and what is asked for.
+    """
+
+    t: float
+    course: Course
+    row_multipliers: Array
+    bound_multipliers: Array
+    violation: float
+
+
+def horizon(
+    plan: Plan, *, span: float, intervals: int = 20, degree: int = 3, iterations: int = 1
+) -> Horizon:
+    """Return a window of a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its costs, limits and goal hold in the window, its way-points only by the plan itself. The
+        model must not depend on time.
+    span : float
+        Length of the window. [s]
+    intervals, degree : int
+        Of the window's collocation.
+    iterations : int
+        Of a cycle at most.
+
+    Raises
+    ------
+    ModelError
+        If the window is longer than the plan.
+    """
+    length, task = plan.course.duration, plan.program.task
+    if not 0 < span <= length:
+        raise ModelError(
+            f"horizon: expected a window of at most the duration of the plan, {length:g} s, found "
+            f"{span} s"
+        )
+    own = replace(task, places=task.places[-1:], duration=(span, span))
+    program = transcribe(own, Mesh(np.linspace(0, 1, intervals + 1), degree))
+    x, z, u = task.dae.columns()
+    n_z = plan.course.layout.unknowns.shape[2]
+    asked = ca.vertcat(*(limit.expression for limit in own.places[0].limits))
+    weights = np.array([*(cost.weight for cost in task.costs), task.smooth])
+    return Horizon(
+        program, plan.course, ca.Function("targets", [x, z[:n_z], u], [asked]), span, weights,
+        kept_going(program, iterations),
+    )  # fmt: skip
+
+
+def begin(window: Horizon) -> Cycle:
+    """Return the cycle before the first one: the beginning of the plan, solved for the window."""
+    program, layout = window.program, window.program.layout
+    first = _along(window, [(window.plan, 0.0)], 0.0, window.span)
+    blank = Cycle(0.0, course(program, first), np.zeros(program.g_lower.size),
+                  np.zeros(program.scale.size), np.inf)  # fmt: skip
+    patient = replace(window, solver=kept_going(program, ITERATIONS))
+    return advance(patient, blank, 0.0, first[layout.first])
+
+
+def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
+    """Return the next cycle.
+
+    Parameters
+    ----------
+    window : Horizon
+        The window.
+    former : Cycle
+        The last one.
+    t : float
+        Time since the plan began. [s]
+    x : ndarray, shape (n_x,)
+        States that were measured then, local.
+
+    Returns
+    -------
+    Cycle
+        Near the end of the plan, what is left of the former one.
+    """
+    program, plan, scale = window.program, window.plan, window.program.scale
+    span = min(window.span, plan.duration - t)
+    if span < SHORTEST * window.span:
+        return former
+    first = _along(window, [(former.course, former.t), (plan, 0.0)], t, span)
+    first[program.layout.first] = x
+    first = completed(program, first)
+    lower, upper = program.lower.copy(), program.upper.copy()
+    lower[program.layout.first] = upper[program.layout.first] = x
+    lower[program.layout.duration] = upper[program.layout.duration] = span
+    g_lower, g_upper = _bounds(window, t + span)
+    rows, bounds = _shifted(program, former, t, span)
+    found = window.solver(
+        x0=first / scale, p=window.weights, lbx=lower / scale, ubx=upper / scale, lbg=g_lower,
+        ubg=g_upper, lam_g0=rows, lam_x0=bounds,
+    )  # fmt: skip
+    unknowns, g, rows, bounds = (np.array(found[name]).ravel()
+                                 for name in ("x", "g", "lam_g", "lam_x"))  # fmt: skip
+    asked = replace(program, g_lower=g_lower, g_upper=g_upper)
+    return Cycle(t, course(program, unknowns * scale), rows, bounds, violation(asked, g))
+
+
+def driven(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Any, Array]:
+    """Return the inputs of a cycle from one time since the plan began to another, for ``simulate``.
+
+    Returns
+    -------
+    record, ndarray
+        The inputs, and the times at which to simulate under them, since the cycle. [s]
+    """
+    first, last, ends = begin - cycle.t, end - cycle.t, cycle.course.ends
+    inside = ends[(ends > first + APART) & (ends < last - APART)]
+    times = np.concatenate([[first], inside, [last]])
+    return inputs_along(window.program.task.dae, cycle.course, times), times
+
+
+def _along(window: Horizon, motions: list[tuple[Course, float]], t: float, span: float) -> Array:
+    """Return unknowns that mean what motions are from a time on, each as far as it goes."""
+    program = window.program
+    mesh, layout = program.mesh, program.layout
+    unknowns = np.zeros(program.scale.size)
+    unknowns[layout.duration] = span
+    nodes, n_z = t + span * mesh.nodes, layout.unknowns.shape[2]
+    ends = t + span * (mesh.ends if len(layout.inputs) == mesh.ends.size
+                       else (mesh.ends[1:] + mesh.ends[:-1]) / 2)  # fmt: skip
+    states, unknown, inputs = (_joined(motions, at, read) for at, read in (
+        (nodes, Course.states), (nodes, Course.algebraic), (ends, Course.inputs)))  # fmt: skip
+    unknowns[layout.first] = states[:, 0]
+    unknowns[layout.states] = states[:, 1:].T.reshape(layout.states.shape)
+    unknowns[layout.unknowns] = unknown[:n_z, 1:].T.reshape(layout.unknowns.shape)
+    unknowns[layout.inputs] = inputs.T
+    return completed(program, unknowns)
+
+
+def _joined(motions: list[tuple[Course, float]], at: Array, read: Any) -> Array:
+    """Return values of the first motion that goes as far as each time."""
+    values = read(motions[-1][0], _part(motions[-1], at))
+    for motion in reversed(motions[:-1]):
+        inside = at <= motion[1] + motion[0].duration
+        values[:, inside] = read(motion[0], _part(motion, at[inside]))
+    return np.asarray(values)
+
+
+def _part(motion: tuple[Course, float], at: Array) -> Array:
+    """Return times as fractions of a motion."""
+    return np.clip((at - motion[1]) / motion[0].duration, 0.0, 1.0)
+
+
+def _bounds(window: Horizon, end: float) -> tuple[Array, Array]:
+    """Return bounds of the rows for a window that ends at a time: there it meets the plan."""
+    program, plan = window.program, window.plan
+    lower, upper = program.g_lower.copy(), program.g_upper.copy()
+    if end < plan.duration:
+        at = np.array([end / plan.duration])
+        values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
+        count = len(program.pieces[-1].labels)
+        lower[-count:] = upper[-count:] = np.array(values).ravel()
+    return lower, upper
+
+
+def _shifted(program: Program, former: Cycle, t: float, span: float) -> tuple[Array, Array]:
+    """Return the multipliers of a cycle for the next one, interval by interval."""
+    ends, layout = program.mesh.ends, program.layout
+    middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.course.duration
+    which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)
+    piece = program.pieces[0]
+    count = len(piece.where) * len(piece.labels)
+    rows, bounds = former.row_multipliers.copy(), np.zeros(program.scale.size)
+    rows[:count] = rows[:count].reshape(len(piece.where), -1)[which].ravel()
+    for where in (layout.inputs[: which.size], layout.states, layout.unknowns, layout.roots):
+        bounds[where] = former.bound_multipliers[where[which]]
+    bounds[layout.inputs[which.size :]] = former.bound_multipliers[layout.inputs[which.size :]]
+    return rows, bounds
