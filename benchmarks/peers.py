@@ -3,9 +3,9 @@
 ``python benchmarks/peers.py --plot peers.png`` (extra ``bench``)
 
 The paper's three-wheeler drives 5 m straight over a map of 200 x 200 nodes, smooth and with 2 mm of
-noise, its tilts kept from running away by the driving law. CPU time is that of the integration alone, the least of a few;
-every line's error is the largest of any sample of the position, against its own model at the
-tightest tolerance or, for MuJoCo, against its own motion at the smallest step.
+noise, its tilts kept from running away by the driving law. CPU time is that of the integration
+alone, the least of a few; every line's error is the largest of any sample of the position, against
+its own model at the tightest tolerance or, for MuJoCo, against its own motion at the smallest step.
 
 ours        closure and least slip, IDAS, as ``simulate`` runs it
 naive       what is written first with CasADi: Montana's contact equations, the B-spline that CasADi

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,21 @@ def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
     assert "no quasi-static equilibrium: headed 180 degrees from uphill" in result.stderr
     assert "the ground offers, 0.1; p.nc holds the motion to there" in result.stderr
     assert result_file.read(Path("p.nc")).stop.name == "no_equilibrium"
+    assert "leans" not in result.stderr  # its wheels are upright
+
+
+@pytest.mark.usefixtures("file")
+def test_no_equilibrium_tells_how_far_a_wheel_leans():
+    settings = ("vehicle.axle=tilting", "terrain.friction=0.2", "inputs.left_rate=0.4",
+                "start.y=-2.5", "time.duration=4")  # fmt: skip
+    result = called("run", *settings, code=1)
+    run = result_file.read(Path("p.nc"))
+    assert run.stop.name == "no_equilibrium"
+    lean = max(abs(run[name][-1]) for name in ("tilt_right", "tilt_left"))
+    told = re.search(r"the ground offers 0.2; a wheel leans by ([\d.]+) rad; ", result.stderr)
+    assert told, result.stderr
+    assert float(told[1]) == pytest.approx(lean, abs=2e-3)  # it is that soon after the end
+    assert lean > 0.05
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,7 @@ def test_the_film_moves(case, tmp_path):
     climber, profile, run = case
     show.animate(run, climber, profile, tmp_path / "a.gif", rate=4)
     with Image.open(tmp_path / "a.gif") as film:
-        assert film.n_frames == 15  # 3.6 s
+        assert film.n_frames == 16  # 3.6 s, and where it ended
         assert film.info["duration"] == 250
         first = np.asarray(film.convert("L"), dtype=float)
         film.seek(14)

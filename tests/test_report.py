@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 from base64 import b64decode
 from dataclasses import replace
 from html import unescape
@@ -202,10 +203,15 @@ def test_a_problem_of_another_version_has_no_figures(tmp_path: Path) -> None:
 def test_files_that_a_problem_names_are_sought(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outcome = run(read(ROOT / "problems" / "your_vehicle.toml", ["time.duration=0.5"]))
-    file = tmp_path / "out.nc"
-    result_file.write(file, outcome.trajectory)
+    there = tmp_path / "there"
+    shutil.copytree(ROOT / "problems" / "vehicles", there / "vehicles")
+    shutil.copy(ROOT / "problems" / "your_vehicle.toml", there)
     monkeypatch.chdir(tmp_path)
+    outcome = run(read(Path("there/your_vehicle.toml"), ["time.duration=0.5"]))
+    assert outcome.trajectory.attributes["problem_folder"] == "there"
+    result_file.write(Path("out.nc"), outcome.trajectory)
+    assert _invoke("out.nc").exit_code == 0
+    there.rename(tmp_path / "elsewhere")
     result = _invoke("out.nc")
     assert result.exit_code == 2
     assert "needs vehicles/trailer.toml" in result.stderr

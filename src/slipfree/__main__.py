@@ -1,5 +1,25 @@
-"""``python -m slipfree``."""
+"""``python -m slipfree``, and the command ``slipfree``."""
 
-from slipfree.cli import main
+from __future__ import annotations
 
-main()
+import signal
+import sys
+
+INTERRUPTED = 130  # as `slipfree.cli` has it, which takes its time to be imported
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C ends it with a word, even while it still starts."""
+    try:
+        from slipfree.cli import main as run
+
+        run()
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        sys.exit(INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to be interrupted
+
+
+if __name__ == "__main__":
+    main()

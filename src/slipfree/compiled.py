@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import casadi as ca
@@ -23,6 +24,7 @@ FOLDER = "SLIPFREE_CACHE"  # variable of the environment: another folder; empty 
 # The functions are long lists of sums and products: with more optimisation they take as long, and
 # without any they take three times as long, as the interpreter does.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
+PATIENCE = 300.0  # with the compiler [s]
 KEPT = 64  # libraries; about a megabyte each
 DIGEST = 32  # digits in a name
 
@@ -81,7 +83,10 @@ def folder() -> Path | None:
 
 def compiler() -> list[str] | None:
     """Return the command of the C compiler, None if there is none."""
-    named = shlex.split(os.environ.get("CC", ""))
+    try:
+        named = shlex.split(os.environ.get("CC", ""))
+    except ValueError:  # an open quote
+        named = []
     for command in (named, ["cc"], ["gcc"], ["clang"]):
         if command and shutil.which(command[0]):
             return command
@@ -96,7 +101,8 @@ def _kept(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...
                 return tuple(ca.external(name, str(file)) for name in names)
         except (OSError, RuntimeError):  # it vanished, or cannot be loaded here
             pass
-        file.unlink(missing_ok=True)
+        with suppress(OSError):  # of a place where nothing can be written
+            file.unlink(missing_ok=True)
     return None
 
 
@@ -116,11 +122,11 @@ def _compile(
             text.write_text(source(functions))
             subprocess.run(
                 [*command, *FLAGS, "-o", str(file), str(text), "-lm"],
-                check=True, capture_output=True,
+                check=True, capture_output=True, timeout=PATIENCE,
             )  # fmt: skip
             file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
         _tidy(place)
-    except (OSError, subprocess.CalledProcessError):
+    except (OSError, subprocess.SubprocessError):
         return False
     return True
 

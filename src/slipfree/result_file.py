@@ -12,8 +12,10 @@ import csv
 import math
 import os
 import platform
+import secrets
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -43,6 +45,7 @@ REMEDY = "run the problem again to get a whole file"
 TYPES = {1: ">i1", 2: "S1", 3: ">i2", 4: ">i4", 5: ">f4", 6: ">f8"}  # of the netCDF standard
 TEXT = 2
 DIMENSIONS, VARIABLES, ATTRIBUTES = 10, 11, 12  # tags of the lists in a header
+LARGEST = 1e100  # number of a motion; beyond, bits were flipped
 SIZE = "_size"  # suffix of the dimension of an array that is no sample
 NOTHING: Mapping[str, npt.NDArray[Any]] = {}
 Attribute = str | float
@@ -186,20 +189,33 @@ def _check(run: Trajectory) -> None:
         raise ModelError(f"{min(taken)!r} has a meaning of its own in a result file: rename it")
 
 
-def replaced(path: Path, fill: Callable[[Path], None]) -> None:
-    """Let ``fill`` write a file beside ``path``, then put it in its place."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+def replaced(path: Path, fill: Callable[[Path], object]) -> None:
+    """Let ``fill`` write a file beside ``path``, then put it in its place.
+
+    Whatever ends this, an error, Ctrl-C, a signal or the machine, ``path`` is what it was before,
+    or whole.
+
+    Raises
+    ------
+    DataError
+        If it cannot be written, or is no file but a device.
+    """
+    target = Path(os.path.realpath(path))  # a link goes on to be one
+    part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")
     try:
+        if target.exists() and not target.is_file():
+            raise DataError(f"{path}: expected the name of a file to write, found another thing")
         fill(part)
         with part.open("rb+") as file:
             os.fsync(file.fileno())
-        part.replace(path)
+        part.replace(target)
     except OSError as error:
         raise DataError(
-            f"{path}: cannot be written ({error.strerror}); choose another place"
+            f"{path}: cannot be written ({error.strerror or error}); choose another place"
         ) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # of a place where nothing can be written
+            part.unlink(missing_ok=True)
 
 
 def _fill(file: Any, run: Trajectory) -> None:
@@ -371,7 +387,14 @@ def _trajectory(file: _Reader) -> Trajectory:
     missing = {"time", *order} - set(variables)
     if missing:
         raise file.fault(f"no variable {min(missing)}")
+    t = variables["time"].values.astype(np.float64)
     wheels = variables["wheel"].values if "wheel" in variables else np.empty((0, 4), "S1")
+    if t.ndim != 1 or not np.isfinite(t).all() or (np.diff(t) < 0).any():
+        raise file.fault("times that do not ascend")
+    if wheels.ndim != 2 or wheels.dtype != "S1":
+        raise file.fault("names of wheels that are none")
+    names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
+    sizes = {(t.size,), (t.size, len(names))}
     stop = None
     if set(STOP) <= set(found):
         name, words = (str(found[key]) for key in (STOP[0], STOP[2]))
@@ -382,20 +405,25 @@ def _trajectory(file: _Reader) -> Trajectory:
         if name not in RESERVED and not name.startswith(STATISTICS)
     }
     return Trajectory(
-        variables["time"].values.astype(np.float64),
-        {name: _column(file, name) for name in order},
-        tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels),
+        t,
+        {name: _column(file, name, sizes) for name in order},
+        names,
         stop,
         {k.removeprefix(STATISTICS): file.number(k) for k in found if k.startswith(STATISTICS)},
         attributes,
     )
 
 
-def _column(file: _Reader, name: str) -> Column:
+def _column(file: _Reader, name: str, sizes: Container[tuple[int, ...]]) -> Column:
     dimensions, words, values = file.variables[name]
-    if dimensions not in (("time",), ("time", "wheel")):
+    if dimensions not in (("time",), ("time", "wheel")) or values.shape not in sizes:
         raise file.fault(f"{name} over the dimensions ({', '.join(dimensions)})")
+    if values.dtype == "S1":
+        raise file.fault(f"text in {name}")
     if not {"units", "long_name"} <= set(words):
         raise file.fault(f"{name} without units or long_name")
     label = Label(name, str(words["units"]), str(words["long_name"]))
-    return Column(label, values.astype(np.float64))
+    values = values.astype(np.float64)
+    if (np.abs(values[np.isfinite(values)]) > LARGEST).any():
+        raise file.fault(f"numbers in {name} that no motion has")
+    return Column(label, values)

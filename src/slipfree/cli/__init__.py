@@ -23,7 +23,18 @@ from slipfree.cli.report import report
 from slipfree.cli.run import run
 from slipfree.cli.show import show
 from slipfree.cli.sweep import sweep
-from slipfree.cli.voice import BAD_INPUT, DONE, Json, Quiet, Verbose, ask, print_json, voiced
+from slipfree.cli.voice import (
+    BAD_INPUT,
+    DONE,
+    INTERRUPTED,
+    Json,
+    Quiet,
+    Verbose,
+    ask,
+    complain,
+    print_json,
+    voiced,
+)
 
 UsageError: Any = typer.BadParameter.__bases__[0]  # of click, of which newer typer has a copy
 
@@ -44,6 +55,9 @@ class _Commands(TyperGroup):
     def _telling(self, words: Sequence[str]) -> Iterator[None]:
         try:
             yield
+        except KeyboardInterrupt as error:  # before or after what a command does
+            complain("interrupted")
+            raise typer.Exit(INTERRUPTED) from error
         except UsageError as error:
             if "--json" in words:
                 names = [word for word in words if not word.startswith("-")]

@@ -142,7 +142,8 @@ def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise VehicleError(f"{path}: expected a URDF, found that it cannot be read "
+        by = f" (urdf of {file.source.path})" if file else ""
+        raise VehicleError(f"{path}: expected a URDF{by}, found that it cannot be read "
                            f"({error.strerror}); check the name") from error  # fmt: skip
     try:
         tree = read_tree(data, str(path))

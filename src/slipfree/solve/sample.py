@@ -7,7 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array, Label, Mask, leaves
 from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import FOLLOWING, Block, Loop
@@ -124,6 +124,8 @@ def followed(
     """
     count, n, z = samples.t.size, loop.moving, samples.z.copy()
     left, jac = known or _linearised(loop, samples)
+    if not np.isfinite(jac).all():
+        raise SolverError("the motion cannot be told: its equations give no finite numbers")
     report = {"singular_value": np.asarray(np.linalg.svd(jac, compute_uv=False)[:, -1])}
     for block in loop.blocks:
         report[f"{block.labels[0].name}_residual"] = _largest(left[block.span])

@@ -296,6 +296,10 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
     }
     if task.method == "idas":
         options["suppress_algebraic"] = dae.suppress_algebraic
+        if not (np.diff(u, axis=1) != 0).any():
+            # The start is consistent to rounding, where IDAS's own search may find no better one.
+            rates = loop.core(t[0], at.x, at.z[: loop.moving], u[:, 0])[0]
+            options |= {"calc_ic": False, "init_xdot": np.array(rates).ravel().tolist()}
     else:
         options["quad_err_con"] = True
     integrator = ca.integrator("motion", task.method, system, float(t[0]), t, options)

@@ -95,7 +95,8 @@ class Log:
             self._lock()
             self.rows = self._read(head)
         except BaseException:
-            self._file.close()
+            with suppress(OSError):  # of what could not be written, which is told
+                self._file.close()
             raise
 
     def append(self, row: Row) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from slipfree.errors import DataError, ModelError
 from slipfree.named import Array
 
+HIGHEST = 1e9  # height of a ground [m]
 UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length
 RESAMPLE = {
     "x": "x_even = np.linspace(x[0], x[-1], x.size); "
@@ -232,6 +233,11 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
         hint = "; rows must run along x: pass z.T" if z.shape == expected[::-1] else ""
         raise DataError(
             f"grid: z must have the shape (x.size, y.size) = {expected}, found {z.shape}{hint}"
+        )
+    if np.abs(z[np.isfinite(z)]).max(initial=0.0) > HIGHEST:
+        raise DataError(
+            f"grid: heights must lie between -{HIGHEST:g} and {HIGHEST:g} m, found one of "
+            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; is it the mark of a hole?"
         )
     bad = ~np.isfinite(z)
     if bad.any():

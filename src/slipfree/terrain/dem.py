@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import lzma
+import struct
+import tokenize
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -33,8 +37,9 @@ WIDE = 0.01  # by which distances along x of a map in degrees may be wrong
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of that ellipsoid [m], [1]
 STEEP = 50.0  # median slope that no ground in metres has, but one in degrees [1]
 UNREADABLE = (  # what reading a damaged numpy archive raises
-    ValueError, EOFError, OSError, RuntimeError, NotImplementedError, MemoryError,
-    zipfile.BadZipFile, zlib.error,
+    ValueError, EOFError, OSError, RuntimeError, NotImplementedError, MemoryError, SyntaxError,
+    KeyError, TypeError, OverflowError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
+    zlib.error, lzma.LZMAError,
 )  # fmt: skip
 TIFF, POINTS = (".tif", ".tiff"), (".xyz", ".txt", ".csv")
 ENDINGS = (".npz", ".asc", *TIFF, ".png", *POINTS)
@@ -325,7 +330,8 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
 def _arrays(path: Path) -> tuple[Array, Array, Array]:
     """Return x, y, z of a numpy archive."""
     try:
-        with path.open("rb") as stream:
+        with path.open("rb") as stream, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of headers by Python 2
             file = np.load(stream, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
                 raise DataError(f"{path}: expected an archive, found one array; use np.savez")
@@ -346,8 +352,8 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
         if isinstance(error, DataError):
             raise
         raise DataError(
-            f"{path}: expected a numpy archive, found none that can be read ({error}); write it "
-            "with np.savez(path, x=x, y=y, z=z)"
+            f"{path}: expected a numpy archive, found none that can be read "
+            f"({str(error).split(': ')[0]}); write it with np.savez(path, x=x, y=y, z=z)"
         ) from error
     for name, array in arrays.items():
         if array.dtype.kind not in "iuf":

@@ -17,6 +17,8 @@ from slipfree.named import Array, Mask
 from slipfree.terrain.base import Grid
 
 MOST_NODES = 5e7  # of a ground: 400 MB an array
+FARTHEST = 1e12  # place that a map may have [m] or [deg]
+RESOLVED = 1e-14  # least step of an axis, as a part of the farthest place
 NEAR = 1e-6  # part of a cell by which a node may miss a window
 TAIL = 4.0  # standard deviations after which a Gaussian is cut off
 WAVES = 1000  # plane waves that make up an elevation error
@@ -116,6 +118,7 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
     DataError
         If the window is empty, holds too few nodes, or if there are too many to be kept.
     """
+    _check_axes(x, y)
     found = slice(0, x.size), slice(0, y.size)
     reach = f"the map reaches from {_reach(x)} in x and from {_reach(y)} in y"
     if window is not None:
@@ -135,11 +138,27 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
     nodes = math.prod(part.stop - part.start for part in found)
     if nodes > MOST_NODES:
         raise DataError(
-            f"expected at most {MOST_NODES:g} nodes, found {nodes:.3g} "
+            f"expected at most {MOST_NODES:g} nodes, found {float(nodes):.3g} "
             f"({x.size} by {y.size} in the file); name the part that is needed as "
             f"window = [x_min, x_max, y_min, y_max]: {reach}"
         )
     return found
+
+
+def _check_axes(x: Axis, y: Axis) -> None:
+    """Refuse maps of too few nodes, and those beyond the reach of numbers."""
+    if min(x.size, y.size) < 4:
+        raise DataError(
+            f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}"
+        )
+    for name, axis in (("x", x), ("y", y)):
+        size = min(axis.size, 10**18)  # a header may claim any
+        farthest = max(abs(axis.first), abs(axis.first + axis.step * size))
+        if not (farthest < FARTHEST and axis.step > RESOLVED * farthest):
+            raise DataError(
+                f"expected places up to {FARTHEST:g} that numbers can tell apart, found "
+                f"{float(size):.3g} nodes from {name} = {axis.first:g}, {axis.step:g} apart"
+            )
 
 
 def _part(axis: Axis, low: float, high: float) -> slice:

@@ -192,16 +192,16 @@ def _heights(place: _Place, part: tuple[slice, slice], rows: Array, source: str)
 def _by_rasterio(path: Path, ask: Reading) -> Heights:
     """Return the map in a GeoTIFF; only blocks that the window touches are read."""
     import rasterio
-    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+    from rasterio.errors import NotGeoreferencedWarning
 
     try:
         with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=CACHE):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with rasterio.open(path, driver="GTiff") as file:
                 return _from_dataset(file, ask)
-    except (RasterioError, ValueError) as error:
-        if isinstance(error, DataError):
-            raise
+    except DataError:
+        raise
+    except Exception as error:  # of a damaged file GDAL raises what it happens on
         raise DataError(
             f"expected a TIFF file, found one that cannot be read ({error.__cause__ or error}); is "
             "it cut off or damaged? Copy or download it again"

@@ -13,7 +13,7 @@ from scipy.spatial import QhullError, cKDTree
 
 from slipfree.errors import DataError
 from slipfree.named import Array
-from slipfree.terrain.mend import NEAR, Axis, Heights, Window, parts
+from slipfree.terrain.mend import FARTHEST, NEAR, Axis, Heights, Window, parts
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # nodes interpolated at once
@@ -40,7 +40,10 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     DataError
         If there is no spacing, or the file does not hold points that span a plane.
     """
-    points, repeated, apart = _distinct(_columns(path))
+    columns = _columns(path)
+    if (farthest := float(np.abs(columns).max(initial=0.0))) > FARTHEST:
+        raise DataError(f"expected places up to {FARTHEST:g}, found {farthest:g}; correct it")
+    points, repeated, apart = _distinct(columns)
     distance = _distance(points[:, :2])
     if spacing is None:
         raise DataError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any
@@ -60,7 +61,9 @@ def names_in(text: str) -> frozenset[str]:
 def _parsed(text: str) -> ast.expr:
     try:
         if len(text) <= LONGEST:
-            return ast.parse(text.strip(), mode="eval").body
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of what is refused anyway, such as '\\d' or 1if
+                return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         pass
     raise _refused(text, text[:60])
@@ -90,7 +93,8 @@ def _value(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -
             count, function = FUNCTIONS[name]
             if len(args) == count:
                 return function(*(_value(each, text, values, depth - 1) for each in args))
-    raise _refused(text, ast.unparse(node)[:60])
+    found = ast.get_source_segment(text.strip(), node) or text  # as it stands there, however deep
+    raise _refused(text, found[:60])
 
 
 def _is_number(value: float) -> bool:

@@ -1,0 +1,339 @@
+"""Faults injected into commands that write: old results intact, new ones complete or absent.
+
+``python benchmarks/faults.py [--tries N] [--seed N] [--only NAME]`` prints a line for every fault
+and command: how often it was tried, how many files are lost, neither the old ones nor complete, how
+many tracebacks stood on stderr, how many files are new and complete, how many unfinished ones are
+left beside them, how often the same command without the fault works afterwards, and exit codes.
+``--only compiler`` installs the package into a fresh environment without a compiler, which takes a
+minute and needs the packages that it depends on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from random import Random
+
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from fuzz_files import bases, document
+from slipfree import result_file
+from slipfree.errors import SlipfreeError
+
+ROOT = Path(__file__).parent.parent
+LONGEST = 120.0  # that a command may take [s]
+BEGIN = "from slipfree.__main__ import main; print('begun', flush=True); main()"
+COMMANDS = {
+    "run": ["run", "p.toml", "-o", "out.nc", "--csv", "out.csv"],
+    "plan": ["run", "plan.toml", "-o", "plan.nc", "--no-draw"],
+    "sweep": ["sweep", "p.toml", "--repeat", "4", "--processes", "2", "-o", "sw", "--keep"],
+    "show": ["show", "old.nc", "--html", "page.html"],
+    "film": ["show", "old.nc", "--animation", "film.gif"],
+    "report": ["report", "old.nc", "-o", "report.html"],
+    "climb": ["run", "climb.toml", "-o", "climb.nc", "--animation", "climb.gif", "--no-draw"],
+}
+Start = Callable[[list[str], Path], tuple[int, str]]
+
+
+def prepared(folder: Path) -> None:
+    """Write problems, and an old result."""
+    for kind, name in (("direct", "p"), ("plan", "plan"), ("climb", "climb")):
+        data = dict(bases(kind)[0])
+        data["time"] = {
+            **data["time"],
+            "duration": {"climb": 0.4}.get(kind, data["time"]["duration"]),
+        }
+        (folder / f"{name}.toml").write_text(document(data))
+    plain(["run", "p.toml", "-o", "old.nc", "--no-draw"], folder)
+
+
+def begun(words: list[str], folder: Path, **more: object) -> subprocess.Popen[str]:
+    """Return a command that runs."""
+    return subprocess.Popen(
+        [sys.executable, "-c", BEGIN, *words],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **more,
+    )  # type: ignore[call-overload,no-any-return]
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Return exit code and stderr of a command."""
+    try:
+        _, told = process.communicate(timeout=LONGEST)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        return -99, process.communicate()[1]
+    return process.returncode, told
+
+
+def plain(words: list[str], folder: Path) -> tuple[int, str]:
+    """Run a command without any fault."""
+    return ended(begun(words, folder))
+
+
+def signalled(number: int, after: float) -> Start:
+    """Return what runs a command, and sends it a signal after a time."""
+
+    def start(words: list[str], folder: Path) -> tuple[int, str]:
+        process = begun(words, folder)
+        if process.stdout is not None:
+            process.stdout.readline()  # Python itself has started
+        try:
+            process.wait(after)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, number)  # as a terminal does
+        return ended(process)
+
+    return start
+
+
+def limited(size: int) -> Start:
+    """Return what runs a command that cannot write more than some bytes to a file."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    return lambda words, folder: ended(begun(words, folder, preexec_fn=limit))
+
+
+def surrounded(**variables: str | None) -> Start:
+    """Return what runs a command with other variables of the environment; None takes one out."""
+    there = {k: v for k, v in {**os.environ, **variables}.items() if v is not None}
+    return lambda words, folder: ended(begun(words, folder, env=there))
+
+
+@contextmanager
+def mounted(options: str, folder: Path) -> Iterator[None]:
+    """Mount a file system in memory over a folder, with what was in it."""
+    copy = Path(tempfile.mkdtemp())
+    shutil.copytree(folder, copy, dirs_exist_ok=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", folder], check=True)
+    try:
+        shutil.copytree(copy, folder, dirs_exist_ok=True)
+        if "full" in options:
+            _filled(folder / "filler", int(options.removeprefix("full")))
+        else:
+            subprocess.run(["mount", "-o", f"remount,{options}", folder], check=True)
+        yield
+    finally:
+        if "full" not in options:
+            subprocess.run(["mount", "-o", "remount,rw", folder], check=True)
+        (folder / "filler").unlink(missing_ok=True)
+        shutil.rmtree(copy)
+        shutil.copytree(folder, copy)
+        subprocess.run(["umount", folder], check=True)
+        shutil.rmtree(folder)
+        shutil.move(copy, folder)
+
+
+def _filled(file: Path, room: int) -> None:
+    """Fill a file system but for some bytes."""
+    with suppress(OSError), file.open("wb", buffering=0) as stream:
+        while stream.write(bytes(4096)):
+            pass
+    os.truncate(file, max(file.stat().st_size - room, 0))
+
+
+def complete(file: Path, rows: int) -> bool:
+    """Return whether a file is whole."""
+    try:
+        match file.suffix:
+            case ".nc":
+                return result_file.read(file).t.size > 0
+            case ".html":
+                return file.read_text(encoding="utf-8").rstrip().endswith("</html>")
+            case ".png" | ".gif":
+                with Image.open(file) as image:
+                    for frame in range(getattr(image, "n_frames", 1)):
+                        image.seek(frame)
+                        image.load()
+                return True
+            case ".pdf":
+                return file.read_bytes().rstrip().endswith(b"%%EOF")
+            case ".csv":
+                with file.open(newline="") as stream:
+                    lines = list(csv.reader(stream))
+                return len({*map(len, lines)}) == 1 and (not rows or len(lines) == rows)
+    except (SlipfreeError, OSError, SyntaxError, ValueError):
+        return False
+    return file.suffix in (".toml", ".jsonl") or file.name == "filler"
+
+
+def tried(name: str, fault: Start, folder: Path, counts: Counter[str], rows: int) -> None:
+    """Try a command with a fault, look at all files, and run it again without."""
+    if name == "sweep":
+        shutil.rmtree(folder / "sw")  # which would go on with what it has
+    before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    code, told = fault(COMMANDS[name], folder)
+    counts["tries"] += 1
+    counts["tracebacks"] += "Traceback" in told or "Exception ignored" in told
+    if "Traceback" in told or "Exception ignored" in told:
+        print(told[-1500:], file=sys.stderr)
+    counts[f"exit {code}"] += 1
+    for file in sorted(folder.rglob("*")):
+        if file.is_file() and ".part" in file.suffixes:
+            counts["parts left"] += 1
+        elif file.is_file() and before.get(file) != file.read_bytes():
+            good = complete(file, rows if file.name == "out.csv" else 0)
+            counts["new complete" if good else "lost"] += 1
+            if not good:
+                print(f"lost: {file}", file=sys.stderr)
+    counts["lost"] += sum(not file.exists() for file in before)
+    code, told = plain(COMMANDS[name], folder)
+    counts["works again"] += code == 0
+    if code:
+        print(told[-600:], file=sys.stderr)
+
+
+def faults(rng: Random, took: float) -> dict[str, Callable[[], Start]]:
+    """Return what goes wrong, by name."""
+    return {
+        "killed": lambda: signalled(signal.SIGKILL, rng.uniform(0.1, took)),
+        "Ctrl-C": lambda: signalled(signal.SIGINT, rng.uniform(0.1, took)),
+        "file limit": lambda: limited(rng.choice([0, 100, 4096, 10_000, 50_000, 200_000])),
+        "no display": lambda: surrounded(DISPLAY=None, WAYLAND_DISPLAY=None, MPLBACKEND=None),
+        "bad caches": _bad_caches,
+        "no compiler": lambda: surrounded(CC="/bin/false", PATH="/nowhere", SLIPFREE_CACHE=""),
+    }
+
+
+def _bad_caches() -> Start:
+    """Return what runs a command with damaged caches: fonts, and compiled functions."""
+    folder = Path(tempfile.mkdtemp(prefix="caches-"))
+    for kept in Path(
+        os.environ.get("SLIPFREE_CACHE", Path.home() / ".cache/slipfree/compiled")
+    ).glob("*.so"):
+        (folder / kept.name).write_bytes(kept.read_bytes()[:1000] + b"junk")
+    import matplotlib.font_manager as fonts
+
+    version = fonts.FontManager.__version__
+    (folder / f"fontlist-v{version}.json").write_text('{"_version": ')
+    return surrounded(MPLCONFIGDIR=str(folder), SLIPFREE_CACHE=str(folder))
+
+
+def mounts(rng: Random) -> dict[str, Callable[[], str]]:
+    """Return file systems on which commands cannot do their work."""
+    return {
+        "disk full": lambda: f"full{rng.choice([0, 4096, 20_000, 60_000, 200_000])}",
+        "read-only": lambda: "ro",
+    }
+
+
+def table(tries: int, seed: int, only: str | None) -> int:
+    """Print a line for every fault and command; return 1 if anything was lost."""
+    rng, total = Random(seed), Counter[str]()
+    print(
+        f"{'fault':12}{'command':9}{'tries':>6}{'lost':>6}{'tracebacks':>12}{'new complete':>14}"
+        f"{'parts left':>12}{'works again':>13}  exit codes"
+    )
+    with tempfile.TemporaryDirectory() as above:
+        folder = Path(above) / "work"
+        folder.mkdir()
+        prepared(folder)
+        for name in COMMANDS:
+            begin = time.perf_counter()
+            code, told = plain(COMMANDS[name], folder)
+            took = time.perf_counter() - begin
+            if code:
+                raise RuntimeError(f"{name}: {told}")
+            rows = len((folder / "out.csv").read_text().splitlines())
+            for fault, make in faults(rng, took).items():
+                if only in (None, fault, name):
+                    counts = Counter[str]()
+                    for _ in range(tries if fault in ("killed", "Ctrl-C", "file limit") else 1):
+                        tried(name, make(), folder, counts, rows)
+                    total += _told(fault, name, counts)
+            for fault, options in mounts(rng).items() if os.geteuid() == 0 else ():
+                if only in (None, fault, name):
+                    counts = Counter[str]()
+                    for _ in range(2):
+                        tried(name, _on(options()), folder, counts, rows)
+                    total += _told(fault, name, counts)
+    _told("all", "", total)
+    bad = total["lost"] + total["tracebacks"] + total["tries"] - total["works again"]
+    return 1 if bad else 0
+
+
+def _on(options: str) -> Start:
+    def start(words: list[str], folder: Path) -> tuple[int, str]:
+        with mounted(options, folder):
+            return plain(words, folder)
+
+    return start
+
+
+def _told(fault: str, name: str, counts: Counter[str]) -> Counter[str]:
+    codes = ", ".join(
+        f"{key.removeprefix('exit ')}: {n}"
+        for key, n in sorted(counts.items())
+        if key.startswith("exit")
+    )
+    print(
+        f"{fault:12}{name:9}{counts['tries']:>6}{counts['lost']:>6}{counts['tracebacks']:>12}"
+        f"{counts['new complete']:>14}{counts['parts left']:>12}{counts['works again']:>13}  "
+        f"{codes}",
+        flush=True,
+    )
+    return counts
+
+
+def without_compiler() -> int:
+    """Install the package into a fresh environment without a compiler, and run a problem."""
+    with tempfile.TemporaryDirectory() as above:
+        clone, place = Path(above) / "clone", Path(above) / "environment"
+        ignore = shutil.ignore_patterns(
+            "*.so", ".git", "build", "*.egg-info", "__pycache__", ".*_cache"
+        )
+        shutil.copytree(ROOT, clone, ignore=ignore, symlinks=True)
+        subprocess.run([sys.executable, "-m", "venv", place], check=True)
+        there = {**os.environ, "CC": "/bin/false", "CXX": "/bin/false", "SLIPFREE_CACHE": ""}
+        installed = subprocess.run(
+            [place / "bin" / "pip", "install", "-q", clone], env=there, check=False
+        )
+        data = Path(above) / "work"
+        data.mkdir()
+        (data / "p.toml").write_text(document(bases("direct")[0]))
+        words = [place / "bin" / "slipfree", "run", "p.toml"]
+        run = subprocess.run(
+            words, cwd=data, env=there, check=False, capture_output=True, text=True
+        )
+        built = [*place.rglob("_kernel*.so")]
+        print(
+            f"pip install with CC=/bin/false: exit code {installed.returncode}; compiled parts: "
+            f"{len(built)}; slipfree run: exit code {run.returncode}, "
+            f"{len([*data.rglob('*.png')])} figures{run.stderr[-400:]}"
+        )
+        return int(bool(installed.returncode or run.returncode))
+
+
+def main() -> int:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description="Inject faults.")
+    parser.add_argument("--tries", type=int, default=6)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", help="a fault or a command, or compiler")
+    asked = parser.parse_args()
+    if asked.only == "compiler":
+        return without_compiler()
+    return table(asked.tries, asked.seed, asked.only)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,191 @@
+"""Files drawn at random, read as commands do: how many are read, refused, or break something.
+
+``python benchmarks/fuzz.py --cases 10000 [--seed N]`` prints, for every kind of file, how many
+cases were read, how many refused by a clear error that names the file, and how many ended in a
+traceback, a warning, an unclear error, a hang, or the death of the process; the slowest case, and
+the most memory. Every kind runs in a process of its own, whose address space is limited and which
+is killed when a case takes too long. It ends with exit code 1 if anything is wrong.
+
+``python benchmarks/fuzz.py --only direct:17 [--seed N]`` does one case again and keeps its files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from fuzz_checks import READ, REFUSED, Verdict, judged
+from fuzz_files import KINDS, drawn
+
+SHARES = {"direct": 4, "inverse": 2, "plan": 2, "climb": 2, "vehicle": 3, "result": 2}  # others: 2
+MEMORY = 6 * 2**30  # of addresses that a process may have [B]
+LONGEST = 60.0  # that a case may take, on a busy machine [s]
+BEGIN = 120.0  # that a process may take to start [s]
+DEEP = 0.04  # part of the cases that are solved as well, for a short time
+FAULTS = ("traceback", "warning", "unclear", "hang", "death")
+HEAD = f"{'kind':9}{'cases':>7}{'read':>7}{'refused':>9}" + "".join(
+    f"{n + 's':>12}" for n in FAULTS
+)
+
+
+@dataclass
+class Tally:
+    """What became of the cases of a kind."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    slowest: tuple[float, int] = (0.0, 0)
+    memory: int = 0
+    faults: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def add(self, number: int, name: str, words: str, seconds: float) -> None:
+        """Count a case, and keep the first of every fault."""
+        self.counts[name] += 1
+        self.slowest = max(self.slowest, (seconds, number))
+        if name in FAULTS:
+            self.faults.setdefault(f"{name}: {words[:300]}", (number, name))
+
+    def line(self, kind: str) -> str:
+        """Return a line of the table."""
+        numbers = [sum(self.counts.values()), self.counts[READ], self.counts[REFUSED]]
+        widths = (7, 7, 9)
+        cells = "".join(f"{n:>{w}}" for n, w in zip(numbers, widths, strict=True))
+        cells += "".join(f"{self.counts[name]:>12}" for name in FAULTS)
+        seconds, number = self.slowest
+        return f"{kind:9}{cells}{seconds:>9.2f} s (case {number}){self.memory / 1e6:>8.0f} MB"
+
+
+def one(kind: str, number: int, seed: int, folder: Path) -> Verdict:
+    """Return what becomes of a case."""
+    rng = Random(f"{seed}-{kind}-{number}")
+    return judged(drawn(kind, rng), folder, deep=rng.random() < DEEP)
+
+
+def child(kind: str, first: int, last: int, seed: int) -> None:
+    """Do cases of a kind, and tell of each when it begins and when it has ended."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with os.fdopen(os.dup(1), "w") as out, Path(os.devnull).open("w") as nothing:
+        for stream in (1, 2):  # what libraries print
+            os.dup2(nothing.fileno(), stream)
+        for number in range(first, last):
+            print(json.dumps(number), file=out, flush=True)
+            begin = time.perf_counter()
+            with tempfile.TemporaryDirectory() as folder:
+                found = one(kind, number, seed, Path(folder))
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+            print(json.dumps([*found, time.perf_counter() - begin, peak]), file=out, flush=True)
+
+
+def kind_of_cases(kind: str, count: int, seed: int) -> Tally:
+    """Return what becomes of cases of a kind; after a hang or a death another process goes on."""
+    tally, first = Tally(), 0
+    while first < count:
+        words = [
+            sys.executable,
+            __file__,
+            "--child",
+            kind,
+            str(first),
+            str(count),
+            "--seed",
+            str(seed),
+        ]
+        with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
+            first = _followed(process, first, tally)
+    return tally
+
+
+def _followed(process: subprocess.Popen[bytes], number: int, tally: Tally) -> int:
+    """Count what a process tells until it ends, and return the next case."""
+    if process.stdout is None:
+        raise RuntimeError("a process without a pipe")
+    wait, data = BEGIN, b""
+    while True:
+        ready, _, _ = select.select([process.stdout], [], [], wait)
+        if not ready:
+            process.kill()
+            tally.add(number, "hang", f"more than {wait:g} s", wait)
+            return number + 1
+        part = os.read(process.stdout.fileno(), 1 << 16)
+        if not part:
+            if code := process.wait():
+                tally.add(number, "death", f"exit code {code}", 0.0)
+                return number + 1
+            return number
+        *lines, data = (data + part).split(b"\n")
+        for found in map(json.loads, lines):
+            if isinstance(found, int):
+                number, wait = found, LONGEST
+                continue
+            name, told, seconds, peak = found
+            tally.add(number, name, told, seconds)
+            tally.memory, number = max(tally.memory, peak), number + 1
+
+
+def shared(cases: int) -> dict[str, int]:
+    """Return how many cases every kind gets."""
+    parts = {kind: SHARES.get(kind, 2) for kind in KINDS}
+    counts = {kind: cases * part // sum(parts.values()) for kind, part in parts.items()}
+    counts["direct"] += cases - sum(counts.values())
+    return counts
+
+
+def main() -> int:
+    """Run all kinds, and print a table."""
+    parser = argparse.ArgumentParser(description="Fuzz the readers.")
+    parser.add_argument("--cases", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kinds", default=",".join(KINDS), help="which, with commas between")
+    parser.add_argument("--only", metavar="KIND:NUMBER")
+    parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.child:
+        child(asked.child[0], int(asked.child[1]), int(asked.child[2]), asked.seed)
+        return 0
+    if asked.only:
+        kind, number = asked.only.split(":")
+        folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+        print(one(kind, int(number), asked.seed, folder), folder)
+        return 0
+    return table(asked.cases, asked.seed, asked.kinds.split(","))
+
+
+def table(cases: int, seed: int, kinds: list[str]) -> int:
+    """Print what becomes of cases; return 1 if anything is wrong."""
+    print(
+        f"seed {seed}; a case may take {LONGEST:g} s, a process {MEMORY / 2**30:g} GiB of addresses"
+    )
+    print(f"{HEAD}  slowest              memory")
+    total, begin, bad = Tally(), time.perf_counter(), []
+    for kind, count in shared(cases).items():
+        if kind not in kinds:
+            continue
+        found = kind_of_cases(kind, count, seed)
+        print(found.line(kind), flush=True)
+        total.counts += found.counts
+        total.slowest = max(total.slowest, found.slowest)
+        total.memory = max(total.memory, found.memory)
+        bad += [f"  {kind}:{number} {words}" for words, (number, _) in found.faults.items()]
+    print(total.line("all"))
+    wrong = sum(total.counts[name] for name in FAULTS)
+    print(
+        f"{wrong} faults of {sum(total.counts.values())} cases, {time.perf_counter() - begin:.0f} s"
+    )
+    print("\n".join(bad))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
