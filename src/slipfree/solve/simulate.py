@@ -287,7 +287,7 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
     ode, alg = loop.core(*symbols)
     quad = ca.vertcat(loop.quad(*symbols), spy(ca.vertcat(symbols[0], loop.margin(*symbols))))
     system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg, "quad": quad}
-    options = {
+    options: dict[str, Any] = {
         "reltol": task.tolerance,
         "abstol": task.tolerance,
         "max_num_steps": STEPS,
