@@ -139,10 +139,9 @@ def test_unstable_steering_is_told():
     vehicle = three_wheeler(mass=0.0, wheel_mass=0.0)  # else the front wheel lifts off before
     dae = inverse_kinematics(vehicle, MIRRORED)
     begin = settle(direct_kinematics(vehicle, MIRRORED))
-    with pytest.raises(SolverError) as failure:
-        simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 4, 81))
-    reached = failure.value.trajectory
-    assert 0.6 < reached.t[-1] < 1.0
+    reached = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 4, 81))
+    assert reached.stop.name == "inverse_margin"
+    assert_allclose(reached.t[-1], 0.841102, atol=2e-6)  # as at a tolerance of 1e-10
     assert abs(reached["steer"][-1]) > 0.5
     assert_allclose(reached["steering_growth"][0], 4.75, atol=0.01)
     assert "steering mode unstable from t = 0 s: errors of the steering grow at up to" in (

@@ -30,6 +30,7 @@ FINEST = 1e-14  # tolerance below which rounding rules
 LEEWAY = 100.0  # tolerances by which an eased model's equations may be missed at a sample
 BEYOND = 1e-6  # in a limit's unit; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
+NO_START = "no consistent start was found"
 CHUNK = 2000  # samples looked at together, for the sake of memory
 Progress = Callable[[float], None]
 Method = Literal["idas", "cvodes"]
@@ -280,7 +281,26 @@ def _looked_at(
 
 
 def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[str, float]]:
-    """Integrate over all of ``t`` in one call, or raise."""
+    """Integrate over all of ``t`` in one call, or raise.
+
+    Where IDAS's own search finds no start that is more consistent than the one given, which is so
+    to rounding, that one is taken as it is; not behind jumps of the inputs, which change it.
+    """
+    try:
+        return _attempted(task, at, t, u, {})
+    except SolverError as error:
+        if NO_START not in str(error) or (np.diff(u, axis=1) != 0).any():
+            raise
+    loop = task.loop
+    rates = loop.core(t[0], at.x, at.z[: loop.moving], u[:, 0])[0]
+    kept = {"calc_ic": False, "init_xdot": np.array(rates).ravel().tolist()}
+    return _attempted(task, at, t, u, kept)
+
+
+def _attempted(
+    task: _Task, at: Samples, t: Array, u: Array, given: dict[str, Any]
+) -> tuple[Samples, dict[str, float]]:
+    """Integrate with options for the start."""
     loop, dae, spy = task.loop, task.loop.dae, _Spy(task)
     sizes = [dae.ode.numel(), loop.moving, loop.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", sizes, strict=True))]
@@ -295,11 +315,7 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
         "disable_internal_warnings": True,
     }
     if task.method == "idas":
-        options["suppress_algebraic"] = dae.suppress_algebraic
-        if not (np.diff(u, axis=1) != 0).any():
-            # The start is consistent to rounding, where IDAS's own search may find no better one.
-            rates = loop.core(t[0], at.x, at.z[: loop.moving], u[:, 0])[0]
-            options |= {"calc_ic": False, "init_xdot": np.array(rates).ravel().tolist()}
+        options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
     else:
         options["quad_err_con"] = True
     integrator = ca.integrator("motion", task.method, system, float(t[0]), t, options)
@@ -316,8 +332,8 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
     x[:, :1], z[:, :1] = at.x, at.z
     statistics = integrator.stats()
     cost = {name: float(statistics[key]) for name, key in COUNTS.items()}
-    given = np.column_stack([u, u[:, -1:]])
-    return Samples(t, x, z, q[: at.q.shape[0]] + at.q, given), cost
+    inputs = np.column_stack([u, u[:, -1:]])
+    return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), cost
 
 
 @contextmanager
@@ -345,8 +361,8 @@ def reason(message: str) -> str:
         "IDA_LSETUP_FAIL": "the Jacobian is singular",
         "IDA_LSOLVE_FAIL": "the Jacobian is singular",
         "IDA_REP_RES_ERR": "the equations have no finite value",
-        "IDA_LINESEARCH_FAIL": "no consistent start was found",
-        "IDA_NO_RECOVERY": "no consistent start was found",
+        "IDA_LINESEARCH_FAIL": NO_START,
+        "IDA_NO_RECOVERY": NO_START,
         "IDA_ILL_INPUT": "the equations are not usable at the start",
     }
     for flag, meaning in words.items():
