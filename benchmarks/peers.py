@@ -313,6 +313,11 @@ def at_error(line: Line, error: float) -> float:
     return float(np.exp(np.interp(np.log(error), errors, cpu)))
 
 
+def beside(times: float) -> str:
+    """Return a ratio in words."""
+    return f"{times:.1f} times" if np.isfinite(times) else "not reached"
+
+
 def plot(found: dict[float, dict[str, Line]], file: Path) -> None:
     """Draw all lines, a panel a ground."""
     mpl.use("Agg")
@@ -357,8 +362,10 @@ def measured(rough: float) -> dict[str, Line]:
         print(f"{name:13s}" + "  ".join(f"{cpu:.2f} ({error:.0e})" for cpu, error in line))
     for level in LEVELS:
         own = at_error(lines["ours"], level)
-        others = ", ".join(f"{name} {at_error(line, level) / own:.1f} times" for name, line
-                           in lines.items() if name != "ours")  # fmt: skip
+        others = ", ".join(
+            f"{name} {beside(at_error(line, level) / own)}"
+            for name, line in lines.items() if name != "ours"
+        )  # fmt: skip
         print(f"at an error of {level:.0e} m: ours {own:.2f} ms/m; {others}")
     print(
         f"MuJoCo, at its smallest step, ends {gap:.3f} m from ours with the rigid axle", flush=True
