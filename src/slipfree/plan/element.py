@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from slipfree import compiled
 from slipfree.calls import without_calls
+from slipfree.errors import ModelError
 from slipfree.named import Array
 
 Index = npt.NDArray[np.intp]
@@ -176,7 +177,10 @@ def _call(lifted: _Lifted, k: int, smooth: bool) -> Call:
     first = f.jacobian()
     second = first.jacobian()
     if second.nnz_out(1):
-        raise NotImplementedError(f"{f.name()}: its Jacobian takes its results")
+        raise ModelError(
+            f"plan: expected called functions whose Jacobian follows from their arguments alone, "
+            f"found {f.name()}, whose Jacobian takes its results; write it as an expression"
+        )
     return Call(arguments, (f, first, second))
 
 
