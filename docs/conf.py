@@ -4,12 +4,17 @@ import os
 import re
 import shutil
 import sys
+import tempfile
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import matplotlib.font_manager  # noqa: F401 - makes its cache, so that no notebook tells about it
 from docutils.nodes import Text
+from jupyter_client.manager import KernelManager
+from nbclient import NotebookClient
 
 import slipfree
 
@@ -51,6 +56,20 @@ os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.envir
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
+
+
+def _through_files(make: Callable[..., KernelManager]) -> Callable[..., KernelManager]:
+    """Have kernels talk through files: a free port may be taken before a kernel opens it."""
+
+    def made(client: NotebookClient) -> KernelManager:
+        manager = make(client)
+        manager.transport, manager.ip = "ipc", str(Path(tempfile.gettempdir()) / uuid4().hex)
+        return manager
+
+    return made
+
+
+NotebookClient.create_kernel_manager = _through_files(NotebookClient.create_kernel_manager)
 
 
 def _copy_notebooks(*_: Any) -> None:
