@@ -30,6 +30,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -100,13 +101,14 @@ def level(x: Any, _y: Any) -> Any:
 
 def planned(
     terrain: Any, *, vehicle: Any = None, goal: tuple[float, float] = GOAL,
-    rates: tuple[float, float] = STARTS[0], **options: Any,
+    rates: tuple[float, float] = STARTS[0], compiled: bool = False, **options: Any,
 ) -> tuple[Plan, float]:  # fmt: skip
     """Return the plan of the task on a ground, and its wall time. [s].
 
     Inputs are constant on every interval, as the prototype's are, if not asked otherwise.
     """
     dae = direct_kinematics(vehicle or three_wheeler(axle="fixed"), terrain)
+    dae = replace(dae, compiled=compiled)
     start = settle(dae)
     inputs = dae.inputs(right_rate=rates[0], left_rate=rates[1], steer_rate=0.0)
     guess = simulate(dae, start, inputs, np.linspace(0, DURATION, 61))
@@ -309,7 +311,7 @@ def calls() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for ground, intervals in (("hills", 50), ("hills", 200), ("map", 50), ("map", 200)):
             os.environ[FOLDER] = folder
-            for words, asked in (("interpreted", ""), ("compiled", "yes"), ("cached", "")):
+            for words, asked in (("interpreted", ""), ("compiled", "yes"), ("cached", "yes")):
                 found = apart("called", ground, str(intervals), asked)
                 if isinstance(found, str):
                     print(f"{ground:5} {intervals:4} {words:25} {found}")

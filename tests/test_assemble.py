@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree.plan.assemble import assembled, vectorized
+from slipfree.calls import replayed
+from slipfree.plan.assemble import assembled
 from slipfree.plan.element import element
 
 
@@ -21,7 +22,7 @@ def test_columns_are_what_one_number_after_the_other_gives(count, rng):
     f = ca.Function("f", [v, q], results)
     columns = [ca.MX.sym(name, count) for name in "ab"]
     q_all = ca.MX.sym("q")
-    found = vectorized(f, [columns, [q_all]])
+    found = replayed(f, [columns, [q_all]], ca.MX)
     full = [ca.horzcat(*(e if e.numel() == count else ca.repmat(e, count) for e in each))
             for each in found]  # fmt: skip
     at, factor = rng.uniform(-2.0, 2.0, (count, 2)), 1.7

@@ -11,12 +11,23 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree import Bicubic, Grid, compiled, direct_kinematics, settle, three_wheeler
-from slipfree.plan import element as module
+from slipfree import (
+    Bicubic,
+    Grid,
+    calls,
+    compiled,
+    direct_kinematics,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
+from slipfree.named import leaves
 from slipfree.plan.assemble import assembled
 from slipfree.plan.element import element
 from slipfree.plan.task import task_of
 from slipfree.plan.transcribe import Mesh, transcribe
+from slipfree.solve.loop import close
 
 QUICK = ("-O0", *compiled.FLAGS[1:])
 needs_compiler = pytest.mark.skipif(compiled.compiler() is None, reason="no C compiler here")
@@ -30,13 +41,25 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def program(seed, *, build=False):
+def hilly(seed):
     x, y = np.arange(-4.0, 5.0), np.arange(-4.0, 6.0)
-    heights = 0.05 * np.random.default_rng(seed).normal(size=(x.size, y.size))
-    dae = direct_kinematics(three_wheeler(axle="fixed"), Bicubic(Grid(x, y, heights)))
+    return Bicubic(Grid(x, y, 0.05 * np.random.default_rng(seed).normal(size=(x.size, y.size))))
+
+
+def program(seed, *, build=False):
+    dae = direct_kinematics(three_wheeler(axle="fixed"), hilly(seed))
+    dae = replace(dae, compiled=build)
     task = task_of(dae, settle(dae), goal={"y": 1.0}, costs={"slip": 1.0, "effort": 0.01},
                    duration=(4.0, 6.0), limits={"steer": (-1.0, 1.0)})  # fmt: skip
-    return transcribe(replace(task, compiled=build), Mesh(np.linspace(0, 1, 3), 2))
+    return transcribe(task, Mesh(np.linspace(0, 1, 3), 2))
+
+
+def driven(seed, *, build=False):
+    """Return a model on a map, its start, and a law that feeds the state back."""
+    vehicle = three_wheeler()
+    dae = replace(direct_kinematics(vehicle, hilly(seed)), compiled=build)
+    start = settle(dae)
+    return dae, start, straight(dae, vehicle, start, speed=0.3)
 
 
 def everything(made, rng):
@@ -54,14 +77,21 @@ def squares(factor):
     return [ca.Function("squares", [x], [factor * ca.sumsqr(x)])]
 
 
-def library(factor=1.0, *, build):
-    return compiled.library(f"squares {factor}", ["squares"], lambda: squares(factor), build=build)
+def library(factor=1.0):
+    return compiled.library(f"squares {factor}", ["squares"], lambda: squares(factor))
+
+
+def kept(factor=1.0):
+    """Return what is in the cache, without compiling."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "compiler", lambda: None)
+        return library(factor)
 
 
 @pytest.mark.parametrize("build", [False, pytest.param(True, marks=needs_compiler)])
 def test_calls_are_differentiated_with_the_rest(build, rng, monkeypatch):
     """Of several matrices, one taking the results of the other, one rounded off."""
-    monkeypatch.setattr(module, "LARGE", 0)
+    monkeypatch.setattr(calls, "LARGE", 0)
     a, b = ca.MX.sym("a", 2, 2), ca.MX.sym("b")
     first = ca.Function("first", [a, b], [b * a @ a, ca.sum1(ca.sin(a))], {"never_inline": True})
     other = ca.Function("other", [b], [ca.exp(b / 5) * b], {"never_inline": True})
@@ -101,16 +131,17 @@ def test_a_compiled_program_is_the_interpreted_one_on_every_ground(folder, monke
     assert not list(folder.iterdir())
     assert program(1, build=True).compiled
     monkeypatch.setenv("CC", "false")
-    found = program(1)
+    found = program(1, build=True)
     assert found.compiled
     for one, other in zip(everything(found, np.random.default_rng(0)), plain, strict=True):
         assert_allclose(one, other, rtol=1e-11, atol=1e-11)
-    assert program(2).compiled
-    (kept,) = folder.iterdir()
+    assert program(2, build=True).compiled
+    files = sorted(folder.iterdir())
+    assert len(files) == 2  # one of the motion, one of the program
     code = (
         "from test_compiled import QUICK, compiled, program\n"
         "compiled.FLAGS = QUICK\n"
-        "print(program(3).compiled)"
+        "print(program(3, build=True).compiled)"
     )
     path = os.pathsep.join([os.path.dirname(__file__), *sys.path])  # noqa: PTH120
     told = subprocess.run(
@@ -118,7 +149,47 @@ def test_a_compiled_program_is_the_interpreted_one_on_every_ground(folder, monke
         env={**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "3"},
     )  # fmt: skip
     assert told.stdout.strip() == "True"
-    assert list(folder.iterdir()) == [kept]
+    assert sorted(folder.iterdir()) == files
+
+
+@needs_compiler
+def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkeypatch):
+    """Equations and Jacobian with a law that feeds back, and the motion; one library for all."""
+    t = np.linspace(0, 2, 5)
+    for seed in (1, 2):
+        runs = [simulate(*driven(seed, build=build), t, tolerance=1e-9) for build in (False, True)]
+        plain, found = (close(dae, law, 4) for dae, _, law in
+                        (driven(seed, build=build) for build in (False, True)))  # fmt: skip
+        assert found.core.jacobian().n_instructions() < 100  # of calls
+        dae, last = driven(seed)[0], runs[0]
+        x, z = dae.rows("x", last, -1), dae.rows("z", last, -1)[: plain.moving]
+        for one, other in ((plain.core, found.core), (plain.core.jacobian(), found.core.jacobian()),
+                           (plain.newton, found.newton)):  # fmt: skip
+            given = [1.7, x, z, plain.u[:, 0], 0, 0][: one.n_in()]
+            for a, b in zip(one.call(given), other.call(given), strict=True):
+                assert_allclose(np.array(ca.DM(a)), np.array(ca.DM(b)), rtol=1e-11, atol=1e-11)
+        for name in ("x", "y", "heading"):
+            assert_allclose(runs[1][name], runs[0][name], atol=1e-7)
+        assert len(list(folder.iterdir())) == 1
+        monkeypatch.setenv("CC", "false")
+
+
+def test_the_jacobian_of_a_motion_under_a_law_is_that_of_its_expressions():
+    dae, start, law = driven(1)
+    loop = close(dae, law, 4)
+    x, z, u = dae.columns()
+    m = z[: loop.moving]
+    rows = ca.vertcat(dae.ode, ca.vertcat(*dae.alg)[: loop.moving])
+    rows = ca.substitute(rows, u, ca.vertcat(*leaves(law)))
+    exact = ca.Function("exact", [dae.t, x, m], [calls.jacobian(rows, ca.vertcat(x, m))])
+    at = [0.4, dae.rows("x", start, -1), dae.rows("z", start, -1)[: loop.moving]]
+    t, x, m, u = loop.core.mx_in()
+    found = ca.Function("found", [t, x, m], [
+        ca.jacobian(ca.vertcat(*loop.core(t, x, m, loop.u[:, 0])), ca.vertcat(x, m))
+    ])  # fmt: skip
+    expected = np.array(ca.DM(exact(*at)))
+    assert np.abs(expected).max() > 1
+    assert_allclose(np.array(ca.DM(found(*at))), expected, rtol=1e-11, atol=1e-11)
 
 
 def spoilt(file, content):
@@ -129,23 +200,23 @@ def spoilt(file, content):
 
 @needs_compiler
 def test_what_is_kept_is_used_again_and_what_is_broken_made_again(folder):
-    assert library(build=False) is None
-    (f,) = library(build=True)
+    assert kept() is None
+    (f,) = library()
     assert float(f([3.0, 4.0])) == 25.0
-    (kept,) = folder.iterdir()
-    (again,) = compiled.library("squares 1.0", ["squares"], lambda: 1 / 0, build=True)
+    (file,) = folder.iterdir()
+    (again,) = compiled.library("squares 1.0", ["squares"], lambda: 1 / 0)
     assert float(again([1.0, 2.0])) == 5.0
-    content = kept.read_bytes()
-    spoilt(kept, content[: len(content) // 2])
-    assert library(build=False) is None
+    content = file.read_bytes()
+    spoilt(file, content[: len(content) // 2])
+    assert kept() is None
     assert not list(folder.iterdir())
-    (mended,) = library(build=True)
+    (mended,) = library()
     assert float(mended([1.0, 1.0])) == 2.0
-    spoilt(kept, b"")
-    named = kept.with_name(f"{kept.name.split('.')[0]}.{compiled.digest(b'no library')}.so")
+    spoilt(file, b"")
+    named = file.with_name(f"{file.name.split('.')[0]}.{compiled.digest(b'no library')}.so")
     spoilt(named, b"no library")
-    assert library(build=False) is None  # as it was written, but nothing that can be loaded
-    (other,) = library(2.0, build=True)
+    assert kept() is None  # as it was written, but nothing that can be loaded
+    (other,) = library(2.0)
     assert float(other([1.0, 1.0])) == 4.0
 
 
@@ -153,11 +224,11 @@ def test_what_is_kept_is_used_again_and_what_is_broken_made_again(folder):
 def test_only_the_newest_are_kept(folder, monkeypatch):
     monkeypatch.setattr(compiled, "KEPT", 2)
     for number in range(3):
-        library(float(number), build=True)
+        library(float(number))
         for file in folder.iterdir():
             os.utime(file, (file.stat().st_mtime - 10,) * 2)
     assert len(list(folder.iterdir())) == 2
-    assert [library(float(k), build=False) is None for k in range(3)] == [True, False, False]
+    assert [kept(float(k)) is None for k in range(3)] == [True, False, False]
 
 
 @pytest.mark.parametrize("what", ["no compiler", "one that fails", "no folder", "no place"])
@@ -171,7 +242,7 @@ def test_without_a_compiler_or_a_place_there_is_nothing_compiled(what, folder, m
     else:
         (folder / "file").touch()
         monkeypatch.setenv(compiled.FOLDER, str(folder / "file"))
-    assert library(build=True) is None
+    assert library() is None
 
 
 def test_a_program_without_a_compiler_is_interpreted(monkeypatch):

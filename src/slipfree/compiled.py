@@ -30,7 +30,7 @@ DIGEST = 32  # digits in a name
 
 
 def library(
-    text: str, names: Sequence[str], make: Callable[[], Sequence[ca.Function]], *, build: bool
+    text: str, names: Sequence[str], make: Callable[[], Sequence[ca.Function]]
 ) -> tuple[ca.Function, ...] | None:
     """Return compiled functions, from the cache if they are there.
 
@@ -42,8 +42,6 @@ def library(
         Their names.
     make : callable
         Returns the functions, of SX and without calls of others; only if they must be compiled.
-    build : bool
-        Whether to compile what is not in the cache.
 
     Returns
     -------
@@ -54,7 +52,7 @@ def library(
     if place is None:
         return None
     found = _kept(place, key, names)
-    command = compiler() if build and found is None else None
+    command = compiler() if found is None else None
     if command is not None and _compile(place, key, make(), command):
         found = _kept(place, key, names)
     return found

@@ -140,6 +140,9 @@ class Dae(Generic[X, Z, Q, U, Y]):
         stabilising terms that are noise to that test.
     easing : Easing or None
         How a start is found where Newton's method alone would not.
+    compiled : bool
+        Whether to compile its equations, and those of plans for it, with the system's C compiler;
+        they are kept for the next time. Without a compiler they are interpreted.
     """
 
     t: ca.SX
@@ -159,6 +162,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
     shift: tuple[Array, Array]
     suppress_algebraic: bool = False
     easing: Easing | None = None
+    compiled: bool = False
 
     def __post_init__(self) -> None:
         blocks: Any = self.z

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse
 
+from slipfree.calls import replayed
 from slipfree.named import Array
 from slipfree.plan.element import Element, Index
 
@@ -80,7 +81,7 @@ def _arguments(each: Element, v: ca.MX, p: ca.MX, order: int) -> list[ca.MX]:
     results = [[ca.MX(count, 0)] for _ in range(order + 1)]
     for call in each.calls:
         before = ca.horzcat(*results[0])
-        own = _columns(vectorized(call.arguments, [*map(_split, [*given, before])]), count)[0]
+        own = _columns(replayed(call.arguments, [*map(_split, [*given, before])], ca.MX), count)[0]
         found = [ca.reshape(own, count, -1).T]
         for function, known in zip(call.orders, results, strict=False):
             found.append(function.map(count).call(found)[0])
@@ -101,7 +102,8 @@ def _at_places(f: ca.Function, each: Element, arguments: Sequence[ca.MX]) -> lis
     """Return the results of a function of an element, entry by entry, each a column of places."""
     count = len(each.where)
     if f.is_a("SXFunction"):
-        return _columns(vectorized(f, [*map(_split, arguments)]), count)
+        # A loop over a column takes a tenth of the interpreter's time for as many numbers.
+        return _columns(replayed(f, [*map(_split, arguments)], ca.MX), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
     found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
     return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in found]
@@ -180,42 +182,6 @@ def _columns(found: Sequence[Columns], count: int) -> list[ca.MX]:
     """Return results at all places in columns, numbers that hold for all of them repeated."""
     return [ca.vertcat(ca.MX(0, 1), *(each if each.numel() == count else ca.repmat(each, count)
                                       for each in entries)) for entries in found]  # fmt: skip
-
-
-def vectorized(f: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
-    """Return the results of an SX function for columns of arguments, operation by operation.
-
-    A compiled loop over a column takes less than a tenth of the time that the interpreter of an SX
-    function takes for as many numbers.
-
-    Parameters
-    ----------
-    f : casadi Function
-        Of SX, without calls of others.
-    arguments : sequence of sequences of MX
-        For each argument of ``f`` and each of its entries a column, or a number for all.
-
-    Returns
-    -------
-    list of lists of MX
-        For each result of ``f`` and each of its nonzero entries a column, or a number for all.
-    """
-    work: dict[int, ca.MX] = {}
-    found: list[list[ca.MX]] = [[ca.MX()] * f.nnz_out(k) for k in range(f.n_out())]
-    for k in range(f.n_instructions()):
-        kind = f.instruction_id(k)
-        source, target = f.instruction_input(k), f.instruction_output(k)
-        if kind == ca.OP_INPUT:
-            work[target[0]] = arguments[source[0]][source[1]]
-        elif kind == ca.OP_OUTPUT:
-            found[target[0]][target[1]] = work[source[0]]
-        elif kind == ca.OP_CONST:
-            work[target[0]] = ca.MX(f.instruction_constant(k))
-        elif len(source) == 1:
-            work[target[0]] = ca.MX.unary(kind, work[source[0]])
-        else:
-            work[target[0]] = ca.MX.binary(kind, work[source[0]], work[source[1]])
-    return found
 
 
 def _sum(

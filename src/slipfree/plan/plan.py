@@ -145,7 +145,6 @@ def plan(
     tolerance: float = 1e-8,
     step: float = STEP,
     resume: Saved | None = None,
-    compiled: bool = False,
     progress: Progress | None = None,
 ) -> Plan:
     """Return the inputs that reach a goal at the least cost, with the motion they lead to.
@@ -154,7 +153,7 @@ def plan(
     ----------
     dae : Dae
         The model; its own limits hold as well: those that a plan would violate are added until none
-        is.
+        is. If it is to be compiled, the functions of the program are, too.
     start : Trajectory
         Its last sample is where the plan begins.
     guess : Trajectory or sequence of Trajectory
@@ -190,10 +189,6 @@ def plan(
     resume : Saved, optional
         A plan from which to start instead, on another mesh, ground or goal as well; from another
         place, what comes after the nearest one on its way counts.
-    compiled : bool
-        Whether to compile the functions of the program, if the system has a C compiler. That takes
-        seconds once; they are kept for plans of the same vehicle, costs and limits, on any map,
-        which use them whether asked to or not.
     progress : callable, optional
         Called with words and every iterate; returning False ends the search, the best iterate kept.
 
@@ -208,7 +203,6 @@ def plan(
         continuous=continuous, limits=limits, way_points=way_points, inputs=inputs,
         accelerations=accelerations,
     )  # fmt: skip
-    task = replace(task, compiled=compiled)
     if intervals < 1:
         raise ModelError(f"plan: expected one interval or more, found {intervals}")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))

@@ -69,8 +69,6 @@ class Task:
         Weight of the squared rates of the inputs, integrated over time.
     continuous : bool
         Whether inputs are continuous and linear on every interval, else constant on it.
-    compiled : bool
-        Whether to compile its functions where they are not in the cache.
     """
 
     dae: Model
@@ -83,7 +81,6 @@ class Task:
     accelerations: Array
     smooth: float
     continuous: bool = False
-    compiled: bool = False
 
 
 class Mesh(NamedTuple):
@@ -354,7 +351,7 @@ def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
         (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
         weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
         ca.vertcat(nodes @ slopes - h * ode, rows), where, places, _constants(mesh),
-        compile=task.compiled,
+        compile=task.dae.compiled,
     )  # fmt: skip
 
 

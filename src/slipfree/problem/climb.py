@@ -111,6 +111,7 @@ def build_climb(problem: Problem[schema.Climb]) -> Climbing:
         _check_tracking(problem)
     times = _times(problem, control, climber)
     dae = climbing(climber, profile, control, contact, period=spec.control.period)
+    dae = replace(dae, compiled=spec.solver.compiled)
     start = _start(problem, dae, climber, profile, contact)
     held = {}
     if spec.control.period is not None:
@@ -337,6 +338,7 @@ def _tracking(problem: Problem[schema.Climb], setup: Climbing, plan: Planned) ->
     with at(problem, ("plan",)):
         control = Tracking(course(plan.parts), **given)
     dae = climbing(setup.climber, setup.profile, control, setup.contact)
+    dae = replace(dae, compiled=setup.dae.compiled)
     start = _start(problem, dae, setup.climber, setup.profile, setup.contact)
     inputs = dae.inputs(speed=problem.spec.control.speed)
     return replace(setup, control=control, dae=dae, start=start, inputs=inputs, plan=plan.run)

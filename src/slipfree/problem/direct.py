@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
     if spec.formulation == "montana":
         with at(problem, ("formulation",)):
             dae = montana_kinematics(vehicle, terrain, slip=spec.slip)
+        dae = replace(dae, compiled=spec.solver.compiled)
     if spec.driver is None:
         driven = "inputs " + ", ".join(spec.inputs or {})
         with at(problem, ("inputs",)):
@@ -65,7 +67,8 @@ def build_model(
         raise ProblemError(f"{where}: traction: expected slip = 'traction', found {spec.slip!r}")
     law = Traction(**dict(spec.traction or schema.Traction()))
     with at(problem, ("slip",)):
-        return direct_kinematics(vehicle, terrain, slip=spec.slip, traction=law)
+        model = direct_kinematics(vehicle, terrain, slip=spec.slip, traction=law)
+    return replace(model, compiled=spec.solver.compiled)
 
 
 def build_law(

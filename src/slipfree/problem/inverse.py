@@ -72,6 +72,8 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
             least_margin=0.0 if sought else LEAST_MARGIN,
         )  # fmt: skip
         direct = direct_kinematics(vehicle, terrain, slip="rolling")
+    direct = replace(direct, compiled=spec.solver.compiled)
+    dae = replace(dae, compiled=spec.solver.compiled)
     check_names(problem, direct, None)
     start = build_start(problem, direct)
     with at(problem, ("given",) if points is None else ("path",)):

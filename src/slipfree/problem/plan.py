@@ -152,7 +152,6 @@ def planned(
             duration=spec.plan.duration or (length, length), intervals=spec.plan.intervals,
             degree=spec.plan.degree, accuracy=spec.plan.accuracy,
             tolerance=spec.solver.tolerance, step=spec.time.step, resume=resume,
-            compiled=spec.plan.compiled,
             progress=_telling(tell),
         )  # fmt: skip
     run, stop = found.replay, found.run.stop
@@ -257,6 +256,7 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     if not (found.success and able and setup.spec.slip != "traction"):
         return {}
     model: Model = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
+    model = replace(model, compiled=setup.dae.compiled)
     values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
     try:
         start = settle(model, **values)

@@ -33,6 +33,7 @@ from slipfree.problem.schema_ground import Terrain as Terrain
 
 VERB = "what is asked for"
 TOLERANCE = "of the integrator, absolute and relative [1]"
+COMPILED = "whether to compile the equations, seconds once a vehicle; they are kept"
 SLIP = "law of slip: the least that kinematics allows, none at all, or what friction makes of it"
 LAW = "the law of friction, for slip = 'traction'"
 INPUTS = "rates by name: of driven wheels, and of joints that are commanded [rad/s, m/s]"
@@ -89,6 +90,7 @@ class Solver(Record):
     """What is asked of the integrator."""
 
     tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(default=1e-8, description=TOLERANCE)
+    compiled: bool = Field(default=False, description=COMPILED)
 
 
 class Output(Record):
@@ -215,13 +217,6 @@ class Search(Record):
     smooth: Radius = Field(default=0.0, description="weight of the squared rates of the inputs [1]")
     continuous: bool = Field(
         default=True, description="inputs are linear on an interval without jumps; else constant"
-    )
-    compiled: bool = Field(
-        default=False,
-        description=(
-            "whether to compile the plan's functions, seconds once a vehicle; what is kept of "
-            "earlier times is used anyway"
-        ),
     )
     accuracy: Length = Field(
         default=1e-3,

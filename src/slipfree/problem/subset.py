@@ -55,6 +55,8 @@ def build_subset(problem: Problem[S], spec: schema.Inverse) -> Setup:
         direct = direct_kinematics(vehicle, terrain)
     with at(problem, ("given",)):
         dae = subset_kinematics(vehicle, terrain, given=tuple(given))
+    direct = replace(direct, compiled=spec.solver.compiled)
+    dae = replace(dae, compiled=spec.solver.compiled)
     check_names(problem, direct, None)
     stand = build_start(problem, direct)
     formulas = {}

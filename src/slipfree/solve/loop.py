@@ -12,6 +12,7 @@ from slipfree.calls import jacobian
 from slipfree.dae import Dae, Linear
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves, pack
+from slipfree.solve.equations import equations
 
 FOLLOWING = 25  # Newton steps at most for what follows from a motion
 
@@ -148,33 +149,18 @@ def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX], u: ca.SX) -> 
     first = _following(ode, parts, z, blocks)
     motion, after = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
-    alg = ca.vertcat(ca.SX(0, 1), *parts[: len(motion)])
-    symbols, rates = [dae.t, x, m, u], ca.vertcat(ode, alg)
-    slopes = jacobian(rates, ca.vertcat(*symbols))
-    of_alg = slopes[ode.numel() :, 1 + x.numel() : 1 + x.numel() + m.numel()]
+    core, newton = equations(dae, m.numel(), law, u)
     return Loop(
         dae,
         np.zeros((u.numel(), 0)),
-        _core(symbols, [ode, alg], slopes),
+        core,
         _quadratures(dae, [dae.t, x, z, u], quad, after),
         motion,
         after,
-        ca.Function("newton", symbols, [alg, ca.densify(of_alg)]),
+        newton,
         ca.Function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
-        ca.Function("margin", symbols, [_least(dae, bounds, z[m.numel() :])]),
+        ca.Function("margin", [dae.t, x, m, u], [_least(dae, bounds, z[m.numel() :])]),
     )
-
-
-def _core(symbols: list[ca.SX], parts: list[ca.SX], slopes: ca.SX) -> ca.Function:
-    """Return the function of the equations, with its Jacobian by all symbols."""
-    rows = np.cumsum([0, *(each.numel() for each in parts)]).tolist()
-    columns = np.cumsum([0, *(each.numel() for each in symbols)]).tolist()
-    blocks = ca.blocksplit(slopes, rows, columns)
-    results = [ca.SX.sym("out", each.sparsity()) for each in parts]
-    given = [*symbols, *results]
-    derivative = ca.Function("jac_core", given, [block for row in blocks for block in row])
-    options: dict[str, Any] = {"jac_penalty": 0, "cse": True, "custom_jacobian": derivative}
-    return ca.Function("core", symbols, parts, options)
 
 
 def _following(ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ...]) -> int:
