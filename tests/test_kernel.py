@@ -7,6 +7,7 @@ import os
 import pickle
 import subprocess
 import sys
+from importlib.machinery import EXTENSION_SUFFIXES
 from multiprocessing import get_context
 
 import casadi as ca
@@ -128,13 +129,56 @@ def test_what_is_made_of_a_ground_keeps_it_alive():
     assert not kernel.library().kernel_in_use(slot)
 
 
-def test_the_function_of_another_ground_fails_instead_of_answering():
+def test_the_functions_of_another_ground_give_no_numbers():
+    """Within SX nothing else would tell; also with a map over points, and for both Jacobians."""
     ground = Bicubic(grid())
-    function = ca.external(f"ground{ground._kernel.slot}", kernel.library()._name)
-    x, y, key = 0.1, 0.2, ground._kernel.key
-    assert np.isfinite(np.array(function([x, y, key]))).all()
-    with pytest.raises(RuntimeError):
-        function([x, y, key + 1])
+    other = ground._kernel._replace(key=ground._kernel.key + 1)
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    for known, all_finite in ((ground._kernel, True), (other, False)):
+        jet = known.jet(x, y)
+        slopes = jacobian(jet, ca.vertcat(x, y))
+        bend = jacobian(ca.vec(slopes), ca.vertcat(x, y))
+        found = ca.Function("found", [x, y], [jet, slopes, bend])
+        for values in (*found(0.1, 0.2), *found.map(3)([0.1, 0.2, 0.3], 0.2)):
+            finite = np.isfinite(np.array(ca.DM(values)))
+            assert finite.all() if all_finite else not finite.any()
+
+
+def test_a_function_that_outlives_its_ground_gives_no_numbers():
+    """Serialised, it does not keep the slot; neither what was there nor zeros come out."""
+    ground, (x, y) = Bicubic(grid()), (ca.SX.sym("x"), ca.SX.sym("y"))
+    kept = pickle.dumps(ca.Function("height", [x, y], [ground.jet(x, y).height]))
+    expected = ground.jet(x, y).height
+    assert float(pickle.loads(kept)(0.1, 0.2)) == float(
+        ca.Function("h", [x, y], [expected])(0.1, 0.2)
+    )
+    del ground, expected
+    gc.collect()
+    taking_its_place = Bicubic(grid(seed=1))
+    assert taking_its_place._kernel is not None
+    assert np.isnan(float(pickle.loads(kept)(0.1, 0.2)))
+
+
+@pytest.mark.parametrize("through", [True, False])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_it_equals_the_expressions_for_maps_of_any_layout(through, order):
+    made = grid()
+    ground = Bicubic(Grid(made.x, made.y, np.asarray(made.z, order=order)), through=through)
+    x, y = places(ground)
+    expected = ground._local_heights(x, y)
+    atol = 1e-13 * np.abs(expected).max()
+    assert_allclose(ground._kernel.heights(x, y), expected, rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("content", [b"", b"no library", None])
+def test_a_library_that_cannot_be_used_is_left_alone(content, tmp_path, monkeypatch):
+    """Cut off, of another system, or of another version, whose numbers mean other things."""
+    if content is None:
+        monkeypatch.setattr(kernel, "LAYOUT", 0)
+    else:
+        (tmp_path / f"_kernel{EXTENSION_SUFFIXES[0]}").write_bytes(content)
+        monkeypatch.setattr(kernel, "__file__", str(tmp_path / "kernel.py"))
+    assert kernel.library.__wrapped__() is None
 
 
 def _drive(ground):

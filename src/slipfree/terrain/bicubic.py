@@ -66,7 +66,8 @@ class Bicubic:
     differentiation of an SX graph leaves NaN or numbers of other variables in its place.)
 
     Where a compiler was found when the package was installed, `jet` and `elevation` call the C of
-    `slipfree.terrain.kernel`; these expressions are what it is tested against.
+    `slipfree.terrain.kernel`; these expressions are what it is tested against, and what a ground
+    keeps to that was made while 64 others were in use.
 
     One instance must not be evaluated by two threads at once; give each its own unpickled copy.
     """
@@ -192,7 +193,7 @@ class Bicubic:
             along_x = _solve_not_a_knot(values)
             coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
         else:
-            coefficients = np.pad(values, 1, mode="edge")
+            coefficients = np.ascontiguousarray(np.pad(values, 1, mode="edge"))
         coefficients /= 36  # the bases are kept free of their factors 1/6
         exponent = int(np.frexp(np.abs(coefficients).max())[1])
         unit = float(np.ldexp(1.0, exponent - 52))

@@ -6,7 +6,7 @@
  * from (x, y, key) to (h, h_x, h_y, h_xx, h_xy, h_yy); jac_groundN and jac_jac_groundN, its first
  * and second Jacobians in CasADi's layout. CasADi counts its own uses of them (incref, decref); a
  * slot in use is not given away. The key tells grounds apart that have had the same slot: functions
- * of another one, say from another process, fail instead of returning its heights.
+ * of another one, say from another process, give no number instead of its heights.
  */
 #include <math.h>
 #include <stddef.h>
@@ -18,6 +18,7 @@
 #endif
 
 #define SLOTS 64
+#define LAYOUT 1 /* of the numbers below; kernel.py expects it */
 #define ON_KNOT 1e-10 /* a point nearer to a knot than this, in cells, lies on it */
 
 typedef long long int casadi_int;
@@ -90,11 +91,19 @@ static void derivatives(const Ground *g, double x, double y, int total, double d
 
 static double entry(double d[4][4], int m, int n) { return m > 3 || n > 3 ? 0 : d[m][n]; }
 
+/* What is not this ground's gets NaN, not an error: CasADi's SX functions do not look at what a
+ * called function returns, and take what they find in its place. */
+static int refused(const Ground *g, const double **arg, double *res, int count) {
+  if (g->table && arg[0] && arg[0][2] == g->key) return 0;
+  while (count--) res[count] = NAN;
+  return 1;
+}
+
 static int jet(const Ground *g, const double **arg, double **res) {
   double d[4][4];
   int k;
   if (!res[0]) return 0;
-  if (arg[0][2] != g->key) return 1;
+  if (refused(g, arg, res[0], 6)) return 0;
   derivatives(g, arg[0][0], arg[0][1], 2, d);
   for (k = 0; k < 6; k++) res[0][k] = d[IN_X[k]][IN_Y[k]];
   return 0;
@@ -104,7 +113,7 @@ static int jacobian(const Ground *g, const double **arg, double **res) {
   double d[4][4];
   int k;
   if (!res[0]) return 0;
-  if (arg[0][2] != g->key) return 1;
+  if (refused(g, arg, res[0], 18)) return 0;
   derivatives(g, arg[0][0], arg[0][1], 3, d);
   for (k = 0; k < 6; k++) {
     res[0][k] = d[IN_X[k] + 1][IN_Y[k]];
@@ -119,7 +128,7 @@ static int second(const Ground *g, const double **arg, double **res) {
   double d[4][4];
   int k;
   if (!res[0]) return 0;
-  if (arg[0][2] != g->key) return 1;
+  if (refused(g, arg, res[0], 54)) return 0;
   derivatives(g, arg[0][0], arg[0][1], 4, d);
   for (k = 0; k < 54; k++) res[0][k] = 0;
   for (k = 0; k < 6; k++) {
@@ -162,9 +171,13 @@ SLOT(40) SLOT(41) SLOT(42) SLOT(43) SLOT(44) SLOT(45) SLOT(46) SLOT(47) SLOT(48)
 SLOT(50) SLOT(51) SLOT(52) SLOT(53) SLOT(54) SLOT(55) SLOT(56) SLOT(57) SLOT(58) SLOT(59)
 SLOT(60) SLOT(61) SLOT(62) SLOT(63)
 
+API int kernel_layout(void) { return LAYOUT; }
+
 API int kernel_slots(void) { return SLOTS; }
 
 API int kernel_in_use(int slot) { return grounds[slot].uses != 0; }
+
+API void kernel_close(int slot) { grounds[slot].table = NULL; }
 
 /* Numbers: unit, key, x, y, h_x, h_y, first_i, first_j, last_i, last_j. */
 API void kernel_open(int slot, const double *table, casadi_int width, const double *numbers) {

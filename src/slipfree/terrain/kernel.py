@@ -1,7 +1,7 @@
 """The compiled evaluator of bicubic grounds, where a compiler was found when this was installed.
 
-`kernel.c` does what `slipfree.terrain.bicubic` does with CasADi's expressions, some 20 times
-faster. CasADi calls it as an external function, with first and second Jacobians of its own.
+`kernel.c` does what `slipfree.terrain.bicubic` does with CasADi's expressions, six times as
+fast. CasADi calls it as an external function, with first and second Jacobians of its own.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from slipfree.named import Array
 
 KEY_BITS = 52  # whole numbers that a double holds
+LAYOUT = 1  # of what `kernel.c` is given; an older library is left alone
 
 
 class Layout(NamedTuple):
@@ -98,6 +99,7 @@ def opened(table: Array, layout: Layout) -> Opened | None:
     with _LOCK:
         free = [slot for slot in range(compiled.kernel_slots()) if not compiled.kernel_in_use(slot)]
         for slot in free:
+            compiled.kernel_close(slot)
             _TABLES.pop(slot, None)
         if not free:
             return None
@@ -115,10 +117,15 @@ _TABLES: dict[int, Array] = {}  # what the slots point to
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """Return the compiled evaluator, None where none was built."""
-    files = [Path(__file__).with_name(f"_kernel{suffix}") for suffix in EXTENSION_SUFFIXES]
-    found = [file for file in files if file.is_file()]
-    return ctypes.CDLL(str(found[0])) if found else None
+    """Return the compiled evaluator, None where none was built that can be used here."""
+    for file in (Path(__file__).with_name(f"_kernel{suffix}") for suffix in EXTENSION_SUFFIXES):
+        try:
+            found = ctypes.CDLL(str(file))
+            if found.kernel_layout() == LAYOUT:
+                return found
+        except (OSError, AttributeError):  # none, one of another system, or an older one
+            continue
+    return None
 
 
 def _address(array: Array) -> ctypes.c_void_p:
