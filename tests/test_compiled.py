@@ -5,15 +5,19 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
+from warnings import catch_warnings
 
 import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from typer.testing import CliRunner
 
 from slipfree import (
     Bicubic,
     Grid,
+    ModelError,
     calls,
     compiled,
     direct_kinematics,
@@ -22,6 +26,7 @@ from slipfree import (
     straight,
     three_wheeler,
 )
+from slipfree.cli import app
 from slipfree.named import leaves
 from slipfree.plan.assemble import assembled
 from slipfree.plan.element import element
@@ -83,7 +88,7 @@ def library(factor=1.0):
 
 def kept(factor=1.0):
     """Return what is in the cache, without compiling."""
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, catch_warnings(action="ignore"):
         patch.setattr(compiled, "compiler", lambda: None)
         return library(factor)
 
@@ -231,25 +236,121 @@ def test_only_the_newest_are_kept(folder, monkeypatch):
     assert [kept(float(k)) is None for k in range(3)] == [True, False, False]
 
 
-@pytest.mark.parametrize("what", ["no compiler", "one that fails", "no folder", "no place"])
-def test_without_a_compiler_or_a_place_there_is_nothing_compiled(what, folder, monkeypatch):
+@pytest.mark.parametrize(("what", "words"), [
+    ("no compiler", "no C compiler was found"), ("one that fails", "false did not do its work"),
+    ("no folder", "SLIPFREE_CACHE is empty"), ("no place", "File exists"),
+    ("open to others", "others cannot write to"),
+])  # fmt: skip
+def test_where_nothing_can_be_compiled_a_warning_says_why(what, words, folder, monkeypatch):
     if what == "no compiler":
         monkeypatch.setattr(shutil, "which", lambda _: None)
     elif what == "one that fails":
         monkeypatch.setenv("CC", "false")
     elif what == "no folder":
         monkeypatch.setenv(compiled.FOLDER, "")
-    else:
+    elif what == "no place":
         (folder / "file").touch()
         monkeypatch.setenv(compiled.FOLDER, str(folder / "file"))
-    assert library() is None
+    else:
+        folder.chmod(0o777)
+    with pytest.warns(UserWarning, match=f"interpreted, not compiled: .*{words}"):
+        assert library() is None
+
+
+@needs_compiler
+@pytest.mark.parametrize("how", ["writable", "link"])
+def test_what_others_may_have_written_is_not_loaded(how, folder, tmp_path_factory):
+    library()
+    (file,) = folder.iterdir()
+    if how == "writable":
+        file.chmod(0o777)
+    else:
+        elsewhere = tmp_path_factory.mktemp("elsewhere") / "other.so"
+        shutil.copy(file, elsewhere)
+        file.unlink()
+        file.symlink_to(elsewhere)
+    assert kept() is None
+    assert not list(folder.iterdir())
+
+
+@needs_compiler
+def test_what_a_killed_compiler_left_is_removed_some_day(folder):
+    left, at_work = folder / f"{compiled.SCRATCH}1", folder / f"{compiled.SCRATCH}2"
+    for place in (left, at_work):
+        place.mkdir()
+    os.utime(left, (0, 0))
+    library()
+    assert not left.exists()
+    assert at_work.exists()
+
+
+@needs_compiler
+def test_another_process_that_tidies_up_does_no_harm(folder, monkeypatch):
+    library(2.0)
+    (file,) = folder.iterdir()
+    of_file = Path.stat
+
+    def vanishing(path, **options):
+        if path == file:
+            raise FileNotFoundError(path)
+        return of_file(path, **options)
+
+    monkeypatch.setattr(Path, "stat", vanishing)
+    assert library() is not None
+
+
+@needs_compiler
+def test_calls_that_take_numbers_elsewhere_are_other_functions(monkeypatch):
+    """Of ``f(v, 3)`` and ``f(3, v)`` the sums are the same, and the derivatives are not."""
+    monkeypatch.setattr(calls, "LARGE", 0)
+    a, b = ca.MX.sym("a"), ca.MX.sym("b")
+    power = ca.Function("power", [a, b], [a**2 * b], {"never_inline": True})
+    v, none, at = ca.SX.sym("v"), ca.SX.sym("none", 0), np.zeros((1, 1), dtype=int)
+    for given, slope in (((v, 3.0), 12.0), ((3.0, v), 9.0)):
+        one = element((v, none, none), ca.SX(0), power(*given), at, at, np.zeros((1, 0)),
+                      compile=True)  # fmt: skip
+        assert not one.parts.rows.is_a("SXFunction")
+        assert float(assembled([one], np.ones(1), 0).jacobian(2.0, [])[1]) == slope
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize(("verb", "settings"), [
+    ("direct", ["time.duration=0.5"]), ("inverse", ["time.duration=0.4"]),
+    ("climb", ["time.duration=0.01"]),
+])  # fmt: skip
+def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(
+    verb, settings, tmp_path, monkeypatch
+):
+    monkeypatch.setenv(compiled.FOLDER, "")
+    monkeypatch.chdir(tmp_path)
+    words = [word for setting in ("solver.compiled=true", "solver.tolerance=1e-4", *settings)
+             for word in ("--set", setting)]  # fmt: skip
+    assert CliRunner().invoke(app, ["new", verb, "p"]).exit_code == 0
+    result = CliRunner().invoke(app, ["run", "p.toml", "--no-draw", *words])
+    assert result.exit_code in (0, 1), result.output
+    words = "warning: equations are interpreted, not compiled: SLIPFREE_CACHE is empty"
+    assert result.stderr.count(words) == 1
 
 
 def test_a_program_without_a_compiler_is_interpreted(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda _: None)
-    assert not program(1, build=True).compiled
+    with pytest.warns(UserWarning, match="no C compiler was found"):
+        assert not program(1, build=True).compiled
+
+
+def test_a_function_whose_slopes_take_its_results_is_refused():
+    p, root = ca.SX.sym("p"), ca.SX.sym("root")
+    slope = ca.Function("jac_root", [p, root], [1 / (2 * root)])
+    options = {"custom_jacobian": slope, "never_inline": True}
+    function = ca.Function("root", [p], [ca.sqrt(p)], options)
+    (call,) = calls.lifted([p], [function.call([p], False, True)[0]]).calls
+    assert len(call.orders(1)) == 2
+    with pytest.raises(ModelError, match="found root, whose Jacobian takes its results"):
+        call.orders(2)
 
 
 def test_the_cache_is_in_the_folder_of_the_user(monkeypatch):
     monkeypatch.delenv(compiled.FOLDER)
     assert compiled.folder().parent.name == "slipfree"
+    monkeypatch.setenv(compiled.FOLDER, "~/elsewhere")  # as it may come from no shell
+    assert compiled.folder() == Path.home() / "elsewhere"

@@ -20,6 +20,7 @@ from slipfree import (
 )
 from slipfree.dae import Labels, Limit
 from slipfree.named import Label, symbols
+from slipfree.solve import simulate as module
 
 
 class State(NamedTuple):
@@ -263,3 +264,27 @@ def test_an_unknown_quantity_is_refused():
     with pytest.raises(ModelError, match="'contact_x' has no wheel 'rear'; its wheels: right"):
         run["contact_x", "rear"]
     assert "heading" in set(run)
+
+
+def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkeypatch):
+    """As where IDAS's own search fails, though the unknowns are off by the tolerance only."""
+    dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), Analytic(hills))
+    start, t = settle(dae), np.linspace(0, 1, 6)
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
+    plain = simulate(dae, start, inputs, t, tolerance=1e-6)
+    attempted, first = module._attempted, []
+
+    def rejecting(task, at, t, u, given):
+        if not given:
+            first.append(at.z)
+            raise SolverError(f"{module.NO_START} (IDA_LINESEARCH_FAIL)")
+        return attempted(task, at, t, u, given)
+
+    monkeypatch.setattr(module, "_attempted", rejecting)
+    shifted = module._state(module.close(dae, inputs, 5), start, 0.0)
+    shifted = shifted._replace(z=shifted.z + 1e-3)
+    monkeypatch.setattr(module, "_state", lambda *_: shifted)
+    run = simulate(dae, start, inputs, t, tolerance=1e-6)
+    assert first
+    for name in ("x", "y", "heading"):
+        assert_allclose(run[name], plain[name], atol=1e-5)

@@ -1,7 +1,8 @@
 """Functions compiled with the system's C compiler, and kept for the next time.
 
-What is compiled stays in a folder of the user, under a name made of the text it came from. Without
-a compiler, or without a place to write to, there is nothing compiled, and callers do without.
+What is compiled stays in a folder of the user, under a name made of the text it came from. Code is
+loaded from there, so it must be a folder that nobody else can write to. Without a compiler, or
+without such a place, there is nothing compiled: callers do without, and a warning says why.
 """
 
 from __future__ import annotations
@@ -11,8 +12,11 @@ import os
 import platform
 import shlex
 import shutil
+import stat
 import subprocess
 import tempfile
+import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +30,7 @@ FOLDER = "SLIPFREE_CACHE"  # variable of the environment: another folder; empty 
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
 PATIENCE = 300.0  # with the compiler [s]
 KEPT = 64  # libraries; about a megabyte each
+SCRATCH = "making-"  # how folders begin in which a compiler works
 DIGEST = 32  # digits in a name
 
 
@@ -46,16 +51,28 @@ def library(
     Returns
     -------
     tuple of casadi Function, or None
-        None if they are not there, and there is no compiler or it does not do its work.
+        None if they are not there and cannot be compiled; a warning says why.
     """
     place, key = folder(), _key(text)
-    if place is None:
-        return None
-    found = _kept(place, key, names)
-    command = compiler() if found is None else None
-    if command is not None and _compile(place, key, make(), command):
-        found = _kept(place, key, names)
-    return found
+    try:
+        if place is None:
+            raise _NothingError(f"{FOLDER} is empty")
+        _prepare(place)
+        if found := _kept(place, key, names):
+            return found
+        if (command := compiler()) is None:
+            raise _NothingError("no C compiler was found: cc, gcc, clang, or what CC names")
+        _compile(place, key, make(), command)
+        if found := _kept(place, key, names):
+            return found
+        raise _NothingError(f"what {shlex.join(command)} made cannot be loaded")
+    except _NothingError as error:
+        warnings.warn(f"equations are interpreted, not compiled: {error}", stacklevel=1)
+    return None
+
+
+class _NothingError(Exception):
+    """Nothing can be compiled here."""
 
 
 def source(functions: Sequence[ca.Function]) -> str:
@@ -76,7 +93,26 @@ def folder() -> Path | None:
     given = os.environ.get(FOLDER)
     if given is None:
         return platformdirs.user_cache_path("slipfree") / "compiled"
-    return Path(given) if given else None
+    return Path(given).expanduser() if given else None
+
+
+def _prepare(place: Path) -> None:
+    """Make the folder if it is not there, and refuse one that others may have written to."""
+    try:
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _own(place.stat()):
+            raise _NothingError(
+                f"{place}: expected a folder of this user that others cannot write to"
+            )
+    except OSError as error:
+        raise _NothingError(f"{place}: {error.strerror}") from error
+
+
+def _own(about: os.stat_result) -> bool:
+    """Return whether nobody else can have written to a file or folder."""
+    if os.name != "posix":
+        return True
+    return about.st_uid == os.geteuid() and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def compiler() -> list[str] | None:
@@ -95,7 +131,8 @@ def _kept(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...
     """Return functions of the cache; what is not as it was written there is removed."""
     for file in sorted(place.glob(f"{key}.*.so")):
         try:
-            if file.suffixes[-2] == f".{digest(file.read_bytes())}":
+            same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
+            if same and _own(file.lstat()) and not file.is_symlink():
                 return tuple(ca.external(name, str(file)) for name in names)
         except (OSError, RuntimeError):  # it vanished, or cannot be loaded here
             pass
@@ -111,26 +148,37 @@ def digest(content: bytes) -> str:
 
 def _compile(
     place: Path, key: str, functions: Sequence[ca.Function], command: Sequence[str]
-) -> bool:
-    """Put a library into the cache under its key and a digest of itself; return whether it is."""
+) -> None:
+    """Put a library into the cache under its key and a digest of itself."""
     try:
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=place) as scratch:
+        with tempfile.TemporaryDirectory(dir=place, prefix=SCRATCH) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
-            text.write_text(source(functions))
+            text.write_text(source(functions), encoding="utf-8")
             subprocess.run(
                 [*command, *FLAGS, "-o", str(file), str(text), "-lm"],
                 check=True, capture_output=True, timeout=PATIENCE,
             )  # fmt: skip
+            file.chmod(0o700)
             file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
-        _tidy(place)
-    except (OSError, subprocess.SubprocessError):
-        return False
-    return True
+    except OSError as error:
+        raise _NothingError(f"{place}: {error.strerror}") from error
+    except subprocess.SubprocessError as error:
+        raise _NothingError(f"{shlex.join(command)} did not do its work") from error
+    _tidy(place)
 
 
 def _tidy(place: Path) -> None:
-    """Remove the oldest libraries of those that are too many."""
-    files = sorted(place.glob("*.so"), key=lambda file: -file.stat().st_mtime)
-    for file in files[KEPT:]:
-        file.unlink(missing_ok=True)
+    """Remove the oldest libraries of those that are too many, and what killed compilers left."""
+    ages = dict[Path, float]()
+    for file in place.iterdir():
+        with suppress(OSError):  # another process may tidy as well
+            ages[file] = file.stat().st_mtime
+    libraries = sorted(
+        (file for file in ages if file.suffix == ".so"), key=lambda file: -ages[file]
+    )
+    for file in libraries[KEPT:]:
+        with suppress(OSError):
+            file.unlink()
+    for file in ages:
+        if file.name.startswith(SCRATCH) and ages[file] < time.time() - 2 * PATIENCE:
+            shutil.rmtree(file, ignore_errors=True)

@@ -13,8 +13,9 @@ import json as to_json
 import math
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass, field
 from functools import wraps
 from typing import Annotated, Any, NamedTuple, TextIO, get_type_hints
@@ -113,11 +114,10 @@ def _speaking(name: str, voice: Voice) -> Iterator[None]:
     answer = _Answer(voice)
     _speakers.append(answer)
     code = STOPPED
+    hidden = redirect_stdout(io.StringIO()) if voice.quiet or voice.json else nullcontext()
     try:
-        if voice.quiet or voice.json:
-            with redirect_stdout(io.StringIO()):
-                yield
-        else:
+        with hidden, warnings.catch_warnings():
+            warnings.showwarning = _warn_once
             yield
         code = DONE
     except typer.Exit as end:
@@ -166,6 +166,12 @@ def warn(words: str) -> None:
     put_lines("warnings", words)
     if not _said().voice.quiet:
         typer.echo(f"warning: {words}", err=True)
+
+
+def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning of the library, if it is a new one."""
+    if str(message) not in _said().content.get("warnings", ()):
+        warn(str(message))
 
 
 def complain(words: str) -> None:

@@ -8,10 +8,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import SolverError
+from slipfree.interrupt import heeded
 from slipfree.nlp import Nlp
 from slipfree.plan.solver import ITERATIONS, TOLERANCE, Solution
 
 
+@heeded
 def solve_nlp(nlp: Nlp, iterations: int = ITERATIONS) -> Solution:
     """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.interrupt import Heed
 from slipfree.named import Array
 from slipfree.plan.transcribe import Program, completed
 
@@ -80,15 +81,11 @@ class Solution(NamedTuple):
 
 
 class _Watch(ca.Callback):
-    """Sees every iterate, keeps the one that violates least, and stops IPOPT when asked to.
+    """Sees every iterate, keeps the one that violates least, and stops IPOPT when asked to."""
 
-    What is raised in it is kept.
-    """
-
-    def __init__(self, program: Program, look: Look) -> None:
+    def __init__(self, program: Program, look: Look, heed: Heed) -> None:
         ca.Callback.__init__(self)
-        self.program, self.look, self.count = program, look, 0
-        self.raised: BaseException | None = None
+        self.program, self.look, self.heed, self.count = program, look, heed, 0
         self.best: tuple[Iterate, Array] | None = None
         self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
         self.construct("watch", {})
@@ -117,6 +114,12 @@ class _Watch(ca.Callback):
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Look at an iterate; a one stops the solver."""
+        try:
+            return [0.0 if self.heed.call(self._look, arguments) else 1.0]
+        except BaseException:  # kept
+            return [1.0]
+
+    def _look(self, arguments: Sequence[ca.DM]) -> bool:
         values = dict(zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments,
                           strict=True))  # fmt: skip
         rows = np.array(values["g"]).ravel()
@@ -126,11 +129,7 @@ class _Watch(ca.Callback):
         if self.best is None or over < self.best[0].violation:
             self.best = iterate, rows
         self.count += 1
-        try:
-            return [0.0 if self.look(iterate) else 1.0]
-        except BaseException as error:
-            self.raised = error
-            return [1.0]
+        return self.look(iterate)
 
 
 def violation(program: Program, rows: Array) -> float:
@@ -161,18 +160,16 @@ def solve(
     look : callable, optional
         Called with every iterate; the iteration ends where it returns False.
     """
-    watch = _Watch(program, look or (lambda _: True))
-    ipopt = ({} if warm is None else WARM) | {"max_iter": iterations}
-    solver = _ready(program, ipopt, {"iteration_callback": watch})
     given = {"x0": completed(program, first) / program.scale, "p": weights,
              "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
              "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
     if warm is not None:
         given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
-    found = solver(**given)
-    if watch.raised is not None:
-        raise watch.raised
-    solution = _solution(program, found, solver.stats())
+    ipopt = ({} if warm is None else WARM) | {"max_iter": iterations}
+    with Heed() as heed:
+        watch = _Watch(program, look or (lambda _: True), heed)
+        solver = _ready(program, ipopt, {"iteration_callback": watch})
+        solution = _solution(program, solver(**given), solver.stats())
     if solution.success or solution.status == INFEASIBLE or watch.best is None:
         return solution
     best, rows = watch.best

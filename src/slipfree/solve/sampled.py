@@ -11,6 +11,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
+from slipfree.interrupt import Heed
 from slipfree.named import Array, leaves, unpack
 from slipfree.solve.loop import Loop, close
 from slipfree.solve.sample import Samples, table
@@ -66,7 +67,8 @@ def simulate_sampled(
         )
     loop, law = _opened(dae, inputs, t.size - 1)
     clock = time.process_time()
-    samples, cost, failure = _marched(loop, law, start, t, tolerance)
+    with Heed() as heed:
+        samples, cost, failure = _marched(loop, law, start, t, tolerance, heed)
     run = table(loop, samples, {})
     fault = first_violation(loop, run, samples)
     if fault is not None:
@@ -106,7 +108,7 @@ def _opened(
 
 
 def _marched(
-    loop: Loop, law: ca.Function, start: Trajectory, t: Array, tolerance: float
+    loop: Loop, law: ca.Function, start: Trajectory, t: Array, tolerance: float, heed: Heed
 ) -> tuple[Samples, dict[str, float], str]:
     """Return the samples up to the first beyond a limit, what they cost, and why they end."""
     dae, n = loop.dae, t.size
@@ -125,6 +127,7 @@ def _marched(
         except RuntimeError as error:
             failure = reason(str(error))
             break
+        heed.check()
         x[:, k + 1] = np.array(found["xf"]).ravel()
         q[:, k + 1] = q[:, k] + np.array(found["qf"]).ravel()
         statistics = integrator.stats()

@@ -15,6 +15,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
+from slipfree.interrupt import Heed
 from slipfree.named import Array
 from slipfree.solve.consistent import consistent
 from slipfree.solve.ending import ending
@@ -84,13 +85,21 @@ def simulate(
     SolverError
         If the integrator fails; ``trajectory`` holds what was reached.
     """
+    with Heed() as heed:
+        return _simulated(dae, start, inputs, t, tolerance, method, progress, heed)
+
+
+def _simulated(
+    dae: Dae[Any, Any, Any, Any, Any], start: Trajectory, inputs: Any, t: Array, tolerance: float,
+    method: Method | None, progress: Progress | None, heed: Heed,
+) -> Trajectory:  # fmt: skip
     t = usable_times(t)
     if not FINEST <= tolerance < 1:
         raise ModelError(
             f"tolerance: expected a number from {FINEST:g} to below 1, found {tolerance}"
         )
     loop = close(dae, inputs, t.size - 1)
-    task = _Task(loop, tolerance, _method(loop, method), progress, guarded=True)
+    task = _Task(loop, tolerance, _method(loop, method), progress, heed, guarded=True)
     first = _state(loop, start, t[0])
     clock = time.process_time()
     march = _integrate(task, first, t, loop.u)
@@ -181,6 +190,7 @@ class _Task(NamedTuple):
     tolerance: float
     method: Method
     progress: Progress | None
+    heed: Heed
     guarded: bool
 
 
@@ -283,24 +293,49 @@ def _looked_at(
 def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[str, float]]:
     """Integrate over all of ``t`` in one call, or raise.
 
-    Where IDAS's own search finds no start that is more consistent than the one given, which is so
-    to rounding, that one is taken as it is; not behind jumps of the inputs, which change it.
+    IDAS's own search may find no consistent start because the one given is consistent to rounding.
+    Then that one is made so and taken; not behind jumps of the inputs, which change it.
     """
     try:
         return _attempted(task, at, t, u, {})
     except SolverError as error:
         if NO_START not in str(error) or (np.diff(u, axis=1) != 0).any():
             raise
-    loop = task.loop
-    rates = loop.core(t[0], at.x, at.z[: loop.moving], u[:, 0])[0]
+        loop, begin, x = task.loop, float(t[0]), at.x[:, 0]
+        try:
+            z = consistent(loop, begin, x, at.z[:, 0], u[:, 0], eased=False)
+        except ModelError:
+            raise error from None
+    rates = loop.core(begin, x, z[: loop.moving], u[:, 0])[0]
     kept = {"calc_ic": False, "init_xdot": np.array(rates).ravel().tolist()}
-    return _attempted(task, at, t, u, kept)
+    return _attempted(task, at._replace(z=z[:, None]), t, u, kept)
 
 
 def _attempted(
     task: _Task, at: Samples, t: Array, u: Array, given: dict[str, Any]
 ) -> tuple[Samples, dict[str, float]]:
     """Integrate with options for the start."""
+    loop = task.loop
+    integrator = _integrator(task, t, given)
+    try:
+        # one column for each output time, that of the interval which it ends
+        with hushed():
+            found = integrator(x0=at.x, z0=at.z[: loop.moving], u=np.column_stack([u[:, :1], u]))
+    except RuntimeError as error:
+        task.heed.check()
+        raise SolverError(reason(str(error))) from error
+    task.heed.check()
+    x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
+    z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
+    x[:, :1], z[:, :1] = at.x, at.z
+    statistics = integrator.stats()
+    cost = {name: float(statistics[key]) for name, key in COUNTS.items()}
+    inputs = np.column_stack([u, u[:, -1:]])
+    return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), cost
+
+
+def _integrator(task: _Task, t: Array, given: dict[str, Any]) -> ca.Function:
+    """Return the integrator over all of ``t``."""
     loop, dae, spy = task.loop, task.loop.dae, _Spy(task)
     sizes = [dae.ode.numel(), loop.moving, loop.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", sizes, strict=True))]
@@ -318,22 +353,7 @@ def _attempted(
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
     else:
         options["quad_err_con"] = True
-    integrator = ca.integrator("motion", task.method, system, float(t[0]), t, options)
-    try:
-        # one column for each output time, that of the interval which it ends
-        with hushed():
-            found = integrator(x0=at.x, z0=at.z[: loop.moving], u=np.column_stack([u[:, :1], u]))
-    except RuntimeError as error:
-        if spy.raised is not None:
-            raise spy.raised from None
-        raise SolverError(reason(str(error))) from error
-    x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
-    z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
-    x[:, :1], z[:, :1] = at.x, at.z
-    statistics = integrator.stats()
-    cost = {name: float(statistics[key]) for name, key in COUNTS.items()}
-    inputs = np.column_stack([u, u[:, -1:]])
-    return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), cost
+    return ca.integrator("motion", task.method, system, float(t[0]), t, options)
 
 
 @contextmanager
@@ -378,11 +398,9 @@ class _Spy(ca.Callback):
     every error test, so that looking on does not change the motion.
     """
 
-    raised: BaseException | None
-
     def __init__(self, task: _Task) -> None:
         ca.Callback.__init__(self)
-        self.task, self.raised = task, None
+        self.task = task
         self.construct("spy", {})
 
     def get_sparsity_in(self, _index: int) -> ca.Sparsity:
@@ -394,18 +412,16 @@ class _Spy(ca.Callback):
         return True
 
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
-        """Look at a step; what is raised here is kept, since it gets lost on its way."""
-        t, margin = _doubles(arguments[0])
-        try:
-            if self.task.progress is not None:
-                self.task.progress(t)
-            if self.task.guarded and not margin >= -BEYOND:
-                raise _BeyondError(t)
-        except BaseException as error:
-            self.raised = error
-            raise
+        """Look at a step."""
+        self.task.heed.call(self._look, *_doubles(arguments[0]))
         _doubles(results[0])[0] = 0.0
         return 0
+
+    def _look(self, t: float, margin: float) -> None:
+        if self.task.progress is not None:
+            self.task.progress(t)
+        if self.task.guarded and not margin >= -BEYOND:
+            raise _BeyondError(t)
 
 
 def _doubles(memory: memoryview) -> memoryview[float]:
