@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from pathlib import Path
 
 import casadi as ca
@@ -12,6 +13,8 @@ from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, three_w
 
 DATA = Path(__file__).parent / "data"
 PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
+# What was compiled of a model serves every motion of it.
+closure_model = lru_cache(maxsize=8)(direct_kinematics)
 
 
 def hills(x, y):
@@ -34,6 +37,6 @@ def case1():
 
 def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
     """Drive a vehicle, the paper's by default, at constant rates, the paper's by default."""
-    dae = direct_kinematics(vehicle or three_wheeler(), terrain)
+    dae = closure_model(vehicle or three_wheeler(), terrain)
     inputs = dae.inputs(**(rates or PAPER_RATES))
     return simulate(dae, settle(dae, **start), inputs, t, tolerance=tolerance)

@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cases import PAPER_RATES, case1, drive, hills
+from cases import PAPER_RATES, case1, closure_model, drive, hills
 from slipfree import (
     Analytic,
     Bicubic,
     Grid,
-    direct_kinematics,
     settle,
     simulate,
     three_wheeler,
@@ -87,8 +86,8 @@ def test_rolls_without_slip(reference):
 
 def test_rolling_equals_least_slip_where_the_vehicle_can_roll():
     vehicle, ground = three_wheeler(), Analytic(hills)
-    least = direct_kinematics(vehicle, ground)
-    rolling = direct_kinematics(vehicle, ground, slip="rolling")
+    least = closure_model(vehicle, ground)
+    rolling = closure_model(vehicle, ground, slip="rolling")
     runs = [
         simulate(dae, settle(dae, heading=0.3), dae.inputs(**PAPER_RATES), T, tolerance=TOLERANCE)
         for dae in (least, rolling)
@@ -169,7 +168,7 @@ def test_sphere_and_disc_wheels_roll_too():
 
 
 def test_reported_frame_is_x_forward():
-    dae = direct_kinematics(three_wheeler(), Analytic(lambda x, y: 0.3 * x + 0.1 * y))
+    dae = closure_model(three_wheeler(), Analytic(lambda x, y: 0.3 * x + 0.1 * y))
     run = settle(dae, heading=0.4)
     x, y, z, w = (run[f"quaternion_{axis}"][0] for axis in "xyzw")
     forward = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
@@ -182,9 +181,9 @@ def test_reported_frame_is_x_forward():
 def test_contact_coordinates_lead_back_to_the_contact_point():
     """The torus at (u, v), carried by the wheel, is the contact point; psi turns the frames."""
     r1, r2 = 0.05, 0.25
-    dae = direct_kinematics(three_wheeler(), Analytic(hills))
+    dae = closure_model(three_wheeler(), Analytic(hills))
     run = settle(dae, x=0.4, y=1.0, heading=0.6, tilt_right=0.2, tilt_left=-0.1, steer=0.3)
-    level = settle(direct_kinematics(three_wheeler(), Analytic(lambda x, _: 0 * x)))
+    level = settle(closure_model(three_wheeler(), Analytic(lambda x, _: 0 * x)))
     assert_allclose(level["wheel_v"], 1.5 * np.pi, atol=1e-12)
     assert_allclose(level["wheel_u"], np.pi / 2, atol=1e-12)
     assert_allclose(np.cos(level["psi"]), -1, atol=1e-12)
@@ -196,10 +195,10 @@ def test_contact_coordinates_lead_back_to_the_contact_point():
 
 
 def test_signs_of_pitch_and_roll():
-    dae = direct_kinematics(three_wheeler(), Analytic(lambda _, y: 0.2 * y))
+    dae = closure_model(three_wheeler(), Analytic(lambda _, y: 0.2 * y))
     assert settle(dae)["pitch"][0] == pytest.approx(np.arctan(0.2))
     assert settle(dae, heading=np.pi / 2)["roll"][0] == pytest.approx(np.arctan(-0.2))
-    east_is_low = direct_kinematics(three_wheeler(), Analytic(lambda x, _: -0.2 * x))
+    east_is_low = closure_model(three_wheeler(), Analytic(lambda x, _: -0.2 * x))
     assert settle(east_is_low)["roll"][0] == pytest.approx(np.arctan(0.2))
 
 

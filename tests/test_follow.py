@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cases import hills
+from cases import closure_model, hills
 from slipfree import (
     Analytic,
     Bicubic,
     ModelError,
     Path,
-    direct_kinematics,
     follow,
     settle,
     simulate,
@@ -80,7 +79,7 @@ def test_path_is_checked(points, words):
 
 def test_straight_keeps_its_line_and_its_wheels_up():
     vehicle = three_wheeler()
-    dae = direct_kinematics(vehicle, Analytic(hills))
+    dae = closure_model(vehicle, Analytic(hills))
     start = settle(dae, x=1.0, y=-2.0, heading=0.3)
     for speed in (0.5, -0.5):
         law = straight(dae, vehicle, start, speed=speed)
@@ -95,7 +94,7 @@ def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
     ground = blank((-10.0, 110.0), (-30.0, 30.0), 0.25)
     ground = power_law(ground, rms=0.15, hurst=0.9, longest=20.0, shortest=6.0, seed=4)
     vehicle, path = three_wheeler(), Path(WAY)
-    dae = direct_kinematics(vehicle, Bicubic(ground))
+    dae = closure_model(vehicle, Bicubic(ground))
     start, t = settle(dae, heading=heading_at_start(path)), np.linspace(0, path.length / 0.5, 401)
     run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
     assert run.stop is None
@@ -108,7 +107,7 @@ def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
 
 def test_an_error_at_the_start_decays():
     vehicle, path = three_wheeler(), Path(np.array([(0.0, 0.0), (0.0, 40.0)]))
-    dae = direct_kinematics(vehicle, FLAT)
+    dae = closure_model(vehicle, FLAT)
     start = settle(dae, x=0.5, heading=-0.3)
     run = simulate(dae, start, follow(dae, vehicle, path, speed=0.4), np.linspace(0, 60, 61))
     assert np.abs(run["x"][-1]) < 1e-3
@@ -118,7 +117,7 @@ def test_an_error_at_the_start_decays():
 
 def test_map_coordinates_far_from_the_origin_make_no_difference():
     vehicle, grid = three_wheeler(), blank((4e5, 4e5 + 40), (5e6, 5e6 + 40), 1.0)
-    dae = direct_kinematics(vehicle, Bicubic(grid))
+    dae = closure_model(vehicle, Bicubic(grid))
     path = Path(np.array([(4e5 + 10, 5e6 + 10), (4e5 + 20, 5e6 + 20), (4e5 + 20, 5e6 + 30)]))
     start = settle(dae, x=4e5 + 10, y=5e6 + 10, heading=heading_at_start(path))
     run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), np.linspace(0, 40, 81))
@@ -141,7 +140,7 @@ def skid_steered():
 
 def test_differential_drive_follows_too():
     vehicle, path = skid_steered(), Path(WAY[:2])
-    dae = direct_kinematics(vehicle, FLAT)
+    dae = closure_model(vehicle, FLAT)
     plan = laws._plan(vehicle, {})
     assert plan.ahead == pytest.approx(-0.2)  # the ball is a fixed wheel: the axis lies between
     start = settle(dae, heading=heading_at_start(path, plan.ahead))
@@ -157,7 +156,7 @@ def test_all_wheels_steered_turn_about_the_centre():
         tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
         tuple(Wheel(k, k, (0.0, 0.0, 0.0), 0.03, 0.12, driven=True) for k in places),
     )
-    dae, path = direct_kinematics(vehicle, FLAT), Path(WAY[:3])
+    dae, path = closure_model(vehicle, FLAT), Path(WAY[:3])
     start = settle(dae, heading=heading_at_start(path, 0.0))
     run = simulate(dae, start, follow(dae, vehicle, path, speed=0.3), np.linspace(0, 60, 61))
     assert cross_track(run, path).max() < 0.05
@@ -166,7 +165,7 @@ def test_all_wheels_steered_turn_about_the_centre():
 
 def test_laws_name_what_they_need():
     vehicle = three_wheeler()
-    dae = direct_kinematics(vehicle, FLAT)
+    dae = closure_model(vehicle, FLAT)
     for speed in (0.0, np.inf):
         with pytest.raises(ModelError, match="speed must be finite and not zero"):
             straight(dae, vehicle, settle(dae), speed=speed)
@@ -175,13 +174,13 @@ def test_laws_name_what_they_need():
         tuple(Wheel(n, "platform", (x, y, 0.0), 0.05, 0.15, driven=False)
               for n, x, y in (("a", 0.5, 0.0), ("b", -0.5, 0.0), ("c", 0.0, 0.5))),
     )  # fmt: skip
-    dae = direct_kinematics(trailer, FLAT)
+    dae = closure_model(trailer, FLAT)
     with pytest.raises(ModelError, match="trailer has no steered wheel, nor driven wheels on both"):
         follow(dae, trailer, Path(WAY), speed=1.0)
 
 
 def test_a_law_is_an_expression_of_the_models_symbols():
     vehicle = three_wheeler()
-    dae = direct_kinematics(vehicle, FLAT)
+    dae = closure_model(vehicle, FLAT)
     law = follow(dae, vehicle, Path(WAY), speed=1.0)
     assert all(isinstance(each, ca.SX) for each in (*law.wheels, *law.joints))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cases import hills
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Analytic,
+    ModelError,
+    SolverError,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.plan.horizon import advance, begin, driven, horizon
 from slipfree.plan.plan import plan
 
@@ -110,6 +119,49 @@ def test_inputs_keep_to_their_bounds(found):
     assert np.abs(rates).max() <= 2.0 + 1e-6
 
 
-def test_a_window_longer_than_the_plan_is_refused(found):
-    with pytest.raises(ModelError, match="at most the duration of the plan, 8 s, found 9"):
-        horizon(found, span=9.0)
+@pytest.mark.parametrize("period", [0.3, 0.7])
+def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, period):
+    """The last part is as long as what is left."""
+    window, here, t = horizon(found, span=4.0, intervals=6), settle(found.program.task.dae), 0.0
+    cycle = begin(window)
+    while t < DURATION:
+        cycle = advance(window, cycle, t, found.program.task.dae.rows("x", here, -1))
+        inputs, times = driven(window, cycle, t, t + period)
+        here = simulate(found.program.task.dae, here, inputs, times)
+        t += period
+    assert_allclose(times[-1], DURATION - cycle.t, atol=1e-9)
+    assert away(here) < 1e-3
+    with pytest.raises(ModelError, match=r"expected times from .* to 8 s"):
+        driven(window, cycle, 8.5, 9.0)
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ({"span": 9.0}, "at most the duration of the plan, 8 s, found 9"),
+    ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
+    ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
+])  # fmt: skip
+def test_what_is_no_window_is_refused(found, given, words):
+    with pytest.raises(ModelError, match=words):
+        horizon(found, **given)
+
+
+def test_what_depends_on_time_is_refused(found):
+    """A window counts time from its own beginning."""
+    task = found.program.task
+    cost = task.costs[0]._replace(expression=task.costs[0].expression * task.dae.t)
+    late = replace(found.program, task=replace(task, costs=(cost,)))
+    with pytest.raises(ModelError, match="that do not depend on time"):
+        horizon(replace(found, program=late), span=4.0)
+
+
+def test_states_that_are_none_and_steps_that_fail_are_told(found):
+    window = horizon(found, span=4.0, intervals=6)
+    first, start = begin(window), found.program.task.start
+    for state in (start[:-1], start * np.nan, start[0]):
+        with pytest.raises(ModelError, match="expected a time and 4 states, all finite"):
+            advance(window, first, 0.0, state)
+    with pytest.raises(ModelError, match="found t = nan"):
+        advance(window, first, np.nan, start)
+    with pytest.raises(SolverError, match="the former cycle may be driven on"):
+        advance(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
+    assert advance(window, first, 0.0, start).violation < 1e-6

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cases import case1, hills
+from cases import case1, closure_model, hills
 from slipfree import (
     Analytic,
     ModelError,
     SolverError,
     Vehicle,
-    direct_kinematics,
     settle,
     simulate,
     straight,
@@ -57,7 +56,7 @@ MIRRORED = Analytic(lambda x, y: -low(x, y))
 
 def direct_run(terrain, t, *, tolerance=1e-10, **start):
     """Drive with smoothly changing rates of all three inputs."""
-    dae = direct_kinematics(three_wheeler(), terrain, slip="rolling")
+    dae = closure_model(three_wheeler(), terrain, slip="rolling")
     right = 0.45 + 0.05 * ca.sin(0.5 * dae.t)
     left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
     rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))
@@ -138,7 +137,7 @@ def test_unstable_steering_is_told():
     """Where the contact leads the steering axis the steering runs away, and it is said so."""
     vehicle = three_wheeler(mass=0.0, wheel_mass=0.0)  # else the front wheel lifts off before
     dae = inverse_kinematics(vehicle, MIRRORED)
-    begin = settle(direct_kinematics(vehicle, MIRRORED))
+    begin = settle(closure_model(vehicle, MIRRORED))
     reached = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 4, 81))
     assert reached.stop.name == "inverse_margin"
     assert_allclose(reached.t[-1], 0.841102, atol=2e-6)  # as at a tolerance of 1e-10
@@ -188,7 +187,7 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
 def test_path_on_a_map_crosses_too():
     """What `straight` has driven on the reference ground, again from its path alone."""
     terrain, t = case1()[0], np.linspace(0, 5, 101)
-    direct = direct_kinematics(three_wheeler(), terrain, slip="rolling")
+    direct = closure_model(three_wheeler(), terrain, slip="rolling")
     begin = settle(direct, heading=0.2)
     law = straight(direct, three_wheeler(), begin, speed=0.135)
     run = simulate(direct, begin, law, t, tolerance=1e-12)
@@ -203,7 +202,7 @@ def test_path_on_a_map_crosses_too():
 
 def test_path_by_expressions_of_time():
     """A curve of constant speed on hills; the steering at the start is part of the answer."""
-    direct = direct_kinematics(three_wheeler(), HILLS)
+    direct = closure_model(three_wheeler(), HILLS)
     dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
     begin = settle(direct, x=-1.0, heading=1.0)
     heading = 1.0 + 0.02 * dae.t
@@ -219,7 +218,7 @@ def test_path_by_expressions_of_time():
 
 def test_collocation_of_a_system_with_a_known_slow_solution():
     """On flat ground the lever is zero and the steering is that of the plane: no slope, no tilt."""
-    direct = direct_kinematics(three_wheeler(), FLAT)
+    direct = closure_model(three_wheeler(), FLAT)
     dae = inverse_kinematics(three_wheeler(), FLAT, least_margin=0.0)
     begin = settle(direct)
     rate = 0.02
@@ -248,7 +247,7 @@ def moving(dae, poses):
 
 
 def test_conditions_on_flat_ground():
-    dae = direct_kinematics(three_wheeler(), FLAT, slip="rolling")
+    dae = closure_model(three_wheeler(), FLAT, slip="rolling")
     run = moving(dae, [{"heading": 0.0}])
     by_rate = conditions(three_wheeler(), FLAT, run)
     assert len(by_rate) == 20
@@ -262,7 +261,7 @@ def test_conditions_on_flat_ground():
 def test_conditions_on_hills(rng):
     """Median, 90 % and maximum; (Vx, Vy, Oz) is by far the best in both forms."""
     ground, poses = Analytic(rough), []
-    dae = direct_kinematics(three_wheeler(), ground, slip="rolling")
+    dae = closure_model(three_wheeler(), ground, slip="rolling")
     names = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
     while len(poses) < 150:
         values = rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4]
@@ -290,7 +289,7 @@ def test_conditions_on_hills(rng):
 
 def test_rate_form_has_no_start_on_flat_ground():
     dae = inverse_kinematics(three_wheeler(), FLAT)
-    begin = settle(direct_kinematics(three_wheeler(), FLAT))
+    begin = settle(closure_model(three_wheeler(), FLAT))
     with pytest.raises(ModelError, match="singular here: nothing determines steer_rate"):
         simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
     x, z = dae.rows("x", begin, 0), dae.rows("z", begin, 0)
@@ -312,7 +311,7 @@ def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, steering, whe
     """The paper draws tilts up to its end and mentions no stop; here 0.35 rad come at 4.1 s."""
     vehicle = three_wheeler(tilt_stop=PAPER_STOP)
     dae = inverse_kinematics(vehicle, ground, steering=steering)
-    begin = settle(direct_kinematics(vehicle, ground))
+    begin = settle(closure_model(vehicle, ground))
     run = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
     assert run.stop.name in ("tilt_left_stop", "tilt_right_stop")
     assert_allclose(run.stop.t, when, atol=0.1)
@@ -321,7 +320,7 @@ def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, steering, whe
 def test_steering_angle_on_flat_ground_is_that_of_the_plane():
     """The slip of the steering is lever times rate; the rate follows from the samples."""
     dae = inverse_kinematics(three_wheeler(), FLAT, steering="angle")
-    begin = settle(direct_kinematics(three_wheeler(), FLAT))
+    begin = settle(closure_model(three_wheeler(), FLAT))
     t = np.linspace(0, 2, 41)
     run = steering_slip(simulate(dae, begin, dae.inputs(**PAPER_MOTION), t))
     heading = run["heading"]
@@ -338,14 +337,14 @@ def test_steering_angle_on_flat_ground_is_that_of_the_plane():
 
 def test_steering_angle_needs_motion():
     dae = inverse_kinematics(three_wheeler(), HILLS, steering="angle")
-    begin = settle(direct_kinematics(three_wheeler(), HILLS))
+    begin = settle(closure_model(three_wheeler(), HILLS))
     with pytest.raises(ModelError, match="nothing determines steer"):
         simulate(dae, begin, dae.inputs(**dict.fromkeys(PLANAR, 0.0)), np.array([0.0, 1.0]))
 
 
 def test_start_from_one_contact(rng):
     for terrain in (HILLS, case1()[0]):
-        dae = direct_kinematics(three_wheeler(), terrain)
+        dae = closure_model(three_wheeler(), terrain)
         for wheel in ("right", "left", "front"):
             joints = dict(zip(("heading", "tilt_right", "tilt_left", "steer"),
                               rng.uniform(-0.2, 0.2, 4), strict=True))  # fmt: skip
@@ -358,14 +357,14 @@ def test_start_from_one_contact(rng):
 
 def test_start_from_the_contact_of_the_paper():
     """Left contact at (-1, 0), no tilt, no steering; the heading is ours to choose."""
-    dae = direct_kinematics(three_wheeler(), HILLS)
+    dae = closure_model(three_wheeler(), HILLS)
     found = settle_contact(dae, "left", contact_x=-1.0, contact_y=0.0)
     assert found["contact_x", "left"][0] == pytest.approx(-1, abs=1e-14)
     assert found["heading"][0] == 0
 
 
 def test_nearest_pose_changes_least(rng):
-    dae = direct_kinematics(three_wheeler(), HILLS)
+    dae = closure_model(three_wheeler(), HILLS)
     stood = settle(dae, x=0.4, y=0.2, heading=0.5, steer=0.1)
     names = ("x", "y", "z", "heading", "roll", "pitch", "tilt_right", "tilt_left", "steer")
     pose = {name: stood[name][0] for name in names}
@@ -424,7 +423,7 @@ def test_vehicles_that_do_not_suit_are_refused():
 
 def test_paths_are_checked():
     dae = inverse_kinematics(three_wheeler(), HILLS)
-    begin = settle(direct_kinematics(three_wheeler(), HILLS))
+    begin = settle(closure_model(three_wheeler(), HILLS))
     t = np.linspace(0, 1, 11)
     still = np.zeros(11)
     with pytest.raises(ModelError, match=r"starts elsewhere than the start: y = 1, .* stands at 0"):
@@ -444,7 +443,7 @@ def test_paths_are_checked():
 
 
 def test_drives_are_checked():
-    direct = direct_kinematics(three_wheeler(), HILLS)
+    direct = closure_model(three_wheeler(), HILLS)
     dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
     begin, t = settle(direct), np.linspace(0, 1, 11)
     inputs = dae.inputs(**PAPER_MOTION)
@@ -458,7 +457,7 @@ def test_drives_are_checked():
 
 
 def test_path_ends_at_a_limit():
-    direct = direct_kinematics(three_wheeler(tilt_stop=0.1), HILLS)
+    direct = closure_model(three_wheeler(tilt_stop=0.1), HILLS)
     dae = inverse_kinematics(three_wheeler(tilt_stop=0.1), HILLS, least_margin=0.0)
     begin, t = settle(direct), np.linspace(0, 4, 41)
     found = drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t)
@@ -466,13 +465,13 @@ def test_path_ends_at_a_limit():
     assert found.run.t[-1] < 4
     with pytest.raises(ModelError, match="before the second the stop of tilt"):
         drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t[[0, -1]])
-    leaning = settle(direct_kinematics(three_wheeler(), HILLS), tilt_left=0.2)
+    leaning = settle(closure_model(three_wheeler(), HILLS), tilt_left=0.2)
     with pytest.raises(ModelError, match="the start is not valid: the stop of tilt_left"):
         drive(dae, direct, leaning, dae.inputs(**PAPER_MOTION), t)
 
 
 def test_starts_are_checked():
-    dae = direct_kinematics(three_wheeler(), HILLS)
+    dae = closure_model(three_wheeler(), HILLS)
     with pytest.raises(ModelError, match=r"no contact of a wheel 'rear' .* front, left, right"):
         settle_contact(dae, "rear", contact_x=0.0, contact_y=0.0)
     with pytest.raises(ModelError, match="y follow from the contact; leave them out"):

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cases import DATA, hills
+from cases import DATA, closure_model, hills
 from slipfree import (
     Analytic,
     Bicubic,
     Grid,
     ModelError,
-    direct_kinematics,
     settle,
     simulate,
     straight,
@@ -63,7 +62,7 @@ def rover_ground():
 
 def rates_at(vehicle, ground, rates, **start):
     """Rates of a vehicle at a start, by name."""
-    dae = direct_kinematics(vehicle, ground)
+    dae = closure_model(vehicle, ground)
     given = {label.full: 0.0 for label in leaves(dae.labels.u)} | rates
     run = simulate(dae, settle(dae, **start), dae.inputs(**given), np.array([0.0, 1e-6]))
     return {name: run[name][0] for name in run.columns}
@@ -126,7 +125,7 @@ def test_a_skid_steered_cart_turns_less_by_its_length():
 )
 def test_rovers_turn_about_their_middle_axle_without_slip(vehicle, within):
     turning, away = 0.2, 0.8  # the middle of the turn, to the left [rad/s], [m]
-    dae = direct_kinematics(vehicle, FLAT)
+    dae = closure_model(vehicle, FLAT)
     rest = settle(dae)
     axle = rest["center_y"][0, [w.name.startswith("middle") for w in vehicle.wheels]][0]
     start, rates = {}, {}
@@ -158,7 +157,7 @@ def test_the_articulated_loader_turns_about_where_its_axles_meet():
 @pytest.mark.parametrize("name", CATALOG)
 def test_unknowns_are_as_many_as_the_formulas_say(name):
     vehicle = CATALOG[name]
-    labels = direct_kinematics(vehicle, FLAT).labels
+    labels = closure_model(vehicle, FLAT).labels
     wheels, passive = len(vehicle.wheels), len(vehicle.of("passive"))
     free = sum(not wheel.driven for wheel in vehicle.wheels)
     assert len([*leaves(labels.x)]) == 3 + len(vehicle.of("commanded")) + passive
@@ -169,7 +168,7 @@ def test_unknowns_are_as_many_as_the_formulas_say(name):
 @pytest.mark.parametrize("name", CATALOG)
 def test_rates_of_what_the_ground_decides_are_the_derivative_of_the_closure(name):
     vehicle = CATALOG[name]
-    dae = direct_kinematics(vehicle, HILLS)
+    dae = closure_model(vehicle, HILLS)
     given = {label.full: 0.2 for label in leaves(dae.labels.u)}
     start = settle(dae, x=0.7, heading=0.4)
     run = simulate(dae, start, dae.inputs(**given), np.linspace(0, 1, 5))
@@ -195,7 +194,7 @@ ENDS = {  # radius of the tubes, steering: x, y, z after 10 s, found with anothe
 
 def rocky_run(ground, r1=0.02, steer=0.0, tolerance=1e-8, duration=10.0):
     vehicle = rocky7(r1=r1, **LIGHT)
-    dae = direct_kinematics(vehicle, Bicubic(ground))
+    dae = closure_model(vehicle, Bicubic(ground))
     steering = {f"steer_front_{side}": steer for side in ("right", "left")}
     rates = {f"{wheel.name}_rate": 0.5 / 0.065 for wheel in vehicle.wheels}
     inputs = dae.inputs(**rates, **{f"{name}_rate": 0.0 for name in steering})
@@ -221,7 +220,7 @@ def test_at_a_loose_tolerance_it_is_near():
 def test_rocky_7_settles_from_poor_guesses(monkeypatch):
     """60 guesses off by up to 0.2 m and 0.4 rad: the one pose, wheels above the ground."""
     rng, vehicle = np.random.default_rng(7), rocky7(**LIGHT)
-    dae = direct_kinematics(vehicle, Bicubic(rover_ground()))
+    dae = closure_model(vehicle, Bicubic(rover_ground()))
     place = {"x": 2.0, "y": 0.2, "heading": -np.pi / 2}
     right = settle(dae, **place)
     names = ("z", "roll", "pitch", *(c.name for c in vehicle.of("suspension")))
@@ -264,7 +263,7 @@ def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
 
 def test_a_caster_without_trail_is_named():
     vehicle = differential_drive(trail=0.0, **LIGHT)
-    dae = direct_kinematics(vehicle, FLAT)
+    dae = closure_model(vehicle, FLAT)
     with pytest.raises(ModelError, match=r"nothing determines caster_angle_rate"):
         settle(dae)
 
@@ -288,7 +287,7 @@ HILL_CASES = {
 
 def hill_run(case, tolerance, duration=20.0):
     name, rates, start = HILL_CASES[case]
-    dae = direct_kinematics(CATALOG[name], HILLS)
+    dae = closure_model(CATALOG[name], HILLS)
     if name == "skid_steer":
         rates = {f"{end}_{side}_rate": rates[side] for end in ("front", "rear") for side in rates}
     given = {label.full: 0.0 for label in leaves(dae.labels.u)} | rates
@@ -312,7 +311,7 @@ def test_hill_cases_at_a_tolerance_of_a_micrometre(case):
 def test_rovers_follow_paths(name):
     vehicle = CATALOG[name]
     way = Path(np.array([(0.0, 0.0), (0.5, 2.0), (2.0, 4.0), (2.0, 7.0)]))
-    dae = direct_kinematics(vehicle, HILLS)
+    dae = closure_model(vehicle, HILLS)
     start = settle(dae, heading=-0.245)
     run = simulate(dae, start, follow(dae, vehicle, way, speed=0.2), np.linspace(0, 36, 73),
                    tolerance=1e-6)  # fmt: skip
@@ -345,12 +344,12 @@ def ahead(dae, vehicle, start):
 @pytest.mark.parametrize("make", MAKERS, ids=lambda make: make.__name__)
 def test_every_vehicle_stands_drives_and_creeps(make):
     vehicle = make()
-    level = settle(direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.7)))
+    level = settle(closure_model(vehicle, Analytic(lambda x, _: 0 * x, mu=0.7)))
     assert level["force_normal"].min() > 0.05 * vehicle.weight / len(vehicle.wheels)
     assert level["force_normal"].sum() == pytest.approx(vehicle.weight, rel=1e-9)
     runs = []
     for slip in ("least", "traction"):
-        dae = direct_kinematics(vehicle, GENTLE, slip=slip)
+        dae = closure_model(vehicle, GENTLE, slip=slip)
         start = settle(dae, x=0.3, heading=0.2)
         runs.append(simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6),
                              tolerance=1e-6))  # fmt: skip
@@ -366,7 +365,7 @@ def test_every_vehicle_stands_drives_and_creeps(make):
                          ids=lambda make: make.__name__)  # fmt: skip
 def test_every_vehicle_is_planned_for(make):
     vehicle = make(mass=0.0, wheel_mass=0.0)
-    dae = direct_kinematics(vehicle, HILLS)
+    dae = closure_model(vehicle, HILLS)
     start = settle(dae, heading=0.2)
     guess = simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6), tolerance=1e-6)
     goal = {"x": float(guess["x"][-1]) + 0.05, "y": float(guess["y"][-1])}
@@ -384,7 +383,7 @@ def test_every_vehicle_is_planned_for(make):
 
 def test_seven_wheels_go_anywhere_on_level_ground(rng):
     vehicle = seven_wheels()
-    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5))
+    dae = closure_model(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5))
     rest = settle(dae)
     v_ahead, v_right, turning = rng.uniform(-0.2, 0.2, 3)
     rates = {}
@@ -406,7 +405,7 @@ def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
     """All wheels of an axle find one height: springs between pairs hardly move, nothing rolls."""
     ground = Analytic(lambda _, y: 0.02 * ca.sin(3 * y), mu=0.9)
     vehicle = seven_wheels()
-    dae = direct_kinematics(vehicle, ground)
+    dae = closure_model(vehicle, ground)
     rates = {f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0
              for wheel in vehicle.wheels}  # fmt: skip
     run = simulate(dae, settle(dae), dae.inputs(**rates), np.linspace(0, 5, 26), tolerance=1e-6)
@@ -418,7 +417,7 @@ def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
 
 def test_seven_wheels_follow_and_are_given_three_rates():
     vehicle = seven_wheels()
-    dae = direct_kinematics(vehicle, FLAT)
+    dae = closure_model(vehicle, FLAT)
     start = settle(dae)
     law = straight(dae, vehicle, start, speed=0.2)
     run = simulate(dae, start, law, np.linspace(0, 5, 6), tolerance=1e-6)

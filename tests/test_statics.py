@@ -16,13 +16,12 @@ from scipy.interpolate import make_interp_spline
 from scipy.linalg import null_space
 from scipy.optimize import brentq
 
-from cases import PAPER_RATES, drive, hills
+from cases import PAPER_RATES, closure_model, drive, hills
 from slipfree import (
     Analytic,
     Bicubic,
     Grid,
     ModelError,
-    direct_kinematics,
     settle,
     simulate,
     three_wheeler,
@@ -70,7 +69,7 @@ def terrace(drop):
 
 @cache
 def model(vehicle, ground, slip):
-    return direct_kinematics(vehicle, ground, slip=slip)
+    return closure_model(vehicle, ground, slip=slip)
 
 
 def stand(vehicle, ground, *, slip="least", **start):
@@ -365,7 +364,7 @@ def test_ratios_of_the_forces():
 
 def equilibrium(steer):
     """Return the matrix of the slip in the free rates on flat ground, as the model has it."""
-    dae = direct_kinematics(VEHICLE, LEVEL)
+    dae = closure_model(VEHICLE, LEVEL)
     run = settle(dae)
     x, z, _ = dae.columns()
     unknown = ca.vertcat(*leaves(dae.z.forces))
@@ -900,7 +899,7 @@ def test_a_lock_takes_out_springs():
 
 def test_montanas_form_bears_the_same():
     vehicle, t = three_wheeler(stiffness=20.0), np.linspace(0, 3, 7)
-    closure, other = direct_kinematics(vehicle, HILLS), montana_kinematics(vehicle, HILLS)
+    closure, other = closure_model(vehicle, HILLS), montana_kinematics(vehicle, HILLS)
     start = settle(closure, heading=0.3, tilt_right=0.1, tilt_left=-0.05, steer=0.2)
     runs = [simulate(dae, start, dae.inputs(**PAPER_RATES), t, tolerance=1e-10)
             for dae in (closure, other)]  # fmt: skip
@@ -912,7 +911,7 @@ def test_montanas_form_bears_the_same():
 
 @pytest.mark.parametrize("steering", ["rate", "angle"])
 def test_the_inverse_model_bears_the_same(steering):
-    direct = direct_kinematics(VEHICLE, HILLS, slip="rolling")
+    direct = closure_model(VEHICLE, HILLS, slip="rolling")
     rates = PAPER_RATES | {"steer_rate": 0.02 if steering == "rate" else 0.0}
     run = simulate(direct, settle(direct, heading=0.3), direct.inputs(**rates),
                    np.linspace(0, 4, 5), tolerance=1e-10)  # fmt: skip
@@ -936,7 +935,7 @@ def test_rolling_bears_what_least_slip_bears():
 def test_the_square_of_the_utilisation_has_derivatives_at_zero_force():
     """A root is the outermost operation, so that a planner can leave it out."""
     for vehicle in (VEHICLE, three_wheeler(axle="fixed")):
-        dae = direct_kinematics(vehicle, Analytic(hills, mu=0.5))
+        dae = closure_model(vehicle, Analytic(hills, mu=0.5))
         for used in (*dae.y.forces.utilisation, *dae.y.forces.friction_needed):
             assert used.op() == ca.OP_SQRT
         along, across, normal = (ca.vertcat(*force) for force in dae.z.forces[:3])

@@ -158,9 +158,10 @@ def interruptible() -> Iterator[Callable[[], None]]:
     """Give a function that raises KeyboardInterrupt if Ctrl-C was pressed since.
 
     An exception out of a signal handler gets lost when the integrator's own code is running.
-    Pressed a second time, Ctrl-C acts wherever the program is.
+    Pressed a second time, Ctrl-C acts wherever the program is. Pressed behind the last call of the
+    function, it acts at the end.
     """
-    pressed = False
+    pressed = told = False
 
     def remember(_signal: int, _frame: object) -> None:
         nonlocal pressed
@@ -169,7 +170,9 @@ def interruptible() -> Iterator[Callable[[], None]]:
         pressed = True
 
     def poll() -> None:
+        nonlocal told
         if pressed:
+            told = True
             raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGINT, remember)
@@ -177,6 +180,8 @@ def interruptible() -> Iterator[Callable[[], None]]:
         yield poll
     finally:
         signal.signal(signal.SIGINT, before)
+        if pressed and not told:
+            raise KeyboardInterrupt
 
 
 def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:

@@ -15,15 +15,16 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array
 from slipfree.plan.course import Course, course
 from slipfree.plan.plan import Plan
 from slipfree.plan.proof import inputs_along
 from slipfree.plan.solver import ITERATIONS, kept_going, violation
-from slipfree.plan.transcribe import Index, Mesh, Program, completed, transcribe
+from slipfree.plan.transcribe import Index, Mesh, Program, Task, completed, transcribe
 
 APART = 1e-6  # times that are nearer are one [s]
+GOING_ON = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
 SHORTEST = 0.25  # part of the window that is left when nothing is decided any more
 
 
@@ -43,6 +44,8 @@ class Horizon:
         Length of the window. [s]
     weights : ndarray, shape (n_costs + 1,)
         Of the costs, the smoothness last.
+    rows : casadi Function
+        ``(w, p) ->`` the rows of the program.
     solver : casadi Function
         Takes the iterations of a cycle.
     """
@@ -52,6 +55,7 @@ class Horizon:
     targets: ca.Function
     span: float
     weights: Array
+    rows: ca.Function
     solver: ca.Function
 
 
@@ -85,8 +89,7 @@ def horizon(
     Parameters
     ----------
     plan : Plan
-        Its costs, limits and goal hold in the window, its way-points only by the plan itself. The
-        model must not depend on time.
+        Its costs, limits and goal hold in the window, its way-points only by the plan itself.
     span : float
         Length of the window. [s]
     intervals, degree : int
@@ -97,9 +100,11 @@ def horizon(
     Raises
     ------
     ModelError
-        If the window is longer than the plan.
+        If the window is longer than the plan, numbers are not positive, or the model or what is
+        asked of it depends on time, which a window would count from its own beginning.
     """
     length, task = plan.course.duration, plan.program.task
+    _check(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
     if not 0 < span <= length:
         raise ModelError(
             f"horizon: expected a window of at most the duration of the plan, {length:g} s, found "
@@ -111,10 +116,26 @@ def horizon(
     n_z = plan.course.layout.unknowns.shape[2]
     asked = ca.vertcat(*(limit.expression for limit in own.places[0].limits))
     weights = np.array([*(cost.weight for cost in task.costs), task.smooth])
+    names = [program.problem[name] for name in "xp"]
     return Horizon(
         program, plan.course, ca.Function("targets", [x, z[:n_z], u], [asked]), span, weights,
-        kept_going(program, iterations),
+        ca.Function("rows", names, [program.problem["g"]]), kept_going(program, iterations),
     )  # fmt: skip
+
+
+def _check(task: Task, numbers: dict[str, int]) -> None:
+    for name, number in numbers.items():
+        if number < 1:
+            raise ModelError(f"horizon: {name}: expected 1 or more, found {number}")
+    dae = task.dae
+    asked = (limit.expression for limit in (*task.limits, *dae.limits, *task.places[-1].limits))
+    costs = (cost.expression for cost in task.costs)
+    everything = ca.vertcat(dae.ode, *dae.alg, *asked, *costs)
+    if ca.depends_on(everything, dae.t):
+        raise ModelError(
+            "horizon: expected a model, costs and limits that do not depend on time, found some "
+            "that do; plan the whole way instead"
+        )
 
 
 def begin(window: Horizon) -> Cycle:
@@ -145,8 +166,22 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     -------
     Cycle
         Near the end of the plan, what is left of the former one.
+
+    Raises
+    ------
+    ModelError
+        If time or states are none.
+    SolverError
+        If the iterations fail, as from a state far from the window; the former cycle may be driven
+        on.
     """
     program, plan, scale = window.program, window.plan, window.program.scale
+    x = np.asarray(x, dtype=float)
+    if x.shape != program.layout.first.shape or not np.isfinite([t, *x]).all():
+        raise ModelError(
+            f"horizon: expected a time and {program.layout.first.size} states, all finite, found "
+            f"t = {t} and {x}"
+        )
     span = min(window.span, plan.duration - t)
     if span < SHORTEST * window.span:
         return former
@@ -162,8 +197,15 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         x0=first / scale, p=window.weights, lbx=lower / scale, ubx=upper / scale, lbg=g_lower,
         ubg=g_upper, lam_g0=rows, lam_x0=bounds,
     )  # fmt: skip
-    unknowns, g, rows, bounds = (np.array(found[name]).ravel()
-                                 for name in ("x", "g", "lam_g", "lam_x"))  # fmt: skip
+    status = window.solver.stats()["return_status"]
+    # IPOPT's own rows are those of its last accepted iterate, which may not be what it returns.
+    g = np.array(window.rows(found["x"], window.weights)).ravel()
+    if status not in GOING_ON or not np.isfinite(g).all():
+        raise SolverError(
+            f"horizon: no step at t = {t:g} s from the state {x}: {status}; the former cycle may "
+            "be driven on"
+        )
+    unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     asked = replace(program, g_lower=g_lower, g_upper=g_upper)
     return Cycle(t, course(program, unknowns * scale), rows, bounds, violation(asked, g))
 
@@ -174,9 +216,21 @@ def driven(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Any
     Returns
     -------
     record, ndarray
-        The inputs, and the times at which to simulate under them, since the cycle. [s]
+        The inputs, and the times at which to simulate under them, since the cycle; the last one is
+        the end of the cycle's motion if that comes first. [s]
+
+    Raises
+    ------
+    ModelError
+        If there is nothing left to drive, or the times are before the cycle.
     """
-    first, last, ends = begin - cycle.t, end - cycle.t, cycle.course.ends
+    ends = cycle.course.ends
+    first, last = begin - cycle.t, min(end - cycle.t, ends[-1])
+    if not -APART <= first < last:
+        raise ModelError(
+            f"horizon: expected times from {cycle.t:g} to {cycle.t + ends[-1]:g} s, the second "
+            f"after the first, found {begin:g} and {end:g} s"
+        )
     inside = ends[(ends > first + APART) & (ends < last - APART)]
     times = np.concatenate([[first], inside, [last]])
     return inputs_along(window.program.task.dae, cycle.course, times), times

@@ -115,11 +115,12 @@ class _Watch(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Look at an iterate; a one stops the solver."""
         try:
-            return [0.0 if self.heed.call(self._look, arguments) else 1.0]
-        except BaseException:  # kept
+            return [0.0 if self.heed.call(self.look, self._seen(arguments)) else 1.0]
+        except BaseException as error:
+            self.heed.keep(error)
             return [1.0]
 
-    def _look(self, arguments: Sequence[ca.DM]) -> bool:
+    def _seen(self, arguments: Sequence[ca.DM]) -> Iterate:
         values = dict(zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments,
                           strict=True))  # fmt: skip
         rows = np.array(values["g"]).ravel()
@@ -129,7 +130,7 @@ class _Watch(ca.Callback):
         if self.best is None or over < self.best[0].violation:
             self.best = iterate, rows
         self.count += 1
-        return self.look(iterate)
+        return iterate
 
 
 def violation(program: Program, rows: Array) -> float:

@@ -315,8 +315,8 @@ def _attempted(
     task: _Task, at: Samples, t: Array, u: Array, given: dict[str, Any]
 ) -> tuple[Samples, dict[str, float]]:
     """Integrate with options for the start."""
-    loop = task.loop
-    integrator = _integrator(task, t, given)
+    loop, spy = task.loop, _Spy(task)  # which lives as long as the integrator
+    integrator = _integrator(task, spy, t, given)
     try:
         # one column for each output time, that of the interval which it ends
         with hushed():
@@ -334,9 +334,9 @@ def _attempted(
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), cost
 
 
-def _integrator(task: _Task, t: Array, given: dict[str, Any]) -> ca.Function:
+def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.Function:
     """Return the integrator over all of ``t``."""
-    loop, dae, spy = task.loop, task.loop.dae, _Spy(task)
+    loop, dae = task.loop, task.loop.dae
     sizes = [dae.ode.numel(), loop.moving, loop.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", sizes, strict=True))]
     ode, alg = loop.core(*symbols)
