@@ -2,6 +2,9 @@
 
 import os
 
+# Before numpy is imported: threads of processes side by side wait for each other.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 import matplotlib
 import numpy as np
 import pytest

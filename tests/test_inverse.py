@@ -232,14 +232,13 @@ def test_collocation_of_a_system_with_a_known_slow_solution():
     assert_allclose(found.run["right_rate"], (0.135 + rate) / 0.3, atol=1e-10)
 
 
-def moving(dae, poses):
-    """Return one sample for each pose, with equal rates of the rear wheels and fixed steering."""
+def moving(dae, stands):
+    """Return one sample for each start, with equal rates of the rear wheels and fixed steering."""
     loop, x, z = close(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0), [], []
-    for pose in poses:
-        begin = settle(dae, **pose)
+    for begin in stands:
         x.append(dae.rows("x", begin, 0))
         z.append(consistent(loop, 0.0, x[-1], dae.rows("z", begin, 0), loop.u[:, 0]))
-    n = len(poses)
+    n = len(stands)
     u = np.repeat(loop.u[:, :1], n, axis=1)
     samples = Samples(np.arange(float(n)), np.column_stack(x), np.column_stack(z),
                       np.zeros((4, n)), u)  # fmt: skip
@@ -248,7 +247,7 @@ def moving(dae, poses):
 
 def test_conditions_on_flat_ground():
     dae = closure_model(three_wheeler(), FLAT, slip="rolling")
-    run = moving(dae, [{"heading": 0.0}])
+    run = moving(dae, [settle(dae, heading=0.0)])
     by_rate = conditions(three_wheeler(), FLAT, run)
     assert len(by_rate) == 20
     assert all(np.isinf(value).all() for value in by_rate.values())
@@ -260,18 +259,17 @@ def test_conditions_on_flat_ground():
 
 def test_conditions_on_hills(rng):
     """Median, 90 % and maximum; (Vx, Vy, Oz) is by far the best in both forms."""
-    ground, poses = Analytic(rough), []
+    ground, stands = Analytic(rough), []
     dae = closure_model(three_wheeler(), ground, slip="rolling")
     names = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
-    while len(poses) < 150:
+    while len(stands) < 150:
         values = rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4]
         pose = dict(zip(names, values, strict=True))
         try:
-            settle(dae, **pose)
+            stands.append(settle(dae, **pose))
         except ModelError:
             continue  # a second touch
-        poses.append(pose)
-    run = moving(dae, poses)
+    run = moving(dae, stands)
     best = ("velocity_x", "velocity_y", "omega_z")
     by_rate = conditions(three_wheeler(), ground, run)
     by_angle = conditions(three_wheeler(), ground, run, steering="angle")

@@ -35,8 +35,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
             shutil.copytree(ROOT / name, copy / name, symlinks=True, ignore=skipped)
         else:
             shutil.copy(ROOT / name, copy)
-    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", "dist"]
-    _done([sys.executable, "-m", "pip", "wheel", *options, "."], copy)
+    build = "from setuptools.build_meta import build_wheel; build_wheel('dist')"  # as pip calls it
+    _done([sys.executable, "-c", build], copy)
     (found,) = (copy / "dist").glob("*.whl")
     return found
 
@@ -45,7 +45,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
     """Install the wheel in a folder of its own; return what makes Python take it from there."""
     target = tmp_path_factory.mktemp("target")
-    options = ["--quiet", "--no-deps", "--no-index", "--target", str(target)]
+    options = ["--quiet", "--no-deps", "--no-index", "--no-compile", "--target", str(target)]
     _done([sys.executable, "-m", "pip", "install", *options, str(wheel)], target)
     return {"PYTHONPATH": str(target)}
 

@@ -12,6 +12,7 @@ import os
 import platform
 import shlex
 import shutil
+import signal
 import stat
 import subprocess
 import tempfile
@@ -154,10 +155,7 @@ def _compile(
         with tempfile.TemporaryDirectory(dir=place, prefix=SCRATCH) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
             text.write_text(source(functions), encoding="utf-8")
-            subprocess.run(
-                [*command, *FLAGS, "-o", str(file), str(text), "-lm"],
-                check=True, capture_output=True, timeout=PATIENCE,
-            )  # fmt: skip
+            _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
             file.chmod(0o700)
             file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
     except OSError as error:
@@ -165,6 +163,23 @@ def _compile(
     except subprocess.SubprocessError as error:
         raise _NothingError(f"{shlex.join(command)} did not do its work") from error
     _tidy(place)
+
+
+def _run(command: Sequence[str]) -> None:
+    """Run a compiler out of reach of the terminal's Ctrl-C; what interrupts us ends it."""
+    none = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, stdin=none, stdout=none, stderr=none, start_new_session=True
+    ) as process:
+        try:
+            code = process.wait(PATIENCE)
+        except BaseException:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # with the processes that it started
+            process.wait()
+            raise
+    if code:
+        raise subprocess.CalledProcessError(code, command)
 
 
 def _tidy(place: Path) -> None:

@@ -209,9 +209,15 @@ def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
     ends = np.cumsum([0, 1, x.numel(), before.numel(), u.numel()]).tolist()
     t_0, x_0, z_0, u_0 = ca.vertsplit(symbol, ends)
     other = ca.vertcat(z_0, unknown, ca.MX.zeros(rest.numel()))
-    equations = block.residual(t_0, x_0, other, u_0, block.stages[-1])
-    problem = {"x": unknown, "p": symbol, "g": equations}
-    options = {"error_on_fail": False, "max_iter": FOLLOWING, "show_eval_warnings": False}
+    at = (t_0, x_0, other, u_0, block.stages[-1])
+    equations = block.residual(*at)
+    # Its own Jacobian would be that by everything that is given as well.
+    slopes = ca.Function("slopes", [unknown, symbol], [block.jacobian(*at), equations])
+    problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": equations}
+    options: dict[str, Any] = {
+        "error_on_fail": False, "max_iter": FOLLOWING, "show_eval_warnings": False,
+        "jacobian_function": slopes,
+    }  # fmt: skip
     solver = ca.rootfinder("following", "newton", problem, options)
     return ca.vertcat(before, solver(x0=guess, p=given)["x"], rest)
 
