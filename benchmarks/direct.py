@@ -22,8 +22,9 @@ import numpy as np
 from reference import heading
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
+from slipfree.named import leaves
 from slipfree.solve.consistent import consistent
-from slipfree.solve.loop import close
+from slipfree.solve.loop import Loop, close
 from slipfree.terrain.base import Jet, jet_of
 
 SIZES = (20, 200, 2000)
@@ -67,14 +68,21 @@ def surface(nodes: int) -> Grid:
     return Grid(axis, axis, z)
 
 
-def system_of(core: ca.Function, kind: str) -> dict[str, Any]:
-    """Return the DAE as IDAS gets it: ours wraps the core in MX, the stock way is all SX."""
-    if kind == "stock":
-        symbols = core.sx_in()
-    else:
-        symbols = [ca.MX.sym(name, core.size1_in(k)) for k, name in enumerate("txzu")]
-    ode, alg = core(*symbols)
+def wrapped(loop: Loop) -> dict[str, Any]:
+    """Return the DAE as IDAS gets it from ``simulate``, with its own Jacobian."""
+    symbols = [ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txzu")]
+    ode, alg = loop.core(*symbols)
     return dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
+
+
+def written_out(loop: Loop, law: Any) -> dict[str, Any]:
+    """Return the DAE as one SX graph, which CasADi differentiates."""
+    dae = loop.dae
+    x, z, u = dae.columns()
+    rows = [dae.ode, ca.vertcat(*dae.alg)[: loop.moving]]
+    ode, alg = ca.substitute(rows, [u], [ca.vertcat(*leaves(law))])
+    given = ca.SX.sym("given", u.numel())
+    return {"t": dae.t, "x": x, "z": z[: loop.moving], "u": given, "ode": ode, "alg": alg}
 
 
 def row(kind: str, nodes: int) -> dict[str, Any]:
@@ -87,10 +95,12 @@ def row(kind: str, nodes: int) -> dict[str, Any]:
     dae = direct_kinematics(vehicle, terrain)
     built = time.perf_counter() - begin
     start = settle(dae, x=5.0, y=4.0, heading=-0.2)
-    loop = close(dae, straight(dae, vehicle, start, speed=SPEED), 100)
+    law = straight(dae, vehicle, start, speed=SPEED)
+    loop = close(dae, law, 100)
     x = dae.rows("x", start, -1)
     z = consistent(loop, 0.0, x, dae.rows("z", start, -1), loop.u[:, 0])
-    system, t = system_of(loop.core, kind), np.linspace(0, DISTANCE / SPEED, 101)
+    system = wrapped(loop) if kind == "ours" else written_out(loop, law)
+    t = np.linspace(0, DISTANCE / SPEED, 101)
     runs = {}
     for tolerance in (*TOLERANCES, 1e-12):
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6}

@@ -31,6 +31,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from fuzz_files import bases, document
 from slipfree import result_file
+from slipfree.compiled import FOLDER, digest
 from slipfree.errors import SlipfreeError
 
 ROOT = Path(__file__).parent.parent
@@ -45,6 +46,7 @@ COMMANDS = {
     "report": ["report", "old.nc", "-o", "report.html"],
     "climb": ["run", "climb.toml", "-o", "climb.nc", "--animation", "climb.gif", "--no-draw"],
 }
+OFTEN = ("killed", "Ctrl-C", "compiling", "file limit")  # tried more than once
 Start = Callable[[list[str], Path], tuple[int, str]]
 
 
@@ -56,6 +58,7 @@ def prepared(folder: Path) -> None:
             **data["time"],
             "duration": {"climb": 0.4}.get(kind, data["time"]["duration"]),
         }
+        data["solver"] = {**data.get("solver", {}), "compiled": kind != "climb"}
         (folder / f"{name}.toml").write_text(document(data))
     plain(["run", "p.toml", "-o", "old.nc", "--no-draw"], folder)
 
@@ -88,11 +91,11 @@ def plain(words: list[str], folder: Path) -> tuple[int, str]:
     return ended(begun(words, folder))
 
 
-def signalled(number: int, after: float) -> Start:
+def signalled(number: int, after: float, **variables: str) -> Start:
     """Return what runs a command, and sends it a signal after a time."""
 
     def start(words: list[str], folder: Path) -> tuple[int, str]:
-        process = begun(words, folder)
+        process = begun(words, folder, env={**os.environ, **variables})
         if process.stdout is not None:
             process.stdout.readline()  # Python itself has started
         try:
@@ -207,6 +210,11 @@ def faults(rng: Random, took: float) -> dict[str, Callable[[], Start]]:
     return {
         "killed": lambda: signalled(signal.SIGKILL, rng.uniform(0.1, took)),
         "Ctrl-C": lambda: signalled(signal.SIGINT, rng.uniform(0.1, took)),
+        "compiling": lambda: signalled(
+            rng.choice([signal.SIGKILL, signal.SIGINT]),
+            rng.uniform(0.5, 4),
+            SLIPFREE_CACHE=tempfile.mkdtemp(prefix="caches-"),
+        ),
         "file limit": lambda: limited(rng.choice([0, 100, 4096, 10_000, 50_000, 200_000])),
         "no display": lambda: surrounded(DISPLAY=None, WAYLAND_DISPLAY=None, MPLBACKEND=None),
         "bad caches": _bad_caches,
@@ -217,10 +225,10 @@ def faults(rng: Random, took: float) -> dict[str, Callable[[], Start]]:
 def _bad_caches() -> Start:
     """Return what runs a command with damaged caches: fonts, and compiled functions."""
     folder = Path(tempfile.mkdtemp(prefix="caches-"))
-    for kept in Path(
-        os.environ.get("SLIPFREE_CACHE", Path.home() / ".cache/slipfree/compiled")
-    ).glob("*.so"):
-        (folder / kept.name).write_bytes(kept.read_bytes()[:1000] + b"junk")
+    for number, kept in enumerate(sorted(Path(os.environ[FOLDER]).glob("*.so"))):
+        content = kept.read_bytes()[:1000] + b"junk"
+        named = digest(content) if number % 2 else kept.suffixes[-2][1:]  # as if written so, or not
+        (folder / f"{kept.name.split('.')[0]}.{named}.so").write_bytes(content)
     import matplotlib.font_manager as fonts
 
     version = fonts.FontManager.__version__
@@ -246,8 +254,10 @@ def table(tries: int, seed: int, only: str | None) -> int:
     with tempfile.TemporaryDirectory() as above:
         folder = Path(above) / "work"
         folder.mkdir()
+        os.environ[FOLDER] = str(Path(above) / "cache")
         prepared(folder)
         for name in COMMANDS:
+            plain(COMMANDS[name], folder)  # compiles
             begin = time.perf_counter()
             code, told = plain(COMMANDS[name], folder)
             took = time.perf_counter() - begin
@@ -257,7 +267,7 @@ def table(tries: int, seed: int, only: str | None) -> int:
             for fault, make in faults(rng, took).items():
                 if only in (None, fault, name):
                     counts = Counter[str]()
-                    for _ in range(tries if fault in ("killed", "Ctrl-C", "file limit") else 1):
+                    for _ in range(tries if fault in OFTEN else 1):
                         tried(name, make(), folder, counts, rows)
                     total += _told(fault, name, counts)
             for fault, options in mounts(rng).items() if os.geteuid() == 0 else ():

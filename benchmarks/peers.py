@@ -8,6 +8,7 @@ alone, the least of a few; every line's error is the largest of any sample of th
 its own model at the tightest tolerance or, for MuJoCo, against its own motion at the smallest step.
 
 ours        closure and least slip, IDAS, as ``simulate`` runs it
+compiled    the same with compiled equations; compiling them is not counted
 naive       what is written first with CasADi: Montana's contact equations, the B-spline that CasADi
             offers, IDAS with its defaults and CasADi's own derivatives
 scipy       our model, the algebraic unknowns solved inside: LSODA, DOP853, Radau
@@ -23,22 +24,26 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import matplotlib as mpl
 import numpy as np
-from direct import Stock, surface
+from direct import Stock, surface, wrapped, written_out
 from reference import heading
 from scipy.integrate import solve_ivp
 from work_precision import cvodes
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
+from slipfree.compiled import FOLDER
 from slipfree.kinematics.montana import montana_kinematics
 from slipfree.solve.consistent import consistent
 from slipfree.solve.loop import Loop, close
@@ -51,6 +56,7 @@ EXACT, REPEATS, PATIENCE = 1e-10, 3, 400
 NOISES = (0.0, 0.002)  # of the nodes' heights, standard deviation [m]
 STEPS = (0.02, 0.01, 0.005, 0.002, 0.001)  # of MuJoCo [s]
 FINEST = 0.00025
+OURS = ("ours", "compiled")
 LEVELS = (1e-4, 1e-6)  # errors at which lines are compared [m]
 T = np.linspace(0, DURATION, SAMPLES)
 Line = list[tuple[float, float]]  # CPU time per metre [ms] and error [m]
@@ -64,16 +70,17 @@ def ground(rough: float) -> Grid:
 
 
 def prepared(
-    rough: float, axle: str = "tilting", *, naive: bool = False
-) -> tuple[Any, Trajectory, Loop]:
-    """Return the model, its start and its equations under the driving law."""
+    rough: float, axle: str = "tilting", *, naive: bool = False, compiled: bool = False
+) -> tuple[Any, Trajectory, Loop, Any]:
+    """Return the model, its start, and its equations under the driving law, with this."""
     grid = ground(rough)
     vehicle = three_wheeler(axle=axle, mass=0.0, wheel_mass=0.0)
     model = montana_kinematics if naive else direct_kinematics
-    dae = model(vehicle, Stock(grid) if naive else Bicubic(grid))
+    dae = replace(model(vehicle, Stock(grid) if naive else Bicubic(grid)), compiled=compiled)
     standing = direct_kinematics(vehicle, Bicubic(grid)) if naive else dae
     start = settle(standing, **START)
-    return dae, start, close(dae, straight(dae, vehicle, start, speed=SPEED), SAMPLES - 1)
+    law = straight(dae, vehicle, start, speed=SPEED)
+    return dae, start, close(dae, law, SAMPLES - 1), law
 
 
 def least(task: Callable[[], Any]) -> tuple[float, Any]:
@@ -100,17 +107,11 @@ def points(run: Callable[[float], tuple[float, np.ndarray]], metres: float) -> L
     return line
 
 
-def by_idas(loop: Loop, at: dict[str, Any], *, defaults: bool) -> Callable[[float], Any]:
+def by_idas(system: dict[str, Any], at: dict[str, Any]) -> Callable[[float], Any]:
     """Return an integration by CasADi's IDAS over the tolerance."""
-    if defaults:
-        symbols = dict(zip("txzu", loop.core.sx_in(), strict=True))
-    else:
-        symbols = {n: ca.MX.sym(n, loop.core.size1_in(k)) for k, n in enumerate("txzu")}
-    ode, alg = loop.core(*symbols.values())
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6}
-        system = symbols | {"ode": ode, "alg": alg}
         solver = ca.integrator("motion", "idas", system, 0.0, T, options)
         cpu, found = least(lambda: solver(**at))
         return cpu, np.array(found["xf"])[:2]
@@ -216,14 +217,15 @@ def by_ida(loop: Loop, at: dict[str, Any]) -> Callable[[float], Any]:
 
 def ours(rough: float) -> dict[str, Line]:
     """Return the lines of our model by every integrator."""
-    dae, start, loop = prepared(rough)
+    dae, start, loop, _ = prepared(rough)
     x = dae.rows("x", start, -1)
     u = loop.u[:, 0]
     z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u)[: loop.moving]
     at = {"x0": x, "z0": z, "u": u}
     metres = SPEED * DURATION
     rates = explicit(loop, at)
-    lines = {"ours": points(by_idas(loop, at, defaults=False), metres)}
+    lines = {"ours": points(by_idas(wrapped(loop), at), metres)}
+    lines |= compiled(rough, at)
     for kind in ("LSODA", "DOP853", "Radau"):
         lines[f"scipy {kind}"] = points(by_scipy(kind, rates, at), metres)
     lines["sundae CVODE"] = points(by_cvode(rates, at), metres)
@@ -231,14 +233,22 @@ def ours(rough: float) -> dict[str, Line]:
     return lines
 
 
+def compiled(rough: float, at: dict[str, Any]) -> dict[str, Line]:
+    """Return the line of our model with compiled equations."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ[FOLDER] = folder
+        _, _, loop, _ = prepared(rough, compiled=True)
+        return {"compiled": points(by_idas(wrapped(loop), at), SPEED * DURATION)}
+
+
 def naive(rough: float) -> dict[str, Line]:
     """Return the line of what is written first with CasADi."""
-    dae, start, loop = prepared(rough, naive=True)
+    dae, start, loop, law = prepared(rough, naive=True)
     x = dae.rows("x", start, -1)
     u = loop.u[:, 0]
     z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u)[: loop.moving]
     at = {"x0": x, "z0": z, "u": u}
-    return {"naive": points(by_idas(loop, at, defaults=True), SPEED * DURATION)}
+    return {"naive": points(by_idas(written_out(loop, law), at), SPEED * DURATION)}
 
 
 BODY = """<mujoco>
@@ -260,7 +270,7 @@ def mujoco(rough: float) -> dict[str, Any]:
     """Return MuJoCo's line, and how far its end at the smallest step is from ours. [m]."""
     import mujoco as mj
 
-    dae, start, _ = prepared(rough, "fixed")
+    dae, start, *_ = prepared(rough, "fixed")
     vehicle = three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0)
     law = straight(dae, vehicle, start, speed=SPEED)
     run = simulate(dae, start, law, T, tolerance=1e-8)
@@ -326,7 +336,7 @@ def plot(found: dict[float, dict[str, Line]], file: Path) -> None:
     figure, panels = plt.subplots(1, len(found), figsize=(11, 5), sharey=True, layout="constrained")
     for axes, (rough, lines) in zip(panels, found.items(), strict=True):
         for k, (name, line) in enumerate(lines.items()):
-            axes.loglog(*np.array(line).T, "os^vDP*X"[k % 8] + "-", label=name)
+            axes.loglog(*np.array(line).T, "osx^vDP*X"[k % 9] + "-", label=name)
         axes.set(xlabel="CPU time per metre [ms/m]", title=words(rough))
         axes.grid(visible=True, alpha=0.3)
     panels[0].set_ylabel("largest error of the position [m]")
@@ -360,13 +370,13 @@ def measured(rough: float) -> dict[str, Line]:
     print(f"\n{words(rough)}: ms of CPU a metre (largest error of the position [m])")
     for name, line in lines.items():
         print(f"{name:13s}" + "  ".join(f"{cpu:.2f} ({error:.0e})" for cpu, error in line))
-    for level in LEVELS:
-        own = at_error(lines["ours"], level)
+    for level, own in ((level, own) for own in OURS for level in LEVELS):
+        least = at_error(lines[own], level)
         others = ", ".join(
-            f"{name} {beside(at_error(line, level) / own)}"
-            for name, line in lines.items() if name != "ours"
+            f"{name} {beside(at_error(line, level) / least)}"
+            for name, line in lines.items() if name not in OURS
         )  # fmt: skip
-        print(f"at an error of {level:.0e} m: ours {own:.2f} ms/m; {others}")
+        print(f"at an error of {level:.0e} m: {own} {least:.2f} ms/m; {others}")
     print(
         f"MuJoCo, at its smallest step, ends {gap:.3f} m from ours with the rigid axle", flush=True
     )

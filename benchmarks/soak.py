@@ -40,6 +40,7 @@ from slipfree.show.plot import save_figures
 from slipfree.show.report import page
 
 KINDS = ("direct", "direct", "direct", "inverse", "inverse", "plan", "climb")
+COMPILED = ("direct", "plan")  # of these every third, what is compiled stays loaded
 ROOT = Path(__file__).parent.parent
 EVERY = 30.0  # between two lines [s]
 
@@ -67,6 +68,8 @@ def drawn(kind: str, rng: Random) -> str:
         data["terrain"] = {"synthetic": made}
     if kind == "plan":
         data["plan"] = {"intervals": rng.choice([4, 6, 8]), "degree": rng.choice([2, 3])}
+    if kind in COMPILED and rng.random() < 0.3:
+        data["solver"] = {**data.get("solver", {}), "compiled": True}
     return document(data)
 
 

@@ -111,7 +111,7 @@ def test_calls_are_differentiated_with_the_rest(build, rng, monkeypatch):
     cost, rows = formula(v, q, p)
     where, constants = np.array([[0, 1, 2, 3], [3, 2, 1, 1]]), np.array([[1.0], [-2.0]])
     places, scale = np.arange(12).reshape(2, 6), np.array([1.0, 0.5, 3.0, 1.0])
-    one = element((v, q, p), cost, rows, where, places, constants, compile=build)
+    one = element((v, q, p), cost, rows, where, places, constants, compiled=build)
     assert one.parts.rows.is_a("SXFunction") != build
     assert [len(call.orders) for call in one.calls] == [3, 3, 1]
     made = assembled([one], scale, 2)
@@ -308,7 +308,7 @@ def test_calls_that_take_numbers_elsewhere_are_other_functions(monkeypatch):
     v, none, at = ca.SX.sym("v"), ca.SX.sym("none", 0), np.zeros((1, 1), dtype=int)
     for given, slope in (((v, 3.0), 12.0), ((3.0, v), 9.0)):
         one = element((v, none, none), ca.SX(0), power(*given), at, at, np.zeros((1, 0)),
-                      compile=True)  # fmt: skip
+                      compiled=True)  # fmt: skip
         assert not one.parts.rows.is_a("SXFunction")
         assert float(assembled([one], np.ones(1), 0).jacobian(2.0, [])[1]) == slope
 

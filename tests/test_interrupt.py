@@ -150,9 +150,17 @@ def test_nobody_is_interrupted_where_ctrl_c_is_ignored():
 def test_pressed_on_leaving(monkeypatch):
     """The former handler comes back before anything is raised."""
     heed, install = Heed(), signal.signal
-    with pytest.raises(KeyboardInterrupt), heed:
-        monkeypatch.setattr(signal, "signal", lambda *args: (press(), install(*args)))
-    monkeypatch.undo()
+
+    def late(number, former):
+        heed._handle(number, sys._getframe(1))  # as a signal that waits is told of by then
+        return install(number, former)
+
+    def work():
+        with heed:
+            monkeypatch.setattr(signal, "signal", late)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
 
 
 def test_another_thread_leaves_the_handler_alone():

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree import compiled
+from slipfree.compiled import library, source
 from slipfree.errors import ModelError
 
 LARGE = 300  # operations from which on functions are worth compiling
@@ -276,7 +276,7 @@ class Taylor:
 
 def built(
     whole: Lifted, smooth: Sequence[bool], names: Sequence[str],
-    make: Callable[[], Sequence[ca.Function]], *, compile: bool,
+    make: Callable[[], Sequence[ca.Function]], *, compiled: bool,
 ) -> tuple[ca.Function, ...]:  # fmt: skip
     """Return functions that follow from expressions, compiled if that is asked for and worth it.
 
@@ -288,16 +288,16 @@ def built(
         Of the functions.
     make : callable
         Returns them.
-    compile : bool
+    compiled : bool
         Whether to compile them where a compiler is found.
     """
     given, results = [*whole.symbols, whole.results], [*whole.expressions, whole.arguments]
     values = ca.Function("values", given, results, {"cse": True})
     found = None
-    if compile and values.n_instructions() >= LARGE:
+    if compiled and values.n_instructions() >= LARGE:
         code = [Path(inspect.getfile(each)).read_text() for each in (built, make)]
-        text = [*code, whole.layout, str([*smooth]), compiled.source([values])]
-        found = compiled.library("\n".join(text), names, make)
+        text = [*code, whole.layout, str([*smooth]), source([values])]
+        found = library("\n".join(text), names, make)
     return found or tuple(make())
 
 

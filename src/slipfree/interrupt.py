@@ -21,42 +21,39 @@ class Heed:
     """A context that keeps what the handler of SIGINT raises, and raises it at its end.
 
     There it comes in place of any other ``Exception``. A handler that raises nothing, as one that
-    only remembers, stays what it is. Outside the main thread, where no handler runs, only what
-    callbacks raise is kept.
-
-    Attributes
-    ----------
-    raised : BaseException or None
-        What was raised, and was not dealt with.
+    only remembers, stays what it is. A context within another shares what it keeps. Outside the
+    main thread, where no handler runs, only what callbacks raise is kept.
     """
 
     def __init__(self) -> None:
-        self.raised: BaseException | None = None
+        self._kept: list[BaseException] = []  # one at most
         self._former: Callable[[int, FrameType | None], Any] | None = None
-        self._within = False
 
     def __enter__(self) -> Self:
-        former = signal.getsignal(signal.SIGINT)
-        if threading.current_thread() is threading.main_thread() and callable(former):
-            self._former = former
-            signal.signal(signal.SIGINT, self._handle)
-        self._within = True
+        if threading.current_thread() is threading.main_thread():
+            former = signal.getsignal(signal.SIGINT)
+            around = getattr(former, "__self__", None)
+            if isinstance(around, Heed):
+                self._kept = around._kept
+            elif callable(former):
+                self._former = former
+                signal.signal(signal.SIGINT, self._handle)
         return self
 
     def __exit__(
         self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None
     ) -> None:
-        self._within = False  # what came now would keep the former handler from its place
         if self._former is not None:
             signal.signal(signal.SIGINT, self._former)
-        if error is None or (isinstance(error, Exception) and error is not self.raised):
+        if (error is None or isinstance(error, Exception)) and error not in self._kept:
             self.check()
+        self._kept.clear()
 
     def check(self) -> None:
         """Raise what was raised before and got lost, if anything did."""
-        if self.raised is not None:
-            raised, self.raised = self.raised, None
-            raise raised from raised.__cause__
+        if self._kept:
+            error = self._kept.pop()
+            raise error from error.__cause__
 
     def call(self, function: Callable[P, R], *args: P.args, **more: P.kwargs) -> R:
         """Return what a function returns, called in a callback: what it raises is kept.
@@ -64,36 +61,33 @@ class Heed:
         What was raised before ends the callback at once. What is raised in the function and dealt
         with there is forgotten.
         """
-        if self.raised is not None:
-            raise self.raised
+        if self._kept:
+            raise self._kept[0]
         try:
             result = function(*args, **more)
         except BaseException as error:
             self.keep(error)
             raise
-        self._forget()
+        self._kept.clear()
         return result
 
     def keep(self, error: BaseException) -> None:
         """Keep what was raised in a callback; it may be what became of an interruption."""
-        if self.raised is None or not isinstance(error, Exception):
-            self.raised = error
+        if not self._kept or not isinstance(error, Exception):
+            self._kept[:] = [error]
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         try:
             if self._former is not None:
                 self._former(number, frame)
         except BaseException as error:
-            self.raised = error
-            if self._within:
+            self._kept[:] = [error]
+            # Raised there, it would keep the former handler from its place.
+            if frame is None or frame.f_code not in (_ENTER, _EXIT):
                 raise
 
-    def _forget(self) -> None:
-        """Forget what was raised, here and in the contexts around this one, which kept it too."""
-        self.raised = None
-        around = getattr(self._former, "__self__", None)
-        if isinstance(around, Heed):
-            around._forget()
+
+_ENTER, _EXIT = Heed.__enter__.__code__, Heed.__exit__.__code__
 
 
 def heeded(function: Callable[P, R]) -> Callable[P, R]:

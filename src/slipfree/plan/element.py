@@ -85,7 +85,7 @@ class Element(NamedTuple):
 
 def element(
     symbols: tuple[ca.SX, ca.SX, ca.SX], cost: ca.SX, rows: ca.SX,
-    where: Index, places: Index, constants: Array, *, compile: bool = False,
+    where: Index, places: Index, constants: Array, *, compiled: bool = False,
 ) -> Element:  # fmt: skip
     """Return an element with its derivatives.
 
@@ -97,7 +97,7 @@ def element(
         A scalar and a column.
     where, places, constants : ndarray
         See `Element`.
-    compile : bool
+    compiled : bool
         Whether to compile what is large.
     """
     whole = lifted(symbols, [ca.densify(cost), ca.densify(rows)])
@@ -105,7 +105,7 @@ def element(
     calls = tuple(_call(whole, k, smooth[k]) for k in range(len(smooth)))
     taylor = Taylor(whole, smooth)
     large = built(
-        whole, smooth, Parts._fields[2:], lambda: _of_rows(whole, taylor), compile=compile
+        whole, smooth, Parts._fields[2:], lambda: _of_rows(whole, taylor), compiled=compiled
     )
     parts = Parts(*_of_cost(whole, taylor), *large)
     return Element(parts, calls, where, places, constants)

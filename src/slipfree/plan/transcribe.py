@@ -351,7 +351,7 @@ def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
         (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
         weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
         ca.vertcat(nodes @ slopes - h * ode, rows), where, places, _constants(mesh),
-        compile=task.dae.compiled,
+        compiled=task.dae.compiled,
     )  # fmt: skip
 
 

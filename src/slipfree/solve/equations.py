@@ -122,7 +122,11 @@ def _model(dae: Dae[Any, Any, Any, Any, Any], count: int) -> _Model:
     whole = lifted([dae.t, x, z[:count], v], [ca.densify(each) for each in rows])
     smooth = [True] * len(whole.calls)
     functions = built(
-        whole, smooth, ("values", "slopes"), lambda: _functions(whole, smooth), compile=dae.compiled
+        whole,
+        smooth,
+        ("values", "slopes"),
+        lambda: _functions(whole, smooth),
+        compiled=dae.compiled,
     )
     inputs = ca.vertsplit(v) if v.numel() else []
     return _Model(tuple(ca.depends_on(ca.vertcat(*rows), each) for each in inputs), _stages(whole),
