@@ -12,6 +12,8 @@ from numpy.testing import assert_allclose
 from cases import hills
 from slipfree import (
     Analytic,
+    Bicubic,
+    Grid,
     ModelError,
     SolverError,
     direct_kinematics,
@@ -28,7 +30,9 @@ RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
 
 @pytest.fixture(scope="module")
 def found():
-    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    axis = np.arange(-3.0, 4.0, 0.25)
+    heights = Analytic(hills).elevation(*np.meshgrid(axis, axis, indexing="ij"))
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Bicubic(Grid(axis, axis, heights)))
     start = settle(dae)
     rates = dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0)
     guess = simulate(dae, start, rates, np.linspace(0, DURATION, 30))
