@@ -82,11 +82,10 @@ def equations(
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txmu", symbols, strict=True)]
     point = [*given[:3], inputs(*given)]
     ode, alg = model.values(*point, *_results(model, point, 0))
-    slopes, ends = (
-        model.slopes(*point, *_results(model, point, 1)),
-        [0, x.numel(), x.numel() + count],
-    )
-    total = slopes[:, : ends[-1]] + slopes[:, ends[-1] :] @ turns(*given)
+    slopes = model.slopes(*point, *_results(model, point, 1))
+    ends = [0, x.numel(), x.numel() + count]
+    by_state, by_input = ca.horzsplit(slopes, [0, ends[-1], slopes.shape[1]])
+    total = by_state + by_input @ turns(*given)
     (ode_x, ode_m), (alg_x, alg_m) = ca.blocksplit(total, ends, ends)
     options: dict[str, Any] = {
         "jac_penalty": 0,
@@ -121,13 +120,11 @@ def _model(dae: Dae[Any, Any, Any, Any, Any], count: int) -> _Model:
         rows = ca.substitute(rows, [dae.easing.symbol], [ca.SX(dae.easing.values[-1])])
     whole = lifted([dae.t, x, z[:count], v], [ca.densify(each) for each in rows])
     smooth = [True] * len(whole.calls)
-    functions = built(
-        whole,
-        smooth,
-        ("values", "slopes"),
-        lambda: _functions(whole, smooth),
-        compiled=dae.compiled,
-    )
+
+    def make() -> list[ca.Function]:
+        return _functions(whole, smooth)
+
+    functions = built(whole, smooth, ("values", "slopes"), make, compiled=dae.compiled)
     inputs = ca.vertsplit(v) if v.numel() else []
     return _Model(tuple(ca.depends_on(ca.vertcat(*rows), each) for each in inputs), _stages(whole),
                   *functions)  # fmt: skip
