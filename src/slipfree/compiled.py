@@ -25,6 +25,8 @@ from pathlib import Path
 import casadi as ca
 import platformdirs
 
+from slipfree.interrupt import ended_by_interrupt
+
 FOLDER = "SLIPFREE_CACHE"  # variable of the environment: another folder; empty for none
 # The functions are long lists of sums and products: with more optimisation they take as long, and
 # without any they take three times as long, as the interpreter does.
@@ -171,11 +173,20 @@ def _run(command: Sequence[str]) -> None:
     with subprocess.Popen(
         command, stdin=none, stdout=none, stderr=none, start_new_session=True
     ) as process:
+
+        def end() -> None:
+            if process.returncode is None:
+                with suppress(OSError):  # it has just ended
+                    if os.name == "posix":
+                        os.killpg(process.pid, signal.SIGKILL)  # with what it started
+                    else:
+                        process.kill()
+
         try:
-            code = process.wait(PATIENCE)
+            with ended_by_interrupt(end):
+                code = process.wait(PATIENCE)
         except BaseException:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)  # with the processes that it started
+            end()
             process.wait()
             raise
     if code:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from types import FrameType, TracebackType
 from typing import Any, ParamSpec, Self, TypeVar
@@ -99,3 +100,29 @@ def heeded(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **more)
 
     return within
+
+
+@contextmanager
+def ended_by_interrupt(end: Callable[[], object]) -> Iterator[None]:
+    """Call a function at Ctrl-C, before its handler, and raise KeyboardInterrupt at the end.
+
+    Also where the handler raises nothing: for waiting, in which nobody asks whether it was pressed.
+    """
+    former, pressed = signal.getsignal(signal.SIGINT), False
+    if threading.current_thread() is not threading.main_thread() or not callable(former):
+        yield
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal pressed
+        pressed = True
+        end()
+        former(number, frame)
+
+    signal.signal(signal.SIGINT, handle)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+        if pressed:
+            raise KeyboardInterrupt

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError, SolverError
+from slipfree.interrupt import heeded
 from slipfree.named import Array
 from slipfree.plan.course import Course, course
 from slipfree.plan.plan import Plan
@@ -148,6 +149,7 @@ def begin(window: Horizon) -> Cycle:
     return advance(patient, blank, 0.0, first[layout.first])
 
 
+@heeded
 def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     """Return the next cycle.
 

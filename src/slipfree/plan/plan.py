@@ -17,6 +17,7 @@ import numpy as np
 
 from slipfree.dae import Limit
 from slipfree.errors import ModelError
+from slipfree.interrupt import heeded
 from slipfree.named import Array
 from slipfree.plan.course import Course, carried, course, nearest, sampled, unknowns_of
 from slipfree.plan.explain import explanation
@@ -125,6 +126,7 @@ class _Search(NamedTuple):
     run: Trajectory | None = None
 
 
+@heeded
 def plan(
     dae: Model,
     start: Trajectory,

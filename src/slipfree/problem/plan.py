@@ -235,16 +235,24 @@ def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
 
 
 def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
-    """Return what tells every iterate in a line, and stops the search at Ctrl-C."""
+    """Return what tells every iterate in a line, and stops the search at Ctrl-C.
+
+    At the first one of all there is no result yet, but for the guess: then Ctrl-C ends it.
+    """
+    begun = False
 
     def progress(words: str, iterate: Iterate) -> bool:
+        nonlocal begun
         line = f"{words}: iteration {iterate.number}, cost {iterate.cost:.6g}, violation " \
                f"{iterate.violation:.1e}"  # fmt: skip
         try:
             if tell is not None:
                 tell(line)
         except KeyboardInterrupt:
+            if not begun:
+                raise
             return False
+        begun = True
         return True
 
     return progress

@@ -21,6 +21,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
+from slipfree.interrupt import heeded
 from slipfree.named import Array, Label, Mask, leaves, unpack
 from slipfree.solve.loop import Loop, close
 from slipfree.solve.polynomial import Basis, basis
@@ -441,6 +442,7 @@ def _exchanged(dae: Model, given: Sequence[str]) -> Model:
     )
 
 
+@heeded
 def nearest(dae: Model, *, weights: Mapping[str, float] | None = None, **pose: float) -> Trajectory:
     """Return the vehicle standing in the pose nearest to a given one.
 
