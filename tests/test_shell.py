@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 import slipfree
-from slipfree import result_file
+from slipfree import result_file, threads
 from slipfree.cli import app, voice
 from test_cli import PROBLEM
 
@@ -325,3 +325,16 @@ def test_colours_are_for_terminals_that_want_them() -> None:
     os.close(master)
     assert b"ok" in seen
     assert not re.search(rb"\x1b\[(?:\d+;)*[349]\dm", seen)
+
+
+def test_linear_algebra_keeps_to_one_thread_unless_told_otherwise(monkeypatch):
+    """It is asked for before numpy is there."""
+    code = "import sys, slipfree.__main__ as m; print('numpy' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "False"
+    for name in threads.NAMES:
+        monkeypatch.setenv(name, "2")
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    threads.single()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "2"
+    assert os.environ["OMP_NUM_THREADS"] == "1"

@@ -282,7 +282,7 @@ def test_the_same_run_by_itself_is_the_same(whole: tuple[Path, Any], tmp_path: P
     alone, swept = (result_file.read(p) for p in (tmp_path / "a.nc", folder / "out/run_0003.nc"))
     assert list(alone) == list(swept)
     for name in ("x", "y", "heading", "tilt_right", "utilisation"):
-        # Sums of linear algebra round by the number of threads, here several, there one.
+        # Sums of linear algebra round by the number of threads, which is not always one here.
         np.testing.assert_allclose(alone[name], swept[name], rtol=1e-9, atol=1e-12)
 
 

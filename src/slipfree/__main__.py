@@ -5,12 +5,15 @@ from __future__ import annotations
 import signal
 import sys
 
+from slipfree.threads import single
+
 INTERRUPTED = 130  # as `slipfree.cli` has it, which takes its time to be imported
 
 
 def main() -> None:
     """Run the command line; Ctrl-C ends it with a word, even while it still starts."""
     try:
+        single()
         from slipfree.cli import main as run
 
         run()

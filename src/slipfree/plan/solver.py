@@ -199,7 +199,7 @@ def _ready(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> 
     every: dict[str, Any] = {
         "ipopt": quiet | ipopt, "print_time": False, "error_on_fail": False, "record_time": True,
         "grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian,
-        "no_nlp_grad": True, "calc_lam_p": False,
+        "no_nlp_grad": True, "calc_lam_p": False, "show_eval_warnings": False,
     }  # fmt: skip
     return ca.nlpsol("plan", "ipopt", program.problem, every | options)
 

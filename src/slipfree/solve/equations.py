@@ -135,7 +135,7 @@ def _functions(whole: Lifted, smooth: Sequence[bool]) -> list[ca.Function]:
     rows = taylor.linear(ca.vertcat(*whole.expressions))
     slopes = taylor.here(ca.jacobian(rows, ca.vertcat(*whole.symbols[1:])))
     return [ca.Function("values", given, [*whole.expressions], shared),
-            ca.Function("slopes", [*given, taylor.first], [slopes], shared)]  # fmt: skip
+            ca.Function("slopes", [*given, taylor.first], [slopes])]  # fmt: skip
 
 
 def _stages(whole: Lifted) -> tuple[_Stage, ...]:

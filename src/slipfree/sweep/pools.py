@@ -18,11 +18,11 @@ from typing import Any
 from slipfree.errors import DataError, SlipfreeError
 from slipfree.sweep.log import LOST
 from slipfree.sweep.task import Done, Task, nothing, serve
+from slipfree.threads import NAMES
 from slipfree.version import __version__
 
 TICK = 0.2  # between two looks at Ctrl-C [s]
 CONNECT = 10.0  # how long to look for a scheduler [s]
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 Poll = Callable[[], None]
 Pool = Callable[[Sequence[Task], Poll], Generator[Done, None, None]]
 
@@ -226,9 +226,9 @@ def _ended(code: int | None) -> str:
 @contextmanager
 def _inherited() -> Iterator[None]:
     """Let a new process keep to one thread, and not see Ctrl-C even while it still imports."""
-    before = {name: os.environ.get(name) for name in THREADS}
+    before = {name: os.environ.get(name) for name in NAMES}
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.update(dict.fromkeys(THREADS, "1"))
+    os.environ.update(dict.fromkeys(NAMES, "1"))
     try:
         yield
     finally:
