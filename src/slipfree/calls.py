@@ -166,14 +166,20 @@ def lifted(symbols: Sequence[ca.SX], expressions: Sequence[ca.SX]) -> Lifted:
     symbols, expressions : sequence of SX
         Dense columns, and what depends on them.
     """
-    function = ca.Function("plain", list(symbols), list(expressions), {"cse": True})
-    calls = list[Call]()
+    function = ca.Function("plain", list(symbols), list(expressions))
+    if not function.find_functions():
+        return Lifted(tuple(symbols), tuple(expressions), ())
+    calls, known = list[Call](), dict[tuple[int, ...], Call]()
 
     def called(f: ca.Function, entries: list[ca.SX]) -> list[ca.SX]:
+        key = (hash(f), *(entry.element_hash() for entry in entries))
+        if key in known:
+            return _entries(known[key].results)
         of_column = _of_column(f)
         # Symbols of one name are one to CasADi's search for common subexpressions.
         results = ca.SX.sym(f"result{len(calls)}", of_column.numel_out(0))
-        calls.append(Call(of_column, ca.vertcat(ca.SX(0, 1), *entries), results))
+        known[key] = Call(of_column, ca.vertcat(ca.SX(0, 1), *entries), results)
+        calls.append(known[key])
         return _entries(results)
 
     results = replayed(function, [_entries(ca.vec(each)) for each in symbols], ca.SX, called)
@@ -291,14 +297,15 @@ def built(
     compiled : bool
         Whether to compile them where a compiler is found.
     """
+    if not compiled:
+        return tuple(make())
     given, results = [*whole.symbols, whole.results], [*whole.expressions, whole.arguments]
     values = ca.Function("values", given, results, {"cse": True})
-    found = None
-    if compiled and values.n_instructions() >= LARGE:
-        code = [Path(inspect.getfile(each)).read_text() for each in (built, make)]
-        text = [*code, whole.layout, str([*smooth]), source([values])]
-        found = library("\n".join(text), names, make)
-    return found or tuple(make())
+    if values.n_instructions() < LARGE:
+        return tuple(make())
+    code = [Path(inspect.getfile(each)).read_text() for each in (built, make)]
+    text = [*code, whole.layout, str([*smooth]), source([values])]
+    return library("\n".join(text), names, make) or tuple(make())
 
 
 def substituted(expression: ca.SX, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> ca.SX:
@@ -316,11 +323,20 @@ def jacobian(rows: ca.SX, symbols: ca.SX) -> ca.SX:
     symbols : SX, shape (m, 1)
         By which.
     """
-    known = {each.element_hash() for each in _entries(symbols)}
-    others = [each for each in ca.symvar(rows) if each.element_hash() not in known]
-    whole = lifted([symbols, ca.vertcat(ca.SX(0, 1), *others)], [ca.densify(rows)])
+    return jacobians([rows], [symbols])[0]
+
+
+def jacobians(parts: Sequence[ca.SX], by: Sequence[ca.SX]) -> list[ca.SX]:
+    """Return the Jacobian of each of some columns that have calls in common.
+
+    Parameters
+    ----------
+    parts, by : sequence of SX
+        What is differentiated, and by which symbols each.
+    """
+    free = ca.vertcat(ca.SX(0, 1), *ca.symvar(ca.vertcat(ca.SX(0, 1), *parts)))
+    whole = lifted([free], [ca.densify(rows) for rows in parts])
     taylor = Taylor(whole, [True] * len(whole.calls))
-    slopes = taylor.here(ca.jacobian(taylor.linear(whole.expressions[0]), symbols))
     names, values = list[ca.SX](), list[ca.SX]()
     for call, first in zip(whole.calls, taylor.firsts, strict=True):
         found = [substituted(call.arguments, names, values)]
@@ -328,4 +344,6 @@ def jacobian(rows: ca.SX, symbols: ca.SX) -> ca.SX:
             found.append(ca.vec(ca.densify(function.call(found, False, True)[0])))  # not inlined
             names.append(symbol)
             values.append(found[-1])
-    return ca.sparsify(substituted(slopes, names, values))
+    slopes = (taylor.here(ca.jacobian(taylor.linear(rows), symbols))
+              for rows, symbols in zip(whole.expressions, by, strict=True))  # fmt: skip
+    return [ca.sparsify(substituted(each, names, values)) for each in slopes]

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobian
+from slipfree.calls import jacobians
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.kinematics.margin import extent
@@ -116,10 +116,8 @@ def response_of(vehicle: Vehicle, direct: Direct, given: tuple[str, ...]) -> Res
     slip = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
     plane = planar_rates(direct)
     asked = ca.vertcat(*(plane[name] for name in given))
-    expressions = [
-        jacobian(direct.alg[1], rates), jacobian(direct.alg[1], u),
-        jacobian(slip, rates), jacobian(slip, u), jacobian(asked, rates),
-    ]  # fmt: skip
+    law = direct.alg[1]
+    expressions = jacobians([law, law, slip, slip, asked], [rates, u, rates, u, rates])
     function = ca.Function(
         "response", [pack(direct.x), pack(direct.z.position)], [ca.densify(e) for e in expressions]
     )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobian
+from slipfree.calls import jacobians
 from slipfree.contact.closure import Touch
 from slipfree.dae import Limit
 from slipfree.geometry.frame import platform
@@ -98,9 +98,10 @@ def mechanics(
     # Dampers lose twice the gradient of their dissipation function, half their power.
     lost = power + damped / 2
     slip = ca.vertcat(*slips)
+    by_unknown, by_given = jacobians([slip, slip], [unknown, given])
     return Mechanics(
-        jacobian(slip, unknown),
-        jacobian(slip, given),
+        by_unknown,
+        by_given,
         -ca.gradient(lost, unknown),
         -ca.gradient(lost, given),
         tuple(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobian
+from slipfree.calls import jacobians
 from slipfree.dae import Dae, Linear
 from slipfree.errors import ModelError
 from slipfree.named import Array, Label, leaves, pack
@@ -263,21 +263,23 @@ def _numbers(label: Label, value: Any, intervals: int) -> Array:
 def _blocks(
     dae: Dae[Any, Any, Any, Any, Any], symbols: list[ca.SX], parts: list[ca.SX]
 ) -> tuple[Block, ...]:
-    blocks, end, z, easing = [], 0, symbols[2], symbols[4]
-    for rows, labels in zip(parts, dae.labels.alg, strict=True):
-        span = slice(end, end + len(labels))
-        end = span.stop
+    z, easing = symbols[2], symbols[4]
+    ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
+    spans = [slice(*ends[k : k + 2]) for k in range(len(parts))]
+    blocks = list[Block]()
+    every = zip(parts, spans, jacobians(parts, [z[span] for span in spans]), dae.labels.alg,
+                strict=True)  # fmt: skip
+    for rows, span, slopes, labels in every:
         if not labels:
             continue
         if ca.depends_on(rows, z[span.stop :]):
             raise ModelError("a block of equations depends on the unknowns of a later one")
-        slopes = ca.densify(jacobian(rows, z[span]))
         eased = dae.easing is not None and ca.depends_on(rows, easing)
         blocks.append(
             Block(
                 span,
                 ca.Function("residual", symbols, [rows]),
-                ca.Function("jacobian", symbols, [slopes]),
+                ca.Function("jacobian", symbols, [ca.densify(slopes)]),
                 not ca.depends_on(slopes, z[span]),
                 dae.easing.values if dae.easing and eased else (0.0,),
                 labels,
