@@ -4,14 +4,15 @@
 
 1. condition numbers of the equations of position and of rates, on level ground and on hills;
 2. Rocky 7 on the rover-scale grid of wmrde, 10 s and 5 m: error of the end and CPU over the
-   tolerance, against the end at 1e-10;
+   tolerance, against the end at 1e-10, interpreted and compiled;
 3. seven cases on the hills of the tests, 20 s each, at a tolerance of 1e-6: error against 1e-10,
    CPU and real-time factor;
 4. what grounds with noise and steps do to it, raw and rolled;
 5. a plan over that grid, 2.3 m in 8 s: iterations, slip, what the simulation makes of it.
 
-CPU is that of `simulate`, the least of three runs. Part of it prepares model and samples, whatever
-the duration; what the way itself takes is the difference to a run a tenth as long.
+CPU is that of `simulate`, the least of a few runs. Part of it prepares model and samples, whatever
+the duration; what the way itself takes is the difference to a run a tenth as long, made in turn
+with it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import casadi as ca
@@ -42,20 +46,24 @@ from test_rovers import (
     HILLS,
     LIGHT,
     hill_run,
+    rocky_case,
     rocky_run,
     rover_ground,
 )
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
+TURNS = 8
 TOLD = 3e-3  # difference of CPU below which it is noise [s]
 NOISES = (0.002, 0.005, 0.010)  # standard deviation of the noise on the grid's nodes [m]
 GOAL, DURATION, INTERVALS = {"x": 3.4, "y": 0.6}, 8.0, 40
 WEIGHTS = {"slip": 100.0, "effort": 0.01}
 
 
-def quickest(task: Callable[[], Trajectory]) -> Trajectory:
-    """Return the run of least CPU of three."""
-    return min((task() for _ in range(3)), key=lambda run: run.statistics["cpu_seconds"])
+def quickest(*tasks: Callable[[], Trajectory]) -> list[Trajectory]:
+    """Return the run of least CPU of each task, of several that are made in turn."""
+    runs = [[task() for task in tasks] for _ in range(TURNS)]
+    return [min(each, key=lambda run: run.statistics["cpu_seconds"])
+            for each in zip(*runs, strict=True)]  # fmt: skip
 
 
 def cost(run: Trajectory, short: Trajectory) -> str:
@@ -87,20 +95,20 @@ def rocky() -> None:
         exact = rocky_run(rover_ground(), 0.0, steer, tolerance=1e-10)
         end = ", ".join(f"{exact[name][-1]:.6f}" for name in "xyz")
         print(f"  discs, steering {steer:g} rad: ends at {end} m")
-        for tolerance in TOLERANCES:
-            run, short = (
-                quickest(
-                    lambda s=steer, t=tolerance, d=each: rocky_run(rover_ground(), 0.0, s, t, d)
-                )
-                for each in (10.0, 1.0)
-            )
-            print(f"    {tolerance:.0e}: error {gap(run, exact):.1e} m, {cost(run, short)}")
+        dae, start, inputs = rocky_case(rover_ground(), 0.0, steer)
+        for tolerance, compiled in product(TOLERANCES, (False, True)):
+            model = replace(dae, compiled=compiled)
+            drive = partial(simulate, model, start, inputs, tolerance=tolerance)
+            run, short = quickest(*(partial(drive, np.linspace(0, each, 101))
+                                    for each in (10.0, 1.0)))  # fmt: skip
+            words = "compiled" if compiled else f"{tolerance:.0e}"
+            print(f"    {words:8}: error {gap(run, exact):.1e} m, {cost(run, short)}")
 
 
 def hills() -> None:
     """Print errors and times of the cases on hills."""
     for case in HILL_CASES:
-        run, short = (quickest(lambda c=case, d=each: hill_run(c, 1e-6, d)) for each in (20.0, 2.0))
+        run, short = quickest(*(partial(hill_run, case, 1e-6, each) for each in (20.0, 2.0)))
         print(f"  {case:18}: error {gap(run, hill_run(case, 1e-10)):.1e} m, {cost(run, short)}")
 
 
