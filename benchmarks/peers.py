@@ -340,7 +340,7 @@ def plot(found: dict[float, dict[str, Line]], file: Path) -> None:
         axes.set(xlabel="CPU time per metre [ms/m]", title=words(rough))
         axes.grid(visible=True, alpha=0.3)
     panels[0].set_ylabel("largest error of the position [m]")
-    panels[0].legend()
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     figure.savefig(file, dpi=150)
 
 

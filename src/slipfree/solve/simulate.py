@@ -93,6 +93,7 @@ def _simulated(
     dae: Dae[Any, Any, Any, Any, Any], start: Trajectory, inputs: Any, t: Array, tolerance: float,
     method: Method | None, progress: Progress | None, heed: Heed,
 ) -> Trajectory:  # fmt: skip
+    """Return the motion, what gets lost of interruptions kept."""
     t = usable_times(t)
     if not FINEST <= tolerance < 1:
         raise ModelError(
