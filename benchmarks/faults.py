@@ -31,7 +31,7 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from fuzz_files import bases, document
 from slipfree import result_file
-from slipfree.compiled import FOLDER, digest
+from slipfree.compiled import FOLDER
 from slipfree.errors import SlipfreeError
 
 ROOT = Path(__file__).parent.parent
@@ -225,10 +225,8 @@ def faults(rng: Random, took: float) -> dict[str, Callable[[], Start]]:
 def _bad_caches() -> Start:
     """Return what runs a command with damaged caches: fonts, and compiled functions."""
     folder = Path(tempfile.mkdtemp(prefix="caches-"))
-    for number, kept in enumerate(sorted(Path(os.environ[FOLDER]).glob("*.so"))):
-        content = kept.read_bytes()[:1000] + b"junk"
-        named = digest(content) if number % 2 else kept.suffixes[-2][1:]  # as if written so, or not
-        (folder / f"{kept.name.split('.')[0]}.{named}.so").write_bytes(content)
+    for kept in Path(os.environ[FOLDER]).glob("*.so"):
+        (folder / kept.name).write_bytes(kept.read_bytes()[:1000] + b"junk")
     import matplotlib.font_manager as fonts
 
     version = fonts.FontManager.__version__
