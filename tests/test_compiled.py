@@ -332,6 +332,19 @@ def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(
     assert result.stderr.count(words) == 1
 
 
+def test_a_sweep_says_it_once_whatever_its_processes_find(tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv(compiled.FOLDER, "")
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, ["new", "direct", "p"]).exit_code == 0
+    words = [word for setting in ("solver.compiled=true", "time.duration=0.2")
+             for word in ("--set", setting)]  # fmt: skip
+    sweep = ["sweep", "p.toml", "--repeat", "2", "--processes", "2", "--no-draw", *words]
+    result = CliRunner().invoke(app, sweep)
+    assert result.exit_code == 0, result.output
+    assert result.stderr.count("are interpreted, not compiled: SLIPFREE_CACHE is empty") == 1
+    assert "UserWarning" not in capfd.readouterr().err
+
+
 def test_a_program_without_a_compiler_is_interpreted(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda _: None)
     with pytest.warns(UserWarning, match="no C compiler was found"):

@@ -163,6 +163,19 @@ def test_pressed_on_leaving(monkeypatch):
         work()
 
 
+@pytest.mark.parametrize(("name", "at"), [("_int_to_enum", 2), ("_enum_to_int", 3)])
+def test_pressed_while_python_puts_a_handler_in_its_place(name, at, monkeypatch):
+    """On entering and on leaving: `signal.signal` is Python code, and nothing stays behind."""
+    former = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(signal, name, pressing(getattr(signal, name), at)[0])
+    with pytest.raises(KeyboardInterrupt), Heed():
+        pass
+    monkeypatch.undo()
+    assert signal.getsignal(signal.SIGINT) is former
+    with Heed():
+        pass
+
+
 def test_another_thread_leaves_the_handler_alone():
     handlers, raised = [], []
 

@@ -18,7 +18,7 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.dae import Labels, Limit
+from slipfree.dae import Labels, Limit, Linear
 from slipfree.named import Label, symbols
 from slipfree.solve import simulate as module
 
@@ -288,3 +288,16 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     assert first
     for name in ("x", "y", "heading"):
         assert_allclose(run[name], plain[name], atol=1e-5)
+
+
+def test_inputs_that_are_linear_in_time_keep_their_slopes_beside_laws():
+    """Wheels whose rates grow with time, one of them by a law that says the same."""
+    dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), Analytic(hills))
+    start, t = settle(dae), np.linspace(0, 1, 5)
+    grows = Linear(np.full(4, 0.1), np.full(4, 0.3))
+    rates = {"right_rate": grows, "left_rate": grows, "steer_rate": 0.0}
+    alone = simulate(dae, start, dae.inputs(**rates), t)
+    beside = simulate(dae, start, dae.inputs(**rates | {"left_rate": 0.1 + 0.3 * dae.t}), t)
+    assert alone["wheel_angle"][-1, 0] > 0.2
+    for name in ("x", "y", "heading", "right_rate", "left_rate"):
+        assert_allclose(beside[name], alone[name], atol=1e-7)

@@ -176,7 +176,6 @@ def lifted(symbols: Sequence[ca.SX], expressions: Sequence[ca.SX]) -> Lifted:
         if key in known:
             return _entries(known[key].results)
         of_column = _of_column(f)
-        # Symbols of one name are one to CasADi's search for common subexpressions.
         results = ca.SX.sym(f"result{len(calls)}", of_column.numel_out(0))
         known[key] = Call(of_column, ca.vertcat(ca.SX(0, 1), *entries), results)
         calls.append(known[key])
@@ -303,7 +302,7 @@ def built(
     values = ca.Function("values", given, results, {"cse": True})
     if values.n_instructions() < LARGE:
         return tuple(make())
-    code = [Path(inspect.getfile(each)).read_text() for each in (built, make)]
+    code = [Path(inspect.getfile(each)).read_text(encoding="utf-8") for each in (built, make)]
     text = [*code, whole.layout, str([*smooth]), source([values])]
     return library("\n".join(text), names, make) or tuple(make())
 

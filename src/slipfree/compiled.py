@@ -31,6 +31,7 @@ FOLDER = "SLIPFREE_CACHE"  # variable of the environment: another folder; empty 
 # The functions are long lists of sums and products: with more optimisation they take as long, and
 # without any they take three times as long, as the interpreter does.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
+NO_COMPILER = "no C compiler was found: cc, gcc, clang, or what CC names"
 PATIENCE = 300.0  # with the compiler [s]
 KEPT = 64  # libraries; about a megabyte each
 SCRATCH = "making-"  # how folders begin in which a compiler works
@@ -64,7 +65,7 @@ def library(
         if found := _kept(place, key, names):
             return found
         if (command := compiler()) is None:
-            raise _NothingError("no C compiler was found: cc, gcc, clang, or what CC names")
+            raise _NothingError(NO_COMPILER)
         _compile(place, key, make(), command)
         if found := _kept(place, key, names):
             return found
@@ -72,6 +73,13 @@ def library(
     except _NothingError as error:
         warnings.warn(f"equations are interpreted, not compiled: {error}", stacklevel=1)
     return None
+
+
+def obstacle() -> str | None:
+    """Return why nothing can be compiled here, None if nothing is seen that is in the way."""
+    if folder() is None:
+        return f"{FOLDER} is empty"
+    return NO_COMPILER if compiler() is None else None
 
 
 class _NothingError(Exception):
@@ -136,7 +144,10 @@ def _kept(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
             if same and _own(file.lstat()) and not file.is_symlink():
-                return tuple(ca.external(name, str(file)) for name in names)
+                found = tuple(ca.external(name, str(file)) for name in names)
+                with suppress(OSError):  # of a place where nothing can be written
+                    os.utime(file)  # the last one used is the last one removed
+                return found
         except (OSError, RuntimeError):  # it vanished, or cannot be loaded here
             pass
         with suppress(OSError):  # of a place where nothing can be written
@@ -194,7 +205,7 @@ def _run(command: Sequence[str]) -> None:
 
 
 def _tidy(place: Path) -> None:
-    """Remove the oldest libraries of those that are too many, and what killed compilers left."""
+    """Remove the libraries that were not used for longest, and what killed compilers left."""
     ages = dict[Path, float]()
     for file in place.iterdir():
         with suppress(OSError):  # another process may tidy as well

@@ -83,9 +83,12 @@ class Heed:
                 self._former(number, frame)
         except BaseException as error:
             self._kept[:] = [error]
-            # Raised there, it would keep the former handler from its place.
-            if frame is None or frame.f_code not in (_ENTER, _EXIT):
-                raise
+            # Raised there, it would keep a handler from its place, which Python code puts there.
+            while frame is not None:
+                if frame.f_code in (_ENTER, _EXIT):
+                    return
+                frame = frame.f_back
+            raise
 
 
 _ENTER, _EXIT = Heed.__enter__.__code__, Heed.__exit__.__code__

@@ -73,6 +73,7 @@ def sweep(
     The same command goes on with a sweep that was interrupted or killed.
     """
     with reported():
+        from slipfree.compiled import obstacle
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
         from slipfree.sweep.table import NAME, chosen, facts
@@ -81,6 +82,8 @@ def sweep(
         folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
         if draw:
             _check_figures(folder / FIGURES)
+        if plan.problem.spec.solver.compiled and (why := obstacle()):
+            warn(f"equations that are not kept yet are interpreted, not compiled: {why}")
         rows = _done(plan, folder, _pool(processes, scheduler), keep, again)
         names = chosen(plan, rows, figures or [])
         tell(facts(plan, rows, names))

@@ -170,7 +170,7 @@ def warn(words: str) -> None:
 
 def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
     """Print a warning of the library, if it is a new one."""
-    if str(message) not in _said().content.get("warnings", ()):
+    if not set(str(message).splitlines()) <= set(_said().content.get("warnings", ())):
         warn(str(message))
 
 

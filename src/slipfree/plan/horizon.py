@@ -184,6 +184,8 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
             f"horizon: expected a time and {program.layout.first.size} states, all finite, found "
             f"t = {t} and {x}"
         )
+    if t < former.t - APART:
+        raise ModelError(f"horizon: expected a time from {former.t:g} s on, found {t:g} s")
     span = min(window.span, plan.duration - t)
     if span < SHORTEST * window.span:
         return former

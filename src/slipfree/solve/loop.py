@@ -104,20 +104,21 @@ def close(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) -> Loo
     """
     u = dae.columns()[2]
     law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))
-    slopes = np.zeros_like(values)
+    slopes, slope = np.zeros_like(values), ca.SX.sym("slope", u.numel())
     for index, (label, value) in enumerate(zip(leaves(dae.labels.u), leaves(inputs), strict=True)):
         if isinstance(value, ca.SX):
             law[index] = _checked(dae, label, value)
         elif isinstance(value, Linear):
+            law[index] += slope[index] * dae.t
             values[index] = _numbers(label, value.base, intervals)
             slopes[index] = _numbers(label, value.slope, intervals)
         else:
             values[index] = _numbers(label, value, intervals)
+    linear = any(isinstance(value, Linear) for value in leaves(inputs))
+    numbers = np.concatenate([values, slopes]) if linear else values
     if any(isinstance(value, ca.SX) for value in leaves(inputs)):
-        return _compiled(dae, law, u)._replace(u=values)
-    if any(isinstance(value, Linear) for value in leaves(inputs)):
-        return _sloping(dae)._replace(u=np.concatenate([values, slopes]))
-    return _open(dae)._replace(u=values)
+        return _compiled(dae, law, ca.vertcat(u, slope) if linear else u)._replace(u=numbers)
+    return (_sloping if linear else _open)(dae)._replace(u=numbers)
 
 
 @lru_cache(maxsize=8)

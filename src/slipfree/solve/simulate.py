@@ -283,7 +283,7 @@ def _looked_at(
         parts.append(part)
         found = first_violation(loop, runs[-1], part, unsolved)
         if progress is not None:
-            progress(float(part.t[-1]))
+            task.heed.call(progress, float(part.t[-1]))
         if found is not None:
             fault = left + found[0], found[1]
             break

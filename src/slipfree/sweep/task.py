@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import warnings
 from collections.abc import Mapping
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
@@ -70,6 +71,7 @@ def serve(pipe: Connection) -> None:
     """Do tasks from a pipe until its other end is closed, or the process there has ended."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent decides
+    warnings.simplefilter("ignore")  # which the parent tells
     os.dup2(2, 1)  # what solvers print must not get into the summary
     from slipfree.sweep.work import work
 
