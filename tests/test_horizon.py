@@ -166,7 +166,7 @@ def test_states_that_are_none_and_steps_that_fail_are_told(found):
             advance(window, first, 0.0, state)
     with pytest.raises(ModelError, match="found t = nan"):
         advance(window, first, np.nan, start)
-    with pytest.raises(ModelError, match="expected a time from 1 s on, found 0.5"):
+    with pytest.raises(ModelError, match="expected a time from 1 s on"):
         advance(window, first._replace(t=1.0), 0.5, start)
     with pytest.raises(SolverError, match="the former cycle may be driven on"):
         advance(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
