@@ -91,7 +91,7 @@ class Lifted(NamedTuple):
 
         A number may be another one next time, as the key of a ground is.
         """
-        return column(entry for call in self.calls for entry in ca.vertsplit(call.arguments)
+        return column(entry for call in self.calls for entry in _entries(call.arguments)
                       if not entry.is_constant())  # fmt: skip
 
     @property
@@ -215,8 +215,10 @@ class Taylor:
 
     Attributes
     ----------
+    firsts, seconds : list of SX
+        Symbols of the first and second derivatives of every smooth call, a column each.
     first, second : SX
-        Symbols of the first and second derivatives of all smooth calls, a column each.
+        All of them, a column each.
     """
 
     def __init__(self, whole: Lifted, smooth: Sequence[bool]) -> None:
