@@ -1,6 +1,7 @@
 """Fixtures shared by the tests."""
 
 import os
+import signal
 
 # Before numpy is imported: threads of processes side by side wait for each other.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 matplotlib.use("Agg")
+# Jobs of a shell in the background ignore Ctrl-C, and so would all that they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
 
 
