@@ -24,6 +24,7 @@ from reference import heading
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
 from slipfree.named import leaves
 from slipfree.solve.consistent import consistent
+from slipfree.solve.equations import linear_options
 from slipfree.solve.loop import Loop, close
 from slipfree.terrain.base import Jet, jet_of
 
@@ -68,11 +69,12 @@ def surface(nodes: int) -> Grid:
     return Grid(axis, axis, z)
 
 
-def wrapped(loop: Loop) -> dict[str, Any]:
-    """Return the DAE as IDAS gets it from ``simulate``, with its own Jacobian."""
+def wrapped(loop: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the DAE as IDAS gets it from ``simulate``, and its options for linear systems."""
     symbols = [ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txzu")]
     ode, alg = loop.core(*symbols)
-    return dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
+    system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
+    return system, linear_options(loop.core, system, symbols)
 
 
 def written_out(loop: Loop, law: Any) -> dict[str, Any]:
@@ -99,11 +101,11 @@ def row(kind: str, nodes: int) -> dict[str, Any]:
     loop = close(dae, law, 100)
     x = dae.rows("x", start, -1)
     z = consistent(loop, 0.0, x, dae.rows("z", start, -1), loop.u[:, 0])
-    system = wrapped(loop) if kind == "ours" else written_out(loop, law)
+    system, own = wrapped(loop) if kind == "ours" else (written_out(loop, law), {})
     t = np.linspace(0, DISTANCE / SPEED, 101)
     runs = {}
     for tolerance in (*TOLERANCES, 1e-12):
-        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6}
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6, **own}
         solver = ca.integrator("motion", "idas", system, 0.0, t, options)
         times = []
         for _ in range(5):

@@ -107,11 +107,13 @@ def points(run: Callable[[float], tuple[float, np.ndarray]], metres: float) -> L
     return line
 
 
-def by_idas(system: dict[str, Any], at: dict[str, Any]) -> Callable[[float], Any]:
-    """Return an integration by CasADi's IDAS over the tolerance."""
+def by_idas(
+    system: dict[str, Any], own: dict[str, Any], at: dict[str, Any]
+) -> Callable[[float], Any]:
+    """Return an integration by CasADi's IDAS over the tolerance, with options of its own."""
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
-        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6}
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6, **own}
         solver = ca.integrator("motion", "idas", system, 0.0, T, options)
         cpu, found = least(lambda: solver(**at))
         return cpu, np.array(found["xf"])[:2]
@@ -224,7 +226,7 @@ def ours(rough: float) -> dict[str, Line]:
     at = {"x0": x, "z0": z, "u": u}
     metres = SPEED * DURATION
     rates = explicit(loop, at)
-    lines = {"ours": points(by_idas(wrapped(loop), at), metres)}
+    lines = {"ours": points(by_idas(*wrapped(loop), at), metres)}
     lines |= compiled(rough, at)
     for kind in ("LSODA", "DOP853", "Radau"):
         lines[f"scipy {kind}"] = points(by_scipy(kind, rates, at), metres)
@@ -238,7 +240,7 @@ def compiled(rough: float, at: dict[str, Any]) -> dict[str, Line]:
     with tempfile.TemporaryDirectory() as folder:
         os.environ[FOLDER] = folder
         _, _, loop, _ = prepared(rough, compiled=True)
-        return {"compiled": points(by_idas(wrapped(loop), at), SPEED * DURATION)}
+        return {"compiled": points(by_idas(*wrapped(loop), at), SPEED * DURATION)}
 
 
 def naive(rough: float) -> dict[str, Line]:
@@ -248,7 +250,7 @@ def naive(rough: float) -> dict[str, Line]:
     u = loop.u[:, 0]
     z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u)[: loop.moving]
     at = {"x0": x, "z0": z, "u": u}
-    return {"naive": points(by_idas(written_out(loop, law), at), SPEED * DURATION)}
+    return {"naive": points(by_idas(written_out(loop, law), {}, at), SPEED * DURATION)}
 
 
 BODY = """<mujoco>

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import matplotlib as mpl
 import numpy as np
+from direct import wrapped
 from reference import heading
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
@@ -86,27 +87,16 @@ def formulations(ground: Bicubic) -> dict[str, Any]:
     }
 
 
-def idas(loop: Loop) -> dict[str, ca.MX]:
-    """Return the DAE as ``simulate`` gives it to IDAS."""
-    symbols = _symbols(loop, "txzu")
-    ode, alg = loop.core(*symbols.values())
-    return symbols | {"ode": ode, "alg": alg}
-
-
 def cvodes(loop: Loop) -> dict[str, ca.MX]:
     """Return the differential equations with the algebraic blocks solved inside."""
-    symbols = _symbols(loop, "txu")
+    sizes = {name: loop.core.size1_in(k) for k, name in enumerate("txzu") if name != "z"}
+    symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     t, x, u = symbols.values()
     z = ca.Function("guess", [loop.dae.columns()[0]], [loop.dae.guess])(x)
     for block in loop.blocks:
         solved = _linear(block, t, x, z, u) if block.linear else _newton(block, t, x, z, u)
         z = ca.vertcat(z[: block.span.start], solved, z[block.span.stop :])
     return symbols | {"ode": loop.core(t, x, z, u)[0]}
-
-
-def _symbols(loop: Loop, names: str) -> dict[str, ca.MX]:
-    sizes = {name: loop.core.size1_in(k) for k, name in enumerate("txzu")}
-    return {name: ca.MX.sym(name, sizes[name]) for name in names}
 
 
 def _linear(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
@@ -127,7 +117,7 @@ def _newton(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
     return finder(x0=z[block.span], p=ca.vertcat(t, x, z, u))["x"]
 
 
-INTEGRATORS = {"idas": idas, "idas test": idas, "cvodes": cvodes}
+INTEGRATORS = ("idas", "idas test", "cvodes")
 
 
 class Point(NamedTuple):
@@ -147,9 +137,10 @@ def line(kind: str, dae: Any, drive: Drive, stand: Trajectory, exact: Trajectory
     if kind != "cvodes":
         rest = dae.rows("z", stand, -1)
         begin["z0"] = consistent(loop, 0.0, x, rest, u)
-    system, points = INTEGRATORS[kind](loop), []
+    system, own = (cvodes(loop), {}) if kind == "cvodes" else wrapped(loop)
+    points = []
     for tolerance in TOLERANCES:
-        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 100_000}
+        options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 100_000, **own}
         if kind != "cvodes":
             options["suppress_algebraic"] = dae.suppress_algebraic ^ (kind == "idas test")
         solver = ca.integrator("motion", kind.split()[0], system, 0.0, drive.t, options)

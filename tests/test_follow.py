@@ -55,12 +55,20 @@ def test_path_is_by_arc_length():
     assert_allclose(moved, np.diff(s), rtol=5e-4)
 
 
-def test_path_goes_straight_on_beyond_its_end():
-    path = Path(np.array([(1.0, 2.0), (1.0, 5.0)]))
-    place = path.at(np.array([4.0, 7.0]))
-    assert_allclose(place.x, 1.0, atol=1e-12)
-    assert_allclose(place.y, [6.0, 9.0], atol=1e-12)
-    assert_allclose(place.curvature, 0)
+def test_path_goes_straight_on_beyond_its_ends():
+    for points in ([(1.0, 2.0), (1.0, 5.0)], [(1.0, 2.0), (1.0, 3.0), (1.0, 5.0)]):
+        place = Path(np.array(points)).at(np.array([-1.0, 2.0, 4.0, 7.0]))
+        assert_allclose(place.x, 1.0, atol=1e-12)
+        assert_allclose(place.y, [1.0, 4.0, 6.0, 9.0], atol=1e-12)
+        assert_allclose(place.curvature, 0)
+
+
+def test_a_line_of_two_points_is_that_of_three():
+    ends = np.array([(4.0, 1.0), (1.0, -3.0)])
+    s = np.linspace(-1, 6, 15)
+    places = (Path(points).at(s) for points in (ends, np.insert(ends, 1, ends.mean(axis=0), 0)))
+    for one, other in zip(*places, strict=True):
+        assert_allclose(np.broadcast_to(one, s.shape), other, atol=1e-12)
 
 
 @pytest.mark.parametrize(

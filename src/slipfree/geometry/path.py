@@ -86,11 +86,15 @@ class Path:
         origin : tuple of 2 floats
             Map coordinates of where ``x`` and ``y`` count from; near the path, it saves digits. [m]
         """
+        x_0, y_0 = self.points[0] - np.array(origin)
+        if len(self.points) == 2:  # a line, which takes no table
+            x, y = self.points[1] - self.points[0]
+            heading = ca.SX(np.arctan2(-x, y))
+            return Place(x_0 - s * ca.sin(heading), y_0 + s * ca.cos(heading), heading, ca.SX(0))
         inside = ca.fmin(ca.fmax(s, 0), self.length)
         x, y, heading, curvature = ca.vertsplit(self._spline(inside))
         beyond = s - inside
         on_path = ca.if_else(ca.fabs(beyond) > 0, 0, curvature)
-        x_0, y_0 = self.points[0] - np.array(origin)
         return Place(
             x_0 + x - beyond * ca.sin(heading), y_0 + y + beyond * ca.cos(heading), heading, on_path
         )

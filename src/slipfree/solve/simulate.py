@@ -19,6 +19,7 @@ from slipfree.interrupt import Heed
 from slipfree.named import Array
 from slipfree.solve.consistent import consistent
 from slipfree.solve.ending import ending
+from slipfree.solve.equations import linear_options
 from slipfree.solve.loop import Loop, close
 from slipfree.solve.sample import UNSOLVED, Samples, corrected, table
 from slipfree.solve.settle import first_violation
@@ -349,6 +350,7 @@ def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.F
         "max_num_steps": STEPS,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
+        **linear_options(loop.core, system, symbols),
     }
     if task.method == "idas":
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
