@@ -6,7 +6,7 @@ for it; the grounds that it calls and the laws of its inputs come in by the chai
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -99,10 +99,8 @@ def equations(
     )
 
 
-def linear_options(
-    core: ca.Function, symbols: Mapping[str, ca.MX], point: Sequence[ca.MX]
-) -> dict[str, Any]:
-    """Return options by which an integrator of SUNDIALS solves its linear systems.
+def linear_options(core: ca.Function) -> dict[str, Any]:
+    """Return options by which IDAS solves its linear systems.
 
     They are dense enough for LAPACK, and get the Jacobian as it is; CasADi would derive it from the
     system, and assemble it anew around the one that ``core`` has.
@@ -111,15 +109,11 @@ def linear_options(
     ----------
     core : casadi Function
         The equations, from `equations`.
-    symbols : mapping of str to MX
-        Those of the integrator's system: ``t``, ``x``, and where it has them ``z``, ``p``, ``u``.
-    point : sequence of MX
-        Where ``core`` is called, in them; ``x`` and ``z`` come as they are.
     """
-    given = [symbols.get(name, ca.MX.sym(name, 0)) for name in "txzpu"]
+    t, x, m, u = core.mx_in()
     unused = [ca.MX(core.sparsity_out(k)) for k in range(core.n_out())]
-    _, ode_x, ode_m, _, _, alg_x, alg_m, _ = core.jacobian().call([*point, *unused])
-    blocks = [ode_x, alg_x, ode_m, alg_m]
+    _, ode_x, ode_m, _, _, alg_x, alg_m, _ = core.jacobian().call([t, x, m, u, *unused])
+    given, blocks = [t, x, m, ca.MX.sym("p", 0), u], [ode_x, alg_x, ode_m, alg_m]
     jacobian = ca.Function("jacF", given, blocks)  # CasADi's name for it
     return {"linear_solver": "lapacklu", "cache": {"jacF": jacobian}}
 

@@ -13,7 +13,6 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.interrupt import Heed
 from slipfree.named import Array, leaves, unpack
-from slipfree.solve.equations import linear_options
 from slipfree.solve.loop import Loop, close
 from slipfree.solve.sample import Samples, table
 from slipfree.solve.settle import first_violation
@@ -149,6 +148,5 @@ def _integrator(loop: Loop, period: float, tolerance: float) -> ca.Function:
         "quad_err_con": True,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
-        **linear_options(loop.core, system, point),
     }
     return ca.integrator("period", "cvodes", system, 0.0, period, options)

@@ -350,10 +350,10 @@ def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.F
         "max_num_steps": STEPS,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
-        **linear_options(loop.core, system, symbols),
     }
     if task.method == "idas":
-        options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
+        options |= linear_options(loop.core) | {"suppress_algebraic": dae.suppress_algebraic}
+        options |= given
     else:
         options["quad_err_con"] = True
     return ca.integrator("motion", task.method, system, float(t[0]), t, options)
