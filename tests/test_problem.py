@@ -118,6 +118,10 @@ def test_lines_of_keys() -> None:
          "'wheel_base'; did you mean 'wheelbase'?"),
         ("r1 = 0.05", 'r1 = "5 cm"', "p.toml:11: vehicle.r1: expected a number, found '5 cm'"),
         ("x = 0.1", "x = nan", "p.toml:14: start.x: expected a finite number, found nan"),
+        ("x = 0.1", "x = -1e155", "p.toml:14: start.x: expected a number of at most 1e+100 in "
+         "size, found -1e+155"),
+        ("x = [-3, 3]", "x = [-3, 1e200]", "p.toml:4: terrain.synthetic.x[1]: expected a number "
+         "of at most 1e+100 in size, found 1e+200"),
         ("x = 0.1", "x = true", "p.toml:14: start.x: expected a number, found true"),
         ("duration = 1", "duration = 0", "p.toml:23: time.duration: expected a number greater than "
          "0, found 0"),

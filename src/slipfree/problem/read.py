@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast, get_args
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
 LARGEST = 1e300  # number that is shown as one
+VAST = 1e100  # number whose cube is one, too; no quantity is larger
 MOST_SAMPLES = 1_000_000
 MOST_BYTES = 10_000_000  # of a file of TOML
 MOST_KNOWN = 60  # names that are listed in full
@@ -137,7 +139,7 @@ def _read(schemas: Sequence[type[A]], path: str | Path, settings: Sequence[str])
     except ValidationError as error:
         faults += [_fault(schema, dict(each)) for each in error.errors(include_url=False)]
     else:
-        faults += [*_time(spec), *_path(spec)]
+        faults += [*_vast(data), *_time(spec), *_path(spec)]
         if not faults:
             return Problem(spec, source)
     raise problem_error(source, faults)
@@ -302,6 +304,16 @@ def _alternatives(schema: type[Asked], data: dict[str, Any]) -> Iterator[Fault]:
         expected = f"exactly one of {', '.join(keys)}"
         if len(given) != 1:
             yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
+
+
+def _vast(value: Any, place: Place = ()) -> Iterator[Fault]:
+    """Yield a fault for every number with which there is no reckoning."""
+    if isinstance(value, Mapping | list):
+        parts = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, part in parts:
+            yield from _vast(part, (*place, key))
+    elif isinstance(value, float | int) and VAST < abs(value) < inf:
+        yield Fault(place, f"a number of at most {VAST:g} in size", _shown(value))
 
 
 def _path(spec: Asked) -> Iterator[Fault]:
