@@ -24,7 +24,7 @@ from reference import heading
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
 from slipfree.named import leaves
 from slipfree.solve.consistent import consistent
-from slipfree.solve.equations import linear_options
+from slipfree.solve.equations import jacobian_option
 from slipfree.solve.loop import Loop, close
 from slipfree.terrain.base import Jet, jet_of
 
@@ -70,11 +70,11 @@ def surface(nodes: int) -> Grid:
 
 
 def wrapped(loop: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the DAE as IDAS gets it from ``simulate``, and its options for linear systems."""
+    """Return the DAE as IDAS gets it from ``simulate``, and the option with its Jacobian."""
     symbols = [ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txzu")]
     ode, alg = loop.core(*symbols)
     system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
-    return system, linear_options(loop.core)
+    return system, jacobian_option(loop.core)
 
 
 def written_out(loop: Loop, law: Any) -> dict[str, Any]:

@@ -197,6 +197,7 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     problem = read(PROBLEMS / "paper_inverse.toml", ["steering=rate", "time.duration=0.1"])
     motion = run(problem).trajectory
     assert motion.stop is not None  # it runs into the axis
+    assert motion.statistics["steps"] < 5000  # what is singular is noticed, not ground through
     reached = replace(motion, stop=Stop("solver", float(motion.t[-1]), "gave up"), attributes={})
 
     def fail(*_: Any, **__: Any) -> None:

@@ -297,7 +297,7 @@ def test_the_integrator_takes_the_jacobian_that_it_is_given():
     symbols = dict(zip("txzu", loop.core.mx_in(), strict=True))
     ode, alg = loop.core(*symbols.values())
     system = symbols | {"ode": ode, "alg": alg}
-    option = module.linear_options(loop.core)
+    option = module.jacobian_option(loop.core)
     own = option["cache"]["jacF"]
     taken = [ca.integrator("motion", "idas", system, 0.0, 1.0, each).get_function("jacF")
              for each in ({}, option)]  # fmt: skip

@@ -99,11 +99,10 @@ def equations(
     )
 
 
-def linear_options(core: ca.Function) -> dict[str, Any]:
-    """Return options by which IDAS solves its linear systems.
+def jacobian_option(core: ca.Function) -> dict[str, Any]:
+    """Return the option that gives IDAS the Jacobian as it is.
 
-    They are dense enough for LAPACK, and get the Jacobian as it is; CasADi would derive it from the
-    system, and assemble it anew around the one that ``core`` has.
+    CasADi would derive it from the system, and assemble it anew around the one that ``core`` has.
 
     Parameters
     ----------
@@ -115,7 +114,7 @@ def linear_options(core: ca.Function) -> dict[str, Any]:
     _, ode_x, ode_m, _, _, alg_x, alg_m, _ = core.jacobian().call([t, x, m, u, *unused])
     given, blocks = [t, x, m, ca.MX.sym("p", 0), u], [ode_x, alg_x, ode_m, alg_m]
     jacobian = ca.Function("jacF", given, blocks)  # CasADi's name for it
-    return {"linear_solver": "lapacklu", "cache": {"jacF": jacobian}}
+    return {"cache": {"jacF": jacobian}}
 
 
 def _jacobian(

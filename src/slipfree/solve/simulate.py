@@ -19,7 +19,7 @@ from slipfree.interrupt import Heed
 from slipfree.named import Array
 from slipfree.solve.consistent import consistent
 from slipfree.solve.ending import ending
-from slipfree.solve.equations import linear_options
+from slipfree.solve.equations import jacobian_option
 from slipfree.solve.loop import Loop, close
 from slipfree.solve.sample import UNSOLVED, Samples, corrected, table
 from slipfree.solve.settle import first_violation
@@ -352,8 +352,8 @@ def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.F
         "disable_internal_warnings": True,
     }
     if task.method == "idas":
-        options |= linear_options(loop.core) | {"suppress_algebraic": dae.suppress_algebraic}
-        options |= given
+        options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
+        options |= jacobian_option(loop.core)
     else:
         options["quad_err_con"] = True
     return ca.integrator("motion", task.method, system, float(t[0]), t, options)
