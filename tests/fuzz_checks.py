@@ -57,7 +57,7 @@ def judged(case: Case, folder: Path, *, deep: bool = False) -> Verdict:
             USES.get(case.kind, _use_map)(main, deep)
             found = Verdict(READ)
         except SlipfreeError as error:
-            found = _of_message(str(error), [str(folder), *case.files])
+            found = _of_message(str(error), [str(folder), *case.files, "/dev/null"])
         except Exception as error:  # what is to be found
             place = traceback.extract_tb(error.__traceback__)
             where = " < ".join(

@@ -68,7 +68,8 @@ def test_a_line_of_two_points_is_that_of_three():
     s = np.linspace(-1, 6, 15)
     places = (Path(points).at(s) for points in (ends, np.insert(ends, 1, ends.mean(axis=0), 0)))
     for one, other in zip(*places, strict=True):
-        assert_allclose(np.broadcast_to(one, s.shape), other, atol=1e-12)
+        assert one.shape == other.shape == s.shape
+        assert_allclose(one, other, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +78,7 @@ def test_a_line_of_two_points_is_that_of_three():
         ([(0.0, 0.0)], "two or more points"),
         ([0.0, 1.0], "two or more points"),
         ([(0.0, 0.0), (1.0, np.nan)], "must be finite"),
+        ([(0.0, 0.0), (0.0, 1.0), (0.0, 1e160)], r"below 1e\+12 m"),
         ([(0.0, 0.0), (1.0, 1.0), (1.0, 1.0)], "way-points 2 and 3 coincide"),
     ],
 )

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cases import hills
 from slipfree import (
@@ -21,6 +21,7 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
+from slipfree.plan import horizon as module
 from slipfree.plan.horizon import advance, begin, driven, horizon
 from slipfree.plan.plan import plan
 
@@ -54,6 +55,15 @@ def traverse(found, window, **start):
 
 def away(run):
     return float(np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]))
+
+
+def test_the_end_of_a_plan_is_its_end_whatever_was_summed_up(found):
+    window = horizon(found, span=DURATION, intervals=COUNT)
+    for one, other in zip(module._bounds(window, DURATION), module._bounds(window, DURATION - 1e-9),
+                          strict=True):  # fmt: skip
+        assert_array_equal(one, other)
+    lower, upper = module._bounds(window, DURATION - 1.0)
+    assert_array_equal(lower[-len(GOAL) :], upper[-len(GOAL) :])
 
 
 def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):

@@ -122,6 +122,8 @@ def test_lines_of_keys() -> None:
          "size, found -1e+155"),
         ("x = [-3, 3]", "x = [-3, 1e200]", "p.toml:4: terrain.synthetic.x[1]: expected a number "
          "of at most 1e+100 in size, found 1e+200"),
+        ("x = 0.1", f"x = 0x{'f' * 5000}", "p.toml:14: start.x: expected a number, found a whole "
+         "number of 20000 bits"),
         ("x = 0.1", "x = true", "p.toml:14: start.x: expected a number, found true"),
         ("duration = 1", "duration = 0", "p.toml:23: time.duration: expected a number greater than "
          "0, found 0"),

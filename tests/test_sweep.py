@@ -68,7 +68,7 @@ step = 0.1
 """
 SPEED, ROUGH = "driver.speed", "terrain.synthetic.power_law.rms"
 GRID = ["--vary", f"{SPEED}=0.5,1.0", "--vary", f"{ROUGH}=0.01,0.02", "--repeat", "3"]
-SLOW = [*GRID, "--set", "time.step=0.01"]  # so long that many are left when it is killed
+SLOW = [*GRID, "--set", "time.step=0.003"]  # so long that many are left when it is killed
 RUNS = 12  # of the grid
 
 

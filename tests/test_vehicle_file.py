@@ -236,6 +236,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
          "(coordinate 'swivel'): expected joints that all turn or all slide by it, found both"),
         ("at = [0, -0.25, 0]", "at = [0, -250, 0]", "v.toml:25: wheels[1].at (wheel 'right'): "
          "expected metres, at most 100 (did you mean millimetres? write -0.25), found [0, -250"),
+        ("at = [0, -0.25, 0]", "at = [0, -0.25, 0]\nmass = 1e200", "v.toml:26: wheels[1].mass "
+         "(wheel 'right'): expected a number of at most 1e+100 in size, found 1e+200"),
         ("at = [0, -0.25, 0]", "at = [0, -0.25]", "v.toml:25: wheels[1].at[2] (wheel 'right'): "
          "expected a number, found none"),
         ("radius = 0.1\n", "radius = 100.5\n", "v.toml:33: wheels[2].radius (wheel 'caster'): "

@@ -12,6 +12,7 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.named import Array
 
+FAR = 1e12  # no map reaches there [m]
 NODES = 64  # of the arc-length table, for each way-point
 
 
@@ -36,7 +37,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The cubic spline through way-points, by its arc length; beyond its end it goes straight on.
+    """The cubic spline through way-points, by its arc length; beyond its ends it goes straight on.
 
     Attributes
     ----------
@@ -57,8 +58,8 @@ class Path:
             raise ModelError(
                 f"path: expected two or more points (x, y), found shape {points.shape}"
             )
-        if not np.isfinite(points).all():
-            raise ModelError("path: way-points must be finite")
+        if not (np.abs(points) < FAR).all():
+            raise ModelError(f"path: way-points must be finite, and below {FAR:g} m in size")
         gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if not (gaps > 0).all():
             k = int(gaps.argmin())

@@ -276,7 +276,7 @@ def _bounds(window: Horizon, end: float) -> tuple[Array, Array]:
     """Return bounds of the rows for a window that ends at a time: there it meets the plan."""
     program, plan = window.program, window.plan
     lower, upper = program.g_lower.copy(), program.g_upper.copy()
-    if end < plan.duration:
+    if end < plan.duration - APART:  # what is summed up may be off by rounding
         at = np.array([end / plan.duration])
         values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
         count = len(program.pieces[-1].labels)

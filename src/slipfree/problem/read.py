@@ -139,7 +139,7 @@ def _read(schemas: Sequence[type[A]], path: str | Path, settings: Sequence[str])
     except ValidationError as error:
         faults += [_fault(schema, dict(each)) for each in error.errors(include_url=False)]
     else:
-        faults += [*_vast(data), *_time(spec), *_path(spec)]
+        faults += [*vast(data), *_time(spec), *_path(spec)]
         if not faults:
             return Problem(spec, source)
     raise problem_error(source, faults)
@@ -306,12 +306,12 @@ def _alternatives(schema: type[Asked], data: dict[str, Any]) -> Iterator[Fault]:
             yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")
 
 
-def _vast(value: Any, place: Place = ()) -> Iterator[Fault]:
+def vast(value: Any, place: Place = ()) -> Iterator[Fault]:
     """Yield a fault for every number with which there is no reckoning."""
     if isinstance(value, Mapping | list):
         parts = value.items() if isinstance(value, Mapping) else enumerate(value)
         for key, part in parts:
-            yield from _vast(part, (*place, key))
+            yield from vast(part, (*place, key))
     elif isinstance(value, float | int) and VAST < abs(value) < inf:
         yield Fault(place, f"a number of at most {VAST:g} in size", _shown(value))
 
@@ -395,8 +395,10 @@ def _shown(value: Any, deepest: int = DEEPEST) -> str:
         return str(value).lower()
     if isinstance(value, str):
         return repr(_cut(value))
+    if isinstance(value, int) and abs(value) >= LARGEST:
+        return f"a whole number of {value.bit_length()} bits"
     if isinstance(value, float | int):
-        return f"{value:.12g}" if abs(value) < LARGEST else _cut(str(value))
+        return f"{value:.12g}"
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list):

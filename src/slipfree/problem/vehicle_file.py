@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Vector
 from slipfree.problem.locate import PIECE, Place, ProblemError, Source, key_lines, spelled
-from slipfree.problem.read import Fault, _fault, _text, listed, loaded, names
+from slipfree.problem.read import Fault, _fault, _text, listed, loaded, names, vast
 from slipfree.problem.schema import Length, Radius, Record
 from slipfree.problem.schema import Place as Place3
 from slipfree.vehicle.chain import Body, Coordinate, Joint, Kind
@@ -210,10 +210,13 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
 def validated(model: type[Record], parts: Mapping[str, type[BaseModel]], file: File) -> Any:
     """Return the record that a file holds; VehicleError for every value that is wrong."""
     try:
-        return model.model_validate(file.data)
+        found = model.model_validate(file.data)
     except ValidationError as error:
         faults = [_worded(model, parts, dict(e)) for e in error.errors(include_url=False)]
         raise file.error(faults) from error
+    if faults := [*vast(file.data)]:
+        raise file.error(faults)
+    return found
 
 
 def _worded(

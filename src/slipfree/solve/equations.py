@@ -113,8 +113,13 @@ def jacobian_option(core: ca.Function) -> dict[str, Any]:
     unused = [ca.MX(core.sparsity_out(k)) for k in range(core.n_out())]
     _, ode_x, ode_m, _, _, alg_x, alg_m, _ = core.jacobian().call([t, x, m, u, *unused])
     given, blocks = [t, x, m, ca.MX.sym("p", 0), u], [ode_x, alg_x, ode_m, alg_m]
-    jacobian = ca.Function("jacF", given, blocks)  # CasADi's name for it
-    return {"cache": {"jacF": jacobian}}
+    names = [
+        "jac_ode_x",
+        "jac_alg_x",
+        "jac_ode_z",
+        "jac_alg_z",
+    ]  # CasADi's, as that of the function
+    return {"cache": {"jacF": ca.Function("jacF", given, blocks, [*"txzpu"], names)}}
 
 
 def _jacobian(
