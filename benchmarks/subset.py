@@ -81,10 +81,12 @@ def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, 
     plane = planar_rates(direct)
     kept = ca.vertcat(direct.alg[1][-count:], *(plane[name] for name in given))
     slips = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
-    function = ca.Function("rows", [pack(direct.x), pack(direct.z.position)],
+    # They are linear, whatever rates their Jacobian is asked for at.
+    rates = [pack(direct.z.rates.motion), pack(direct.u)]
+    function = ca.Function("rows", [pack(direct.x), pack(direct.z.position), *rates],
                            [ca.jacobian(slips, unknown), ca.jacobian(kept, unknown)])  # fmt: skip
     pose = direct.rows("z", stand, -1)[: len(list(leaves(direct.z.position)))]
-    a, c = (np.array(part) for part in function(direct.rows("x", stand, -1), pose))
+    a, c = (np.array(part) for part in function(direct.rows("x", stand, -1), pose, 0, 0))
     matrix = np.block([[a.T @ a, c.T], [c, np.zeros((len(c), len(c)))]])
     right = np.concatenate([np.zeros(a.shape[1] + count), list(given.values())])
     found = np.linalg.lstsq(matrix, right, rcond=1e-12)[0][a.shape[1] - driving : a.shape[1]]

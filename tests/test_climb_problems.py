@@ -153,9 +153,9 @@ def test_distance_to_the_obstacle(path):
 def test_solids_here_and_in_a_file_are_a_step(folder):
     corners = "0,-5,-1\n0,5,-1\n0,5,0\n0,-5,0\n1,0,-1\n1,2,-1\n1,2,0.09\n1,0,0.09\n"
     (folder / "s.csv").write_text("solid,x,z\n" + corners)
-    step = run(read(STEP_FILE, ["time.duration=1", *COARSE])).trajectory
-    here = run(read(folder / "p.toml")).trajectory
-    there = run(read(folder / "p.toml", ["profile={file='s.csv'}"])).trajectory
+    step = run(read(STEP_FILE, ["time.duration=0.5", *COARSE])).trajectory
+    here = run(read(folder / "p.toml", ["time.duration=0.5"])).trajectory
+    there = run(read(folder / "p.toml", ["time.duration=0.5", "profile={file='s.csv'}"])).trajectory
     np.testing.assert_allclose(here["axle_z"], step["axle_z"], atol=1e-6)
     np.testing.assert_array_equal(here["axle_z"], there["axle_z"])
     assert there.attributes["profile"] == "convex solids of s.csv"

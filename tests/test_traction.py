@@ -236,7 +236,7 @@ def test_a_rigid_stop_of_a_tilt_ends_the_motion_by_name():
     ground = slope(0.0, 0.6)
     t, law = np.linspace(0, 60, 241), Traction(1e-3)
     rates, tilts = dict.fromkeys(RATES, 0.0), {"tilt_right": 0.1, "tilt_left": 0.1}
-    free = moved(three_wheeler(), ground, law, np.linspace(0, 30, 3001), rates, **tilts)
+    free = moved(three_wheeler(), ground, law, np.linspace(0, 30, 601), rates, **tilts)
     run = moved(three_wheeler(tilt_stop=0.2), ground, law, t, rates, **tilts)
     first = np.maximum(free["tilt_right"], free["tilt_left"])
     assert run.stop.name in ("tilt_right_stop", "tilt_left_stop")
