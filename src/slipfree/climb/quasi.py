@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse
-from scipy.optimize import brentq, linprog
 
 from slipfree.climb.profile import Profile, step
 from slipfree.climb.vehicle import Body, Climber
@@ -175,6 +174,8 @@ def least(matrix: Array, load: Array) -> Hold:
 
 def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Array, Array]:
     """Return the forces of largest least reserve of friction, and that, for each configuration."""
+    from scipy.optimize import linprog  # imported where it is used: it takes 0.2 s
+
     count, size = len(load), load[:, 1].mean()
     eye, blocks = np.eye(3), []
     for friction, part in zip(mu, relative, strict=True):
@@ -271,6 +272,7 @@ def highest(
     make : callable
         Height to profile; steps by default.
     """
+    from scipy.optimize import brentq  # imported where it is used: it takes 0.2 s
 
     def excess(height: float) -> float:
         try:

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Climber
@@ -224,6 +223,8 @@ def _march(
     climber: Climber, profile: Profile, q: Array, solids: Solids, axle: str, end: float
 ) -> tuple[Callable[[Array], Array], float, float, tuple[int, int] | None]:
     """Return a leg's curve, length and top, and which axle meets which solid at its end."""
+    from scipy.integrate import solve_ivp  # imported where it is used: it takes 0.2 s
+
     climbing = AXLES.index(axle) if axle else None
 
     def direction(_s: float, q: Array) -> Array:

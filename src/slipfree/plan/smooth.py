@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
 from slipfree.geometry.path import Path
@@ -263,6 +262,8 @@ def evenly(points: Array, step: float) -> Array:
 
 def _curved(points: Array, step: float) -> Array:
     """Return points evenly along the smooth curve through points, about a step apart."""
+    from scipy.interpolate import CubicSpline  # imported where it is used: it takes 0.2 s
+
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     at = np.concatenate([[0], np.cumsum(gaps)])
     count = max(round(float(at[-1]) / step), 1)

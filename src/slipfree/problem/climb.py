@@ -9,7 +9,6 @@ from math import degrees, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 
 from slipfree.climb.contact import Contact
 from slipfree.climb.control import Control, check_period
@@ -251,6 +250,8 @@ def _first_contact(climber: Climber, profile: Profile) -> float:
 
     The distance to a convex solid along a line is convex, so that it falls to zero once.
     """
+    from scipy.optimize import brentq, minimize_scalar  # imported where it is used: it takes 0.2 s
+
     radius, found = climber.radius, []
     for solid in profile.solids[1:]:
 

@@ -8,8 +8,6 @@ from math import isfinite
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import QhullError, cKDTree
 
 from slipfree.errors import DataError
 from slipfree.named import Array
@@ -145,6 +143,8 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
 
 def _distance(places: Array) -> float:
     """Return the median distance of points from their nearest neighbours. [m]."""
+    from scipy.spatial import cKDTree  # imported where it is used: it takes 0.2 s
+
     if len(places) < 3:
         raise DataError(f"expected at least 3 points in different places, found {len(places)}")
     return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
@@ -152,6 +152,9 @@ def _distance(places: Array) -> float:
 
 def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, slice]) -> Array:
     """Return heights at nodes, NaN outside the hull of the points."""
+    from scipy.interpolate import LinearNDInterpolator  # imported where it is used: it takes 0.2 s
+    from scipy.spatial import QhullError
+
     cells = (points[:, :2] - low) / spacing  # from the first node: large coordinates cost no digits
     nodes = np.rint(cells)
     # What is a node but for rounding is one: else nodes on a straight border would lie outside.
