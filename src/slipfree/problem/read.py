@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
 LARGEST = 1e300  # number that is shown as one
-VAST = 1e100  # number whose cube is one, too; no quantity is larger
+VAST = 1e100  # no quantity is larger; squares and cubes up to here are numbers
 MOST_SAMPLES = 1_000_000
 MOST_BYTES = 10_000_000  # of a file of TOML
 MOST_KNOWN = 60  # names that are listed in full
