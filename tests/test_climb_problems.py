@@ -291,6 +291,10 @@ def test_the_least_friction_takes_no_coefficient():
          "expected at least 4.69e+04 N/m, so that wheels sink in by 2 mm at most, found 1000"),
         ("torque = 8", "torque = 8\nradius = 66", "p.toml:9: vehicle: climber: expected a radius "
          "below the distance of front and rear axle, 0.47 m, found 66 m; in metres?"),
+        ("[2, 0.09], [0, 0.09]]", "[2, 0.09], [0, 0.09]]\nheight = 1",
+         "p.toml:8: profile.solids[1].height: expected one of points, found the unknown key"),
+        ("points = [[0, -1]", "corners = [[0, -1]",
+         "profile.solids[1].points: expected a value, found none"),
         ("[2, 0.09], [0, 0.09]", "[1e9, 0.09], [0, 0.09]",
          "p.toml:6: profile.solids[1]: solid: expected points within 10000 m of the origin"),
         ("speed = 0.25", "speed = 0.25\nintegral = 8000\nperiod = 0.002",

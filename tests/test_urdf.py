@@ -251,6 +251,8 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         ('urdf = "cart.urdf"\njoints = { caster = { kind = "passive", upper = 30 } }\n'
          "wheels = { caster_axle = { driven = false } }", "cart.urdf:37: joint 'caster': upper: "
          "expected radians (did you mean 30 degrees? write 0.523599), found 30"),
+        (r'urdf = "a\u0000b.urdf"', "expected a URDF (urdf of cart.toml), found that it cannot be "
+         "read (embedded null byte)"),
         ('urdf = "cat.urdf"', "cat.urdf: expected a URDF (urdf of cart.toml), "
          "found that it cannot be read"),
         ('urdf = "cart.urdf"\njoints = { caster = "suspension" }\nwheels = { caster_axle = '

@@ -379,10 +379,16 @@ def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
     for part in place:
         if isinstance(part, int):
             continue  # of an array of tables
-        annotation = model.model_fields[str(part)].annotation
-        kinds = [annotation, *get_args(annotation)]
-        model = next(k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel))
+        model = next(_records(model.model_fields[str(part)].annotation))
     return model
+
+
+def _records(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the records in an annotation, such as an array of them or none."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _records(part)
 
 
 def _cut(text: str) -> str:

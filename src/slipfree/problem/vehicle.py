@@ -141,10 +141,11 @@ def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
     """Return the draft of a URDF; faults of the roles belong to the file that has them."""
     try:
         data = path.read_bytes()
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: no name of a file can hold a null
         by = f" (urdf of {file.source.path})" if file else ""
+        why = error.strerror if isinstance(error, OSError) else error
         raise VehicleError(f"{path}: expected a URDF{by}, found that it cannot be read "
-                           f"({error.strerror}); check the name") from error  # fmt: skip
+                           f"({why}); check the name") from error  # fmt: skip
     try:
         tree = read_tree(data, str(path))
         if file is not None:
