@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import builtins
+import http.server
 import importlib.util
 import struct
+import threading
 import zlib
 
 import numpy as np
@@ -202,6 +204,80 @@ def test_only_the_window_is_read(tmp_path, monkeypatch):
     assert_array_equal(found.grid.z[0, -1], rows[452, 100])
 
 
+def _serve(hits):
+    """Return a server on this machine that records what is fetched from it."""
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            hits.append(self.path)
+            self.send_error(404)
+
+        do_HEAD = do_GET  # noqa: N815
+
+        def log_message(self, *_):
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server
+
+
+def test_a_virtual_mask_beside_a_raster_fetches_nothing(tmp_path):
+    hits = []
+    with _serve(hits) as server:
+        url = f"/vsicurl/http://127.0.0.1:{server.server_port}/mask.tif"
+        virtual = (
+            '<VRTDataset rasterXSize="40" rasterYSize="32"><Metadata>'
+            '<MDI key="INTERNAL_MASK_FLAGS_1">2</MDI></Metadata><VRTRasterBand dataType="Byte" '
+            f'band="1"><SimpleSource><SourceFilename relativeToVRT="0">{url}</SourceFilename>'
+            "<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+        )
+        path = geotiff(tmp_path / "map.tif")
+        for ending in (".msk", ".ovr", ".aux.xml"):
+            (tmp_path / f"map.tif{ending}").write_text(virtual)
+        assert_array_equal(read_grid(path).z, ROWS[::-1].T)
+        path = geotiff(tmp_path / "inside.tif")
+        with rasterio.open(path, "r+") as file:
+            file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=url)
+        assert_array_equal(read_grid(path).z, ROWS[::-1].T)
+        server.shutdown()
+    assert hits == []
+
+
+def test_files_beside_a_raster_do_not_change_it(tmp_path):
+    """Scales, places, systems and masks of other files; world files of an unplaced raster."""
+    path = geotiff(tmp_path / "map.tif")
+    alone = read_map(path)
+    (tmp_path / "map.tif.aux.xml").write_text(
+        "<PAMDataset><SRS>EPSG:3857</SRS><GeoTransform>0,9,0,0,0,-9</GeoTransform>"
+        '<Metadata><MDI key="AREA_OR_POINT">Point</MDI></Metadata><PAMRasterBand band="1">'
+        "<Scale>1000</Scale><Offset>7</Offset><NoDataValue>0.5</NoDataValue></PAMRasterBand>"
+        "</PAMDataset>"
+    )
+    mask = geotiff(
+        tmp_path / "mask.tif", 0 * ROWS, dtype="uint8", tags={"INTERNAL_MASK_FLAGS_1": 2}
+    )
+    mask.rename(tmp_path / "map.tif.msk")
+    found = read_map(path)
+    assert_array_equal(found.grid.x, alone.grid.x)
+    assert_array_equal(found.grid.z, alone.grid.z)
+    assert (found.crs, found.told) == (alone.crs, alone.told)
+    path = plain(tmp_path / "bare.tif")
+    (tmp_path / "bare.tfw").write_text("0.5\n0\n0\n-0.5\n1000\n2000\n")
+    with pytest.raises(DataError, match=r"expected cell and registration .* world file .*not read"):
+        read_grid(path)
+
+
+def test_a_mask_inside_a_raster_makes_holes(tmp_path):
+    path, mask = geotiff(tmp_path / "map.tif"), np.ones(ROWS.shape, bool)
+    mask[10:13, 10:14] = False
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as file:
+        file.write_mask(mask)
+    assert [each.name for each in tmp_path.iterdir()] == ["map.tif"]
+    with pytest.raises(DataError, match="found 12 of 1280 nodes without one"):
+        read_grid(path)
+
+
 def test_damage_outside_the_window_does_not_matter(tmp_path):
     """So no other block is read at all."""
     rows = np.random.default_rng(0).normal(size=(256, 256))
@@ -245,6 +321,7 @@ def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
         "1 nodes in 1 holes, the largest 0.25 x 0.25 m" in dict(found.told)["ground holes filled"]
     )
     assert_allclose(found.grid.z[0], 3 + 0.01 * rows[::-1, 0], rtol=1e-15)
+    assert dict(found.told)["ground map heights"] == "values of the file x 0.01 + 3 m"
     # By Pillow, without a scale.
     path = geotiff(tmp_path / "float.tif", np.where(rows == -32768, -1e30, ROWS), nodata=-1e30)
     with pytest.MonkeyPatch.context() as patch:

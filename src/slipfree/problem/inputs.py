@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
-from hashlib import sha256
+from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,8 @@ def input_files(problem: Problem[Motion] | Problem[Climb]) -> dict[str, Path]:
 def digest(file: Path) -> str:
     """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
     try:
-        return sha256(file.read_bytes()).hexdigest()
+        with file.open("rb") as stream:  # which may be a map larger than the memory
+            return file_digest(stream, "sha256").hexdigest()
     except OSError:
         return MISSING
 

@@ -8,9 +8,10 @@ import struct
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, NoReturn
+from typing import Any, BinaryIO, Literal, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from slipfree.errors import DataError
 from slipfree.named import Array
 from slipfree.terrain.mend import Axis, Heights, Window, parts
 
+GDAL_NAME = "raster.tif"  # name under which GDAL reads the file
 CACHE = 64  # of GDAL for blocks that a window touches [MB]
 GEO = "install the reader for every GeoTIFF: pip install 'slipfree[geo]'"
 TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
@@ -130,7 +132,9 @@ def _unplaced(width: int, height: int, ask: Reading) -> _Place:
             f"{' and '.join(lacking)} for a raster that does not say where it lies",
             "none",
             'give cell, the width of a cell in metres, and registration: "area" if the values '
-            'belong to the middles of cells, "point" if the outermost ones lie on the border',
+            'belong to the middles of cells, "point" if the outermost ones lie on the border; a '
+            "world file (such as .tfw) is not read: write its content into the raster by "
+            "gdal_translate in.tif out.tif",
         )
     first = ask.cell / 2 if ask.registration == "area" else 0.0
     x, y = Axis(first, ask.cell, width), Axis(first, ask.cell, height)
@@ -197,15 +201,27 @@ def _by_rasterio(path: Path, ask: Reading) -> Heights:
     try:
         with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=CACHE):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, driver="GTiff") as file:
+            with rasterio.open(GDAL_NAME, driver="GTiff", opener=partial(_open_only, path)) as file:
                 return _from_dataset(file, ask)
     except DataError:
         raise
     except Exception as error:  # of a damaged file GDAL raises what it happens on
+        words = re.sub(rf"/vsi\w+/{GDAL_NAME}", path.name, str(error.__cause__ or error))
         raise DataError(
-            f"expected a TIFF file, found one that cannot be read ({error.__cause__ or error}); is "
-            "it cut off or damaged? Copy or download it again"
+            f"expected a TIFF file, found one that cannot be read ({words}); is it cut off or "
+            "damaged? Copy or download it again"
         ) from error
+
+
+def _open_only(path: Path, name: str, mode: str = "rb") -> BinaryIO:
+    """Open the raster for GDAL, which knows it as `GDAL_NAME` and finds no other file.
+
+    Beside a raster GDAL looks for masks, world files, ``.aux.xml`` and more, which can change
+    heights and coordinates, or name an address in the network.
+    """
+    if Path(name).name != GDAL_NAME or not mode.startswith("r"):
+        raise FileNotFoundError(name)
+    return path.open("rb")
 
 
 def _from_dataset(file: Any, ask: Reading) -> Heights:
@@ -220,7 +236,15 @@ def _from_dataset(file: Any, ask: Reading) -> Heights:
     )  # fmt: skip
     heights = rows.filled(np.nan) * file.scales[0] + file.offsets[0]
     found = _heights(place, part, heights, f"GeoTIFF of {file.dtypes[0]}")
-    return found._replace(told=found.told + lengths)
+    return found._replace(told=found.told + _scale_facts(file) + lengths)
+
+
+def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
+    """Return the scale and the offset that the file applies to its heights, if it has any."""
+    scale, offset = file.scales[0], file.offsets[0]
+    if (scale, offset) == (1, 0):
+        return ()
+    return (("ground map heights", f"values of the file x {scale:.9g} + {offset:.9g} m"),)
 
 
 def _check_band(file: Any) -> None:
