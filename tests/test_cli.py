@@ -323,7 +323,7 @@ def test_path_from_a_file(folder: Path) -> None:
     assert "way.csv:3: expected two numbers x,y, found '0.0;1.0'" in result.stderr
     for wrong, words in (
         ('driver={name="follow", speed=0.2}', "'follow' needs either path"),
-        ('driver={name="follow", speed=0.2, file="no.csv"}', "found no text file"),
+        ('driver={name="follow", speed=0.2, file="no.csv"}', "found that it cannot be read"),
         ('driver={name="straight", speed=0.2, file="way.csv"}', "'straight' takes no path"),
     ):
         result = _invoke("check", "p.toml", "--set", wrong)

@@ -297,7 +297,7 @@ def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, "way.csv: expected way-points as CSV, found no text file"),
+        (None, "way.csv: expected way-points as CSV, found that it cannot be read"),
         ("", "path.file: expected 6 or more way-points, found 0"),
         (CSV.replace("3,0.0,", "3,"), "way.csv:5: expected four numbers t,x,y,heading, found '3,"),
         (CSV.replace("3,0.0,", "3,nan,"), "way.csv:5: expected four numbers t,x,y,heading"),

@@ -187,7 +187,7 @@ def test_every_truncation_is_found(motion: Trajectory, tmp_path: Path) -> None:
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"no\.nc: expected a result file.*No such file"):
         result_file.read(tmp_path / "no.nc")
-    with pytest.raises(DataError, match=r"expected a result file.*directory"):
+    with pytest.raises(DataError, match=r"expected a result file.*found a folder"):
         result_file.read(tmp_path)
 
 

@@ -197,9 +197,9 @@ def test_npz_refuses(tmp_path):
     ("name", "words"),
     [
         ("map.jp2", r"ending in .npz, .asc, .tif, .* found '.jp2'; convert it"),
-        ("map.tif", "map.tif: expected a file, found none"),
+        ("map.tif", "map.tif: expected a map, found that it cannot be read"),
         ("map", "found 'no ending'"),
-        ("none.asc", "none.asc: expected a file, found none"),
+        ("none.asc", "none.asc: expected a map, found that it cannot be read"),
     ],
 )
 def test_other_files(tmp_path, name, words):

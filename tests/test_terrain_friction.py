@@ -388,7 +388,7 @@ def test_problem_refuses(folder, bad):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (None, r"mu\.npz: expected a file, found none"),
+        (None, r"mu\.npz: expected a map, found that it cannot be read"),
         ({"z": np.full((14, 9), np.nan)}, r"mu\.npz: .* must be finite, found 126"),
         ({"z": np.zeros((14, 9))}, r"must be positive, found 126 .* at x = -3 m, y = -3 m"),
     ],

@@ -26,6 +26,7 @@ import numpy.typing as npt
 from scipy.io import netcdf_file
 
 from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.files import read_bytes
 from slipfree.named import Label
 from slipfree.trajectory import Column, Stop, Trajectory
 from slipfree.version import __version__
@@ -170,14 +171,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
 
 
 def _reader(path: Path) -> _Reader:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(
-            f"{path}: expected a result file of slipfree, found that it cannot be read "
-            f"({error.strerror}); check the name"
-        ) from error
-    return _Reader(path, data)
+    return _Reader(path, read_bytes(path, "a result file of slipfree"))
 
 
 def _check(run: Trajectory) -> None:

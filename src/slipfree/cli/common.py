@@ -17,6 +17,7 @@ from slipfree.cli.voice import BAD_INPUT as BAD_INPUT
 from slipfree.cli.voice import INTERRUPTED, complain, detail, put_facts
 from slipfree.cli.voice import STOPPED as STOPPED
 from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.files import check_name, regular_file, resolve_links
 
 if TYPE_CHECKING:
     from slipfree.problem.read import Problem
@@ -89,9 +90,9 @@ def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Pr
 def refuse_result(file: Path) -> None:
     """Refuse a result where a problem is expected."""
     try:
-        with file.open("rb") as stream:
+        with regular_file(file, "a problem file"), file.open("rb") as stream:
             head = stream.read(len(RESULT))
-    except OSError:
+    except DataError:
         return  # which reading it tells
     if head == RESULT:
         raise DataError(
@@ -106,17 +107,19 @@ def check_places(
     """Refuse places that cannot be written to, or that are read, before anything is computed."""
     from slipfree.problem.inputs import input_names
 
-    taken = {problem.source.path.resolve(): "the problem file"}
-    taken |= {(problem.folder / name).resolve(): f"the input {name}"
+    taken = {resolve_links(problem.source.path): "the problem file"}
+    taken |= {resolve_links(problem.folder / name): f"the input {name}"
               for name in input_names(problem.spec)}  # fmt: skip
     for path in files:
         if path is None:
             continue
-        if path.resolve() in taken:
-            raise DataError(f"{path}: expected a file of its own, found {taken[path.resolve()]}")
-        taken[path.resolve()] = "another output"
+        target = resolve_links(path)
+        if target in taken:
+            raise DataError(f"{path}: expected a file of its own, found {taken[target]}")
+        taken[target] = "another output"
         check_place(path)
     if folder is not None:
+        check_name(folder)
         if folder.exists() and not folder.is_dir():
             raise DataError(f"{folder}: expected a folder for figures, found a file")
         above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
@@ -133,12 +136,13 @@ def check_page(out: Path, files: Sequence[Path]) -> None:
 
 def check_apart(out: Path, files: Sequence[Path]) -> None:
     """Refuse to write over a result file that is read."""
-    if out.resolve() in [file.resolve() for file in files]:
+    if resolve_links(out) in map(resolve_links, files):
         raise DataError(f"{out}: expected a file of its own, found the result file")
 
 
 def check_place(path: Path) -> None:
     """Refuse a name of a file that cannot be written, before anything is computed."""
+    check_name(path)
     if path.is_dir():
         raise DataError(f"{path}: expected the name of a file to write, found a folder")
     if path.exists() and not path.is_file():

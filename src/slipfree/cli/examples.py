@@ -13,6 +13,7 @@ from slipfree.cli.common import reported
 from slipfree.cli.new import place
 from slipfree.cli.voice import put
 from slipfree.errors import DataError
+from slipfree.files import check_name
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -94,6 +95,8 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
         }
         wanted += [each for each in needed if each in shipped and f"{each}.toml" not in texts]
     places = {to / name: text for name, text in sorted(texts.items())}
+    for out in places:
+        check_name(out)
     taken = [str(out) for out in places if out.exists()]
     if taken and not force:
         raise DataError(

@@ -9,6 +9,7 @@ import typer
 
 from slipfree.cli.common import about, check_page, reported
 from slipfree.cli.voice import detail, put_file, warn
+from slipfree.files import regular_file
 
 
 def report(
@@ -28,7 +29,8 @@ def report(
         from slipfree.result_file import replaced
         from slipfree.show.report import page
 
-        target = out or file.with_suffix(".html")
+        with regular_file(file, "a result file of slipfree"):
+            target = out or file.with_suffix(".html")
         check_page(target, [file])
         found = made(file, folder)
         detail(f"made {len(found.figures)} figures of {file}")

@@ -13,6 +13,7 @@ import typer
 from slipfree.cli.common import STOPPED, File, Settings, interruptible, reported, tell
 from slipfree.cli.voice import detail, has_bar, put_file, warn
 from slipfree.errors import DataError
+from slipfree.files import check_name
 
 if TYPE_CHECKING:
     from slipfree.sweep.grid import Sweep
@@ -99,6 +100,7 @@ def sweep(
 
 def _check_figures(folder: Path) -> None:
     """Refuse a place for figures that is none, before anything runs."""
+    check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(
             f"{folder}: expected a folder for figures, found a file; move it, or draw none: "

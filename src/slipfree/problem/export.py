@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from slipfree.errors import DataError
+from slipfree.files import resolve_links
 from slipfree.named import Array, Label
 from slipfree.result_file import replaced, write_csv
 from slipfree.trajectory import Column, Trajectory
@@ -91,7 +92,7 @@ def _checked(out: Path, file: Path, writers: Mapping[str, Write]) -> Write:
             f"{out}: expected a name that ends in {' or '.join(writers)}, found "
             f"{out.suffix or 'no ending'!r}"
         )
-    if out.resolve() == file.resolve():
+    if resolve_links(out) == resolve_links(file):
         raise DataError(f"{out}: expected a file of its own, found the result file")
     return writers[out.suffix.lower()]
 

@@ -9,6 +9,8 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
+from slipfree.errors import DataError
+from slipfree.files import read_bytes, regular_file
 from slipfree.problem.read import Problem
 from slipfree.problem.schema import Climb, Motion
 
@@ -36,16 +38,16 @@ def input_files(problem: Problem[Motion] | Problem[Climb]) -> dict[str, Path]:
 def digest(file: Path) -> str:
     """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
     try:
-        with file.open("rb") as stream:  # which may be a map larger than the memory
+        with regular_file(file, "an input file"), file.open("rb") as stream:  # may exceed memory
             return file_digest(stream, "sha256").hexdigest()
-    except OSError:
+    except DataError:
         return MISSING
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
     """Return the name of the URDF that a vehicle file completes, from the problem's folder."""
-    with suppress(OSError, ValueError):  # what is wrong with it is told where it is read
-        table = tomllib.loads((folder / name).read_text(encoding="utf-8"))
+    with suppress(DataError, ValueError):  # what is wrong with it is told where it is read
+        table = tomllib.loads(read_bytes(folder / name, "a vehicle file").decode())
         if isinstance(table.get("urdf"), str):
             return [str(Path(name).parent / table["urdf"])]
     return []

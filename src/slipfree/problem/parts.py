@@ -12,6 +12,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import DataError
+from slipfree.files import read_bytes
 from slipfree.named import Array, leaves
 from slipfree.problem import schema
 from slipfree.problem.ground import Ground, at
@@ -84,8 +85,8 @@ def read_columns(
     """Return the rows of a CSV file of numbers; a first line of names may reorder the columns."""
     wanted = f"{COUNTS[len(columns)]} numbers {','.join(columns)}"
     try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_bytes(file, f"{what} as CSV").decode("utf-8-sig")
+    except UnicodeDecodeError as error:
         raise DataError(f"{file}: expected {what} as CSV, found no text file") from error
     rows, order = [], list(range(len(columns)))
     for number, line in enumerate(text.splitlines(), 1):

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast, get_a
 
 from pydantic import BaseModel, ValidationError
 
+from slipfree.errors import DataError
+from slipfree.files import read_bytes, regular_file
 from slipfree.problem.locate import Place, ProblemError, Source, key_lines, key_path
 from slipfree.problem.schema import (
     ALTERNATIVES,
@@ -204,17 +206,15 @@ def loaded(path: Path, text: str) -> dict[str, Any]:
 
 def _text(path: Path) -> str:
     try:
-        if path.is_file() and path.stat().st_size > MOST_BYTES:
-            raise ProblemError(
-                f"{path}: expected a file of TOML of at most {MOST_BYTES / 1e6:g} MB, found "
-                f"{path.stat().st_size / 1e6:.3g} MB; check the name"
-            )
-        raw = path.read_bytes()
-    except OSError as error:
-        raise ProblemError(
-            f"{path}: expected a problem file, found that it cannot be read ({error.strerror}); "
-            "check the name"
-        ) from error
+        with regular_file(path, "a problem file") as size:
+            if size > MOST_BYTES:
+                raise DataError(
+                    f"{path}: expected a file of TOML of at most {MOST_BYTES / 1e6:g} MB, found "
+                    f"{size / 1e6:.3g} MB; check the name"
+                )
+            raw = read_bytes(path, "a problem file")
+    except DataError as error:
+        raise ProblemError(str(error)) from error
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

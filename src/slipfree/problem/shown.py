@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -109,13 +110,17 @@ def _folder(
     usual = [*((each / recorded).resolve() for each in (here, beside) if recorded), beside, here]
     tried = [folder] if folder is not None else list(dict.fromkeys(usual))
     for place in tried:
-        if all((place / name).is_file() for name in needed):
+        missing = [name for name in needed if not _is_file(place / name)]
+        if not missing:
             return place
-    missing = next(name for name in needed if not (tried[-1] / name).is_file())
     raise DataError(
-        f"{file}: its problem needs {missing}, found none in {' or '.join(map(str, tried))}; name "
-        "the folder of the problem file: --folder DIR"
+        f"{file}: its problem needs {missing[0]}, found none in {' or '.join(map(str, tried))}; "
+        "name the folder of the problem file: --folder DIR"
     )
+
+
+def _is_file(path: Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 - False for names that are too long
 
 
 def _check_vehicle(

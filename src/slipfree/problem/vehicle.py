@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from slipfree.errors import DataError, ModelError
+from slipfree.files import read_bytes
 from slipfree.problem import schema
 from slipfree.problem.catalog import CATALOG
 from slipfree.problem.locate import Place
@@ -139,14 +140,9 @@ def _completed(file: File) -> Draft:
 
 def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
     """Return the draft of a URDF; faults of the roles belong to the file that has them."""
+    by = f" (urdf of {file.source.path})" if file else ""
     try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: no name of a file can hold a null
-        by = f" (urdf of {file.source.path})" if file else ""
-        why = error.strerror if isinstance(error, OSError) else error
-        raise VehicleError(f"{path}: expected a URDF{by}, found that it cannot be read "
-                           f"({why}); check the name") from error  # fmt: skip
-    try:
+        data = read_bytes(path, f"a URDF{by}")
         tree = read_tree(data, str(path))
         if file is not None:
             _check(roles, list(tree.joints), file)

@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 from slipfree.errors import DataError
+from slipfree.files import check_name
 from slipfree.result_file import write
 from slipfree.sweep.grid import Sweep
 from slipfree.sweep.log import NAME, Log, Row
@@ -54,6 +55,7 @@ def swept(
         If a cluster goes away.
     """
     path = str(sweep.problem.source.path.resolve())
+    check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(f"{folder}: expected a folder for the sweep, found a file")
     with Log(folder / NAME, sweep.head, again=again) as log:

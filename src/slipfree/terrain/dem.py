@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files import regular_file
 from slipfree.named import Array
 from slipfree.terrain.base import Grid
 from slipfree.terrain.mend import (
@@ -145,11 +146,10 @@ def read_map(
             f"{path}: expected a file ending in {', '.join(ENDINGS)}, found "
             f"{path.suffix or 'no ending'!r}; convert it, for example: gdal_translate in out.tif"
         )
-    if not path.is_file():
-        raise DataError(f"{path}: expected a file, found none; check the path")
     try:
         _check_keys(ending, cell, registration, spacing)
-        found = _found(path, ending, Reading(window, cell, registration), spacing)
+        with regular_file(path, "a map"):
+            found = _found(path, ending, Reading(window, cell, registration), spacing)
         _check_degrees(found, local=geographic is not None)
         return _mapped(found, geographic, fill)
     except DataError as error:
