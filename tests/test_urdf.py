@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from cases import DATA, hills
 from slipfree import Analytic, DataError, direct_kinematics, settle, simulate
 from slipfree.geometry.frame import Pose
-from slipfree.problem.vehicle import VehicleError, read_vehicle
+from slipfree.problem.vehicle import VehicleError, is_vehicle_file, read_vehicle
 from slipfree.vehicle.chain import Body
 from slipfree.vehicle.rovers import differential_drive
 
@@ -178,6 +178,7 @@ def faults(path: Path) -> str:
 
 
 CASTER = '<joint name="caster" type="continuous">'
+REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
 
 
 @pytest.mark.parametrize(
@@ -192,10 +193,13 @@ CASTER = '<joint name="caster" type="continuous">'
         ('xyz="0 0.25 0"', 'xyz="0 250 0"', "expected xyz in metres, at most 100 (did you mean mi"),
         ('rpy="0.0 0.0 0.4"', 'rpy="0 0 23"', "cart.urdf:35: joint 'bracket': expected rpy "
          "in radians (did you mean 23 degrees? write 0.401426), found 23"),
-        ('lower="-1.5" upper="1.5"', 'lower="-90" upper="90"', "joint 'lidar_mount': expected "
+        (CASTER, REVOLUTE.format(-90, 90), "joint 'caster': expected "
          "lower in radians (did you mean -90 degrees? write -1.5708), found -90"),
-        ('lower="-1.5" upper="1.5"', 'lower="1" upper="1"', "joint 'lidar_mount': expected limits "
-         "that ascend, found 1 to 1; if it does not move, its type is fixed"),
+        (CASTER, REVOLUTE.format(1, 1), "joint 'caster': expected limits of caster that ascend, "
+         'found 1 to 1; write caster = "fixed" in "joints" if it does not move, else its "lower" '
+         'and "upper" there'),
+        (CASTER, CASTER.replace("continuous", "prismatic") + '<limit lower="-150" upper="1"/>',
+         "joint 'caster': expected lower in metres, at most 100 (did you mean millimetres?)"),
         ('<joint name="lidar_mount" type="revolute">', '<joint name="caster" type="revolute">',
          "cart.urdf:45: joint 'caster': expected a name of its own, found two"),
         ('<child link="caster_wheel"/>', '<child link="castor"/>', "cart.urdf:41: joint "
@@ -265,6 +269,9 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         ('urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
          "wheels = { caster_axle = { driven = false } }", "cart.toml:1: coordinate caster: its "
          "rate is commanded, so that it takes no spring"),
+        ('urdf = "cart.urdf"\njoints = { caster = "passive", bracket = "suspension" }',
+         "cart.urdf:33: joint 'bracket': expected a joint that can be suspension, found one of "
+         "type 'fixed' without an axis; write its axis in the URDF, as in <axis"),
         ('urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }', "joint 'caster': expected a "
          "wheel that carries nothing that moves, found joints below it"),
         ('urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }', "joint 'caster_axle': "
@@ -308,6 +315,139 @@ left_drive = { driven = false }
 def test_mimics_that_lead_nowhere(mimic, words, tmp_path):
     old = '<mimic joint="rocker-left"'
     assert words in faults(changed(tmp_path, "bogie", (old, f'<mimic joint="{mimic}"')))
+
+
+FREE_CASTER = """urdf = "cart.urdf"
+joints = {{ caster = {{ kind = "passive"{} }} }}
+wheels = {{ caster_axle = {{ driven = false }} }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("in_urdf", "in_roles", "stops"),
+    [
+        ((0, 0), ", lower = -0.5, upper = 0.5", (-0.5, 0.5)),
+        ((0, 0), ", upper = 0.5", (0, 0.5)),
+        ((-0.3, 0.2), "", (-0.3, 0.2)),
+        ((-0.3, 0.2), ", lower = -0.5", (-0.5, 0.2)),
+        ((-0.3, 0.2), ", upper = 0.5", (-0.3, 0.5)),
+        ((-90, 90), ", lower = -0.5, upper = 0.5", (-0.5, 0.5)),
+    ],
+)
+def test_limits_of_the_vehicle_file_override_those_of_the_urdf(in_urdf, in_roles, stops, tmp_path):
+    change = (CASTER, REVOLUTE.format(*in_urdf))
+    file = changed(tmp_path, "cart", change, roles=FREE_CASTER.format(in_roles))
+    (caster,) = read_vehicle(file).coordinates
+    assert (caster.lower, caster.upper) == stops
+
+
+@pytest.mark.parametrize(
+    ("in_roles", "words"),
+    [
+        (
+            ", lower = 0.5",
+            "joint 'caster': expected limits of caster that ascend, found 0.5 to 0.2; write",
+        ),
+        (", lower = 0, upper = 0", "cart.toml:1: coordinate caster: stops must ascend, found 0"),
+    ],
+)
+def test_limits_that_contradict_are_refused(in_roles, words, tmp_path):
+    change = (CASTER, REVOLUTE.format(-0.3, 0.2))
+    assert words in faults(changed(tmp_path, "cart", change, roles=FREE_CASTER.format(in_roles)))
+
+
+def test_limits_of_the_vehicle_file_override_those_of_followers(tmp_path):
+    text = (DATA / "bogie.toml").read_text()
+    role = 'rocker-left = { kind = "suspension", lower = -0.7 }'
+    new = re.sub(r'rocker-left = "suspension"', role, text)
+    assert new != text
+    vehicle = read_vehicle(changed(tmp_path, "bogie", roles=new))
+    rocker = next(c for c in vehicle.coordinates if c.name == "rocker_left")
+    assert (rocker.lower, rocker.upper) == (-0.7, 0.5)
+
+
+def fixed(name):
+    """Return the change that makes a joint of the bogie fixed."""
+    text = (DATA / "bogie.urdf").read_text()
+    head, old, tail = re.search(
+        rf'(<joint name="{name}" type=")(revolute|continuous)(".*?</joint>)', text, re.DOTALL
+    ).groups()
+    return head + old + tail, head + "fixed" + tail
+
+
+def test_roles_of_fixed_joints_are_honoured(tmp_path):
+    """A differential that a program fixed turns again, as the same URDF that never was."""
+    free = read_vehicle(DATA / "bogie.toml")
+    vehicle = read_vehicle(changed(tmp_path, "bogie", fixed("rocker-left"), fixed("rocker_right")))
+    assert (vehicle.coordinates, vehicle.joints) == (free.coordinates, free.joints)
+    (note,) = [note for note in vehicle.notes if note.startswith("of type fixed")]
+    assert note.endswith('in "joints": rocker-left, rocker_right')
+
+
+def test_fixed_joints_that_mimic_a_free_one_stay(tmp_path):
+    roles = (DATA / "bogie.toml").read_text()
+    file = changed(tmp_path, "bogie", fixed("rocker_right"), roles=roles)
+    values = {joint.name: joint.value for joint in read_vehicle(file).joints}
+    assert (values["rocker-left"], values["rocker_right"]) == ("rocker_left", "0.0")
+
+
+def test_a_wheel_has_the_radius_of_the_shape_that_touches_first(tmp_path):
+    """Of two coaxial cylinders the larger, wherever it stands; lugs off the axis do not count."""
+    rim = (
+        '<collision><origin rpy="1.5707963267948966 0 0"/><geometry>'
+        '<cylinder radius="{}" length="0.07"/></geometry></collision>'
+    )
+    lug = (
+        '<collision><origin xyz="0.16 0 0"/><geometry><sphere radius="0.02"/></geometry>'
+        "</collision>"
+    )
+    link = '<link name="left_wheel">'
+    for smaller, radius in ((0.12, 0.15), (0.17, 0.17)):
+        file = changed(tmp_path, "cart", (link, link + lug + rim.format(smaller)))
+        vehicle = read_vehicle(file)
+        assert vehicle.wheels[0].radius == radius
+        (note,) = [note for note in vehicle.notes if note.startswith("several shapes")]
+        assert note == (
+            f"several shapes (1 sphere of 0.02 m, 1 cylinder of {smaller} m, 1 cylinder of "
+            f"0.15 m), radius {radius} m of the one about the axle that touches level ground "
+            "first; override by wheels = { left_drive = { radius = ... } }: left_drive"
+        )
+    roles = (
+        'urdf = "cart.urdf"\njoints = { caster = "passive" }\n[wheels]\n'
+        "caster_axle.driven = false\nleft_drive.radius = 0.11\n"
+    )
+    vehicle = read_vehicle(changed(tmp_path, "cart", roles=roles))
+    assert vehicle.wheels[0].radius == 0.11
+    assert not any("several shapes" in note for note in vehicle.notes)
+
+
+def test_the_lowest_of_two_balls_on_a_fixed_joint_is_the_wheel(tmp_path):
+    mesh = '<geometry><mesh filename="lidar.stl"/></geometry>'
+    balls = (
+        '<geometry><sphere radius="0.1"/></geometry></visual>'
+        '<visual><origin xyz="0 0 -0.09"/><geometry><sphere radius="0.05"/></geometry>'
+    )
+    joint = '<joint name="lidar_mount" type="revolute">'
+    roles = (
+        'urdf = "cart.urdf"\njoints = { caster = "fixed", caster_axle = "fixed" }\n'
+        "wheels.lidar_mount = { driven = false, rollers = true }\n"
+    )
+    fix = (joint, joint.replace("revolute", "fixed"))
+    vehicle = read_vehicle(changed(tmp_path, "cart", (mesh, balls), fix, roles=roles))
+    wheel = next(w for w in vehicle.wheels if w.name == "lidar_mount")
+    assert (wheel.radius, wheel.at) == (0.05, (0.0, 0.0, -0.09))
+
+
+def test_endings_count_in_any_case(tmp_path):
+    """Of a URDF, of the file that completes it, and of xacro, which is refused by name."""
+    (tmp_path / "CART.URDF").write_text((DATA / "cart.urdf").read_text())
+    text = (DATA / "cart.toml").read_text().replace("cart.urdf", "CART.URDF")
+    (tmp_path / "CART.TOML").write_text(text)
+    (tmp_path / "CART.XACRO").write_text("<robot/>")
+    assert len(read_vehicle(tmp_path / "CART.TOML").wheels) == 3
+    assert "CART.URDF:37: joint 'caster': expected what moves it" in faults(tmp_path / "CART.URDF")
+    assert is_vehicle_file(tmp_path / "CART.URDF")
+    assert "expand it first: xacro" in faults(tmp_path / "CART.XACRO")
 
 
 def test_limits_become_stops_of_the_one_that_is_mimicked():

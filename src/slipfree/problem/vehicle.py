@@ -107,19 +107,20 @@ def read_vehicle(path: str | Path) -> Vehicle:
 
 def is_vehicle_file(path: Path) -> bool:
     """Return whether a file is meant as a vehicle, not as a problem."""
-    if path.suffix in (".urdf", ".xacro"):
+    if path.suffix.lower() in (".urdf", ".xacro"):
         return True
     data = open_file(path).data
     return "verb" not in data and not {*PARTS, "urdf"}.isdisjoint(data)
 
 
 def _draft(path: Path) -> Draft:
-    if path.suffix == ".toml":
+    ending = path.suffix.lower()
+    if ending == ".toml":
         file = open_file(path)
         return _completed(file) if "urdf" in file.data else read_toml(file)
-    if path.suffix == ".urdf":
+    if ending == ".urdf":
         return _urdf(path, Roles({}, {}))
-    hint = "; expand it first: xacro FILE > robot.urdf" if path.suffix == ".xacro" else ""
+    hint = "; expand it first: xacro FILE > robot.urdf" if ending == ".xacro" else ""
     raise VehicleError(f"{path}: expected a vehicle file, .toml or .urdf, found {path.suffix!r}"
                        + hint)  # fmt: skip
 

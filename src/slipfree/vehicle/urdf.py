@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.named import Array
 from slipfree.vehicle.chain import Body, Coordinate, Joint, Kind
 from slipfree.vehicle.draft import (
+    LARGEST,
     Draft,
     UnfitError,
     degrees_words,
@@ -106,7 +108,14 @@ class _Reading:
     """One pass over a tree; what it finds is collected here."""
 
     def __init__(self, tree: Tree, roles: Roles) -> None:
-        self.tree, self.roles, self.faults = tree, roles, Faults(tree.file)
+        self.roles, self.faults = roles, Faults(tree.file)
+        self.released = _released(tree, roles)
+        self.tree = tree._replace(
+            joints={
+                name: j._replace(type="revolute") if name in self.released else j
+                for name, j in tree.joints.items()
+            }
+        )
         self.coordinates: dict[str, Coordinate] = {}
         self.notes: list[str] = []
         self.unsaid: list[tuple[UrdfJoint, str]] = []
@@ -116,6 +125,7 @@ class _Reading:
     def draft(self) -> tuple[Draft, Faults]:
         """Return what the tree makes, in its own axes, and what is wrong with it."""
         tree = self.tree
+        self._check_fixed()
         kept = self._kept()
         part_of = {tree.root: "platform"} | {j.child: j.name for j in kept}
         joints = tuple(self._joint(j, part_of[j.parent]) for j in kept)
@@ -137,14 +147,40 @@ class _Reading:
         axis = unit_vector(joint.axis)
         if abs((self.turns[joint.child] @ axis)[2]) > UPRIGHT:
             return False
-        if link.shape is None:
+        shape = self._shape(joint)
+        if shape is None:
             if link.meshed:
                 self.faults.add(joint.line, f"joint {joint.name!r}: expected a cylinder or a "
                                 "sphere as its wheel, found a mesh, whose radius is not known; "
                                 f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or what "
                                 f"moves it if it is none{self._in_file()}")  # fmt: skip
             return False
-        return _eccentricity(link.shape, axis) <= CENTERED and _is_parallel(link.shape, axis)
+        return _is_about(shape, axis)
+
+    def _check_fixed(self) -> None:
+        """Add an error for each role that would move a fixed joint without an axis."""
+        for joint in self.tree.joints.values():
+            role = self.roles.joints.get(joint.name)
+            if not joint.moves and role is not None and role.kind != "fixed":
+                self.faults.add(
+                    joint.line,
+                    f"joint {joint.name!r}: expected a joint that can be "
+                    f"{role.kind}, found one of type 'fixed' without an axis; write "
+                    'its axis in the URDF, as in <axis xyz="0 1 0"/>, or remove it '
+                    'from "joints"',
+                )
+
+    def _shape(self, joint: UrdfJoint) -> Shape | None:
+        """Return the shape of a wheel's link that touches level ground first, if there is one.
+
+        Of a joint that moves, shapes about its axis go before all others. The width of cylinders
+        does not count, as wheels are discs or tori at the cylinder's centre.
+        """
+        shapes, rotation = self.tree.links[joint.child].shapes, self.turns[joint.child]
+        if joint.moves:
+            axis = unit_vector(joint.axis)
+            shapes = tuple(shape for shape in shapes if _is_about(shape, axis)) or shapes
+        return min(shapes, key=lambda shape: _lowest(shape, rotation), default=None)
 
     def _kept(self) -> list[UrdfJoint]:
         """Return the joints that carry a wheel or a mass, parents before children."""
@@ -184,7 +220,7 @@ class _Reading:
         if not leader.moves or (role is not None and role.kind == "fixed"):
             return repr(offset)
         name = self._coordinate(leader)
-        self._restrict(name, joint, multiplier, offset)
+        self._restrict(name, joint, leader, multiplier, offset)
         if (multiplier, offset) == (1.0, 0.0):
             return name
         scaled = f"-{name}" if multiplier == -1 else f"{multiplier!r}*{name}"
@@ -214,7 +250,7 @@ class _Reading:
         return way[-1], multiplier, offset
 
     def _mimic(self, joint: UrdfJoint) -> Mimic | None:
-        return None if joint.name in self.roles.joints else joint.mimic
+        return None if joint.name in self.roles.joints or not joint.moves else joint.mimic
 
     def _coordinate(self, joint: UrdfJoint) -> str:
         """Return the name of a joint's coordinate, made where it is new."""
@@ -258,20 +294,50 @@ class _Reading:
     def _in_file(self) -> str:
         return f' in a vehicle file with urdf = "{Path(self.tree.file).name}"'
 
-    def _restrict(self, name: str, joint: UrdfJoint, multiplier: float, offset: float) -> None:
-        """Narrow the stops of a coordinate to those of a joint that follows it."""
-        c = self.coordinates.get(name)
-        role = self.roles.joints.get(joint.name)
-        told = set(role.keywords) & {"lower", "upper"} if role else set()
-        if c is None or multiplier == 0 or told:
+    def _restrict(
+        self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
+    ) -> None:
+        """Narrow the stops of a coordinate to the limits of a joint that it moves.
+
+        Stops that the role of the leading joint gives stay as they are.
+        """
+        c, role = self.coordinates.get(name), self.roles.joints.get(leader.name)
+        if multiplier == 0:
             return
-        ends = sorted((end - offset) / multiplier for end in (joint.lower, joint.upper))
-        lower, upper = max(c.lower, ends[0]), min(c.upper, ends[1])
+        sides = ("lower", "upper") if multiplier > 0 else ("upper", "lower")
+        ends = {
+            side: (self._limit(joint, key) - offset) / multiplier
+            for key, side in zip(("lower", "upper"), sides, strict=True)
+            if role is None or side not in role.keywords
+        }
+        if c is None:
+            return
+        lower = max(c.lower, ends.get("lower", -math.inf))
+        upper = min(c.upper, ends.get("upper", math.inf))
         if not lower < upper:
-            self.faults.add(joint.line, f"joint {joint.name!r}: expected limits that leave room "
-                            f"to {name}, found {lower:g} to {upper:g}")  # fmt: skip
+            self.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected limits of {name} that "
+                f"ascend, found {lower:g} to {upper:g}; write {leader.name} = "
+                '"fixed" in "joints" if it does not move, else its "lower" and "upper" '
+                f"there, which override the URDF's{self._in_file()}",
+            )
             return
         self.coordinates[name] = replace(c, lower=lower, upper=upper)
+
+    def _limit(self, joint: UrdfJoint, key: str) -> float:
+        """Return a limit of a joint in the URDF; add an error if its unit looks wrong."""
+        value = joint.lower if key == "lower" else joint.upper
+        expected = ""
+        if not math.isinf(value) and joint.type == "prismatic" and abs(value) > LARGEST:
+            expected = f"metres, at most {LARGEST:g} (did you mean millimetres?)"
+        elif not math.isinf(value) and joint.type != "prismatic" and degrees_words(value):
+            expected = f"radians ({degrees_words(value)})"
+        if expected:
+            self.faults.add(
+                joint.line, f"joint {joint.name!r}: expected {key} in {expected}, found {value:g}"
+            )
+        return value
 
     def _wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
         """Return a wheel of the vehicle; none if it cannot be one."""
@@ -306,7 +372,7 @@ class _Reading:
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
         """Return rolling radius, tube and place of a wheel in its link."""
-        shape = self.tree.links[joint.child].shape
+        shape = self._shape(joint)
         radius = role.radius or (shape.radius if shape else None)
         if radius is None:
             self.faults.add(joint.line, f"joint {joint.name!r}: expected a cylinder or a sphere as "
@@ -349,9 +415,21 @@ class _Reading:
         bare = [link for link in links if self.tree.links[link].mass is None]
         if bare:
             self.notes.append(f"no inertial, so no mass: {', '.join(bare)}")
-        thin = [j.name for j in self.wheels
-                if not self.roles.tube and self.roles.wheels.get(j.name, WheelRole()).tube is None
-                and (s := self.tree.links[j.child].shape) and s.kind == "cylinder"]  # fmt: skip
+        released = [j.name for j in kept if j.name in self.released]
+        if released:
+            self.notes.append(
+                "of type fixed in the URDF, taken as revolute, as they or the "
+                f'joints that they mimic are in "joints": {", ".join(released)}'
+            )
+        self._say_shapes()
+        thin = [
+            j.name
+            for j in self.wheels
+            if not self.roles.tube
+            and self.roles.wheels.get(j.name, WheelRole()).tube is None
+            and (s := self._shape(j))
+            and s.kind == "cylinder"
+        ]
         away = [j.name for j in self.wheels if self._hangs_off(j)]
         if away:
             self.notes.append(f"mass taken at the wheel's centre, not where the inertial has it: "
@@ -359,11 +437,50 @@ class _Reading:
         if thin:
             self.notes.append(f"cylinders taken as thin discs (tube = ...): {', '.join(thin)}")
 
+    def _say_shapes(self) -> None:
+        """Note which of several shapes gave the radius of a wheel."""
+        alike: dict[str, list[str]] = {}
+        for joint in self.wheels:
+            shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
+            given = self.roles.wheels.get(joint.name, WheelRole()).radius
+            if chosen is None or given is not None or all(s == chosen for s in shapes):
+                continue
+            counts = Counter((s.kind, s.radius) for s in shapes)
+            found = ", ".join(
+                f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
+            )
+            words = (
+                f"several shapes ({found}), radius {chosen.radius:g} m of the one about the "
+                "axle that touches level ground first"
+            )
+            alike.setdefault(words, []).append(joint.name)
+        for words, names in alike.items():
+            self.notes.append(
+                f"{words}; override by wheels = {{ {names[0]} = {{ radius = ... }} "
+                f"}}: {', '.join(names)}"
+            )
+
     def _hangs_off(self, joint: UrdfJoint) -> bool:
         """Return whether a wheel's centre of mass is not its centre."""
-        link = self.tree.links[joint.child]
-        at = link.shape.at if link.shape else ORIGIN
+        link, shape = self.tree.links[joint.child], self._shape(joint)
+        at = shape.at if shape else ORIGIN
         return bool(link.mass) and math.dist(link.center, at) > AWAY
+
+
+def _released(tree: Tree, roles: Roles) -> frozenset[str]:
+    """Return the fixed joints with an axis that move by their role, or mimic one that does."""
+    fixed = [
+        j
+        for j in tree.joints.values()
+        if not j.moves and any(j.axis) and j.name not in roles.wheels
+    ]
+    found = {
+        j.name for j in fixed if j.name in roles.joints and roles.joints[j.name].kind != "fixed"
+    }
+    followers = [j for j in fixed if j.mimic is not None and j.name not in roles.joints]
+    while more := {j.name for j in followers if j.mimic and j.mimic.joint in found} - found:
+        found |= more
+    return frozenset(found)
 
 
 def _orientations(tree: Tree) -> dict[str, Array]:
@@ -388,10 +505,19 @@ def _eccentricity(shape: Shape, axis: Vector) -> float:
     return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
 
 
-def _is_parallel(shape: Shape, axis: Vector) -> bool:
-    """Return whether a shape is round about an axis."""
+def _is_about(shape: Shape, axis: Vector) -> bool:
+    """Return whether a shape is round about an axis through its link's origin."""
     along = float(rotation_of(shape.turned)[:, 2] @ axis)
-    return shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=CENTERED)
+    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=CENTERED)
+    return parallel and _eccentricity(shape, axis) <= CENTERED
+
+
+def _lowest(shape: Shape, rotation: Array) -> float:
+    """Return the height of a shape's lowest point above its link's origin. [m]."""
+    upward = 0.0
+    if shape.kind == "cylinder":
+        upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
+    return float(rotation[2] @ shape.at) - shape.radius * math.sqrt(1 - upward**2)
 
 
 def _vector(array: Array) -> Vector:

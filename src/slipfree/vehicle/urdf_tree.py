@@ -26,12 +26,12 @@ class Shape(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A link: its mass, if it has one, and the round shape that touches the ground, if any."""
+    """A link: its mass, if it has one, and its round collision shapes, else visual ones."""
 
     name: str
     mass: float | None
     center: Vector
-    shape: Shape | None
+    shapes: tuple[Shape, ...]
     meshed: bool
 
 
@@ -44,7 +44,7 @@ class Mimic(NamedTuple):
 
 
 class UrdfJoint(NamedTuple):
-    """A joint, its frame in the parent link's. [m, rad]."""
+    """A joint, its frame in the parent link's; a fixed joint may lack an axis (zero). [m, rad]."""
 
     name: str
     type: str
@@ -172,10 +172,13 @@ def _link(element: Element, faults: Faults) -> Link:
             if mass < 0:
                 faults.add(weighed.line, f"link {name!r}: expected a mass of zero or more "
                            f"kilograms, found {mass:g}")  # fmt: skip
-    shapes = [e for tag in ("collision", "visual") for e in element.all(tag)]
-    round_ones = [shape for e in shapes if (shape := _shape(e, faults, name)) is not None]
-    meshed = any(g.first("mesh") is not None for e in shapes for g in e.all("geometry"))
-    return Link(name, mass, center, round_ones[0] if round_ones else None, meshed)
+    shapes = {
+        tag: tuple(shape for e in element.all(tag) if (shape := _shape(e, faults, name)))
+        for tag in ("collision", "visual")
+    }
+    drawn = (geometry for tag in shapes for e in element.all(tag) for geometry in e.all("geometry"))
+    meshed = any(geometry.first("mesh") is not None for geometry in drawn)
+    return Link(name, mass, center, shapes["collision"] or shapes["visual"], meshed)
 
 
 def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
@@ -206,7 +209,7 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
             faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none')
         ends.append(link)
     at, turned = _origin(element, faults, who)
-    pointed, axis = element.first("axis"), FORWARD
+    pointed, axis = element.first("axis"), ORIGIN if kind == "fixed" else FORWARD
     if pointed is not None:
         axis = _vector(pointed, "xyz", FORWARD, faults, f"{who}: axis")
         if not math.hypot(*axis) > 0 and kind not in ("fixed", "floating"):
@@ -225,26 +228,19 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
 
 
 def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
-    """Return the stops of a joint; none if it has no limit, or one too far to be meant."""
+    """Return the limits of a joint, infinite if absent or beyond `ENDLESS`.
+
+    Whether they are sensible is checked where they are used: a vehicle file may override them.
+    """
     limit = element.first("limit")
-    if kind not in ("revolute", "prismatic") or limit is None:
+    if kind not in ("revolute", "prismatic", "fixed") or limit is None:
         return -math.inf, math.inf
     if not {"lower", "upper"} & set(limit.attributes):
         return -math.inf, math.inf
     found = []
     for key, sign in (("lower", -1), ("upper", 1)):
         value = _number(limit, key, 0.0, faults, f"{who}: limit")
-        if abs(value) >= ENDLESS:
-            value = sign * math.inf
-        elif kind == "revolute" and (words := degrees_words(value)):
-            faults.add(limit.line, f"{who}: expected {key} in radians ({words}), found {value:g}")
-        elif kind == "prismatic" and abs(value) > LARGEST:
-            faults.add(limit.line, f"{who}: expected {key} in metres, at most {LARGEST:g} (did "
-                       f"you mean millimetres?), found {value:g}")  # fmt: skip
-        found.append(value)
-    if not found[0] < found[1]:
-        faults.add(limit.line, f"{who}: expected limits that ascend, found {found[0]:g} to "
-                   f"{found[1]:g}; if it does not move, its type is fixed")  # fmt: skip
+        found.append(sign * math.inf if abs(value) >= ENDLESS else value)
     return found[0], found[1]
 
 
