@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
+from typer.testing import CliRunner
 
-from slipfree import Grid
+from slipfree import Grid, result_file
+from slipfree.cli import app
 from slipfree.errors import DataError, ModelError
 from slipfree.problem.ground import build_ground, ground_facts
 from slipfree.problem.locate import ProblemError
+from slipfree.problem.run import run
 from slipfree.problem.schema import Terrain
+from slipfree.problem.summary import motion_facts
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.dem import geographic_to_metric, read_map
 from slipfree.terrain.mend import Heights, cut, disturbed, fill_holes, scaled, smoothed
@@ -170,6 +175,64 @@ def test_everything_that_is_changed_is_told(tmp_path: Path) -> None:
     plain, told = _grounds(tmp_path, z=plane(40, 40, (0.25, 0.25)).z)
     assert np.abs(grid.z - plain.z).max() > 0.1
     assert not {"ground holes filled", "map coordinates", "map crs"} & set(told)
+
+
+def test_filled_nodes_are_remembered_whatever_is_changed(tmp_path: Path) -> None:
+    z = plane(40, 40, (0.25, 0.25)).z.copy()
+    z[10:12, 20] = np.nan
+    changes = [
+        "terrain.fill=linear",
+        "terrain.smooth=0.5",
+        "terrain.scale=2",
+        "terrain.error={rms = 0.1, correlation = 1, seed = 5}",
+    ]
+    grid, _ = _grounds(tmp_path, *changes, z=z)
+    assert grid.filled is not None
+    assert_array_equal(np.argwhere(grid.filled), [[10, 20], [11, 20]])
+    assert grid.spacing == pytest.approx((0.5, 0.5))
+    x, y = grid.x[0] + 0.5 * np.array([8.7, 9.1, 11.9, 12.3]), grid.y[0] + 0.5 * 19.1
+    assert_array_equal(grid.touches_filled(x, y), [False, True, True, False])
+    assert_array_equal(grid.touches_filled(x, y - 0.1), [False] * 4)
+    fine, _ = _grounds(tmp_path, *changes, "terrain.rolled=0.4", z=z)
+    assert_array_equal(fine.touches_filled(x, y), [False, True, True, False])
+    i, j = 2, 3
+    part = cut(grid, (grid.x[i], grid.x[-1], grid.y[j], grid.y[-1]))
+    assert part.filled is not None
+    assert_array_equal(part.filled, grid.filled[i:, j:])
+    whole, _ = _grounds(tmp_path, "terrain.fill=linear", z=plane(40, 40, (0.25, 0.25)).z)
+    assert whole.filled is None
+    assert not whole.touches_filled(x, y).any()
+    with pytest.raises(DataError, match="filled must have the shape of z"):
+        Grid(grid.x, grid.y, grid.z, grid.filled.T[1:])
+
+
+def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> None:
+    """On a plane the left wheel crosses 1.25 m of cells that touch a hole; the others do not."""
+    x, y = 0.25 * np.arange(-20, 21), 0.25 * np.arange(-20, 41)
+    z = np.zeros((x.size, y.size))
+    z[14:18, 22:26] = np.nan  # x from -1.5 to -0.75, y from 0.5 to 1.25
+    np.savez(tmp_path / "g.npz", x=x, y=y, z=z)
+    settings = ["terrain.fill=linear", "start={x = 0, y = 0, heading = 0}", "time.duration=20"]
+    motion = run(_read(tmp_path, FILE, *settings)).trajectory
+    words = dict(motion_facts(motion))["filled ground"]
+    assert words == motion.attributes["filled_ground"]
+    found = re.fullmatch(
+        r"(\d+) of 81 samples have a wheel on interpolated heights; along the contact points: "
+        r"right 0 of 3 m, left ([\d.]+) of 3 m, front 0 of 3 m",
+        words,
+    )
+    assert found, words
+    step = 3.0 / 80
+    assert float(found[2]) == pytest.approx(1.25, abs=step)
+    assert int(found[1]) * step == pytest.approx(1.25, abs=2 * step)
+    result_file.write(tmp_path / "run.nc", motion)
+    told = CliRunner().invoke(app, ["info", str(tmp_path / "run.nc")]).stdout
+    assert told.count("interpolated heights") == 1
+    away = run(_read(tmp_path, FILE, *settings, "start.x=2")).trajectory
+    assert away.attributes["filled_ground"] == "no wheel on it at any of 81 samples"
+    np.savez(tmp_path / "g.npz", x=x, y=y, z=np.zeros(z.shape))
+    whole = run(_read(tmp_path, FILE, *settings)).trajectory
+    assert "filled ground" not in dict(motion_facts(whole))
 
 
 @pytest.mark.parametrize(

@@ -303,6 +303,19 @@ def test_figures_come_by_name(run, grid):
     assert {"whole ground", "around the path"} <= {ax.get_title() for ax in figures["map"].axes}
 
 
+def test_filled_holes_are_hatched_on_the_map(run, grid):
+    assert "filled holes" not in words(plot.figures(run, grid)["map"])
+    filled = np.zeros(grid.z.shape, dtype=bool)
+    filled[30:33, 20:28] = True
+    figure = drawn(plot.figures(run, replace(grid, filled=filled))["map"])
+    assert words(figure).count("filled holes") == 1
+    hatched = [c for ax in figure.axes for c in ax.collections if getattr(c, "hatches", [None])[0]]
+    assert hatched
+    low, high = hatched[0].get_datalim(hatched[0].axes.transData).get_points()
+    assert low == pytest.approx([grid.x[29], grid.y[19]], abs=0.02)
+    assert high == pytest.approx([grid.x[33], grid.y[28]], abs=0.02)
+
+
 def test_every_figure_says_why_the_motion_stopped(stopped, grid):
     assert stopped.stop is not None
     for figure in plot.figures(with_mass(stopped), grid).values():

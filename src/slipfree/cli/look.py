@@ -159,8 +159,9 @@ def info(
             put("problem", lambda: text)
             typer.echo(text, nl=False)
             return
+        facts = motion_facts(motion)
         words = [(name.replace("_", " "), value) for name, value in attributes.items()]
-        tell(words + motion_facts(motion))
+        tell([each for each in words if each not in facts] + facts)
         typer.echo()
         put("attributes", lambda: attributes)
         put("result", lambda: motion_answer(motion))

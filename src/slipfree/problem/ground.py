@@ -20,6 +20,7 @@ from slipfree.terrain.friction import check_friction
 from slipfree.terrain.mend import MOST_NODES, cut, disturbed, scaled, smoothed
 from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
+from slipfree.trajectory import Trajectory
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys that only files have
 
@@ -207,6 +208,26 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
         if values is not None:
             grid = rule(grid, **dict(values))
     return place_rocks(grid, map(Rock._make, spec.placed_rocks))
+
+
+def filled_words(grid: Grid, run: Trajectory) -> str:
+    """Return how far the wheels of a motion roll on filled ground; empty if none was filled."""
+    if grid.filled is None:
+        return ""
+    on = grid.touches_filled(run["contact_x"], run["contact_y"])
+    count, size = np.count_nonzero(on.any(axis=1)), run.t.size
+    if not count:
+        return f"no wheel on it at any of {size} samples"
+    steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
+    lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
+    parts = [
+        f"{wheel} {part:.4g} of {whole:.4g} m"
+        for wheel, part, whole in zip(run.wheels, lengths, steps.sum(axis=0), strict=True)
+    ]
+    return (
+        f"{count} of {size} samples have a wheel on interpolated heights; along the contact "
+        f"points: {', '.join(parts)}"
+    )
 
 
 def ground_facts(ground: Ground) -> Facts:

@@ -15,7 +15,7 @@ from slipfree.plan.saved import Saved
 from slipfree.problem import schema
 from slipfree.problem.climb import Climbing, build_climb, climbed
 from slipfree.problem.direct import build_direct
-from slipfree.problem.ground import at, ground_facts
+from slipfree.problem.ground import at, filled_words, ground_facts
 from slipfree.problem.inverse import build_inverse, drive_along, finished, is_sought
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.parts import Setup, vehicle_facts
@@ -107,6 +107,8 @@ def run(
     if setup.vehicle.mass and not is_determinate(setup.vehicle):
         found = best_utilisation(setup.vehicle, setup.terrain, found)
     attributes = {**found.attributes, **_attributes(problem, setup)}
+    if words := filled_words(setup.ground.grid, found):
+        attributes["filled_ground"] = words
     return Outcome(replace(finished(found), attributes=attributes), setup, arrays)
 
 

@@ -53,6 +53,8 @@ def _way(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "path length", f"{path_length(run):.6g} m"
     yield "height along the path", f"{z.min():.4f} to {z.max():.4f} m"
     place = ", ".join(f"{name} {run[name][-1]:.3f} m" for name in "xyz")
+    if "filled_ground" in run.attributes:
+        yield "filled ground", run.attributes["filled_ground"]
     yield "end place", place
     angles = ", ".join(f"{name} {run[name][-1]:.6g} rad" for name in ("heading", "pitch", "roll"))
     yield "end attitude", f"{angles} (yaw from the x axis {run['yaw'][-1]:.6g} rad)"

@@ -35,6 +35,7 @@ from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
 
 HEIGHTS = "cividis"
+HATCH, FILLED = "//////", "#D60093"  # marks filled holes
 MESH = 72  # of a drawn surface
 ROUNDING = 1e-9  # slip below this is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
@@ -68,10 +69,21 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
     relief.shade(x, y, z, ax)
     if np.ptp(z) > 0:
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
+    _hatch_filled(grid, x, y, ax)
     bar = ax.figure.colorbar(heights, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)))
     bar.set_label("height $z$ [m]")
     bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
+
+
+def _hatch_filled(grid: Grid, x: Array, y: Array, ax: Axes) -> None:
+    """Hatch the filled cells of a ground, with an entry for the legend."""
+    filled = grid.touches_filled(x[:, None], y[None, :])
+    if filled.any():
+        area = ax.contourf(x, y, filled.T, levels=(0.5, 1.5), colors="none", hatches=[HATCH])
+        area.set_edgecolor(FILLED)
+        look: dict[str, Any] = {"fill": False, "ec": FILLED, "lw": 0, "hatch": HATCH}
+        ax.add_patch(Rectangle((x[0], y[0]), 0, 0, label="filled holes", **look))
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:
@@ -374,7 +386,7 @@ def _map(run: Trajectory, grid: Grid) -> Figure:
         panels[0].add_patch(Rectangle(corner, *size, **box, zorder=4))
         panels[0].set_title("whole ground")
         panels[1].set_title("around the path")
-    return style.finished(figure, run, panels[-1:])
+    return style.finished(figure, run, panels)
 
 
 def _terrain(run: Trajectory, grid: Grid) -> Figure:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
-from slipfree.named import Array
+from slipfree.named import Array, Mask
 
 HIGHEST = 1e9  # height of a ground [m]
 UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length
@@ -102,6 +102,8 @@ class Grid:
         Ascending axes, uniform to 1e-9 of their length, at least four nodes each. [m]
     z : ndarray, shape (n_x, n_y)
         Heights [m] or coefficients of friction [1], all finite.
+    filled : ndarray of bool, shape (n_x, n_y), or None
+        Nodes whose values were interpolated because the data has a hole there.
 
     Raises
     ------
@@ -112,6 +114,7 @@ class Grid:
     x: Array
     y: Array
     z: Array
+    filled: Mask | None = None
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "z"):
@@ -124,6 +127,10 @@ class Grid:
         _check_axis("x", self.x)
         _check_axis("y", self.y)
         _check_heights(self.x, self.y, self.z)
+        if self.filled is not None and self.filled.shape != self.z.shape:
+            raise DataError(
+                f"grid: filled must have the shape of z, {self.z.shape}, found {self.filled.shape}"
+            )
 
     @property
     def domain(self) -> tuple[float, float, float, float]:
@@ -137,6 +144,25 @@ class Grid:
             float(np.ptp(self.x) / (self.x.size - 1)),
             float(np.ptp(self.y) / (self.y.size - 1)),
         )
+
+    def touches_filled(self, x: Array, y: Array) -> Mask:
+        """Return whether points lie in cells that have a filled node at a corner.
+
+        Parameters
+        ----------
+        x, y : ndarray
+            Map coordinates of shapes that broadcast; points outside belong to the nearest cell. [m]
+        """
+        x, y = np.broadcast_arrays(x, y)
+        if self.filled is None:
+            return np.zeros(x.shape, dtype=bool)
+        cells = [
+            np.clip((place - axis[0]) / step, 0, axis.size - 2).astype(np.intp)
+            for place, axis, step in zip((x, y), (self.x, self.y), self.spacing, strict=True)
+        ]
+        i, j = cells
+        first, last = self.filled[i, j], self.filled[i + 1, j + 1]
+        return first | self.filled[i + 1, j] | self.filled[i, j + 1] | last
 
 
 def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -> None:

@@ -212,6 +212,7 @@ def _mapped(
 ) -> Map:
     """Return a map in metres without holes."""
     told: Facts = found.told
+    mask = None
     if fill is None:
         check_whole(found)
     else:
@@ -220,9 +221,10 @@ def _mapped(
         size = " x ".join(f"{each:.6g}" for each in filled.largest)
         words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
         told += (("ground holes filled", words if filled.nodes else "none found"),)
+        mask = np.isnan(found.z) if filled.nodes else None
         found = found._replace(z=filled.z)
     if geographic is None:
-        return Map(Grid(found.x, found.y, found.z), crs=found.crs, told=told)
+        return Map(Grid(found.x, found.y, found.z, mask), crs=found.crs, told=told)
     frame = local_frame(found.x, found.y) if geographic == "local" else geographic
     x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
     told += (("ground degrees", _degrees_words(found.y, frame)),)
@@ -232,7 +234,7 @@ def _mapped(
             f"most, found {100 * wrong:.2g} % at its northern or southern border; name a window, "
             "or reproject it to metres: gdalwarp -t_srs EPSG:326xx in out.tif (xx: the UTM zone)"
         )
-    return Map(Grid(x, y, found.z), frame, found.crs, geographic=True, told=told)
+    return Map(Grid(x, y, found.z, mask), frame, found.crs, geographic=True, told=told)
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:

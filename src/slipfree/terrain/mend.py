@@ -6,6 +6,7 @@ Every function is pure: it returns a new map and, where heights change, by how m
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -191,7 +192,8 @@ def cut(grid: Grid, window: Window) -> Grid:
         If it has less than four nodes in a direction, or the window is empty.
     """
     i, j = parts(*axes_of(grid.x, grid.y), window)
-    return Grid(grid.x[i], grid.y[j], np.ascontiguousarray(grid.z[i, j]))
+    filled = None if grid.filled is None else grid.filled[i, j]
+    return Grid(grid.x[i], grid.y[j], np.ascontiguousarray(grid.z[i, j]), filled)
 
 
 def check_whole(found: Heights) -> None:
@@ -294,7 +296,7 @@ def scaled(grid: Grid, horizontal: float, vertical: float) -> Grid:
     """Return a ground with x and y multiplied by one number and heights by another. [1]."""
     if horizontal == vertical == 1:
         return grid
-    return Grid(horizontal * grid.x, horizontal * grid.y, vertical * grid.z)
+    return replace(grid, x=horizontal * grid.x, y=horizontal * grid.y, z=vertical * grid.z)
 
 
 def smoothed(grid: Grid, deviation: float) -> Smoothed:
@@ -324,9 +326,7 @@ def smoothed(grid: Grid, deviation: float) -> Smoothed:
         )
     z = averaged(grid.z, grid.spacing, deviation)
     change = z - grid.z
-    return Smoothed(
-        Grid(grid.x, grid.y, z), math.sqrt(np.mean(change**2)), float(np.abs(change).max())
-    )
+    return Smoothed(replace(grid, z=z), math.sqrt(np.mean(change**2)), float(np.abs(change).max()))
 
 
 def averaged(z: Array, steps: tuple[float, float], deviation: float) -> Array:
@@ -387,4 +387,4 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
     along_y = np.exp(1j * np.outer(k_y, grid.y))
     # Only the real part of the product is needed: two real products instead of four.
     error = along_x.real @ along_y.real - along_x.imag @ along_y.imag
-    return Grid(grid.x, grid.y, grid.z + rms * math.sqrt(2 / WAVES) * error)
+    return replace(grid, z=grid.z + rms * math.sqrt(2 / WAVES) * error)

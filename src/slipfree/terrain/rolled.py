@@ -88,7 +88,8 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     old = Bicubic(grid).elevation(x[:, None], y[None, :])
     steps = (float(x[1] - x[0]), float(y[1] - y[0]))
     new = averaged(_closed(old, steps, BALL * radius), steps, BLUR * radius)
-    return Rolled(Grid(x, y, new), Grid(x, y, new - old))
+    filled = None if grid.filled is None else grid.touches_filled(x[:, None], y[None, :])
+    return Rolled(Grid(x, y, new, filled), Grid(x, y, new - old))
 
 
 def _refined(axis: Array, spacing: float) -> Array:
