@@ -161,8 +161,10 @@ class Grid:
             for place, axis, step in zip((x, y), (self.x, self.y), self.spacing, strict=True)
         ]
         i, j = cells
-        first, last = self.filled[i, j], self.filled[i + 1, j + 1]
-        return first | self.filled[i + 1, j] | self.filled[i, j + 1] | last
+        found: Mask = np.zeros(x.shape, dtype=bool)
+        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            found |= self.filled[i + a, j + b]
+        return found
 
 
 def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -> None:
