@@ -9,8 +9,10 @@ import pytest
 
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.places import regions
+from slipfree.problem.plan import figure_options
 from slipfree.problem.read import read
 from slipfree.problem.run import build, run
+from slipfree.show.plan import plan_figures
 
 FIELD = Path(__file__).parent.parent / "problems" / "plan_crater_field.toml"
 SHORT = ("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "time.duration=40.0", "costs.slip=",
@@ -132,6 +134,17 @@ def test_of_a_range_what_lies_on_the_map_counts():
     motion = run(read(HILLS, [*QUICK, "goal.y=[1.2, 60.0]"])).trajectory
     assert motion.stop is None
     assert motion["y"][-1] > 1.2 - 1e-4
+
+
+@pytest.mark.parametrize("bounds", ["", "{ left_rate = [-1.0, 1.0] }"])
+def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
+    outcome = run(read(HILLS, [*QUICK, f"bounds={bounds}"]))
+    motion, setup = outcome.trajectory, outcome.setup
+    drawn = plan_figures(motion, setup.ground.grid, setup.layers, **figure_options(setup))
+    panel = drawn["plan"].axes[0]
+    names = ["right rate", "left rate", "steer rate"]
+    assert panel.get_legend_handles_labels()[1] == names + (["bound"] * 2 if bounds else [])
+    np.testing.assert_array_equal(panel.lines[1].get_ydata(), motion["left_rate"])
 
 
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):

@@ -158,8 +158,12 @@ def test_figures_of_a_plan_are_complete_and_fit(run, grid, layers):
             assert box.y1 <= height + 1
 
 
-def test_labels_of_the_panels_do_not_meet(run, grid, layers):
-    figure = plan.plan_figures(run, grid, layers, bounds=BOUNDS, limits=LIMITS)["plan"]
+@pytest.mark.parametrize(("count", "limits"), [(0, LIMITS), (9, {})])
+def test_labels_of_the_panels_do_not_meet(run, grid, layers, count, limits):
+    columns = {f"steer_rear_right_{k}_rate": run.columns["steer_rate"] for k in range(count)}
+    many = replace(run, columns={**run.columns, **columns})
+    bounds = BOUNDS | dict.fromkeys(columns, (-np.inf, np.inf))
+    figure = plan.plan_figures(many, grid, layers, bounds=bounds, limits=limits)["plan"]
     figure.draw_without_rendering()
     boxes = [ax.yaxis.label.get_window_extent() for ax in figure.axes]
     assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))

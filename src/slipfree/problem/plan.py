@@ -14,7 +14,7 @@ from slipfree.errors import SlipfreeError, SolverError
 from slipfree.geometry.path import Path
 from slipfree.kinematics.follow import follow
 from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.named import Array, Label
+from slipfree.named import Array, Label, leaves
 from slipfree.plan.plan import STOPPED, Plan, plan
 from slipfree.plan.proof import rerun
 from slipfree.plan.reachable import unreachable
@@ -167,8 +167,13 @@ def planned(
 
 def figure_options(setup: Planning) -> dict[str, Any]:
     """Return what the figures of a plan show besides its motion, as options of theirs."""
-    return {"places": setup.places, "found": setup.ways, "bounds": setup.spec.bounds,
-            "limits": setup.spec.limits}  # fmt: skip
+    unbounded = {label.name: (-np.inf, np.inf) for label in leaves(setup.dae.labels.u)}
+    return {
+        "places": setup.places,
+        "found": setup.ways,
+        "bounds": unbounded | setup.spec.bounds,
+        "limits": setup.spec.limits,
+    }
 
 
 def _asked(

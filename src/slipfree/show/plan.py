@@ -43,6 +43,7 @@ BLOCKED = {  # what blocks a node: its colour, and its words; of several the fir
 FAR = 0.6  # a motion that takes up less than this of the map is drawn without the rest of it
 WRAP = 20  # characters of a line of labels and legends beside axes
 ROW = 34 * MM  # height of a row of the figure of a plan [in]
+ENTRIES = 7  # lines of a legend beside a row of that height
 Range = tuple[float, float]
 Place = tuple[str, float, float]
 
@@ -179,7 +180,8 @@ def plan_figures(
     found : sequence of ndarray, shape (n, 2)
         Ways from which the plan was sought. [m]
     bounds : mapping of str to (float, float)
-        Of the inputs, by name.
+        Least and largest value of every input by name; infinite where there is no bound. Inputs
+        that are not named here are not drawn.
     limits : mapping of str to (float, float)
         Of quantities along the way, by name, or by name and wheel as in ``slip_along[front]``.
     """
@@ -243,9 +245,12 @@ def _plan(
     bounds: Mapping[str, Range],
     limits: Mapping[str, Range],
 ) -> Figure:
-    rows = (len(bounds) > 0) + len(limits) + (len(layers.limits.keep_out) > 0) + 2
-    figure = style.figure(PAGE, rows * ROW + 10 * MM)
-    panels = list(figure.subplots(rows, 1, sharex=True))
+    heights = [1.0] * (len(limits) + (len(layers.limits.keep_out) > 0) + 2)
+    if bounds:
+        entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
+        heights.insert(0, max(1.0, (entries + 1) / ENTRIES))
+    figure = style.figure(PAGE, sum(heights) * ROW + 10 * MM)
+    panels = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
     free = iter(panels)
     if bounds:
         inputs(run, bounds, next(free))

@@ -31,7 +31,8 @@ from slipfree.show import relief, style
 from slipfree.show.load import load_figures
 from slipfree.show.relief import HEATMAP, Window
 from slipfree.show.style import COLUMN, DPI, FLAT, MM, PAGE, PLATFORM, STOPPED, STYLE
-from slipfree.terrain.base import Grid
+from slipfree.terrain.base import Grid, Terrain
+from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
 
 HEIGHTS = "cividis"
@@ -40,6 +41,7 @@ MESH = 72  # of a drawn surface
 ROUNDING = 1e-9  # slip below this is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
 STILL = 1e-9  # a joint that moves less stays where it is [rad]
+BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # seen under what follows it
 NEAR = 0.6  # a path that takes up less than this of the map is drawn again, larger
 RELIEF = (0.22, 0.6)  # height of a drawn surface as a part of its width
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
@@ -211,30 +213,32 @@ def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
     return ax
 
 
-def elevation(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
+def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     """Draw heights over the distance driven: platform, contacts, ground below the platform."""
     s = _distance(run)
     for k, wheel in enumerate(run.wheels):
         ax.plot(s, run["contact_z", wheel], label=f"contact {style.words(wheel)}", **style.look(k))
     ax.plot(s, run["z"], color=PLATFORM, label="platform")
-    below = relief.height(grid, run["x"], run["y"])
-    ax.plot(s, below, color="0.6", lw=0.9, label="ground below the platform", zorder=1)
+    below = ground.elevation(run["x"], run["y"])
+    ax.plot(s, below, **BELOW, label="ground below the platform")
     ax.set(xlabel="distance driven [m]", ylabel="height $z$ [m]")
     return ax
 
 
-def slope(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
+def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     """Draw the slope of the ground below the platform along its heading, and the pitch.
 
-    The slope is taken over two spacings of the grid.
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    ground : Terrain
+        The surface that it happened on.
+    ax : Axes
+        Where to draw.
     """
-    s, step = _distance(run), max(relief.spacing(grid))
-    east, north = -np.sin(run["heading"]) * step, np.cos(run["heading"]) * step
-    ahead, behind = (
-        relief.height(grid, run["x"] + way * east, run["y"] + way * north) for way in (1, -1)
-    )
-    rise = np.arctan2(ahead - behind, 2 * step)
-    ax.plot(s, rise, color="0.6", lw=0.9, label="ground along the heading")
+    s, rise = _distance(run), relief.slope_along(ground, run["x"], run["y"], run["heading"])
+    ax.plot(s, rise, **BELOW, label="ground along the heading")
     ax.plot(s, run["pitch"], color=PLATFORM, label="pitch of the platform")
     ax.set(xlabel="distance driven [m]", ylabel="slope [rad]")
     return style.degrees(ax)
@@ -288,7 +292,7 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
     return ax
 
 
-def figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
+def figures(run: Trajectory, grid: Grid, surface: Terrain | None = None) -> dict[str, Figure]:
     """Return the usual figures of a motion, by name.
 
     Parameters
@@ -297,6 +301,8 @@ def figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
         The motion.
     grid : Grid
         The ground it happened on.
+    surface : Terrain, optional
+        The same ground as the model has it; the bicubic spline through the grid by default.
 
     Returns
     -------
@@ -315,7 +321,7 @@ def figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
             "terrain": _terrain(run, grid),
             "tilts": _tilts(run),
             "loci": _loci(run),
-            "elevation": _elevation(run, grid),
+            "elevation": _elevation(run, surface or Bicubic(grid)),
             "slip": _slip(run),
             "checks": _checks(run),
         } | load_figures(run, grid)
@@ -437,11 +443,11 @@ def _loci(run: Trajectory) -> Figure:
     return style.finished(figure, run, [plan])
 
 
-def _elevation(run: Trajectory, grid: Grid) -> Figure:
+def _elevation(run: Trajectory, ground: Terrain) -> Figure:
     figure = style.figure(PAGE, 100 * MM)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    elevation(run, grid, top).set_xlabel("")
-    slope(run, grid, bottom).legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    elevation(run, ground, top).set_xlabel("")
+    slope(run, ground, bottom).legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return style.finished(figure, run, [top])
 
 

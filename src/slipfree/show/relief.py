@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LightSource
 from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import map_coordinates
 
 from slipfree.errors import ModelError
 from slipfree.named import Array
 from slipfree.show import style
-from slipfree.terrain.base import Grid
+from slipfree.terrain.base import Grid, Terrain
 from slipfree.trajectory import Trajectory
 
 HEATMAP = 600  # samples of a drawn map along an axis
@@ -65,12 +65,6 @@ def whole(grid: Grid) -> Window:
     return float(grid.x[0]), float(grid.x[-1]), float(grid.y[0]), float(grid.y[-1])
 
 
-def spacing(grid: Grid) -> tuple[float, float]:
-    """Return the distances between the nodes of a ground, to the east and to the north. [m]."""
-    west, east, south, north = whole(grid)
-    return (east - west) / (grid.x.size - 1), (north - south) / (grid.y.size - 1)
-
-
 def around(run: Trajectory, grid: Grid, pad: float) -> Window:
     """Return the part of the map around the contacts, shaped like the map unless that is narrow."""
     x, y = (np.concatenate([run[name], run[f"contact_{name}"].ravel()]) for name in "xy")
@@ -114,8 +108,26 @@ def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
     return fine[0], fine[1], np.round(spline(*fine), DIGITS)
 
 
-def height(grid: Grid, x: Array, y: Array) -> Array:
-    """Return the heights of the ground, linear between its nodes; outside it is not a number."""
-    dx, dy = spacing(grid)
-    at = np.stack([(x - grid.x[0]) / dx, (y - grid.y[0]) / dy])
-    return np.asarray(map_coordinates(grid.z, at, order=1, mode="constant", cval=np.nan))
+def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
+    """Return the slope angle of a ground along headings at map points.
+
+    Parameters
+    ----------
+    ground : Terrain
+        The ground.
+    x, y : ndarray, shape (n,)
+        Map coordinates. [m]
+    heading : ndarray, shape (n,)
+        Directions from the y axis, counter-clockwise. [rad]
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Angle of the tangent to the surface, positive uphill. [rad]
+    """
+    at = ca.SX.sym("x"), ca.SX.sym("y")
+    gradient = ca.Function("gradient", at, [ca.densify(ground.jet(*at).gradient)])
+    x_0, y_0, _ = ground.origin
+    rise = gradient(ca.DM(x - x_0).T, ca.DM(y - y_0).T)
+    along = np.stack([-np.sin(heading), np.cos(heading)])
+    return np.asarray(np.arctan(np.sum(along * np.array(rise), axis=0)))
