@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -21,7 +23,7 @@ from slipfree.problem.read import read as read_problem
 from slipfree.sweep.grid import sweep_of
 from slipfree.terrain.dem import read_map
 
-LIMIT = 20  # time after which a command counts as hanging [s]
+LIMIT = 100  # time after which a command counts as hanging [s]
 KINDS = {
     "pipe": "found a pipe, not a regular file; write the contents to a file first",
     "device": "found a device or a terminal, not a regular file",
@@ -156,3 +158,41 @@ def test_a_medium_that_fails_while_it_is_read(
 
 def test_a_file_without_end_is_read_to_its_size() -> None:
     assert files.read_bytes(Path("/proc/self/maps"), "a file") == b""
+
+
+@pytest.mark.usefixtures("folder")
+def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slipfree.problem.report._figures", lambda *_: {})  # which take long
+    problem = {**bases("direct")[0], "terrain": {"file": "g.npz"}}
+    problem.pop("title", None)
+    place = Path(os.fsdecode(b"d\xfe"))
+    place.mkdir()
+    stem = os.fsdecode(b"n\xff")
+    file, out = place / f"{stem}.toml", f"{stem}.nc"
+    file.write_text(document(problem))
+    x = np.linspace(-9, 9, 40)
+    np.savez(place / "g.npz", x=x, y=x, z=np.zeros((40, 40)))
+    page, table = f"{stem}.html", f"{stem}.csv"
+    for words in (
+        ("run", str(file), "-o", out, "--csv", table, "--no-draw"),
+        ("info", out),
+        ("report", out, "-o", page),
+        ("show", out, "--html", page),
+        ("export", out, "--path", table),
+        ("sweep", str(file), "--vary", "time.duration=0.1,0.2", "--processes", "1", "--no-draw"),
+    ):
+        found = CliRunner().invoke(app, [*words, "--json"])
+        assert found.exit_code == 0, (words, found.output, found.exception)
+        json.loads(found.stdout)
+    attributes = result_file.read(out).attributes
+    assert attributes["title"] == r"n\udcff"
+    assert attributes["problem_file"] == r"n\udcff.toml"
+    assert files.unescape_name(attributes["problem_folder"]) == str(place)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("command", ["run", "sweep"])
+def test_a_setting_that_is_not_utf_8_is_refused_before_anything_is_computed(command: str) -> None:
+    setting = os.fsdecode(b"title=\xff")
+    told = _refused(command, "p.toml", "--vary" if command == "sweep" else "--set", setting)
+    assert "--set title: expected text in UTF-8, as in a problem file, found title=" in told

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -77,8 +78,13 @@ def resolve_links(path: Path) -> Path:
 
 
 def escape_name(name: str) -> str:
-    r"""Return a file name as text that UTF-8 can encode: ``\udcff`` stands for the byte 0xff."""
+    r"""Return a file name as text in UTF-8: ``\udcff`` stands for the byte 0xff."""
     return name.encode(errors="backslashreplace").decode()
+
+
+def unescape_name(text: str) -> str:
+    """Return the file name that `escape_name` made a text of."""
+    return re.sub(r"\\udc([89a-f][0-9a-f])", lambda found: chr(int(f"dc{found[1]}", 16)), text)
 
 
 def _checked_size(path: Path, expected: str) -> int:

@@ -1,9 +1,10 @@
-"""Results on disk: netCDF with CF metadata, and CSV.
+r"""Results on disk: netCDF with CF metadata, and CSV.
 
 A result file is netCDF-3 (64-bit offsets), which xarray, MATLAB, R, Julia, Panoply and ncdump open
 without further ado. It has the dimensions ``time`` and ``wheel``, one variable for each quantity
 with ``units`` and ``long_name``, and global attributes that say where it comes from: versions,
-date, the whole problem file, and why the motion ended if it ended early.
+date, the whole problem file, and why the motion ended if it ended early. Attributes are UTF-8; a
+byte of a file name that is not, such as 0xff, is written as ``\udcff``.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import numpy.typing as npt
 from scipy.io import netcdf_file
 
 from slipfree.errors import DataError, ModelError, SlipfreeError
-from slipfree.files import read_bytes
+from slipfree.files import escape_name, read_bytes
 from slipfree.named import Label
 from slipfree.trajectory import Column, Stop, Trajectory
 from slipfree.version import __version__
@@ -244,7 +245,8 @@ def _annotate(node: Any, attributes: Mapping[str, Attribute]) -> None:
     for name, value in attributes.items():
         if hasattr(node, name):
             raise ModelError(f"attribute {name!r} has another meaning in netCDF: rename it")
-        setattr(node, name, value.encode() if isinstance(value, str) else np.float64(value))
+        text = escape_name(value).encode() if isinstance(value, str) else None
+        setattr(node, name, np.float64(value) if text is None else text)
 
 
 def _attributes(run: Trajectory) -> dict[str, Attribute]:

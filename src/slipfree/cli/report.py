@@ -43,4 +43,4 @@ def report(
 
 
 def _write(part: Path, text: str) -> None:
-    part.write_text(text, encoding="utf-8")
+    part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files

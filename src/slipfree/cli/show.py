@@ -14,6 +14,7 @@ import typer
 from slipfree.cli.common import about, check_apart, check_page, check_place, reported
 from slipfree.cli.voice import put_file, warn
 from slipfree.errors import DataError
+from slipfree.files import escape_name
 
 if TYPE_CHECKING:
     from slipfree.show.climb_scene import Climbed
@@ -85,7 +86,7 @@ def _check_places(files: Sequence[Path], html: Path | None, animation: Path | No
 
 
 def _write(part: Path, text: str) -> None:
-    part.write_text(text, encoding="utf-8")
+    part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> list[Driven] | list[Climbed]:
@@ -107,7 +108,8 @@ def _read(files: Sequence[Path], folder: Path | None) -> list[Driven] | list[Cli
 def _names(files: Sequence[Path]) -> list[str]:
     """Return the names of files as far as they tell them apart."""
     names = [file.stem for file in files]
-    return names if len({*names}) == len(names) else [str(file) for file in files]
+    names = names if len({*names}) == len(names) else [str(file) for file in files]
+    return [escape_name(name) for name in names]
 
 
 def _scene(found: list[Driven] | list[Climbed]) -> Scene:

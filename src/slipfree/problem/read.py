@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast, get_a
 from pydantic import BaseModel, ValidationError
 
 from slipfree.errors import DataError
-from slipfree.files import read_bytes, regular_file
+from slipfree.files import escape_name, read_bytes, regular_file
 from slipfree.problem.locate import Place, ProblemError, Source, key_lines, key_path
 from slipfree.problem.schema import (
     ALTERNATIVES,
@@ -239,6 +239,12 @@ def _replaced(data: dict[str, Any], settings: Sequence[str]) -> dict[Place, str]
     faults = []
     for setting in settings:
         key, equals, text = setting.partition("=")
+        if (readable := escape_name(setting)) != setting:
+            faults.append(
+                f"--set {escape_name(key.strip())}: expected text in UTF-8, as in a problem file, "
+                f"found {readable}; rename the file if it is a name"
+            )
+            continue
         try:
             path = key_path(key)
             if not equals:

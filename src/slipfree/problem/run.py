@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from slipfree.errors import SolverError
+from slipfree.files import escape_name
 from slipfree.kinematics.hold import best_utilisation
 from slipfree.kinematics.montana import Difference, cross_check
 from slipfree.kinematics.records import is_determinate
@@ -171,7 +172,7 @@ def _attributes(
     inputs = {}
     if isinstance(setup, Setup):
         inputs["inputs"] = " ".join(label.full for label in leaves(setup.model.labels.u))
-    return {
+    found = {
         "title": problem.spec.title or source.path.stem,
         "problem_file": source.path.name,
         "problem_folder": str(source.path.parent),  # as it was given
@@ -180,3 +181,4 @@ def _attributes(
         **inputs,
         **{name.replace(" ", "_"): words for name, words in setup_facts(setup)},
     }
+    return {name: escape_name(words) for name, words in found.items()}

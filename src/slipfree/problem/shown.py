@@ -12,6 +12,7 @@ import numpy as np
 
 from slipfree.climb.vehicle import Climber
 from slipfree.errors import DataError
+from slipfree.files import resolve_links, unescape_name
 from slipfree.kinematics.poses import wheel_poses
 from slipfree.named import Array
 from slipfree.plan.saved import PREFIX, from_arrays
@@ -96,18 +97,19 @@ def problem_of(
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(f"{file}: its problem is not one of this version:", *faults) \
                 from error  # fmt: skip
-    place = _folder(file, problem.spec, run.attributes.get("problem_folder"), folder)
+    recorded = unescape_name(run.attributes.get("problem_folder", ""))
+    place = _folder(file, problem.spec, recorded, folder)
     source = replace(problem.source, path=place / name)
     return replace(problem, source=source)
 
 
 def _folder(
-    file: Path, spec: schema.Motion | schema.Climb, recorded: str | None, folder: Path | None
+    file: Path, spec: schema.Motion | schema.Climb, recorded: str, folder: Path | None
 ) -> Path:
     """Return the folder that holds the files which a problem names."""
     needed = input_names(spec, DRAWN)
     here, beside = Path.cwd(), file.absolute().parent
-    usual = [*((each / recorded).resolve() for each in (here, beside) if recorded), beside, here]
+    usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]
     tried = [folder] if folder is not None else list(dict.fromkeys(usual))
     for place in tried:
         missing = [name for name in needed if not _is_file(place / name)]

@@ -60,7 +60,7 @@ def write_table(file: Path, sweep: Sweep, rows: Sequence[Row]) -> None:
     lines = [_line(run, done[run.number], units) for run in sweep.runs() if run.number in done]
 
     def fill(part: Path) -> None:
-        with part.open("w", newline="", encoding="utf-8") as open_file:
+        with part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as open_file:
             writer = csv.writer(open_file, lineterminator="\n")
             writer.writerows([head, *lines])
 
