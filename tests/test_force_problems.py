@@ -19,6 +19,10 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.cli import app
+from slipfree.errors import SolverError
+from slipfree.kinematics import hold
+from slipfree.kinematics.distribution import least_utilisation
+from slipfree.problem import run as runner
 from slipfree.problem.locate import ProblemError
 from slipfree.problem.read import read
 from slipfree.problem.run import build, run
@@ -98,6 +102,32 @@ def test_run_tells_what_the_motion_takes():
         atol=1e-12,
     )
     assert written.attributes["ground_friction"] == "0.6"
+
+
+@pytest.mark.usefixtures("file")
+def test_samples_that_do_not_converge_are_counted(monkeypatch):
+    def some_fail(matrix, load, friction):
+        best = least_utilisation(matrix, load, friction)
+        return best._replace(utilisation=np.where(np.arange(9) == 3, np.nan, best.utilisation))
+
+    monkeypatch.setattr(hold, "least_utilisation", some_fail)
+    told = called("run").stdout
+    assert re.search("^not converged +utilisation_best at 1 of 9 samples$", told, re.MULTILINE)
+    assert re.search(r"^  best distribution +0\.\d+ at most", told, re.MULTILINE)
+    assert np.isnan(result_file.read(Path("p.nc"))["utilisation_best"]).sum() == 1
+    assert "not converged" in CliRunner().invoke(app, ["info", "p.nc"]).stdout
+
+
+@pytest.mark.usefixtures("file")
+@pytest.mark.parametrize("error", [SolverError("gave up"), np.linalg.LinAlgError("gave up")])
+def test_a_diagnostic_that_fails_loses_no_motion(monkeypatch, error):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(runner, "best_utilisation", fail)
+    words = f"utilisation_best: {type(error).__name__}: gave up"
+    assert facts("run")["diagnostics failed"].strip() == words
+    assert result_file.read(Path("p.nc")).t[-1] == 2.0
 
 
 @pytest.mark.usefixtures("file")

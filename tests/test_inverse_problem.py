@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -217,9 +218,9 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.usefixtures("folder")
 def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = run(read("p.toml")).trajectory
-    for raised, words in (
-        (SolverError("no motion follows the path"), "no motion follows the path\n"),
-        (SolverError("gave up", motion), "the replay by the direct model failed: gave up\n"),
+    for raised, code, words in (
+        (SolverError("no motion follows the path"), 1, "no motion follows the path\n"),
+        (SolverError("the replay by the direct model failed: gave up", motion), 0, ""),
     ):
 
         def fail(*_: Any, raised: SolverError = raised, **__: Any) -> None:
@@ -227,7 +228,9 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
         monkeypatch.setattr(inverse, "drive", fail)
         result = _invoke("run", "path.toml", "--no-draw")
-        assert (result.exit_code, result.stderr) == (1, words)
+        assert (result.exit_code, result.stderr) == (code, words)
+    assert re.search("replay stopped early +the replay by the direct .* gave up\n", result.stdout)
+    np.testing.assert_array_equal(result_file.read("path.nc")["x"], motion["x"])
 
 
 @pytest.mark.usefixtures("folder")

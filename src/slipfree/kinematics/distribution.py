@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.named import Array, Mask
 
 Index = npt.NDArray[np.intp]
@@ -33,9 +33,9 @@ class Best(NamedTuple):
     ----------
     utilisation : ndarray, shape (n,)
         Least possible largest ratio of tangential to limiting friction force; ``inf`` where no
-        distribution exists. [1]
+        distribution exists, NaN where the search for it does not converge. [1]
     force : ndarray, shape (n, 3 m)
-        A distribution that attains it (others may too), NaN where none exists. [weight]
+        A distribution that attains it (others may too), NaN where none was found. [weight]
     """
 
     utilisation: Array
@@ -117,8 +117,6 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     ------
     ModelError
         If shapes do not fit, numbers are not finite, or a friction is not positive.
-    SolverError
-        If Newton's method does not converge.
 
     References
     ----------
@@ -136,8 +134,9 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     utilisation = np.full(len(y), np.inf)
     utilisation[held] = _utilisation(contacts.pick(held), y[held])
     utilisation[utilisation > STARVED] = np.inf
+    utilisation[np.isnan(y).any(1)] = np.nan
     force = particular + _apply(free, y)
-    force[np.isinf(utilisation)] = np.nan
+    force[~np.isfinite(utilisation)] = np.nan
     return Best(utilisation, force)
 
 
@@ -209,7 +208,10 @@ def _shared(contacts: _Contacts, y: Array) -> Array:
 
 
 def _follow(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
-    """Return the unknowns at the least level, from any that hold strictly at ``level``."""
+    """Return the unknowns at the least level, from any that hold strictly at ``level``.
+
+    Samples that do not converge are NaN.
+    """
     y, level = y.copy(), level.copy()
     active = np.arange(len(y))
     for _ in range(ROUNDS):
@@ -219,14 +221,15 @@ def _follow(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
         newton = _newton(now, y[active], level[active], goal)
         central = newton.decrement < CENTRAL
         near = newton.gap <= np.maximum(goal.absolute, goal.relative * np.abs(level[active]))
-        done = (central & near) | (level[active] <= goal.enough)
+        lost = ~np.isfinite(newton.decrement)
+        y[active[lost]] = np.nan
+        done = (central & near) | (level[active] <= goal.enough) | lost
         for rows, move in ((~central & ~done, _center), (central & ~done, _advance)):
             if rows.any():
                 some, index = _Newton(*(item[rows] for item in newton)), active[rows]
                 y[index], level[index] = move(now.pick(rows), y[index], level[index], some, goal)
         active = active[~done]
-    if active.size:
-        raise SolverError(f"least utilisation: {active.size} of {len(y)} samples do not converge")
+    y[active] = np.nan
     return y
 
 
@@ -235,21 +238,24 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
 
     ``c`` is the radius of a wheel's friction disc, ``t`` its tangential force. With ``a = c - t``,
     ``b = c + t`` and e the direction of t, the Hessian is a sum of squares of the slopes of a and
-    b over their values, and of t's part across e: no digits cancel close to the cone.
+    b over their values, and of t's part across e: no digits cancel close to the cone. It is
+    factorised without being formed: a wheel that hardly bears anything has slopes 1e9 times
+    those of the others, whose squares would vanish in the sum.
     """
     rows, radius_rate, normal_rate, inverse = _squares(contacts, y, level, goal)
     k, m = y.shape[1], inverse.shape[1] // 2
     room = REACH**2 - (y * y).sum(1)
     edge = 2 * y / room[:, None]
-    hessian = np.swapaxes(rows, 1, 2) @ rows + edge[:, :, None] * edge[:, None, :]
-    ridge = 2 / room + 1e-15 * np.trace(hessian, axis1=1, axis2=2)  # against a pivot of zero
-    hessian[:, range(k), range(k)] += ridge[:, None]
+    ball = np.sqrt(2 / room)[:, None, None] * np.eye(k)
+    q, r = np.linalg.qr(np.concatenate([rows, edge[:, None], ball], 1))
     radial = np.swapaxes(rows[:, : 2 * m], 1, 2)
     gradient = edge - radial.sum(2)
     weight = inverse[:, :m] + inverse[:, m:]
     change = _apply(radial, np.tile(radius_rate, 2) * inverse)
     change -= _apply(np.swapaxes(normal_rate, 1, 2), weight)
-    solved = np.linalg.solve(hessian, -np.stack([gradient, change], -1))
+    first = q[:, : 2 * m].sum(1) - q[:, 3 * m]  # of -gradient, by the same rows
+    second = np.linalg.solve(np.swapaxes(r, 1, 2), -change[..., None])[..., 0]
+    solved = np.linalg.solve(r, np.stack([first, second], -1))
     step = solved[..., 0]
     decrement = np.sqrt(np.maximum(-(gradient * step).sum(1), 0.0))
     gap = 2 * m / (weight * radius_rate).sum(1)  # the barrier's parameter over its rate
@@ -275,9 +281,10 @@ def _squares(
     e_across = np.divide(across, size, out=np.zeros_like(size), where=some)[..., None]
     outward = e_along * contacts.along_slope + e_across * contacts.across_slope
     sideways = e_along * contacts.across_slope - e_across * contacts.along_slope
-    inverse = np.concatenate([1 / (radius - size), 1 / (radius + size)], 1)
     m = size.shape[1]
-    bend = np.sqrt(2 * inverse[:, :m] * inverse[:, m:])
+    with np.errstate(divide="ignore", invalid="ignore"):  # where rounding has left the cone: NaN
+        inverse = 1 / np.concatenate([radius - size, radius + size], 1)
+        bend = np.sqrt(2 * inverse[:, :m] * inverse[:, m:])
     radial = np.concatenate([slope - outward, slope + outward], 1) * inverse[..., None]
     rows = np.concatenate([radial, bend[..., None] * sideways], 1)
     return rows, goal.factor * normal + goal.shift, goal.factor * contacts.normal_slope, inverse

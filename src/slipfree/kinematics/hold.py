@@ -36,7 +36,8 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     Of a vehicle whose contact forces equilibrium leaves open, ``utilisation`` belongs to one
     distribution, the load-weighted one. This is the least that the most used wheel must bear in any
     distribution; above one, friction cannot hold the vehicle. It is infinite where no contact
-    forces balance the vehicle: it tips over, or something is free to move.
+    forces balance the vehicle: it tips over, or something is free to move. It is NaN where the
+    search for it does not converge.
 
     Parameters
     ----------
@@ -127,7 +128,7 @@ def _needed(factor: float, friction: Array, *, tips: bool) -> str:
     low, high = friction.min(), friction.max()
     even = high - low < 1e-9 * high
     offered = f"{low:.4g}" if even else f"{low:.4g} to {high:.4g}"
-    if factor < HELD:
+    if not factor >= HELD:  # or it was not found
         return ""
     if factor < EXHAUSTED:
         return f"the vehicle needs all the friction that the ground offers, {offered}"

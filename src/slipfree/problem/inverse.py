@@ -189,7 +189,7 @@ def drive_along(
     except SolverError as error:
         if error.trajectory is None:
             raise
-        raise SolverError(f"the replay by the direct model failed: {error}") from error
+        return replace(error.trajectory, attributes={"replay_stopped": str(error)})
     if progress is not None:
         progress(float(found.run.t[-1]))
     gaps = {f"replay_{name}": size for name, size in found.difference.items()}

@@ -275,7 +275,7 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
         start = settle(model, **values)
         run = rerun(model, start, found.course, step=setup.spec.time.step,
                     tolerance=max(setup.spec.solver.tolerance, FRICTION_TOLERANCE))  # fmt: skip
-    except SlipfreeError as error:  # a plan stands without it, and the words say why it is missing
+    except (SlipfreeError, np.linalg.LinAlgError) as error:  # a plan stands without it
         return {"by_friction": f"not simulated: {error}"}
     if run.stop is not None:
         return {"by_friction": f"stops at {run.t[-1]:.6g} s: {run.stop.words}"}

@@ -32,7 +32,8 @@ from slipfree.version import __version__
 
 CHECKS = (  # the facts that tell how far a result is to be trusted
     "closure residual", "Newton step", "drift of the assembly", "singular value",
-    "contact certificate", "margin", "simulated", "round trip", "replay by the direct model",
+    "contact certificate", "not converged", "diagnostics failed", "margin", "simulated",
+    "round trip", "replay by the direct model",
     "replay stopped early", "driven by friction", "friction", "  best distribution", "energy",
     "slow climb", "integrator", "collocation",
 )  # fmt: skip
@@ -40,7 +41,7 @@ OF_AXLES = {"wheel_rate": "rad s-1", "friction": "N", "load": "N"}  # what figur
 VERSION = "_version"
 ELSEWHERE = (  # attributes that are told in other places
     "problem", "settings", "history", "title", "outcome", "slow_climb", "by_friction",
-    "replay_stopped", "date_created", "problem_folder",
+    "replay_stopped", "failed_diagnostics", "date_created", "problem_folder",
 )  # fmt: skip
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 from slipfree.errors import SolverError
 from slipfree.files import escape_name
-from slipfree.kinematics.hold import best_utilisation
+from slipfree.kinematics.hold import BEST, best_utilisation
 from slipfree.kinematics.montana import Difference, cross_check
 from slipfree.kinematics.records import is_determinate
 from slipfree.named import Array, leaves
@@ -25,6 +26,7 @@ from slipfree.problem.read import Problem, climbs
 from slipfree.problem.summary import Facts
 from slipfree.result_file import NOTHING
 from slipfree.solve.simulate import simulate
+from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
 
 Progress = Callable[[float], None]
@@ -105,12 +107,34 @@ def run(
             found = drive_along(setup, tolerance, progress)
         else:
             found = _integrated(setup, tolerance, progress)
-    if setup.vehicle.mass and not is_determinate(setup.vehicle):
-        found = best_utilisation(setup.vehicle, setup.terrain, found)
+    found = _diagnosed(setup, found)
     attributes = {**found.attributes, **_attributes(problem, setup)}
-    if words := filled_words(setup.ground.grid, found):
-        attributes["filled_ground"] = words
-    return Outcome(replace(finished(found), attributes=attributes), setup, arrays)
+    return Outcome(replace(found, attributes=attributes), setup, arrays)
+
+
+def _diagnosed(setup: Setup, run: Trajectory) -> Trajectory:
+    """Return a motion with its diagnostics; those that fail are named in its attributes."""
+    diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
+        "filled_ground": partial(_filled, setup.ground.grid),
+        "steering": finished,
+    }
+    if setup.vehicle.mass and not is_determinate(setup.vehicle):
+        diagnostics[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
+    failures = []
+    for name, diagnose in diagnostics.items():
+        try:
+            run = diagnose(run)
+        except Exception as error:  # whatever it is, the motion is not lost with it
+            failures.append(f"{name}: {type(error).__name__}: {error}")
+    if not failures:
+        return run
+    return replace(run, attributes={**run.attributes, "failed_diagnostics": "; ".join(failures)})
+
+
+def _filled(grid: Grid, run: Trajectory) -> Trajectory:
+    """Return a motion that states how far its wheels roll on filled ground, if they do."""
+    words = filled_words(grid, run)
+    return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
 
 
 def _climbed(problem: Problem[schema.Climb], progress: Progress | None) -> Outcome:

@@ -116,13 +116,15 @@ def drive_subset(
         if error.trajectory is None:
             raise
         return error.trajectory
-    gaps = {f"round_trip_{name}": gap for name, gap in round_trip(direct, run, MOTION).items()}
-    early = {}
-    if run.t.size < 2:
-        return replace(run, statistics={**run.statistics, **gaps})
+    early: dict[str, str] = {}
+    gaps: dict[str, float] = {}
     try:
+        trip = round_trip(direct, run, MOTION)
+        gaps = {f"round_trip_{name}": gap for name, gap in trip.items()}
+        if run.t.size < 2:
+            return replace(run, statistics={**run.statistics, **gaps})
         again = replay(direct, run, jumps=_jumps(setup, run), tolerance=tolerance)
-    except SlipfreeError as error:
+    except (SlipfreeError, np.linalg.LinAlgError) as error:
         early["replay_stopped"] = str(error)
     else:
         n = again.t.size if again.stop is None else again.t.size - 1

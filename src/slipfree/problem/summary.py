@@ -35,7 +35,8 @@ def ranges(run: Trajectory) -> Facts:
     for name, column in run.columns.items():
         if name == "utilisation" and not has_friction(run):
             continue
-        low, high, unit = column.values.min(), column.values.max(), column.label.unit
+        low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))
+        unit = column.label.unit
         span = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
         facts.append((name, span if unit == "1" else f"{span} {unit}"))
     return facts
@@ -170,8 +171,9 @@ def _forces(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "friction", friction_words(run)
     if "utilisation_best" in run.columns:
         best = run["utilisation_best"]
-        k = int(best.argmax())
-        yield "  best distribution", f"{best[k]:.4g} at most (t = {run.t[k]:.4g} s)"
+        if not np.isnan(best).all():
+            k = int(np.nanargmax(best))
+            yield "  best distribution", f"{best[k]:.4g} at most (t = {run.t[k]:.4g} s)"
     normal, margin = run["force_normal"], run["tip_over_margin"]
     yield "normal forces", f"{normal.min():.4g} to {normal.max():.4g} N"
     yield "tip-over margin", f"{margin.min():.4g} rad at least"
@@ -209,8 +211,24 @@ def _trust(run: Trajectory) -> Iterator[tuple[str, str]]:
             tolerance = None  # which was asked of the steering
         of_it = f", {step / tolerance:.3g} x the tolerance" if tolerance else ""
         yield "Newton step", f"{step:.2e} m at most{of_it}"
-    yield "singular value", f"{run['singular_value'].min():.4g} at least"
+    yield "singular value", f"{np.fmin.reduce(run['singular_value']):.4g} at least"
     yield "contact certificate", certificate(run)
+    yield from _missing(run)
+
+
+def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the diagnostics that did not converge, with the number of samples, or failed."""
+    counts = {}
+    for name, column in run.columns.items():
+        unknown = np.isnan(column.values).reshape(run.t.size, -1).any(axis=1)
+        counts[name] = int(unknown.sum())
+    listed = [
+        f"{name} at {count} of {run.t.size} samples" for name, count in counts.items() if count
+    ]
+    if listed:
+        yield "not converged", ", ".join(listed)
+    if "failed_diagnostics" in run.attributes:
+        yield "diagnostics failed", run.attributes["failed_diagnostics"]
 
 
 def certificate(run: Trajectory) -> str:

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError, SlipfreeError, SolverError
 from slipfree.interrupt import heeded
 from slipfree.named import Array, Label, Mask, leaves, unpack
 from slipfree.solve.loop import Loop, close
@@ -223,7 +223,7 @@ def drive(
     ModelError
         If an argument is not usable, or the start is not valid.
     SolverError
-        If there is no such motion.
+        If there is no such motion, or the replay fails; then ``trajectory`` is the motion.
     """
     t, names = usable_times(t), [label.full for label in leaves(inverse.labels.x)]
     if not set(sought) <= set(names):
@@ -244,7 +244,10 @@ def drive(
     }
     run = replace(run, statistics=statistics)
     laws = _laws(direct, inverse, best, elements)
-    return Drive(run, laws, *_replayed(direct, run, laws, tolerance))
+    try:
+        return Drive(run, laws, *_replayed(direct, run, laws, tolerance))
+    except (SlipfreeError, np.linalg.LinAlgError) as error:
+        raise SolverError(f"the replay by the direct model failed: {error}", run) from error
 
 
 def _finest(

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.dae import Check
 from slipfree.errors import ModelError, SolverError
 from slipfree.named import Array, Label, Mask, leaves
 from slipfree.solve.consistent import consistent
@@ -119,14 +120,17 @@ def followed(
     """Return the samples with what follows from their motion, and how well all equations hold.
 
     The report holds the smallest singular value of the Jacobian of the motion's equations, the
-    distance to a singular configuration, and the residuals block by block. ``known`` are residuals
-    and Jacobians of the samples, or of samples a last Newton step away, if they are at hand.
+    distance to a singular configuration, and the residuals block by block, NaN at samples at which
+    the equations are not finite. ``known`` are residuals and Jacobians of the samples, or of
+    samples a last Newton step away, if they are at hand.
     """
     count, n, z = samples.t.size, loop.moving, samples.z.copy()
     left, jac = known or _linearised(loop, samples)
-    if not np.isfinite(jac).all():
+    finite = np.isfinite(jac).all(axis=(1, 2))
+    if not finite.any():
         raise SolverError("the motion cannot be told: its equations give no finite numbers")
-    report = {"singular_value": np.asarray(np.linalg.svd(jac, compute_uv=False)[:, -1])}
+    report = {"singular_value": np.full(count, np.nan)}
+    report["singular_value"][finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]
     for block in loop.blocks:
         report[f"{block.labels[0].name}_residual"] = _largest(left[block.span])
     if loop.after:
@@ -171,7 +175,10 @@ def _steps(matrices: Array, right: Array) -> Array:
     try:
         return np.asarray(np.linalg.solve(matrices, right.T[..., None])[..., 0].T)
     except np.linalg.LinAlgError:
-        return np.asarray((np.linalg.pinv(matrices) @ right.T[..., None])[..., 0].T)
+        finite, steps = np.isfinite(matrices).all(axis=(1, 2)), np.full(right.T.shape, np.nan)
+        inverses = np.linalg.pinv(matrices[finite])
+        steps[finite] = (inverses @ right.T[finite][..., None])[..., 0]
+        return steps.T
 
 
 def table(loop: Loop, samples: Samples, report: dict[str, Array]) -> Trajectory:
@@ -189,10 +196,21 @@ def table(loop: Loop, samples: Samples, report: dict[str, Array]) -> Trajectory:
         *zip(leaves(labels.u), u, strict=True),
         *zip(leaves(labels.y), y, strict=True),
         *zip((limit.label for limit in dae.limits), limits, strict=True),
-        *((check.label, check.margin(*samples[1:3])) for check in dae.checks),
+        *((check.label, _margins(check, samples)) for check in dae.checks),
         *((_report_label(loop, name), values) for name, values in report.items()),
     ]
     return Trajectory(samples.t, *_columns(rows))
+
+
+def _margins(check: Check, samples: Samples) -> Array:
+    """Return the margins of a check, NaN at samples at which its linear algebra fails."""
+    try:
+        return check.margin(samples.x, samples.z)
+    except np.linalg.LinAlgError:
+        if samples.t.size == 1:
+            return np.full(1, np.nan)
+        each = (Samples(*(row[..., k : k + 1] for row in samples)) for k in range(samples.t.size))
+        return np.concatenate([_margins(check, sample) for sample in each])
 
 
 def _columns(rows: list[tuple[Label, Array]]) -> tuple[dict[str, Column], tuple[str, ...]]:

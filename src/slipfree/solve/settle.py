@@ -110,6 +110,10 @@ def first_violation(
         consider(
             ~(values >= 0),
             label.full,
-            lambda k, c=check: c.describe(samples.x[:, k], samples.z[:, k]),
+            lambda k, c=check, v=values: (
+                f"{c.label.full}: no value could be computed"
+                if np.isnan(v[k])
+                else c.describe(samples.x[:, k], samples.z[:, k])
+            ),
         )
     return found
