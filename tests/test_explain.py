@@ -91,6 +91,33 @@ def test_a_narrower_goal_gives_before_a_wide_input():
     assert words(one) == "x0 at the goal is 3 m below 4 m at t = 1 s"
 
 
+def test_heavy_costs_do_not_change_what_gives():
+    """The same with an effort of 1e4, of which the first guess takes little; and at least cost."""
+    dae = integrator()
+    heavy = effort(dae)._replace(weight=1e4)
+    asked = task(dae, [0.0], costs=[heavy], inputs=(-1, 1),
+                 places=[at_end(dae.x.values[0], 4.0, 12.0)])  # fmt: skip
+    program, _, first = attempted(asked)
+    given = relax(program, 0.1 * first)
+    (one,) = given.relaxed
+    assert (one.label.full, one.role) == ("x0", "goal")
+    assert one.value == pytest.approx(1.0, abs=1e-5)
+
+
+def test_motions_that_give_up_the_same_differ_by_their_cost():
+    """2 m are asked for, 0.75 m allowed: which way there is free, and even speed costs least."""
+    dae = integrator()
+    x = dae.x.values[0]
+    asked = task(dae, [0.0], costs=[effort(dae)], inputs=(-4, 4), limits=[along(x, -9.0, 0.75)],
+                 places=[at_end(x, 2.0, 3.0)])  # fmt: skip
+    program, _, first = attempted(asked)
+    given = relax(program, first)
+    (one,) = given.relaxed
+    assert (one.label.full, one.role) == ("x0", "limit")
+    assert one.value == pytest.approx(2.0, abs=1e-5)
+    np.testing.assert_allclose(given.solution[program.layout.inputs], 2.0, atol=1e-3)
+
+
 def test_times_and_places_of_violations_are_those_of_the_mesh():
     """Of x0 = t on [0, 2] with 2 square <= 4.5 along the way, a way-point, and jumping inputs."""
     dae = integrator()

@@ -25,8 +25,7 @@ from slipfree.plan.solver import Solution, solve
 from slipfree.plan.transcribe import Index, Program, completed
 from slipfree.plan.wording import DURATION
 
-REGULAR = 1e-4  # part of the cost that decides between relaxations of equal size
-ITERATIONS = 200  # of the search for a relaxation
+ITERATIONS = 200  # of each of the two searches for a relaxation
 SHARE = 0.05  # of what gives, by which a bound matters: relaxing it by one would save as much
 SIDES = {1.0: "at least", -1.0: "at most"}  # by the sign of what is missing
 
@@ -83,7 +82,8 @@ def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relax
 
     Equations, start and duration hold. Every other bound may move by a slack of its own, the same
     at all times, and the sum of the slacks, relative to the sizes of what they move, is least; this
-    leaves few that are not zero. It is a minimum near the first guess: others may be lower.
+    leaves few that are not zero. It is a minimum near the first guess: others may be lower. Of the
+    motions with these slacks, one of least cost is returned, if the search for it succeeds.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relax
     first : ndarray, shape (n_w,)
         First guess, not scaled.
     iterations : int
-        Most iterations.
+        Most iterations of each search.
     """
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
@@ -102,9 +102,9 @@ def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relax
     sizes = np.array([size_of(group, values) for group, _ in soft])
     over = [(sign * (side_of(group, sign) - values[group.where])).max(initial=0.0)
             for group, sign in soft]  # fmt: skip
-    elastic = _elastic(program, soft, sizes, first, weights)
-    found = solve(elastic, weights, np.append(first, over), iterations=iterations)
-    unknowns = found.unknowns[: first.size]
+    elastic = _elastic(program, soft, sizes)
+    found = solve(elastic, 0 * weights, np.append(first, over), iterations=iterations)
+    unknowns = _cheapest(elastic, found, weights, len(soft), iterations)[: first.size]
     values = np.append(_rows(program, unknowns, weights), unknowns)
     relaxed = sorted(violated(program, values, WITHIN), key=lambda pair: -pair[0])
     gave = {(each.role, each.label.full) for _, each in relaxed}
@@ -113,6 +113,20 @@ def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relax
     return Relaxation(unknowns, [each for _, each in relaxed],
                       sorted(held, key=lambda each: -each.share) if relaxed else [],
                       found.success, found.status)  # fmt: skip
+
+
+def _cheapest(
+    elastic: Program, found: Solution, weights: Array, count: int, iterations: int
+) -> Array:
+    """Return the unknowns of least cost with no larger slacks, or those found."""
+    if not found.success:
+        return found.unknowns
+    upper = elastic.upper.copy()
+    upper[-count:] = np.maximum(found.unknowns[-count:], 0.0) + WITHIN / 2
+    cost = abs(float(elastic.gradient(found.unknowns / elastic.scale, weights)[0]))
+    again = solve(replace(elastic, upper=upper), weights / max(1.0, cost), found.unknowns,
+                  iterations=iterations)  # fmt: skip
+    return again.unknowns if again.success else found.unknowns
 
 
 def _held(program: Program, soft: list[tuple[Group, float]], found: Solution) -> Iterator[Held]:
@@ -136,10 +150,11 @@ def _held(program: Program, soft: list[tuple[Group, float]], found: Solution) ->
     yield Held(label, DURATION, duration, SIDES[-np.sign(cost) or 1.0], abs(cost) * duration)
 
 
-def _elastic(
-    program: Program, soft: list[tuple[Group, float]], sizes: Array, first: Array, weights: Array
-) -> Program:
-    """Return the program with a slack behind its unknowns for each bound, of the sizes given."""
+def _elastic(program: Program, soft: list[tuple[Group, float]], sizes: Array) -> Program:
+    """Return the program with a slack behind its unknowns for each bound, of the sizes given.
+
+    Its cost is the sum of the slacks and the program's cost: none if the weights are zero.
+    """
     hard = np.concatenate([group.where for group in groups(program) if group.role == EQUATION])
     rows = np.concatenate([hard, *(group.where for group, _ in soft)])
     counts = [group.where.size for group, _ in soft]
@@ -150,7 +165,7 @@ def _elastic(
     n_all = program.g_lower.size + program.scale.size
     pick = _sparse(np.ones(rows.size), np.arange(rows.size), rows, (rows.size, n_all))
     move = _sparse(signs * sizes[which], own, which, (rows.size, len(soft)))
-    problem, gradient, jacobian, hessian = _problem(program, pick, move, first, weights)
+    problem, gradient, jacobian, hessian = _problem(program, pick, move)
     lower, upper = (_fixed(program, side, free) for side, free in
                     ((program.lower, -np.inf), (program.upper, np.inf)))  # fmt: skip
     zeros = np.zeros(hard.size)
@@ -165,7 +180,7 @@ def _elastic(
 
 
 def _problem(
-    program: Program, pick: ca.DM, move: ca.DM, first: Array, weights: Array
+    program: Program, pick: ca.DM, move: ca.DM
 ) -> tuple[dict[str, Any], ca.Function, ca.Function, ca.Function]:
     """Return what is solved, with the derivatives of the program reused.
 
@@ -176,15 +191,14 @@ def _problem(
     w, s = x[:n_w], x[n_w:]
     cost = ca.Function("cost", [program.problem[name] for name in "xp"],
                        [program.problem[name] for name in "fg"])  # fmt: skip
-    part = REGULAR / max(1.0, abs(float(cost(first / program.scale, weights)[0])))
     f, g = cost(w, p)
-    total = ca.sum1(s) + part * f
-    steep = ca.vertcat(part * program.gradient(w, p)[1], ca.MX.ones(n_s))
+    total = ca.sum1(s) + f
+    steep = ca.vertcat(program.gradient(w, p)[1], ca.MX.ones(n_s))
     rows = pick @ ca.vertcat(g, w * program.scale) + move @ s
     inner = program.jacobian(w, p)[1]
     slopes = pick @ ca.vertcat(inner, ca.MX(ca.diag(ca.DM(program.scale))))
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", rows.numel())
-    curved = program.hessian(w, p, sigma * part, pick[:, :n_g].T @ multipliers)
+    curved = program.hessian(w, p, sigma, pick[:, :n_g].T @ multipliers)
     return (
         {"x": x, "p": p, "f": total, "g": rows},
         ca.Function("gradient", [x, p], [total, steep]),
