@@ -401,6 +401,16 @@ def test_results_of_other_input_files_are_not_mixed(
     assert sweep_of(file, vary, settings).files[name] == "missing"
 
 
+def test_the_urdf_of_any_vehicle_file_is_an_input(file: Path) -> None:
+    """Behind a byte order mark as well; of a vehicle file nested beyond reason there is none."""
+    folder, settings = file.parent, ["vehicle.file=of.toml", "vehicle.catalog="]
+    (folder / "rover.urdf").write_text("one")
+    (folder / "of.toml").write_text('urdf = "rover.urdf"', encoding="utf-8-sig")
+    assert set(sweep_of(file, [], settings).files) == {"of.toml", "rover.urdf"}
+    (folder / "of.toml").write_text("a = " + "[" * 100_000)
+    assert set(sweep_of(file, [], settings).files) == {"of.toml"}
+
+
 ROW = Row(1, ("a=1",), "complete", "", 0.5, {"end_x": (1.25, "m")}, 0.1)
 HEAD: dict[str, Any] = {"slipfree": "0", "problem": "", "files": {}, "settings": [], "vary": {},
                         "repeat": 1, "seeds": {}}  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
 from hashlib import file_digest
@@ -10,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from slipfree.errors import DataError
-from slipfree.files import read_bytes, regular_file
+from slipfree.files import regular_file
 from slipfree.problem.read import Problem
 from slipfree.problem.schema import Climb, Motion
+from slipfree.problem.vehicle_file import open_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # that may name a file
 DRAWN = ("terrain", "vehicle", "profile")  # those of them that make ground and vehicle
@@ -46,8 +46,8 @@ def digest(file: Path) -> str:
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
     """Return the name of the URDF that a vehicle file completes, from the problem's folder."""
-    with suppress(DataError, ValueError):  # what is wrong with it is told where it is read
-        table = tomllib.loads(read_bytes(folder / name, "a vehicle file").decode())
-        if isinstance(table.get("urdf"), str):
-            return [str(Path(name).parent / table["urdf"])]
+    with suppress(DataError):  # errors in it are reported where the vehicle is built
+        urdf = open_file(folder / name).data.get("urdf")
+        if isinstance(urdf, str):
+            return [str(Path(name).parent / urdf)]
     return []
