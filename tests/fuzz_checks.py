@@ -48,8 +48,7 @@ class Verdict(NamedTuple):
 
 def judged(case: Case, folder: Path, *, deep: bool = False) -> Verdict:
     """Return what becomes of a case whose files are written to a folder; deep: solved as well."""
-    for name, data in case.files.items():
-        (folder / name).write_bytes(data)
+    case.write(folder)
     main = folder / case.main
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")

@@ -6,9 +6,11 @@ Every function takes a ``random.Random``.
 from __future__ import annotations
 
 import math
+import os
 import re
 import struct
 from collections.abc import Mapping
+from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
@@ -87,6 +89,20 @@ WORDS = (
     "{t}",
     "%s%n",
 )
+ODD = (  # a link to itself, to another that leads back, or to what is no file on a disk
+    "pipe",
+    "folder",
+    "loop",
+    "loop of two",
+    "missing",
+    "/dev/null",
+    "/dev/zero",
+    "/dev/full",
+    "/dev/stdin",
+    "/dev/random",
+    "/proc/self/environ",
+    "/proc/self/mem",
+)
 SIZES = (0, 1, 3, 7, 2**16, 2**31 - 1, 2**31, 2**32 - 1)
 
 
@@ -101,11 +117,31 @@ class Case(NamedTuple):
         What they hold, by name.
     main : str
         The name of the one that is read.
+    odd : mapping of str to str
+        What stands in the place of a file, by name: one of `ODD`.
     """
 
     kind: str
     files: Mapping[str, bytes]
     main: str
+    odd: Mapping[str, str] = {}
+
+    def write(self, folder: Path) -> None:
+        """Write the files to a folder."""
+        for name, data in self.files.items():
+            if name not in self.odd:
+                (folder / name).write_bytes(data)
+        for name, kind in self.odd.items():
+            path = folder / name
+            if kind == "pipe":
+                os.mkfifo(path)
+            elif kind == "folder":
+                path.mkdir()
+            elif kind == "loop of two":
+                path.symlink_to(folder / "other")
+                (folder / "other").symlink_to(path)
+            else:
+                path.symlink_to(path if kind == "loop" else kind)
 
 
 def damaged(data: bytes, rng: Random) -> bytes:

@@ -18,8 +18,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import numpy as np
 from pydantic import BaseModel, PlainValidator
 
-from fuzz_damage import NUMBERS, WORDS, Case, damaged, grown, shuffled
-from fuzz_maps import archive, ascii_grid, picture, points
+from fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
+from fuzz_maps import archive, ascii_grid, beside, picture, points
 from slipfree import result_file
 from slipfree.named import Label
 from slipfree.problem.schema import ALTERNATIVES, Asked, Climb, Direct, Inverse, Plan
@@ -472,6 +472,27 @@ def _headed(raw: bytes, rng: Random) -> bytes:
     return raw
 
 
+# ------------------------------------------------------------------------------------------- names
+
+
+def _named(_: str, rng: Random) -> Case:
+    """Return a case whose file has a name that is not UTF-8, or is no regular file."""
+    others = [kind for kind in KINDS if kind != "name"]
+    case = drawn(rng.choice(others), rng)
+    if rng.random() < 0.6:
+        name = rng.choice([case.main, *case.files])
+        case = case._replace(odd={**case.odd, name: rng.choice(ODD)})
+    if rng.random() < 0.6:
+        path = Path(case.main)
+        main = rng.choice(["n\udcff", "\udc80", "\udced\udca0\udc80", "a\udcc3"]) + path.suffix
+        files, odd = (
+            {main if name == case.main else name: value for name, value in each.items()}
+            for each in (case.files, case.odd)
+        )
+        case = case._replace(main=main, files=files, odd=odd)
+    return case
+
+
 KINDS: dict[str, Callable[[str, Random], Case]] = {
     "direct": _problem,
     "inverse": _problem,
@@ -484,5 +505,7 @@ KINDS: dict[str, Callable[[str, Random], Case]] = {
     "points": points,
     "tiff": picture,
     "png": picture,
+    "sidecar": beside,
     "result": _result,
+    "name": _named,
 }

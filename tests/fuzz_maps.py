@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fuzz_damage import NUMBERS, Case, damaged
+from fuzz_damage import NUMBERS, ODD, Case, damaged
 
 
 def ascii_grid(kind: str, rng: Random) -> Case:
@@ -191,3 +191,40 @@ def picture(kind: str, rng: Random) -> Case:
     raw = rng.choice(pictures(kind))
     name = "ground.tif" if kind == "tiff" else "ground.png"
     return Case(kind, {name: damaged(raw, rng) if rng.random() < 0.9 else raw}, name)
+
+
+SIDECARS = {
+    ".tif.aux.xml": b"<PAMDataset><SRS>EPSG:3857</SRS><GeoTransform>0,9,0,0,0,-9</GeoTransform>"
+    b'<Metadata><MDI key="AREA_OR_POINT">Point</MDI></Metadata><PAMRasterBand band="1">'
+    b"<Scale>1000</Scale><Offset>7</Offset><NoDataValue>0.5</NoDataValue></PAMRasterBand>"
+    b"</PAMDataset>",
+    ".tif.msk": b'<VRTDataset rasterXSize="8" rasterYSize="8"><Metadata><MDI key="'
+    b'INTERNAL_MASK_FLAGS_1">2</MDI></Metadata><VRTRasterBand dataType="Byte" band="1">'
+    b'<SimpleSource><SourceFilename relativeToVRT="1">ground.tif</SourceFilename>'
+    b"<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>",
+    ".tif.ovr": b"II*\0\x08\0\0\0\0\0",
+    ".tfw": b"0.5\n0\n0\n-0.5\n1000\n2000\n",
+    ".wld": b"0.5\n0\n0\n-0.5\n1000\n2000\n",
+    ".tab": b'!table\n!version 300\nDefinition Table\n  File "ground.tif"\n  Type "RASTER"\n'
+    b'  (9,9) (0,0) Label "1",\n  (20,9) (8,0) Label "2",\n  (20,2) (8,8) Label "3"\n',
+    ".prj": b"EPSG:3857",
+    ".hdr": b"BYTEORDER I\nLAYOUT BIL\nNROWS 8\nNCOLS 8\n",
+    ".RPB": b'satId = "x";\nbandId = "P";\n',
+    "_RPC.TXT": b"LINE_OFF: 1\nSAMP_OFF: 2\n",
+    ".aux": b"EHFA_HEADER_TAG\0" + bytes(40),
+    ".xml": b"<metadata><idinfo/></metadata>",
+}
+
+
+def beside(kind: str, rng: Random) -> Case:
+    """Return a raster of any kind, and what other programs write beside it, damaged or not."""
+    case = picture("tiff" if kind == "sidecar" else kind, rng)
+    names = rng.sample([*SIDECARS], rng.choice([1, 2, 4]))
+    files = {f"ground{name}": SIDECARS[name] for name in names}
+    for name in files:
+        if rng.random() < 0.2:
+            files[name] = rng.choice(pictures("tiff"))
+        if rng.random() < 0.6:
+            files[name] = damaged(files[name], rng)
+    odd = {name: rng.choice(ODD) for name in files if rng.random() < 0.1}
+    return case._replace(files={**case.files, **files}, odd=odd)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from slipfree.problem.locate import ProblemError
 from slipfree.problem.read import read
 from slipfree.problem.shown import problem_of
 from slipfree.problem.vehicle_file import open_file
+from slipfree.terrain.dem import read_map
 from slipfree.vehicle.formula import names_in
 
 SOURCE = Path(__file__).parent.parent / "src" / "slipfree"
@@ -48,7 +50,7 @@ VALUES: st.SearchStrategy[Any] = st.recursive(
 
 
 def _sound(case: Case, folder: Path) -> None:
-    found = judged(case, folder)
+    found = judged(case, Path(tempfile.mkdtemp(dir=folder)))
     assert found.name in (READ, REFUSED), found
 
 
@@ -57,6 +59,23 @@ def _sound(case: Case, folder: Path) -> None:
 @given(seed=st.integers(0, 2**32))
 def test_every_drawn_file_is_read_or_refused(kind: str, seed: int, tmp_path: Path) -> None:
     _sound(drawn(kind, Random(seed)), tmp_path)
+
+
+@CAREFUL
+@given(seed=st.integers(0, 2**32))
+def test_no_file_beside_a_raster_changes_it(seed: int, tmp_path: Path) -> None:
+    case = drawn("sidecar", Random(seed))
+    whole, alone = tempfile.mkdtemp(dir=tmp_path), tempfile.mkdtemp(dir=tmp_path)
+    case.write(Path(whole))
+    (Path(alone) / case.main).write_bytes(case.files[case.main])
+    found = []
+    for folder in (whole, alone):
+        try:
+            grid, *facts = read_map(Path(folder) / case.main, fill="linear")
+            found.append((grid.x.tolist(), grid.y.tolist(), grid.z.tolist(), facts))
+        except DataError as error:
+            found.append(str(error).replace(folder, ""))
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("kind", ["direct", "inverse", "plan", "climb"])
@@ -202,8 +221,6 @@ FORBIDDEN = (
 def test_arrays_of_python_objects_are_refused(tmp_path: Path) -> None:
     """A numpy archive with a pickle in it is not unpickled."""
     import numpy as np
-
-    from slipfree.terrain.dem import read_map
 
     class Trap:
         def __reduce__(self) -> Any:
