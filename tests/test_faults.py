@@ -201,7 +201,7 @@ def test_a_disk_that_is_full_while_a_result_is_written(folder: Path) -> None:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
 
-    process = _begun(folder, "run", "p.toml", "--no-draw", preexec_fn=limit)
+    process = _begun(folder, "run", "p.toml", "-o", "p.nc", "--no-draw", preexec_fn=limit)
     _, told = process.communicate(timeout=60)
     assert (process.returncode, told) == (
         2,
@@ -213,9 +213,8 @@ def test_a_disk_that_is_full_while_a_result_is_written(folder: Path) -> None:
 
 @pytest.mark.parametrize("after", [0.05, 0.3, 1.0])
 def test_ctrl_c_ends_with_a_word(folder: Path, after: float) -> None:
-    process = _begun(
-        folder, "run", "p.toml", "--no-draw", "--set", "time.duration=6", "--set", "time.step=1e-5"
-    )
+    words = ["--set", "time.duration=6", "--set", "time.step=1e-5"]
+    process = _begun(folder, "run", "p.toml", "-o", "p.nc", "--no-draw", *words)
     assert process.stdout is not None
     process.stdout.readline()  # before, it is Python that starts
     time.sleep(after)

@@ -474,7 +474,7 @@ def run(*words):
 def test_a_run_behind_its_last_step_writes_nothing(folder, monkeypatch):
     pressed, _ = pressing(runner.finished)
     monkeypatch.setattr(runner, "finished", pressed)
-    found = run("p.toml")
+    found = run("p.toml", "-o", "p.nc")
     assert (found.exit_code, found.stderr) == (130, "interrupted\n")
     assert (folder / "p.nc").read_bytes() == OLD
 
@@ -492,7 +492,7 @@ def test_a_run_at_the_entry_of_a_step(folder, monkeypatch, twice):
         return function(memory)
 
     monkeypatch.setattr(simulate, "_doubles", pressed)
-    found = run("p.toml")
+    found = run("p.toml", "-o", "p.nc")
     assert (found.exit_code, found.stderr) == (130, "interrupted\n")
     assert (folder / "p.nc").read_bytes() == OLD
 

@@ -171,6 +171,15 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
     }
 
 
+def is_result(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is a result file of slipfree that can be read."""
+    try:
+        _reader(Path(path))
+    except DataError:
+        return False
+    return True
+
+
 def _reader(path: Path) -> _Reader:
     return _Reader(path, read_bytes(path, "a result file of slipfree"))
 

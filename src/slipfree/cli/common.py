@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 import time
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from slipfree.problem.read import Problem
     from slipfree.problem.schema import Climb, Motion
 
-RESULT = b"CDF"  # how netCDF begins
+RESULT, FIGURE = b"CDF", b"\x89PNG"  # how netCDF and PNG begin
+OUTPUT = ("output", "file")  # the key of a problem file that names its result
 NO_MEMORY = (
     "there is not enough memory for this: cut the ground by terrain.window, make its spacing "
     "larger, or take fewer samples or intervals"
@@ -89,16 +91,72 @@ def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Pr
 
 def refuse_result(file: Path) -> None:
     """Refuse a result where a problem is expected."""
-    try:
-        with regular_file(file, "a problem file"), file.open("rb") as stream:
-            head = stream.read(len(RESULT))
-    except DataError:
-        return  # which reading it tells
-    if head == RESULT:
+    if _begins_with(file, RESULT):
         raise DataError(
             f"{file}: expected a problem file, found a result; slipfree info and slipfree report "
             "tell about it, slipfree info --problem prints the problem that led to it"
         )
+
+
+def _begins_with(file: Path, head: bytes) -> bool:
+    """Return whether a file can be read and begins with these bytes."""
+    try:
+        with regular_file(file, "a file"), file.open("rb") as stream:
+            return stream.read(len(head)) == head
+    except DataError:
+        return False
+
+
+def check_default_places(
+    out: Path, folder: Path | None, problem: Problem[Motion] | Problem[Climb]
+) -> None:
+    """Refuse places that the command line does not name if a user's other files are at risk.
+
+    Parameters
+    ----------
+    out : Path
+        The result file that the problem names, or the default.
+    folder : Path or None
+        The folder for figures beside it, unless the command line names one.
+    problem : Problem
+        The problem.
+
+    Raises
+    ------
+    DataError
+        If a file is, without symbolic links, outside the working folder and the problem's folder,
+        or would replace a file that is not a result or not a figure.
+    """
+    from slipfree.result_file import is_result
+
+    for place in (out, folder):
+        if place is not None:
+            check_name(place)
+    where = problem.source.where(OUTPUT) if problem.spec.output else str(problem.source.path)
+    remedy = f"choose another name, or give it on the command line: -o {shlex.quote(str(out))}"
+    inside = [resolve_links(each) for each in (Path.cwd(), problem.folder)]
+    figures = [] if folder is None else [folder, *folder.glob("*.png")]
+    for path in (out, *figures):
+        target = resolve_links(path)
+        if not any(target.is_relative_to(each) for each in inside):
+            link = "" if target == Path.cwd() / path else f", which is {target}"
+            raise DataError(
+                f"{where}: expected a place in the working folder or in the problem's folder, "
+                f"found {path}{link}; {remedy}"
+            )
+    if out.suffix.lower() != ".nc":
+        raise DataError(f"{where}: expected a name that ends in .nc, found {out}; {remedy}")
+    if out.is_file() and not is_result(out):
+        raise DataError(
+            f"{where}: expected no file {out}, or a result of an earlier run, found another file; "
+            f"{remedy}"
+        )
+    for path in figures[1:]:
+        if not _begins_with(path, FIGURE):
+            raise DataError(
+                f"{where}: expected no file {path}, or a figure of an earlier run, found another "
+                "file; choose another folder: --figures DIR"
+            )
 
 
 def check_places(

@@ -11,9 +11,11 @@ import typer
 
 from slipfree.cli.answer import motion_answer
 from slipfree.cli.common import (
+    OUTPUT,
     STOPPED,
     File,
     Settings,
+    check_default_places,
     check_places,
     interruptible,
     read_problem,
@@ -80,8 +82,11 @@ def run(
         from slipfree.problem.run import check_cross
 
         problem = read_problem(file, settings)
+        is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
         out = out or Path(output_of(problem))
-        folder = (figures or out.with_name(f"{out.stem}_figures")) if draw else None
+        folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
+        if not is_named:
+            check_default_places(out, None if figures else folder, problem)
         check_places([out, csv, animation], folder, problem)
         if animation is not None:
             _check_animation(animation, problem)

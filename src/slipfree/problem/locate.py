@@ -67,9 +67,13 @@ class Source:
         line = f"{self.path}:{self._line(place)}"
         return f"{line}: {key}" if key else line
 
+    def is_set(self, place: Place) -> bool:
+        """Return whether the command line sets a value, or the table that it belongs in."""
+        return _longest(place, self.settings) is not None
+
     def order(self, place: Place) -> int:
         """Return the line of a value, for sorting; what the command line set comes last."""
-        if _longest(place, self.settings) is not None:
+        if self.is_set(place):
             return self.text.count("\n") + 2
         return self._line(place)
 

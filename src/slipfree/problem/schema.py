@@ -96,7 +96,9 @@ class Solver(Record):
 class Output(Record):
     """Where the result goes."""
 
-    file: Annotated[str, Field(min_length=1)] = Field(description="the result file")
+    file: Annotated[str, Field(min_length=1)] = Field(
+        description="the result file (.nc), in the working folder or the problem's folder"
+    )
 
 
 class Asked(Record):
