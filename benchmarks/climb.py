@@ -20,25 +20,27 @@ import casadi as ca
 import numpy as np
 from reference import heading
 
-from slipfree.climb.contact import Contact
+from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
+from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.profile import Profile, flat, step
-from slipfree.climb.quasi import least_friction
 from slipfree.climb.reference import PerAxle, Tilts, motors, odometry, ratios, reference
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import SolverError
-from slipfree.solve.sampled import simulate_sampled
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
+from slipfree.solve.zero_order_hold import simulate_sampled
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 import climb_random
 import climb_track
 from climb_track import FINE, climbed
+from test_climb_dynamics import sensitive_start
+from test_climb_reference import BASE, closure
 
-import climb_stepping as stepping
-from climb_cases import (
+from helpers import climb_stepping as stepping
+from helpers.climb_cases import (
     AMPLE,
     EXACT,
     EXACT_95,
@@ -55,8 +57,6 @@ from climb_cases import (
     begin,
     climb,
 )
-from test_climb_dynamics import sensitive_start
-from test_climb_reference import BASE, closure
 
 CONTROLS = {
     "fixed": FIXED, "exact": EXACT, "exact .95": EXACT_95, "sensed": SENSED,
@@ -72,7 +72,7 @@ SETS = {  # friction and torque on ramp and step, and the lab's slip/true/distur
          "sensed": (14.3, 7.9, 3.2)},
     ),
     "B": (
-        (Contact(static=1.0, dynamic=0.75), 5.0), (Contact(static=1.0, dynamic=0.75), 5.0),
+        (CompliantContact(static=1.0, dynamic=0.75), 5.0), (CompliantContact(static=1.0, dynamic=0.75), 5.0),
         {"fixed": (4.7, 2.6, 3.1), "exact": (3.9, 0.1, 1.2), "exact .95": (3.8, 0.1, 1.5),
          "sensed": (3.9, 0.3, 1.3), "printed (6)+(8)": (9.1, 7.3, 4.4),
          "printed (16)": (11.7, 10.1, 2.3)},
@@ -98,7 +98,7 @@ class Means(NamedTuple):
     climbed: bool
 
 
-def means(profile: Profile, control: Control, contact: Contact, **options: Any) -> Means:
+def means(profile: Profile, control: Control, contact: CompliantContact, **options: Any) -> Means:
     """Return the means of a climb."""
     found = climb(profile, control, contact, **options).metrics
     return Means(
@@ -133,7 +133,7 @@ def kinematics() -> None:
 
 def statics() -> None:
     """Print loads and rest after a drop of a millimeter."""
-    climber, contact = seven_wheels(), Contact()
+    climber, contact = seven_wheels(), CompliantContact()
     dae = climbing(climber, flat(), FIXED, contact)
     values = standing(climber, contact, 0.0)
     start = settle(dae, **values | {"z": values["z"] + 1e-3})
@@ -212,7 +212,7 @@ def acceptance() -> None:
     for name, profile, most, floor, apart in (("ramp", RAMP, 0.3, 3.9, 0.2),
                                               ("step", STEP, 1.5, 9.2, 0.5)):  # fmt: skip
         for mu in (1.0, 2.0):
-            found = means(profile, stiff, Contact(static=mu, dynamic=mu), torque=np.inf)
+            found = means(profile, stiff, CompliantContact(static=mu, dynamic=mu), torque=np.inf)
             within(f"{name}, mu {mu:g}, kp 32, exact: true slip", found.true, 0, most)
             within(f"{name}, mu {mu:g}, kp 32, exact: slip", found.slip, floor - apart,
                    floor + apart)  # fmt: skip
@@ -278,7 +278,7 @@ def critical(case: Case, between: np.ndarray) -> float:
     low, high = between
     while high - low > FINE:
         mu = (low + high) / 2
-        contact = Contact(static=mu, dynamic=case.part * mu)
+        contact = CompliantContact(static=mu, dynamic=case.part * mu)
         up = climbed(case.profile, case.control, contact, **case.options)
         low, high = (low, mu) if up else (mu, high)
     return float(low + high) / 2

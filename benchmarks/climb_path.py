@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from slipfree.climb.path import climb, history
+from slipfree.climb.contact_path import Leg, axle_arms, legs, sample
+from slipfree.climb.friction_demand import equilibrium, highest, least, least_friction
 from slipfree.climb.profile import Profile, ramp, step
-from slipfree.climb.quasi import equilibrium, highest, least, least_friction
+from slipfree.climb.time_scaling import climb, history
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
-from slipfree.climb.way import Leg, axle_arms, legs, sample
-from slipfree.named import Array
-from slipfree.plan.nlp import solve_nlp
+from slipfree.plan.external_nlp import solve_nlp
+from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 
 HEIGHT, NODES, MARGIN = 0.09, 60, 1.03

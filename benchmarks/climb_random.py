@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from climb_drawn import drawn, drive, finite
+from helpers.climb_drawn import drawn, drive, finite
 from slipfree.climb.outcome import outcome
 
 COUNT, LONGEST = 200, 300.0  # seconds of a run

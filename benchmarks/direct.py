@@ -22,10 +22,10 @@ import numpy as np
 from reference import heading
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
-from slipfree.named import leaves
-from slipfree.solve.consistent import consistent
+from slipfree.records import leaves
 from slipfree.solve.equations import jacobian_option
-from slipfree.solve.loop import Loop, close
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.system import System, with_inputs
 from slipfree.terrain.base import Jet, jet_of
 
 SIZES = (20, 200, 2000)
@@ -69,7 +69,7 @@ def surface(nodes: int) -> Grid:
     return Grid(axis, axis, z)
 
 
-def wrapped(loop: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
+def wrapped(loop: System) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the DAE as IDAS gets it from ``simulate``, and the option with its Jacobian."""
     symbols = [ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txzu")]
     ode, alg = loop.core(*symbols)
@@ -77,7 +77,7 @@ def wrapped(loop: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
     return system, jacobian_option(loop.core)
 
 
-def written_out(loop: Loop, law: Any) -> dict[str, Any]:
+def written_out(loop: System, law: Any) -> dict[str, Any]:
     """Return the DAE as one SX graph, which CasADi differentiates."""
     dae = loop.dae
     x, z, u = dae.columns()
@@ -98,7 +98,7 @@ def row(kind: str, nodes: int) -> dict[str, Any]:
     built = time.perf_counter() - begin
     start = settle(dae, x=5.0, y=4.0, heading=-0.2)
     law = straight(dae, vehicle, start, speed=SPEED)
-    loop = close(dae, law, 100)
+    loop = with_inputs(dae, law, 100)
     x = dae.rows("x", start, -1)
     z = consistent(loop, 0.0, x, dae.rows("z", start, -1), loop.u[:, 0])
     system, own = wrapped(loop) if kind == "ours" else (written_out(loop, law), {})

@@ -29,10 +29,10 @@ from random import Random
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from fuzz_files import bases, document
-from slipfree import result_file
-from slipfree.compiled import FOLDER
+from helpers.fuzz_files import bases, document
+from slipfree.codegen_cache import FOLDER
 from slipfree.errors import SlipfreeError
+from slipfree.files import netcdf
 
 ROOT = Path(__file__).parent.parent
 LONGEST = 120.0  # that a command may take [s]
@@ -159,7 +159,7 @@ def complete(file: Path, rows: int) -> bool:
     try:
         match file.suffix:
             case ".nc":
-                return result_file.read(file).t.size > 0
+                return netcdf.read(file).t.size > 0
             case ".html":
                 return file.read_text(encoding="utf-8").rstrip().endswith("</html>")
             case ".png" | ".gif":

@@ -18,7 +18,7 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.kinematics import follow as laws
+from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
 
 WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)

@@ -27,12 +27,12 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.problem.read import read
-from slipfree.problem.run import run as solve
+from slipfree.problem.load import read
+from slipfree.problem.solve import run as solve
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from cases import hills
-from friction_cases import (
+from helpers.cases import hills
+from helpers.friction_cases import (
     FIXED,
     PLACE,
     RATES,

@@ -26,8 +26,8 @@ from pathlib import Path
 from random import Random
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from fuzz_checks import READ, REFUSED, Verdict, judged
-from fuzz_files import KINDS, drawn
+from helpers.fuzz_checks import READ, REFUSED, Verdict, judged
+from helpers.fuzz_files import KINDS, drawn
 
 SHARES = {"direct": 4, "inverse": 2, "plan": 2, "climb": 2, "vehicle": 3, "result": 2}  # others: 2
 MEMORY = 6 * 2**30  # of addresses that a process may have [B]

@@ -18,8 +18,8 @@ import atheris
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 with atheris.instrument_imports(include=["slipfree"]):
-    from fuzz_checks import READ, REFUSED, judged
-    from fuzz_files import drawn
+    from helpers.fuzz_checks import READ, REFUSED, judged
+    from helpers.fuzz_files import drawn
 
 SEEDS = 50  # files to begin with
 LONGEST = 30  # that a file may take [s]

@@ -15,11 +15,11 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from plan import DURATION, GOAL, hills, planned, rms_slip
 from reference import heading
 
+from plan import DURATION, GOAL, hills, planned, rms_slip
 from slipfree import Analytic, settle, simulate
-from slipfree.plan.horizon import Cycle, Horizon, advance, begin, driven, horizon
+from slipfree.plan.mpc import Cycle, Horizon, advance, begin, driven, horizon
 from slipfree.plan.plan import Plan
 from slipfree.trajectory import joined
 

@@ -28,12 +28,12 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.kinematics.inverse import PLANAR, along, inverse_kinematics
-from slipfree.kinematics.margin import EULER, VELOCITY, conditions, steering_note
-from slipfree.solve.consistent import consistent
-from slipfree.solve.inverse import drive
-from slipfree.solve.loop import close
-from slipfree.solve.sample import Samples, table
+from slipfree.models.inverse import PLANAR, along, inverse_kinematics
+from slipfree.models.margin import EULER, VELOCITY, conditions, steering_note
+from slipfree.solve.collocation import drive
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.sampling import Samples, table
+from slipfree.solve.system import with_inputs
 
 VEHICLE = three_wheeler(mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
 SEED, POSES = 20261121, 150
@@ -64,7 +64,11 @@ GROUNDS: dict[str, Height] = {
 
 def moving(dae: Any, poses: list[dict[str, float]]) -> Trajectory:
     """Return one sample for each pose where the vehicle can stand, with equal rear rates."""
-    loop, x, z = close(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0), [], []
+    loop, x, z = (
+        with_inputs(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0),
+        [],
+        [],
+    )
     for pose in poses:
         try:
             begin = settle(dae, **pose)
@@ -163,7 +167,7 @@ def pointwise() -> None:
     for given in combinations((*VELOCITY, *EULER), 3):
         dae = inverse_kinematics(VEHICLE, Analytic(hills), given=given, least_margin=0.0)
         for k in range(run.t.size):
-            loop = close(dae, dae.inputs(**{name: run[name][k] for name in given}), 0)
+            loop = with_inputs(dae, dae.inputs(**{name: run[name][k] for name in given}), 0)
             x, z = dae.rows("x", run, k), dae.rows("z", run, k)
             if dae.checks[-1].margin(x[:, None], z[:, None])[0] < DETERMINED:
                 left_out += 1

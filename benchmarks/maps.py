@@ -31,15 +31,15 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
+from slipfree.files.maps.elevation import read_map
 from slipfree.geometry.path import Path as Way
-from slipfree.plan.course import Course
-from slipfree.plan.proof import rerun
-from slipfree.plan.saved import from_arrays
-from slipfree.problem.parts import Setup
-from slipfree.problem.read import read
-from slipfree.problem.run import run
-from slipfree.terrain.dem import read_map
-from slipfree.terrain.mend import disturbed
+from slipfree.plan.polynomial_motion import PolynomialMotion
+from slipfree.plan.verification import rerun
+from slipfree.plan.warm_start import from_arrays
+from slipfree.problem.build_common import Setup
+from slipfree.problem.load import read
+from slipfree.problem.solve import run
+from slipfree.terrain.grid_ops import disturbed
 from slipfree.trajectory import Trajectory
 
 CELLS, CELL, TILE = 20000, 0.25, 256  # [1], [m], cells
@@ -162,7 +162,7 @@ def windows() -> None:
             print(f"without a window: {str(error).replace(str(path), 'map.tif')}")
 
 
-def replayed(setup: Setup, course: Course, rms: float, seed: int) -> Trajectory:
+def replayed(setup: Setup, course: PolynomialMotion, rms: float, seed: int) -> Trajectory:
     """Return the motion by the rates of a plan on a ground in error."""
     x, y = setup.terrain.origin[:2]
     grid = disturbed(setup.ground.grid, rms, CORRELATION, seed) if rms else setup.ground.grid
@@ -206,7 +206,7 @@ def errors() -> None:
     print("* largest of a motion, median over the errors")
 
 
-def planned(limit: float) -> tuple[Trajectory, Setup, Course]:
+def planned(limit: float) -> tuple[Trajectory, Setup, PolynomialMotion]:
     """Return a plan, what it was made on, and its rates."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.toml"

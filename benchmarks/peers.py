@@ -45,10 +45,10 @@ from scipy.integrate import solve_ivp
 from work_precision import cvodes
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
-from slipfree.compiled import FOLDER
-from slipfree.kinematics.montana import montana_kinematics
-from slipfree.solve.consistent import consistent
-from slipfree.solve.loop import Loop, close
+from slipfree.codegen_cache import FOLDER
+from slipfree.models.montana import montana_kinematics
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Trajectory, path_length
 
 NODES, SPEED, DURATION, SAMPLES = 200, 0.5, 10.0, 101
@@ -73,7 +73,7 @@ def ground(rough: float) -> Grid:
 
 def prepared(
     rough: float, axle: str = "tilting", *, naive: bool = False, compiled: bool = False
-) -> tuple[Any, Trajectory, Loop, Any]:
+) -> tuple[Any, Trajectory, System, Any]:
     """Return the model, its start, and its equations under the driving law, with this."""
     grid = ground(rough)
     vehicle = three_wheeler(axle=axle, mass=0.0, wheel_mass=0.0)
@@ -82,7 +82,7 @@ def prepared(
     standing = direct_kinematics(vehicle, Bicubic(grid)) if naive else dae
     start = settle(standing, **START)
     law = straight(dae, vehicle, start, speed=SPEED)
-    return dae, start, close(dae, law, SAMPLES - 1), law
+    return dae, start, with_inputs(dae, law, SAMPLES - 1), law
 
 
 def least(task: Callable[[], Any]) -> tuple[float, Any]:
@@ -142,7 +142,7 @@ def buffered(f: ca.Function, size: int) -> Callable[[float, np.ndarray], list[np
     return call
 
 
-def explicit(loop: Loop, at: dict[str, Any]) -> ca.Function:
+def explicit(loop: System, at: dict[str, Any]) -> ca.Function:
     """Return ``(t, x) -> x'``, the algebraic unknowns solved for."""
     system = cvodes(loop)
     t, x, u = (system[name] for name in "txu")
@@ -186,7 +186,7 @@ def by_cvode(rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
     return run
 
 
-def by_ida(loop: Loop, at: dict[str, Any]) -> Callable[[float], Any]:
+def by_ida(loop: System, at: dict[str, Any]) -> Callable[[float], Any]:
     """Return an integration by scikit-sundae's IDA over the tolerance."""
     from sksundae.ida import IDA
 

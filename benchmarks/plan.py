@@ -52,16 +52,17 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.compiled import FOLDER
-from slipfree.kinematics.hold import best_utilisation
+from slipfree.codegen_cache import FOLDER
+from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan
-from slipfree.plan.proof import rerun
-from slipfree.plan.transcribe import transcribe
+from slipfree.plan.transcription import transcribe
+from slipfree.plan.verification import rerun
 from slipfree.trajectory import Trajectory, path_length
 
 sys.path.insert(0, str(File(__file__).parent.parent / "tests"))
 import test_climb
-from cases import hills
+
+from helpers.cases import hills
 
 PROTOTYPE = File(__file__).parents[2] / "shared" / "lab" / "planning" / "rigid.py"
 LINE = re.compile(r"it=(\d+) ([\d.]+)s .*rms slip per wheel=(\S+) m/s\s+\S+=([\d.]+)\s+nvar=(\d+)")

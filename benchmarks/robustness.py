@@ -30,7 +30,7 @@ import numpy as np
 from reference import heading
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from random_cases import Case, Outcome, draw, outcome
+from helpers.random_cases import Case, Outcome, draw, outcome
 
 COUNT = 500
 WORKERS = 2

@@ -30,13 +30,13 @@ import numpy as np
 from reference import heading
 
 from slipfree import Bicubic, Grid, SlipfreeError, direct_kinematics, settle, simulate
-from slipfree.named import Label
 from slipfree.plan.plan import plan
-from slipfree.plan.point import Cost
-from slipfree.problem.describe import conditioning
+from slipfree.plan.stage import Cost
+from slipfree.problem.vehicle_report import conditioning
+from slipfree.records import Label
 from slipfree.terrain.rolled import rolled
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.rovers import rocky7
+from slipfree.vehicle.catalogue.rovers import rocky7
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from test_rovers import (

@@ -27,17 +27,17 @@ import numpy as np
 import psutil
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from fuzz_files import SIDE, bases, document
-from slipfree import result_file
+from helpers.fuzz_files import SIDE, bases, document
 from slipfree.errors import SlipfreeError
-from slipfree.problem.export import export_path
-from slipfree.problem.read import read
+from slipfree.files import netcdf
+from slipfree.files.export import export_path
+from slipfree.problem.load import read
 from slipfree.problem.report import report
-from slipfree.problem.run import Outcome, run
+from slipfree.problem.solve import Outcome, run
 from slipfree.problem.summary import motion_facts
-from slipfree.show.climb import save_climb_figures
-from slipfree.show.plot import save_figures
-from slipfree.show.report import page
+from slipfree.show.climb_figures import save_climb_figures
+from slipfree.show.html_report import page
+from slipfree.show.motion_figures import save_figures
 
 KINDS = ("direct", "direct", "direct", "inverse", "inverse", "plan", "climb")
 COMPILED = ("direct", "plan")  # of these every third, what is compiled stays loaded
@@ -84,10 +84,10 @@ def whole(text: str, folder: Path, rng: Random) -> str:
         outcome = run(read(file))
     except SlipfreeError as error:
         return type(error).__name__
-    result_file.write(folder / "p.nc", outcome.trajectory, outcome.arrays)
-    motion = result_file.read(folder / "p.nc")
+    netcdf.write(folder / "p.nc", outcome.trajectory, outcome.arrays)
+    motion = netcdf.read(folder / "p.nc")
     motion_facts(motion)
-    result_file.write_csv(folder / "p.csv", motion)
+    netcdf.write_csv(folder / "p.csv", motion)
     if "y" in motion.columns:
         export_path(folder / "p.nc", folder / "p.geojson")
     if rng.random() < 0.2:

@@ -29,12 +29,12 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.kinematics.reach import planar_rates, wheel_rates
-from slipfree.kinematics.subset import steered, subset_kinematics
-from slipfree.named import leaves, pack
+from slipfree.models.platform_rates import steered, subset_kinematics
+from slipfree.models.reach import planar_rates, wheel_rates
+from slipfree.records import leaves, pack
 from slipfree.solve.replay import replay, round_trip
-from slipfree.solve.seek import moving, seek
-from slipfree.vehicle.rovers import rocky7
+from slipfree.solve.trim import moving, seek
+from slipfree.vehicle.catalogue.rovers import rocky7
 
 GROUND = Path(__file__).parent.parent / "tests" / "data" / "gridsurfdata.txt"
 ROVER = rocky7(steered="corners", mass=0.0, wheel_mass=0.0)  # no forces: the motion alone

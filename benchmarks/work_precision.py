@@ -28,10 +28,10 @@ from direct import wrapped
 from reference import heading
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
-from slipfree.kinematics.montana import montana_kinematics
-from slipfree.named import leaves
-from slipfree.solve.consistent import consistent
-from slipfree.solve.loop import Block, Loop, close
+from slipfree.models.montana import montana_kinematics
+from slipfree.records import leaves
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.system import Block, System, with_inputs
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.trajectory import Trajectory, path_length
 
@@ -87,7 +87,7 @@ def formulations(ground: Bicubic) -> dict[str, Any]:
     }
 
 
-def cvodes(loop: Loop) -> dict[str, ca.MX]:
+def cvodes(loop: System) -> dict[str, ca.MX]:
     """Return the differential equations with the algebraic blocks solved inside."""
     sizes = {name: loop.core.size1_in(k) for k, name in enumerate("txzu") if name != "z"}
     symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
@@ -131,7 +131,7 @@ class Point(NamedTuple):
 
 def line(kind: str, dae: Any, drive: Drive, stand: Trajectory, exact: Trajectory) -> list[Point]:
     """Return the points of one line; a tolerance at which the integrator fails is left out."""
-    loop = close(dae, drive.inputs(dae, VEHICLE, stand), drive.t.size - 1)
+    loop = with_inputs(dae, drive.inputs(dae, VEHICLE, stand), drive.t.size - 1)
     x, u = dae.rows("x", stand, -1), loop.u[:, 0]
     begin = {"x0": x, "u": u}
     if kind != "cvodes":

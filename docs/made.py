@@ -13,8 +13,8 @@ from slipfree.problem import schema
 
 DOCS = Path(__file__).parent
 TAKES = {
-    "Length": "a number above 0",
-    "Radius": "a number from 0 on",
+    "Positive": "a number above 0",
+    "NonNegative": "a number from 0 on",
     "Count": "a whole number from 0 on",
     "float": "a number",
     "int": "a whole number",
@@ -23,18 +23,18 @@ TAKES = {
     "Pair": "`[a, b]`",
     "Column": "`[numbers]`",
     "Window": "`[x_min, x_max, y_min, y_max]`",
-    "Bound": "a number, or `[low, high]`",
-    "Rate": "a number, or `[[time, value], ...]`",
+    "Range": "a number, or `[low, high]`",
+    "PiecewiseConstant": "a number, or `[[time, value], ...]`",
     "float | str": "a number, or a file's name",
     "tuple[Pair, ...]": "`[[x, y], ...]`",
     "tuple[Annotated[tuple[Pair, ...]": "`[[[x, y], ...], ...]`",
     "tuple[str, ...]": "`[names]`",
     "tuple[Rock, ...]": "`[[x, y, diameter, height], ...]`",
     "dict[str, float]": "a table of numbers by name",
-    "dict[str, Radius]": "a table of numbers by name",
-    "dict[str, Bound]": "a table by name: numbers, or `[low, high]`",
-    "dict[str, Rate]": "a table by name: numbers, or `[[time, value], ...]`",
-    "dict[str, Course]": "a table by name: numbers, `[[time, value], ...]`, or formulas of `t`",
+    "dict[str, NonNegative]": "a table of numbers by name",
+    "dict[str, Range]": "a table by name: numbers, or `[low, high]`",
+    "dict[str, PiecewiseConstant]": "a table by name: numbers, or `[[time, value], ...]`",
+    "dict[str, TimeFunction]": "a table by name: numbers, `[[time, value], ...]`, or formulas of `t`",
     "tuple[dict[str, Bound], ...]": "an array of tables by name, each with its `at`",
 }
 
@@ -42,7 +42,8 @@ TAKES = {
 def _modules(package: str) -> str:
     """Return a section for every module of a package."""
     folder = DOCS.parent / "src" / package.replace(".", "/")
-    names = sorted(path.stem for path in folder.glob("*.py") if path.stem[0] != "_")
+    files = (path for path in folder.rglob("*.py") if path.stem[0] != "_")
+    names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in files)
     return "\n".join(
         f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {package}.{name}\n   :members:\n```\n"
         for name in names

@@ -27,12 +27,12 @@ import numpy as np
 
 import slipfree
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
-from slipfree.kinematics.hold import best_utilisation
-from slipfree.problem.read import read
-from slipfree.problem.run import run
+from slipfree.models.friction_feasibility import best_utilisation
+from slipfree.problem.load import read
+from slipfree.problem.solve import run
 from slipfree.show import style
 from slipfree.trajectory import joined, path_length
-from slipfree.vehicle.chain import actuated
+from slipfree.vehicle.tree import actuated
 
 DEG = np.pi / 180
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]

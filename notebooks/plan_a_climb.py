@@ -28,12 +28,12 @@ import numpy as np
 
 import slipfree
 from slipfree import direct_kinematics, settle
-from slipfree.plan.proof import rerun
-from slipfree.plan.saved import from_arrays
-from slipfree.problem.read import read
-from slipfree.problem.run import build, run
-from slipfree.show import relief, style
-from slipfree.show.plan import cost_map, plan_figures, ways
+from slipfree.plan.verification import rerun
+from slipfree.plan.warm_start import from_arrays
+from slipfree.problem.load import read
+from slipfree.problem.solve import build, run
+from slipfree.show import ground_drawing, style
+from slipfree.show.plan_figures import cost_map, plan_figures, ways
 from slipfree.trajectory import path_length
 
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
@@ -85,7 +85,9 @@ looks = {"color": "black", "lw": 2.5}, {"color": style.PALETTE[1], "lw": 1.5, "l
 figure = style.figure(7.2, 4.4)
 for k, (words, outcome) in enumerate(outcomes.items()):
     ax = figure.add_subplot(1, 2, k + 1, title=words, aspect="equal")
-    relief.shade(*relief.patch(ground, relief.whole(ground), relief.HEATMAP), ax)
+    ground_drawing.shade(
+        *ground_drawing.patch(ground, ground_drawing.whole(ground), ground_drawing.HEATMAP), ax
+    )
     for motion, look in ((outcome.trajectory, looks[0]), (driven[words], looks[1])):
         ax.plot(motion["x"], motion["y"], **look)
     ax.set_xlabel("east x [m]")
@@ -143,7 +145,7 @@ field = build(read(problems / "plan_crater_field.toml", ["driver.count=3"]))
 grid = field.ground.grid
 figure = style.figure(5.6, 5.6)
 ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
-cost_map(field.layers, grid, ax, relief.whole(grid))
+cost_map(field.layers, grid, ax, ground_drawing.whole(grid))
 ways(field.ways, ax)
 figure.legend(loc="outside upper center", ncols=3)
 figure

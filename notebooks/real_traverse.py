@@ -34,14 +34,14 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.errors import ModelError
-from slipfree.plan.route import routes
-from slipfree.plan.traversability import reasons, traversability
-from slipfree.problem.export import export_path
-from slipfree.result_file import write
-from slipfree.show import plot, relief, style
-from slipfree.show.plan import cost_map, ways
+from slipfree.files.export import export_path
+from slipfree.files.maps.elevation import jacksboro
+from slipfree.files.netcdf import write
+from slipfree.routing.search import routes
+from slipfree.routing.traversability import reasons, traversability
+from slipfree.show import ground_drawing, motion_figures, style
+from slipfree.show.plan_figures import cost_map, ways
 from slipfree.terrain.base import Grid
-from slipfree.terrain.dem import jacksboro
 from slipfree.terrain.rolled import rolled
 from slipfree.trajectory import path_length
 
@@ -76,7 +76,7 @@ print(f"at ({x:.0f}, {y:.0f}) m: {reasons(layers, x, y)}")
 # %%
 figure = style.figure(6.0, 5.4)
 ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
-cost_map(layers, grid, ax, relief.whole(grid))
+cost_map(layers, grid, ax, ground_drawing.whole(grid))
 ways([route.points for route in found], ax)
 figure.legend(loc="outside lower center", ncols=3)
 figure
@@ -103,7 +103,7 @@ print(f"closure residual {run['closure_residual'].max():.0e} m, ", end="")
 print(f"clearance beside the contacts {run['clearance'].min():.2f} m at least")
 
 # %%
-figures = plot.figures(run, grid)
+figures = motion_figures.figures(run, grid)
 figures["map"]
 
 # %% [markdown]
@@ -119,7 +119,7 @@ print(f"friction needed {needed.max():.2f}: wheel {run.wheels[worst]}, t = {run.
 print(f"drive torque {np.abs(run['drive_torque']).max():.0f} N m, ", end="")
 print(f"tip-over margin {run['tip_over_margin'].min():.2f} rad")
 figure = style.figure(6.4, 2.8)
-ax = plot.history(run, "friction_needed", figure.subplots())
+ax = motion_figures.history(run, "friction_needed", figure.subplots())
 ax.axhline(ground.mu, color="black", ls=":", label="what the ground offers")
 figure.legend(loc="outside lower center", ncols=4)
 figure

@@ -29,14 +29,14 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.plan.plan import plan
-from slipfree.show import plot, style
+from slipfree.show import motion_figures, style
 from slipfree.terrain.synthetic import blank, power_law
 
 # %% [markdown]
 # ## A ground
 #
 # Heights on a uniform grid, here made by rule: a level one with waves of 2 to 8 m added, the same for the
-# same seed. A bicubic spline goes through them. (`read_grid` in `slipfree.terrain.dem` reads your own.)
+# same seed. A bicubic spline goes through them. (`read_grid` in `slipfree.files.maps.elevation` reads your own.)
 
 # %%
 grid = blank((-5.0, 5.0), (-3.0, 7.0), 0.25)
@@ -73,9 +73,9 @@ print(f"friction needed {run['friction_needed'].max():.2f}")
 
 # %%
 figure = style.figure(5.4, 4.4)
-ax = plot.ground(grid, figure.subplots())
-plot.path(run, ax)
-plot.tracks(run, ax)
+ax = motion_figures.ground(grid, figure.subplots())
+motion_figures.path(run, ax)
+motion_figures.tracks(run, ax)
 figure.legend(loc="outside lower center", ncols=3)
 figure
 
@@ -99,7 +99,7 @@ print(f"friction needed {along['friction_needed'].max():.2f}")
 figure = style.figure(6.4, 2.6)
 left, right = figure.subplots(1, 2, sharey=True)
 for ax, motion, words in ((left, run, "constant rates"), (right, along, "driving law")):
-    plot.history(motion, "friction_needed", ax).set_title(words)
+    motion_figures.history(motion, "friction_needed", ax).set_title(words)
 left.legend(frameon=False)
 right.set_ylabel("")
 figure

@@ -37,13 +37,13 @@ from pathlib import Path
 import numpy as np
 
 import slipfree
+from slipfree.climb.friction_demand import highest, least_friction
 from slipfree.climb.outcome import outcome
-from slipfree.climb.quasi import highest, least_friction
 from slipfree.climb.vehicle import seven_wheels
 from slipfree.problem.climb import build_climb
-from slipfree.problem.read import read
-from slipfree.problem.run import run
-from slipfree.show import climb as show
+from slipfree.problem.load import read
+from slipfree.problem.solve import run
+from slipfree.show import climb_figures as show
 from slipfree.show import style
 from slipfree.solve.simulate import simulate
 

@@ -24,19 +24,12 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipfree import (
-    Bicubic,
-    SlipfreeError,
-    direct_kinematics,
-    settle,
-    simulate,
-    three_wheeler,
-)
-from slipfree.kinematics.inverse import inverse_kinematics
-from slipfree.kinematics.margin import conditions, steering_note
-from slipfree.kinematics.montana import cross_check, montana_kinematics
-from slipfree.kinematics.slip import measured_slip
-from slipfree.show import plot
+from slipfree import Bicubic, SlipfreeError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.models.inverse import inverse_kinematics
+from slipfree.models.margin import conditions, steering_note
+from slipfree.models.montana import cross_check, montana_kinematics
+from slipfree.models.slip import measured_slip
+from slipfree.show import motion_figures
 from slipfree.terrain.synthetic import blank, power_law
 
 # %% [markdown]
@@ -72,7 +65,7 @@ for wheel in start.wheels:
 # %%
 rates = model.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
 run = simulate(model, start, rates, np.linspace(0, 6, 301), tolerance=1e-10)
-figures = plot.figures(run, ground)
+figures = motion_figures.figures(run, ground)
 figures["terrain"]
 
 # %%
@@ -138,12 +131,12 @@ print(back.stop.words if back.stop else f"ran to {back.t[-1]:g} s")
 
 # %%
 figure = Figure(figsize=(6, 3), layout="constrained")
-plot.tilts(back, figure.subplots())
+motion_figures.tilts(back, figure.subplots())
 figure
 
 # %%
 figure = Figure(figsize=(6, 5), layout="constrained")
-plot.loci(back, figure.subplots())
+motion_figures.loci(back, figure.subplots())
 figure
 
 # %% [markdown]
@@ -171,5 +164,5 @@ except SlipfreeError as error:
 # | ten equations for the start | nine, and the heading is left open |
 # | the printed start | contacts 1.866 and 1.845 m apart where 1.803 m is the length |
 #
-# Each has a test, in `tests/test_errata.py` and `tests/test_montana.py`. "Without slip" holds for the
+# Each has a test, in `tests/physics/test_errata.py` and `tests/physics/test_montana.py`. "Without slip" holds for the
 # kinematics; what friction it needs is another question.

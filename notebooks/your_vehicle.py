@@ -25,11 +25,11 @@ from pathlib import Path as File
 import numpy as np
 
 from slipfree import Bicubic, ModelError, Path, Vehicle, direct_kinematics, follow, settle, simulate
-from slipfree.problem.describe import describe
-from slipfree.problem.vehicle import read_vehicle
-from slipfree.show import plot, style
+from slipfree.problem.build_vehicle import read_vehicle
+from slipfree.problem.vehicle_report import describe
+from slipfree.show import motion_figures, style
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.chain import Body, Coordinate, Joint
+from slipfree.vehicle.tree import Body, Coordinate, Joint
 from slipfree.vehicle.wheel import Wheel
 
 CAR = """
@@ -96,8 +96,8 @@ for name in ("car", "ackermann"):
 # %%
 figure = style.figure(6.6, 3.2)
 left, right = figure.subplots(1, 2)
-plot.ground(grid, left)
-plot.tracks(runs["ackermann"], left)
+motion_figures.ground(grid, left)
+motion_figures.tracks(runs["ackermann"], left)
 for k, (name, motion) in enumerate(runs.items()):
     size = np.hypot(motion["slip_along"], motion["slip_across"]).max(axis=1)
     right.plot(motion.t, 1000 * size, label=name, **style.look(k))

@@ -6,30 +6,29 @@ from typing import TYPE_CHECKING, Any
 from slipfree.version import __version__
 
 if TYPE_CHECKING:
+    from slipfree.control.path_following import follow, straight
     from slipfree.dae import Dae
     from slipfree.errors import DataError, ModelError, SlipfreeError, SolverError
     from slipfree.geometry.path import Path
-    from slipfree.kinematics.follow import follow, straight
-    from slipfree.kinematics.hold import best_utilisation
-    from slipfree.kinematics.rolling import direct_kinematics
-    from slipfree.kinematics.traction import Traction
+    from slipfree.models.friction_feasibility import best_utilisation
+    from slipfree.models.kinematics import direct_kinematics
+    from slipfree.models.traction import Traction
     from slipfree.solve.settle import settle
     from slipfree.solve.simulate import simulate
     from slipfree.terrain.analytic import Analytic
     from slipfree.terrain.base import Grid, Terrain
     from slipfree.terrain.bicubic import Bicubic
     from slipfree.trajectory import Trajectory
-    from slipfree.vehicle.catalog import three_wheeler
-    from slipfree.vehicle.chain import Vehicle, actuated
-    from slipfree.vehicle.rovers import (
+    from slipfree.vehicle.catalogue.carts import (
         ackermann,
         articulated,
         differential_drive,
-        open_source_rover,
-        rocky7,
-        seven_wheels,
         skid_steer,
     )
+    from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
+    from slipfree.vehicle.catalogue.step_climber import seven_wheels
+    from slipfree.vehicle.catalogue.three_wheeler import three_wheeler
+    from slipfree.vehicle.tree import Vehicle, actuated
 
 __all__ = [
     "Analytic",
@@ -67,27 +66,21 @@ _HOMES = {
     "dae": ("Dae",),
     "errors": ("DataError", "ModelError", "SlipfreeError", "SolverError"),
     "geometry.path": ("Path",),
-    "kinematics.follow": ("follow", "straight"),
-    "kinematics.hold": ("best_utilisation",),
-    "kinematics.rolling": ("direct_kinematics",),
-    "kinematics.traction": ("Traction",),
+    "control.path_following": ("follow", "straight"),
+    "models.friction_feasibility": ("best_utilisation",),
+    "models.kinematics": ("direct_kinematics",),
+    "models.traction": ("Traction",),
     "solve.settle": ("settle",),
     "solve.simulate": ("simulate",),
     "terrain.analytic": ("Analytic",),
     "terrain.base": ("Grid", "Terrain"),
     "terrain.bicubic": ("Bicubic",),
     "trajectory": ("Trajectory",),
-    "vehicle.catalog": ("three_wheeler",),
-    "vehicle.chain": ("Vehicle", "actuated"),
-    "vehicle.rovers": (
-        "ackermann",
-        "articulated",
-        "differential_drive",
-        "open_source_rover",
-        "rocky7",
-        "seven_wheels",
-        "skid_steer",
-    ),
+    "vehicle.catalogue.three_wheeler": ("three_wheeler",),
+    "vehicle.tree": ("Vehicle", "actuated"),
+    "vehicle.catalogue.carts": ("ackermann", "articulated", "differential_drive", "skid_steer"),
+    "vehicle.catalogue.rovers": ("open_source_rover", "rocky7"),
+    "vehicle.catalogue.step_climber": ("seven_wheels",),
 }  # of what is imported when it is asked for, so that the command line answers at once
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

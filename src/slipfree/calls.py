@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.compiled import library, source
+from slipfree.codegen_cache import library, source
 from slipfree.errors import ModelError
 
 LARGE = 300  # operations from which on functions are worth compiling

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.named import Array, Label, leaves, pack, unpack
+from slipfree.records import Array, Label, leaves, pack, unpack
 from slipfree.trajectory import Trajectory
 
 X = TypeVar("X")
@@ -44,7 +44,7 @@ class Limit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
+class PiecewiseLinear:
     """An input that is linear in time on every interval between samples.
 
     Attributes
@@ -57,7 +57,7 @@ class Linear:
     slope: Array
 
 
-class Easing(NamedTuple):
+class Continuation(NamedTuple):
     """A parameter that leads from equations that are easily solved to those that are meant.
 
     Attributes
@@ -72,7 +72,7 @@ class Easing(NamedTuple):
     values: tuple[float, ...]
 
 
-class Check(Protocol):
+class SampledCheck(Protocol):
     """A numeric condition on the samples of a motion that no expression can state."""
 
     @property
@@ -127,7 +127,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
         Names, units and words.
     limits : tuple of Limit
         What a valid motion keeps to.
-    checks : tuple of Check
+    checks : tuple of SampledCheck
         The same, numerically.
     guess : SX, shape (n_z, 1)
         First guess of ``z`` from ``x``.
@@ -138,7 +138,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
     suppress_algebraic : bool
         Whether the integrator's error test leaves out ``z``; for models whose ``z`` carries
         stabilising terms that are noise to that test.
-    easing : Easing or None
+    continuation : Continuation or None
         How a start is found where Newton's method alone would not.
     compiled : bool
         Whether to compile its equations, and those of plans for it, with the system's C compiler;
@@ -156,12 +156,12 @@ class Dae(Generic[X, Z, Q, U, Y]):
     y: Y
     labels: Labels
     limits: tuple[Limit, ...]
-    checks: tuple[Check, ...]
+    checks: tuple[SampledCheck, ...]
     guess: ca.SX
     scale: Array
     shift: tuple[Array, Array]
     suppress_algebraic: bool = False
-    easing: Easing | None = None
+    continuation: Continuation | None = None
     compiled: bool = False
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Heed:
+class InterruptGuard:
     """A context that keeps what the handler of SIGINT raises, and raises it at its end.
 
     There it comes in place of any other ``Exception``. A handler that raises nothing, as one that
@@ -34,7 +34,7 @@ class Heed:
         if threading.current_thread() is threading.main_thread():
             former = signal.getsignal(signal.SIGINT)
             around = getattr(former, "__self__", None)
-            if isinstance(around, Heed):
+            if isinstance(around, InterruptGuard):
                 self._kept = around._kept
             elif callable(former):
                 self._former = former
@@ -91,7 +91,7 @@ class Heed:
             raise
 
 
-_ENTER, _EXIT = Heed.__enter__.__code__, Heed.__exit__.__code__
+_ENTER, _EXIT = InterruptGuard.__enter__.__code__, InterruptGuard.__exit__.__code__
 
 
 def heeded(function: Callable[P, R]) -> Callable[P, R]:
@@ -99,7 +99,7 @@ def heeded(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def within(*args: P.args, **more: P.kwargs) -> R:
-        with Heed():
+        with InterruptGuard():
             return function(*args, **more)
 
     return within

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.named import Array
+from slipfree.records import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.named import Array, Label
+from slipfree.records import Array, Label
 
 
 class Stop(NamedTuple):

@@ -17,13 +17,8 @@ from typer.core import TyperGroup
 
 import slipfree
 from slipfree.cli.examples import examples
-from slipfree.cli.look import check, compare, export, info, vehicle
-from slipfree.cli.new import new
-from slipfree.cli.report import report
-from slipfree.cli.run import run
-from slipfree.cli.show import show
-from slipfree.cli.sweep import sweep
-from slipfree.cli.voice import (
+from slipfree.cli.inspect import check, compare, export, info, vehicle
+from slipfree.cli.messages import (
     BAD_INPUT,
     DONE,
     INTERRUPTED,
@@ -35,6 +30,11 @@ from slipfree.cli.voice import (
     print_json,
     voiced,
 )
+from slipfree.cli.new import new
+from slipfree.cli.report import report
+from slipfree.cli.run import run
+from slipfree.cli.show import show
+from slipfree.cli.sweep import sweep
 
 UsageError: Any = typer.BadParameter.__bases__[0]  # of click, of which newer typer has a copy
 

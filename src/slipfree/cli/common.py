@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipfree.cli.voice import BAD_INPUT as BAD_INPUT
-from slipfree.cli.voice import INTERRUPTED, complain, detail, put_facts
-from slipfree.cli.voice import STOPPED as STOPPED
+from slipfree.cli.messages import BAD_INPUT as BAD_INPUT
+from slipfree.cli.messages import INTERRUPTED, complain, detail, put_facts
+from slipfree.cli.messages import STOPPED as STOPPED
 from slipfree.errors import DataError, ModelError, SlipfreeError
-from slipfree.files import check_name, regular_file, resolve_links
+from slipfree.regular_files import check_name, regular_file, resolve_links
 
 if TYPE_CHECKING:
-    from slipfree.problem.read import Problem
+    from slipfree.problem.load import Problem
     from slipfree.problem.schema import Climb, Motion
 
 RESULT, FIGURE = b"CDF", b"\x89PNG"  # how netCDF and PNG begin
@@ -81,7 +81,7 @@ def about(file: Path) -> Iterator[None]:
 
 def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Problem[Climb]:
     """Return a checked problem, some of its values replaced."""
-    from slipfree.problem.read import read
+    from slipfree.problem.load import read
 
     refuse_result(file)
     problem = read(file, settings or [])
@@ -127,7 +127,7 @@ def check_default_places(
         If a file is, without symbolic links, outside the working folder and the problem's folder,
         or would replace a file that is not a result or not a figure.
     """
-    from slipfree.result_file import is_result
+    from slipfree.files.netcdf import is_result
 
     for place in (out, folder):
         if place is not None:
@@ -163,7 +163,7 @@ def check_places(
     files: list[Path | None], folder: Path | None, problem: Problem[Motion] | Problem[Climb]
 ) -> None:
     """Refuse places that cannot be written to, or that are read, before anything is computed."""
-    from slipfree.problem.inputs import input_names
+    from slipfree.problem.input_files import input_names
 
     taken = {resolve_links(problem.source.path): "the problem file"}
     taken |= {resolve_links(problem.folder / name): f"the input {name}"

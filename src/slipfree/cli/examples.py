@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli.common import reported
+from slipfree.cli.messages import put
 from slipfree.cli.new import place
-from slipfree.cli.voice import put
 from slipfree.errors import DataError
-from slipfree.files import check_name
+from slipfree.regular_files import check_name
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from slipfree.cli.common import check_place, reported
-from slipfree.cli.voice import put_file
+from slipfree.cli.messages import put_file
 from slipfree.errors import DataError
 
 FOLDER = "starters"  # in the package
@@ -49,7 +49,7 @@ def place(text: str, out: Path, force: bool) -> None:
     check_place(out)
     if out.exists() and not force:
         raise DataError(f"{out}: expected no file of that name, found one; replace it by --force")
-    from slipfree.result_file import replaced
+    from slipfree.atomic_files import replace_file
 
-    replaced(out, lambda part: part.write_text(text, encoding="utf-8"))
+    replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
     put_file(out)

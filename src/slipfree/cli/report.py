@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from slipfree.cli.common import about, check_page, reported
-from slipfree.cli.voice import detail, put_file, warn
-from slipfree.files import regular_file
+from slipfree.cli.messages import detail, put_file, warn
+from slipfree.regular_files import regular_file
 
 
 def report(
@@ -25,9 +25,9 @@ def report(
 ) -> None:
     """Write a result as one HTML page: facts, checks, figures, the problem, versions."""
     with reported(), about(file):
+        from slipfree.atomic_files import replace_file
         from slipfree.problem.report import report as made
-        from slipfree.result_file import replaced
-        from slipfree.show.report import page
+        from slipfree.show.html_report import page
 
         with regular_file(file, "a result file of slipfree"):
             target = out or file.with_suffix(".html")
@@ -37,7 +37,7 @@ def report(
         if found.note:
             warn(f"figures: {found.note}")
         text = page(found)
-        replaced(target, lambda part: _write(part, text))
+        replace_file(target, lambda part: _write(part, text))
         put_file(target)
         typer.echo(f"wrote {target}")
 

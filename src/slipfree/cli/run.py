@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.answer import motion_answer
 from slipfree.cli.common import (
     OUTPUT,
     STOPPED,
@@ -24,16 +23,17 @@ from slipfree.cli.common import (
     tell,
     throttled,
 )
-from slipfree.cli.voice import complain, detail, has_bar, is_verbose, put, put_file, warn
+from slipfree.cli.json_output import motion_answer
+from slipfree.cli.messages import complain, detail, has_bar, is_verbose, put, put_file, warn
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slipfree.plan.saved import Saved
-    from slipfree.problem.read import Problem
-    from slipfree.problem.run import Outcome
+    from slipfree.plan.warm_start import Saved
+    from slipfree.problem.load import Problem
     from slipfree.problem.schema import Climb, Motion
+    from slipfree.problem.solve import Outcome
     from slipfree.trajectory import Stop
 
 SELDOM = 1.0  # between two lines on the time reached [s]
@@ -78,8 +78,8 @@ def run(
 ) -> None:
     """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
     with reported():
-        from slipfree.problem.read import climbs
-        from slipfree.problem.run import check_cross
+        from slipfree.problem.load import climbs
+        from slipfree.problem.solve import check_cross
 
         problem = read_problem(file, settings)
         is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
@@ -120,7 +120,7 @@ def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> O
     from rich.console import Console
     from rich.progress import Progress
 
-    from slipfree.problem.run import run as solve
+    from slipfree.problem.solve import run as solve
 
     console = Console(file=sys.stderr)  # as it is now: messages of integrators are kept from it
     with interruptible() as poll:
@@ -179,8 +179,8 @@ def _told(outcome: Outcome) -> Outcome:
 
 def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> Saved | None:
     """Return the plan to start from, if one is named."""
-    from slipfree.plan.saved import from_arrays
-    from slipfree.result_file import read_arrays
+    from slipfree.files.netcdf import read_arrays
+    from slipfree.plan.warm_start import from_arrays
 
     if file is None:
         return None
@@ -200,7 +200,7 @@ def _wrote(*files: Path) -> None:
 
 
 def _save(outcome: Outcome, out: Path, csv: Path | None) -> None:
-    from slipfree.result_file import write, write_csv
+    from slipfree.files.netcdf import write, write_csv
 
     write(out, outcome.trajectory, outcome.arrays)
     if csv is not None:
@@ -217,7 +217,7 @@ def _check_animation(file: Path, problem: Problem[Motion] | Problem[Climb]) -> N
 
 def _animate(outcome: Outcome, file: Path) -> None:
     from slipfree.problem.climb import Climbing
-    from slipfree.show.climb import animate
+    from slipfree.show.climb_figures import animate
 
     if isinstance(outcome.setup, Climbing):
         animate(outcome.trajectory, outcome.setup.climber, outcome.setup.profile, file)
@@ -229,7 +229,7 @@ def _draw(outcome: Outcome, folder: Path) -> None:
     from slipfree.problem.plan import Planning, figure_options
 
     if isinstance(outcome.setup, Climbing):
-        from slipfree.show.climb import save_climb_figures
+        from slipfree.show.climb_figures import save_climb_figures
 
         setup = outcome.setup
         paths = save_climb_figures(
@@ -239,12 +239,12 @@ def _draw(outcome: Outcome, folder: Path) -> None:
         return
     grid = outcome.setup.ground.grid
     if isinstance(outcome.setup, Planning):
-        from slipfree.show.plan import save_plan_figures
+        from slipfree.show.plan_figures import save_plan_figures
 
         layers, options = outcome.setup.layers, figure_options(outcome.setup)
         paths = save_plan_figures(outcome.trajectory, grid, layers, folder, **options)
     else:
-        from slipfree.show.plot import save_figures
+        from slipfree.show.motion_figures import save_figures
 
         paths = save_figures(outcome.trajectory, grid, folder)
     _drew(paths, folder)
@@ -260,7 +260,7 @@ def _drew(files: list[Path], folder: Path) -> None:
 
 def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
     """Print where the two formulations of contact differ, the largest differences first."""
-    from slipfree.problem.run import check_cross, cross, other_formulation
+    from slipfree.problem.solve import check_cross, cross, other_formulation
 
     other = other_formulation(check_cross(problem))
     differences = sorted(cross(problem, outcome), key=lambda each: -each.size)
@@ -280,7 +280,7 @@ def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
 
 
 def _print_outcome(outcome: Outcome) -> None:
-    from slipfree.problem.run import setup_facts
+    from slipfree.problem.solve import setup_facts
     from slipfree.problem.summary import motion_facts, steering_warning
 
     motion = outcome.trajectory

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slipfree.cli.common import about, check_apart, check_page, check_place, reported
-from slipfree.cli.voice import put_file, warn
+from slipfree.cli.messages import put_file, warn
 from slipfree.errors import DataError
-from slipfree.files import escape_name
+from slipfree.regular_files import escape_name
 
 if TYPE_CHECKING:
     from slipfree.show.climb_scene import Climbed
@@ -60,11 +60,11 @@ def show(
             _film(found, animation)
             put_file(animation)
         if html is not None:
-            from slipfree.result_file import replaced
+            from slipfree.atomic_files import replace_file
             from slipfree.show.viewer import page
 
             text = page(scene, _title(found), color)
-            replaced(html, lambda part: _write(part, text))
+            replace_file(html, lambda part: _write(part, text))
             put_file(html)
             typer.echo(f"wrote {html}, {len(text) / 1e6:.1f} MB")
         if html is None and animation is None:
@@ -90,7 +90,7 @@ def _write(part: Path, text: str) -> None:
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> list[Driven] | list[Climbed]:
-    from slipfree.problem.shown import shown
+    from slipfree.problem.reload import shown
     from slipfree.show.climb_scene import Climbed
     from slipfree.show.drive_scene import Driven
 
@@ -127,9 +127,9 @@ def _title(found: list[Driven] | list[Climbed]) -> str:
 
 
 def _film(found: list[Driven] | list[Climbed], file: Path) -> None:
-    from slipfree.show.animate import animate_drives
-    from slipfree.show.climb import animate
+    from slipfree.show.climb_figures import animate
     from slipfree.show.climb_scene import Climbed
+    from slipfree.show.drive_film import animate_drives
 
     climbs = [each for each in found if isinstance(each, Climbed)]
     if len(climbs) > 1:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipfree.cli.common import STOPPED, File, Settings, interruptible, reported, tell
-from slipfree.cli.voice import detail, has_bar, put_file, warn
+from slipfree.cli.messages import detail, has_bar, put_file, warn
 from slipfree.errors import DataError
-from slipfree.files import check_name
+from slipfree.regular_files import check_name
 
 if TYPE_CHECKING:
     from slipfree.sweep.grid import Sweep
@@ -74,7 +74,7 @@ def sweep(
     The same command goes on with a sweep that was interrupted or killed.
     """
     with reported():
-        from slipfree.compiled import obstacle
+        from slipfree.codegen_cache import obstacle
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
         from slipfree.sweep.table import NAME, chosen, facts
@@ -186,7 +186,7 @@ def _shown(update: Callable[[int, str], None]) -> Callable[[Sequence[Row]], None
 
 
 def _draw(plan: Sweep, rows: Sequence[Row], names: Sequence[str], folder: Path) -> None:
-    from slipfree.show.sweep import save_sweep_figures
+    from slipfree.show.sweep_figures import save_sweep_figures
     from slipfree.sweep.table import drawn
 
     if len(plan.axes) > MOST_KEYS:

@@ -14,7 +14,7 @@ NEAR, FADE = 1.5e-3, 6e-4  # gap at which a solid begins to lead a wheel, and ho
 
 
 @dataclass(frozen=True)
-class Contact:
+class CompliantContact:
     """The law of the contacts.
 
     Attributes
@@ -86,7 +86,12 @@ class Pressed(NamedTuple):
 
 
 def pressed(
-    profile: Profile, law: Contact, radius: float, place: ca.SX, velocity: ca.SX, spin: ca.SX
+    profile: Profile,
+    law: CompliantContact,
+    radius: float,
+    place: ca.SX,
+    velocity: ca.SX,
+    spin: ca.SX,
 ) -> tuple[Pressed, ...]:
     """Return what every solid of a profile does to a wheel.
 
@@ -94,7 +99,7 @@ def pressed(
     ----------
     profile : Profile
         The ground.
-    law : Contact
+    law : CompliantContact
         The law.
     radius : float
         Of the wheel. [m]

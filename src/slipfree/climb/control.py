@@ -22,7 +22,7 @@ Directions = Literal["contact", "sensors"]
 class Driver(Protocol):
     """What a model of a climb asks of whatever drives its wheels: which states that has, and gains.
 
-    See `Control` for them, and `slipfree.climb.track.Tracking`.
+    See `Control` for them, and `slipfree.climb.plan_tracking.Tracking`.
     """
 
     @property

@@ -8,17 +8,17 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.climb.contact import Contact, direction, pressed
+from slipfree.climb.contact import CompliantContact, direction, pressed
 from slipfree.climb.control import Commands, Control, check_period, torques
 from slipfree.climb.noise import Noise, measured
+from slipfree.climb.plan_tracking import Tracking, tracked
 from slipfree.climb.profile import Profile
 from slipfree.climb.records import Inputs, OnSolid, Outputs, State, Totals, labels_of
 from slipfree.climb.reference import PerAxle, reference, seen_directions
-from slipfree.climb.track import Tracking, tracked
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.dae import Dae, Limit
-from slipfree.named import Array, Label, pack, symbols
-from slipfree.vehicle.chain import GRAVITY
+from slipfree.records import Array, Label, pack, symbols
+from slipfree.vehicle.tree import GRAVITY
 
 OVERTURNED = 1.4  # tilt of a body [rad]
 
@@ -38,7 +38,7 @@ def climbing(
     climber: Climber,
     profile: Profile,
     control: Control | Tracking = Control(),  # noqa: B008 - a frozen record
-    contact: Contact = Contact(),  # noqa: B008
+    contact: CompliantContact = CompliantContact(),  # noqa: B008
     *,
     period: float | None = None,
 ) -> Dae[State, tuple[()], Totals, Inputs, Outputs]:
@@ -57,11 +57,11 @@ def climbing(
     control : Control or Tracking
         How the wheels are driven: by reference rates, measured against the ground's frame, or as
         planned.
-    contact : Contact
+    contact : CompliantContact
         The law of the contacts.
     period : float, optional
         Sample time of the controller; its torques are inputs then, to be held from sample to
-        sample at what ``y.torques`` says, as `slipfree.solve.sampled` does. [s]
+        sample at what ``y.torques`` says, as `slipfree.solve.zero_order_hold` does. [s]
 
     Returns
     -------
@@ -246,7 +246,7 @@ def _limits(x: State) -> tuple[Limit, ...]:
 
 
 def standing(
-    climber: Climber, contact: Contact, front: float, speed: float = 0.0
+    climber: Climber, contact: CompliantContact, front: float, speed: float = 0.0
 ) -> dict[str, float]:
     """Return the start on a level floor at height zero, in equilibrium, by names of the states.
 
@@ -254,7 +254,7 @@ def standing(
     ----------
     climber : Climber
         The vehicle.
-    contact : Contact
+    contact : CompliantContact
         The law of the contacts, which it has sunk into under its weight.
     front : float
         Place of the front axle. [m]

@@ -13,7 +13,7 @@ import numpy as np
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import Climber
 from slipfree.errors import ModelError
-from slipfree.named import Array, Mask
+from slipfree.records import Array, Mask
 from slipfree.trajectory import Trajectory
 
 BEFORE, AFTER = 0.05, 0.1  # of the window, before the first contact and after the climb [s]

@@ -9,7 +9,7 @@ import numpy as np
 from slipfree.climb.metrics import come_up, meeting
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import Climber
-from slipfree.named import Array
+from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 
 Ending = Literal["climbs", "stalls", "slides back", "tips over", "unfinished"]

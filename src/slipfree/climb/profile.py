@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from slipfree.errors import ModelError
-from slipfree.named import Array
+from slipfree.records import Array
 
 Point = tuple[float, float]
 REACH = 100.0  # of floor and plateaus, from where they begin [m]

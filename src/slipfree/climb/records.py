@@ -9,7 +9,7 @@ from slipfree.climb.profile import Profile
 from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.vehicle import AXLES
 from slipfree.dae import Labels
-from slipfree.named import Label
+from slipfree.records import Label
 
 
 class State(NamedTuple):

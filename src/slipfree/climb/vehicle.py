@@ -17,9 +17,9 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, unit_vector
-from slipfree.named import Array
-from slipfree.vehicle import rovers
-from slipfree.vehicle.chain import Joint, Vehicle
+from slipfree.records import Array
+from slipfree.vehicle.catalogue import step_climber
+from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 NEAR = 1e-9  # lengths below this are none [m]
@@ -130,8 +130,8 @@ class Climber:
 def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     """Return the step climber of Chugo et al. (2009), in the plane.
 
-    It is `slipfree.vehicle.rovers.seven_wheels` seen from the side. What the paper's text leaves
-    open is assumed: inertias of boxes 250 mm high, and the wheels' inertias with their rotors'.
+    It is `slipfree.vehicle.catalogue.step_climber.seven_wheels` seen from the side. What the
+    paper's text leaves open is assumed: inertias of boxes 250 mm high, and the wheels' inertias with their rotors'.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     height, lengths, masses = 0.25, (0.400, 0.195), (13.8, 7.8)
     inertias = [mass * (length**2 + height**2) / 12
                 for mass, length in zip(masses, lengths, strict=True)]  # fmt: skip
-    return planar(rovers.seven_wheels(joint=joint), (inertias[0], inertias[1]),
+    return planar(step_climber.seven_wheels(joint=joint), (inertias[0], inertias[1]),
                   (0.010, 0.005, 0.010), torque)  # fmt: skip
 
 

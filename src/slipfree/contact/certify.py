@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from slipfree.named import Array, Label, Mask
+from slipfree.records import Array, Label, Mask
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.wheel import Wheel
 

@@ -17,7 +17,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.wheel import Wheel
 
 
-class Touch(NamedTuple):
+class ContactFrame(NamedTuple):
     """Where and how a wheel touches the ground, in the terrain's local coordinates.
 
     Attributes
@@ -42,7 +42,7 @@ class Touch(NamedTuple):
     hessian: ca.SX
 
 
-def touch(terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX) -> Touch:
+def contact_frame(terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX) -> ContactFrame:
     """Return the contact frame at a local ground point for a wheel with a given axle."""
     height, gradient, hessian = terrain.jet(x, y)
     normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
@@ -50,17 +50,17 @@ def touch(terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX) -> Touch:
     uprightness = ca.norm_2(forward)
     along = forward / uprightness
     point = ca.vertcat(x, y, height)
-    return Touch(point, normal, along, ca.cross(along, normal), uprightness, hessian)
+    return ContactFrame(point, normal, along, ca.cross(along, normal), uprightness, hessian)
 
 
-def closure(wheel: Wheel, carrier: Pose, contact: Touch) -> ca.SX:
+def closure(wheel: Wheel, carrier: Pose, contact: ContactFrame) -> ca.SX:
     """Return ``G + r1 n + r2 e - C``, zero when the wheel touches the ground, shape (3, 1). [m]."""
     axle, n = carrier.rotation[:, 0], contact.normal
     e = (n - ca.dot(n, axle) * axle) / contact.uprightness
     return contact.point + wheel.r1 * n + wheel.r2 * e - carrier.origin
 
 
-def wheel_coordinates(carrier: Pose, contact: Touch) -> tuple[ca.SX, ca.SX, ca.SX]:
+def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the contact coordinates ``u_w, v_w, psi`` of a wheel, in its carrier's frame. [rad].
 
     ``u_w`` and ``v_w`` are the parameters of the torus (Chakraborty and Ghosal, eq. 1) where its
@@ -76,7 +76,7 @@ def wheel_coordinates(carrier: Pose, contact: Touch) -> tuple[ca.SX, ca.SX, ca.S
     return u, v, ca.atan2(-ca.dot(x_w, ca.cross(n, x_g)), ca.dot(x_w, x_g))
 
 
-def relative_curvature(wheel: Wheel, contact: Touch) -> ca.SX:
+def relative_curvature(wheel: Wheel, contact: ContactFrame) -> ca.SX:
     """Return a measure that is positive where the contact is locally unique. [1/m].
 
     The contact is unique nearby if the wheel's curvature exceeds the ground's in every

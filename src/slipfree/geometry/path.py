@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.named import Array
+from slipfree.records import Array
 
 FAR = 1e12  # no map reaches there [m]
 NODES = 64  # of the arc-length table, for each way-point

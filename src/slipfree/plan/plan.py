@@ -18,15 +18,22 @@ import numpy as np
 from slipfree.dae import Limit
 from slipfree.errors import ModelError
 from slipfree.interrupt import heeded
-from slipfree.named import Array
-from slipfree.plan.course import Course, carried, course, nearest, sampled, unknowns_of
-from slipfree.plan.explain import explanation
-from slipfree.plan.groups import WITHIN
-from slipfree.plan.proof import Proof, inputs_along, prove, refined
-from slipfree.plan.saved import Saved, local, saved
-from slipfree.plan.solver import Iterate, Solution, solve, violation
-from slipfree.plan.task import Range, task_of
-from slipfree.plan.transcribe import Cost, Mesh, Model, Program, Task, transcribe
+from slipfree.plan.constraints import WITHIN
+from slipfree.plan.explanation import explanation
+from slipfree.plan.ipopt import Iterate, Solution, solve, violation
+from slipfree.plan.polynomial_motion import (
+    PolynomialMotion,
+    carried,
+    course,
+    nearest,
+    sampled,
+    unknowns_of,
+)
+from slipfree.plan.problem import Range, task_of
+from slipfree.plan.transcription import Cost, Mesh, Model, Program, Task, transcribe
+from slipfree.plan.verification import Proof, inputs_along, prove, refined
+from slipfree.plan.warm_start import Saved, local, saved
+from slipfree.records import Array
 from slipfree.trajectory import Stop, Trajectory
 
 STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
@@ -73,7 +80,7 @@ class Plan:
         The plan, sampled at the beginning and at all points of collocation.
     inputs : record
         What drives the model along it, for ``simulate`` at times ``course.ends``.
-    course : Course
+    course : PolynomialMotion
         The plan as polynomials of time.
     replay : Trajectory
         The model's motion under these inputs, integrated, several samples on every interval.
@@ -100,7 +107,7 @@ class Plan:
 
     run: Trajectory
     inputs: Any
-    course: Course
+    course: PolynomialMotion
     replay: Trajectory
     difference: dict[str, float]
     violation: dict[str, float]

@@ -10,30 +10,31 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.climb.contact import Contact
+from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control, check_period
 from slipfree.climb.dynamics import climbing, floor_loads, standing
+from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.noise import Noise
 from slipfree.climb.outcome import outcome
+from slipfree.climb.plan_tracking import Tracking, course
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
-from slipfree.climb.quasi import least_friction
-from slipfree.climb.track import Tracking, course
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
-from slipfree.named import Array
+from slipfree.files.netcdf import NOTHING
+from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.files.toml.source_lines import Place
 from slipfree.problem import schema
+from slipfree.problem.build_common import read_columns, samples
+from slipfree.problem.build_ground import at
 from slipfree.problem.climb_plan import Planned, arrays_of, plan_climb, plan_statistics
-from slipfree.problem.ground import at
-from slipfree.problem.locate import Place
-from slipfree.problem.parts import read_columns, samples
-from slipfree.problem.read import Fault, Problem, problem_error
+from slipfree.problem.load import Problem
 from slipfree.problem.summary import Facts
-from slipfree.result_file import NOTHING
-from slipfree.solve.sampled import simulate_sampled
+from slipfree.records import Array
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
+from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.trajectory import Trajectory
 
 OBSTACLES: Mapping[str, Callable[..., Profile]] = {
@@ -74,7 +75,7 @@ class Climbing:
 
     climber: Climber
     profile: Profile
-    contact: Contact
+    contact: CompliantContact
     control: Control | Tracking
     dae: Dae[Any, Any, Any, Any, Any]
     start: Trajectory
@@ -100,7 +101,9 @@ def build_climb(problem: Problem[schema.Climb]) -> Climbing:
         climber = _climber(spec.vehicle)
     with at(problem, ("friction",)):
         given = spec.contact.model_dump(exclude_none=True)
-        contact = Contact(static=spec.friction.static, dynamic=spec.friction.kinetic, **given)
+        contact = CompliantContact(
+            static=spec.friction.static, dynamic=spec.friction.kinetic, **given
+        )
     with at(problem, ("control",)):
         options = spec.control.model_dump(exclude_none=True, exclude={"speed", "period", "noise"})
         noise = spec.control.noise
@@ -209,7 +212,7 @@ def _climber(spec: schema.Climber) -> Climber:
 
 def _start(
     problem: Problem[schema.Climb], dae: Dae[Any, Any, Any, Any, Any], climber: Climber,
-    profile: Profile, contact: Contact,
+    profile: Profile, contact: CompliantContact,
 ) -> Trajectory:  # fmt: skip
     """Return the vehicle on the floor, the front wheels at their distance from the obstacle."""
     spec = problem.spec.start
@@ -226,7 +229,7 @@ def _start(
     return start
 
 
-def _sunk(problem: Problem[schema.Climb], climber: Climber, contact: Contact) -> Array:
+def _sunk(problem: Problem[schema.Climb], climber: Climber, contact: CompliantContact) -> Array:
     """Return how far the axles sink into a level floor; refuse what does not stand on it. [m]."""
     loads, faults = floor_loads(climber), []
     softest = float(loads.max()) / SUNK
@@ -411,7 +414,7 @@ def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
 
 
 def _facts(
-    spec: schema.Climb, climber: Climber, contact: Contact, control: Control
+    spec: schema.Climb, climber: Climber, contact: CompliantContact, control: Control
 ) -> Facts:  # fmt: skip
     """Return what to tell about ground, vehicle and laws of a climb."""
     axles = ", ".join(

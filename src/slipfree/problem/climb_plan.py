@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.climb.path import Climb, climb, history, in_sequence
+from slipfree.climb.contact_path import Leg, legs
 from slipfree.climb.profile import Profile
+from slipfree.climb.time_scaling import Climb, climb, history, in_sequence
 from slipfree.climb.vehicle import Climber
-from slipfree.climb.way import Leg, legs
 from slipfree.errors import SolverError
-from slipfree.named import Array, Label
-from slipfree.plan.nlp import solve_nlp
+from slipfree.plan.external_nlp import solve_nlp
 from slipfree.problem import schema
+from slipfree.records import Array, Label
 from slipfree.trajectory import Column, Trajectory
 
 PROGRESS = Label("progress", "m", "mean of place and height of the axles")

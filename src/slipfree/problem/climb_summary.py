@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slipfree.climb.track import SLOWEST
+from slipfree.climb.plan_tracking import SLOWEST
 from slipfree.trajectory import Trajectory
 
 UNBALANCED = 1e-3  # of the motors' work that the balance may miss before it is said

@@ -9,18 +9,24 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import SolverError
-from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.kinematics.slip import measured_slip
-from slipfree.named import Array, leaves
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.slip import measured_slip
 from slipfree.problem import schema
+from slipfree.problem.build_common import (
+    build_start,
+    build_terrain,
+    build_vehicle,
+    check_names,
+    samples,
+)
+from slipfree.problem.build_ground import Ground, at, build_ground
 from slipfree.problem.direct import build_law
-from slipfree.problem.ground import Ground, at, build_ground
-from slipfree.problem.parts import build_start, build_terrain, build_vehicle, check_names, samples
-from slipfree.problem.read import Problem
-from slipfree.solve.loop import close
+from slipfree.problem.load import Problem
+from slipfree.records import Array, leaves
 from slipfree.solve.simulate import simulate
+from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Stop, Trajectory
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 RANK = 1e-9  # singular values below this part of the largest are zero
 
@@ -147,7 +153,7 @@ def _drive(
 
 def _rank(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> int:
     """Return the rank of the slip in the unknown rates: of ``A`` in ``A'A``, the model's block."""
-    loop = close(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
+    loop = with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
     block = np.array(loop.blocks[1].jacobian(0.0, x, z, loop.u[:, 0], 0.0))
     rates = len(block) - len(start.wheels)

@@ -7,18 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from slipfree.control.path_following import follow, straight
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
+from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
-from slipfree.kinematics.follow import follow, straight
-from slipfree.kinematics.montana import montana_kinematics
-from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.kinematics.traction import Traction
-from slipfree.named import Array
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.montana import montana_kinematics
+from slipfree.models.traction import Traction
 from slipfree.problem import schema
-from slipfree.problem.ground import at, build_ground
-from slipfree.problem.locate import ProblemError
-from slipfree.problem.parts import (
+from slipfree.problem.build_common import (
     Setup,
     build_start,
     build_terrain,
@@ -27,10 +25,12 @@ from slipfree.problem.parts import (
     read_columns,
     samples,
 )
-from slipfree.problem.read import Problem, S
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.load import Problem, S
+from slipfree.records import Array
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 
 def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:

@@ -10,15 +10,14 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
-from slipfree.kinematics.inverse import LEAST_MARGIN, PLANAR, along, inverse_kinematics
-from slipfree.kinematics.margin import EULER, OMEGA, VELOCITY, steering_note, steering_slip
-from slipfree.kinematics.reach import SUBSET
-from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.kinematics.subset import Wanted
-from slipfree.named import Array
+from slipfree.files.toml.errors import Fault, names, problem_error
+from slipfree.models.inverse import LEAST_MARGIN, PLANAR, along, inverse_kinematics
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.margin import EULER, OMEGA, VELOCITY, steering_note, steering_slip
+from slipfree.models.platform_rates import Wanted
+from slipfree.models.reach import SUBSET
 from slipfree.problem import schema
-from slipfree.problem.ground import at, build_ground
-from slipfree.problem.parts import (
+from slipfree.problem.build_common import (
     Setup,
     build_start,
     build_terrain,
@@ -28,12 +27,14 @@ from slipfree.problem.parts import (
     samples,
     turned,
 )
-from slipfree.problem.read import Fault, Problem, S, names, problem_error
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.load import Problem, S
 from slipfree.problem.subset import build_subset, drive_subset, is_subset
-from slipfree.solve.inverse import drive
-from slipfree.solve.seek import moving
+from slipfree.records import Array
+from slipfree.solve.collocation import drive
+from slipfree.solve.trim import moving
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")

@@ -9,25 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from slipfree.control.path_following import follow
 from slipfree.dae import Dae, Limit
 from slipfree.errors import SlipfreeError, SolverError
+from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
-from slipfree.kinematics.follow import follow
-from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.named import Array, Label, leaves
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import STOPPED, Plan, plan
-from slipfree.plan.proof import rerun
-from slipfree.plan.reachable import unreachable
-from slipfree.plan.region import Region
-from slipfree.plan.saved import Saved
-from slipfree.plan.solver import Iterate
-from slipfree.plan.task import limits_of, task_of
-from slipfree.plan.traversability import Traversability, extents, traversability
+from slipfree.plan.problem import limits_of, task_of
+from slipfree.plan.verification import rerun
+from slipfree.plan.warm_start import Saved
 from slipfree.problem import schema
-from slipfree.problem.direct import build_law, build_model
-from slipfree.problem.ground import at, build_ground
-from slipfree.problem.locate import ProblemError
-from slipfree.problem.parts import (
+from slipfree.problem.build_common import (
     Setup,
     build_start,
     build_terrain,
@@ -35,7 +29,9 @@ from slipfree.problem.parts import (
     check_names,
     samples,
 )
-from slipfree.problem.places import (
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.direct import build_law, build_model
+from slipfree.problem.goals import (
     Place,
     Wanted,
     facing,
@@ -46,12 +42,16 @@ from slipfree.problem.places import (
     way_points_of,
     ways_of,
 )
-from slipfree.problem.read import Problem, S
+from slipfree.problem.load import Problem, S
+from slipfree.records import Array, Label, leaves
+from slipfree.routing.reachability import unreachable
+from slipfree.routing.regions import Region
+from slipfree.routing.traversability import Traversability, extents, traversability
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Stop, Trajectory, path_length
-from slipfree.vehicle.chain import Vehicle
+from slipfree.vehicle.tree import Vehicle
 
 ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
 FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start

@@ -11,22 +11,22 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipfree.named import Array, Label
+from slipfree.files.netcdf import ORIGIN, read, read_arrays
+from slipfree.files.toml.errors import ProblemError
 from slipfree.problem import schema
+from slipfree.problem.build_ground import build_ground
 from slipfree.problem.climb import build_climb
 from slipfree.problem.climb_plan import PROGRESS
-from slipfree.problem.ground import build_ground
-from slipfree.problem.locate import ProblemError
+from slipfree.problem.load import Problem, climbs
 from slipfree.problem.plan import Planning, figure_options
-from slipfree.problem.read import Problem, climbs
-from slipfree.problem.run import build
-from slipfree.problem.shown import problem_of
+from slipfree.problem.reload import problem_of
+from slipfree.problem.solve import build
 from slipfree.problem.summary import Facts, motion_facts, ranges
-from slipfree.result_file import ORIGIN, read, read_arrays
-from slipfree.show.climb import climb_figures
-from slipfree.show.plan import plan_figures
-from slipfree.show.plot import figures
-from slipfree.show.report import Report
+from slipfree.records import Array, Label
+from slipfree.show.climb_figures import climb_figures
+from slipfree.show.html_report import Report
+from slipfree.show.motion_figures import figures
+from slipfree.show.plan_figures import plan_figures
 from slipfree.trajectory import Column, Trajectory
 from slipfree.version import __version__
 
@@ -60,7 +60,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
     file : Path
         A result file.
     folder : Path, optional
-        Where names of files in its problem start; see `slipfree.problem.shown`.
+        Where names of files in its problem start; see `slipfree.problem.reload`.
 
     Raises
     ------

@@ -10,20 +10,13 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, model_validator
 
-from slipfree.problem.catalog import CATALOG, OWN, read_table
-from slipfree.problem.fields import (
-    Bound,
-    Column,
-    Course,
-    Pair,
-    Rate,
-    not_zero,
-)
-from slipfree.problem.fields import Length as Length
-from slipfree.problem.fields import Piecewise as Piecewise
-from slipfree.problem.fields import Place as Place
-from slipfree.problem.fields import Radius as Radius
-from slipfree.problem.fields import Record as Record
+from slipfree.files.toml.types import Column, Pair, PiecewiseConstant, Range, TimeFunction, not_zero
+from slipfree.files.toml.types import NonNegative as NonNegative
+from slipfree.files.toml.types import Piecewise as Piecewise
+from slipfree.files.toml.types import Place as Place
+from slipfree.files.toml.types import Positive as Positive
+from slipfree.files.toml.types import Record as Record
+from slipfree.problem.catalog_table import CATALOG, OWN, read_table
 from slipfree.problem.schema_climb import Approach, Compliance, Control, Friction
 from slipfree.problem.schema_climb import Climber as Climber
 from slipfree.problem.schema_climb import Legs as Legs
@@ -82,8 +75,8 @@ class Driver(Record):
 class Time(Record):
     """How long, and how often the motion is sampled."""
 
-    duration: Length = Field(description="of the motion [s]")
-    step: Length = Field(description="between samples of the result [s]")
+    duration: Positive = Field(description="of the motion [s]")
+    step: Positive = Field(description="between samples of the result [s]")
 
 
 class Solver(Record):
@@ -134,11 +127,11 @@ class Motion(Task):
 class Traction(Record):
     """The law of friction."""
 
-    creep: Length = Field(
+    creep: Positive = Field(
         default=1e-4,
         description="slip at which a wheel transmits 71 % of what friction gives [m/s]",
     )
-    reserve: Radius = Field(
+    reserve: NonNegative = Field(
         default=0.0, description="viscous friction for each newton of normal force [s/m]"
     )
 
@@ -147,7 +140,7 @@ class Direct(Motion):
     """Direct kinematics: given rates, or a driving law; the motion is asked for."""
 
     verb: Literal["direct"] = Field(description=VERB)
-    inputs: dict[str, Rate] | None = Field(default=None, description=INPUTS)
+    inputs: dict[str, PiecewiseConstant] | None = Field(default=None, description=INPUTS)
     driver: Driver | None = Field(default=None, description="a driving law")
     formulation: Literal["closure", "montana"] = Field(
         default="closure", description="of contact: by positions, or by Montana's rates"
@@ -170,7 +163,7 @@ class Inverse(Motion):
     """Inverse kinematics: given rates of the platform, or its path; wheel rates are asked for."""
 
     verb: Literal["inverse"] = Field(description=VERB)
-    given: dict[str, Course] | None = Field(
+    given: dict[str, TimeFunction] | None = Field(
         default=None, description="rates of the platform by name [m/s, rad/s]"
     )
     path: Path | None = Field(default=None, description="a path in time instead")
@@ -183,7 +176,7 @@ class Guide(Driver):
     name: Literal["straight", "follow", "route"] = Field(  # type: ignore[assignment]
         description="of the law; a route is sought over the map"
     )
-    turning_radius: Radius = Field(default=1.0, description="of a route, at least [m]")
+    turning_radius: NonNegative = Field(default=1.0, description="of a route, at least [m]")
     paths: Annotated[tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
                      Field(strict=False, min_length=1)] = Field(
         default=None, description="several paths of way-points: the cheapest plan counts [m]"
@@ -198,7 +191,7 @@ class KeepOut(Record):
 
     x: float | None = Field(default=None, description="of a disc's middle [m]")
     y: float | None = Field(default=None, description="of a disc's middle [m]")
-    radius: Length | None = Field(default=None, description="of a disc [m]")
+    radius: Positive | None = Field(default=None, description="of a disc [m]")
     points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="corners of a polygon [m]"
     )
@@ -213,14 +206,16 @@ class Search(Record):
     degree: Annotated[int, Field(ge=1, le=5)] = Field(
         default=3, description="of the polynomials on an interval"
     )
-    duration: Bound = Field(
+    duration: Range = Field(
         default=None, description="of the plan; default: that of the motion it starts from [s]"
     )
-    smooth: Radius = Field(default=0.0, description="weight of the squared rates of the inputs [1]")
+    smooth: NonNegative = Field(
+        default=0.0, description="weight of the squared rates of the inputs [1]"
+    )
     continuous: bool = Field(
         default=True, description="inputs are linear on an interval without jumps; else constant"
     )
-    accuracy: Length = Field(
+    accuracy: Positive = Field(
         default=1e-3,
         description="by which the simulation may miss the plan and its limits [m, rad]",
     )
@@ -230,26 +225,26 @@ class Plan(Motion):
     """A plan: the inputs that reach a goal at the least cost; a driving law starts the search."""
 
     verb: Literal["plan"] = Field(description=VERB)
-    goal: dict[str, Bound] = Field(description="at the end, any state or unknown by name [m, rad]")
-    costs: dict[str, Radius] = Field(
+    goal: dict[str, Range] = Field(description="at the end, any state or unknown by name [m, rad]")
+    costs: dict[str, NonNegative] = Field(
         description="weights of integrals over time: slip, effort, time, energy, or any quantity "
         "squared [1]"
     )
-    limits: dict[str, Bound] = Field(
+    limits: dict[str, Range] = Field(
         default={}, description="along the way, any quantity of the result, in its unit [m, rad, 1]"
     )
-    bounds: dict[str, Bound] = Field(default={}, description="of the inputs [rad/s, m/s]")
-    accelerations: dict[str, Bound] = Field(
+    bounds: dict[str, Range] = Field(default={}, description="of the inputs [rad/s, m/s]")
+    accelerations: dict[str, Range] = Field(
         default={}, description="bounds of the inputs' rates [rad/s2, m/s2]"
     )
     plan: Search = Field(default=Search(), description="how it is sought")
     keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = Field(
         default=(), description="places that no wheel may touch"
     )
-    way_points: Annotated[tuple[dict[str, Bound], ...], Field(strict=False)] = Field(
+    way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = Field(
         default=(), description="like the goal, each at a part of the duration [m, rad]"
     )
-    inputs: dict[str, Rate] | None = Field(
+    inputs: dict[str, PiecewiseConstant] | None = Field(
         default=None, description=f"of the motion that starts the search: {INPUTS}"
     )
     driver: Guide | None = Field(default=None, description="what starts the search instead")

@@ -9,34 +9,34 @@ from pydantic import Field
 
 from slipfree.climb.control import Directions
 from slipfree.climb.reference import Law
-from slipfree.problem.fields import Count, Length, Pair, Radius, Record
+from slipfree.files.toml.types import Count, NonNegative, Pair, Positive, Record
 
 
 class Incline(Record):
     """A ramp up to a plateau, from x = 0 on."""
 
     angle: Annotated[float, Field(gt=0, le=pi / 2)] = Field(description="of the ramp [rad]")
-    height: Length = Field(description="of the plateau [m]")
+    height: Positive = Field(description="of the plateau [m]")
 
 
 class Step(Record):
     """A plateau, from x = 0 on."""
 
-    height: Length = Field(description="of the plateau [m]")
+    height: Positive = Field(description="of the plateau [m]")
 
 
 class Kerb(Record):
     """A block, from x = 0 on."""
 
-    height: Length = Field(description="of the block [m]")
-    length: Length = Field(description="of the block, along x [m]")
+    height: Positive = Field(description="of the block [m]")
+    length: Positive = Field(description="of the block, along x [m]")
 
 
 class Stairs(Record):
     """Stairs, from x = 0 on, the last step a plateau."""
 
-    height: Length = Field(description="of a step [m]")
-    depth: Length = Field(description="of a step, along x [m]")
+    height: Positive = Field(description="of a step [m]")
+    depth: Positive = Field(description="of a step, along x [m]")
     count: Annotated[int, Field(ge=1)] = Field(description="how many steps")
 
 
@@ -64,10 +64,10 @@ class Profile(Record):
 class ClimberBody(Record):
     """A body of a vehicle that climbs; the defaults are the catalogue's."""
 
-    mass: Length | None = Field(default=None, description="with its wheels [kg]")
+    mass: Positive | None = Field(default=None, description="with its wheels [kg]")
     ahead: float | None = Field(default=None, description="centre of mass ahead of the joint [m]")
     above: float | None = Field(default=None, description="centre of mass above the joint [m]")
-    inertia: Length | None = Field(
+    inertia: Positive | None = Field(
         default=None, description="about its centre of mass, its wheels' spin left out [kg m2]"
     )
 
@@ -79,7 +79,7 @@ class ClimberAxle(Record):
     wheels: Annotated[int, Field(ge=1)] | None = Field(
         default=None, description="how many, a motor each"
     )
-    inertia: Length | None = Field(
+    inertia: Positive | None = Field(
         default=None, description="of all of them and their rotors, about the axle [kg m2]"
     )
 
@@ -89,8 +89,8 @@ class Climber(Record):
 
     catalog: Literal["seven_wheels"] = Field(description="name in the catalogue")
     joint: float = Field(default=0.0, description="of the bodies, ahead of the middle axle [m]")
-    torque: Length = Field(default=inf, description="largest of a wheel's motor [N m]")
-    radius: Length | None = Field(
+    torque: Positive = Field(default=inf, description="largest of a wheel's motor [N m]")
+    radius: Positive | None = Field(
         default=None, description="of all wheels; default: the catalogue's [m]"
     )
     rear_body: ClimberBody = Field(default=ClimberBody(), description="the body with two axles")
@@ -103,21 +103,21 @@ class Climber(Record):
 class Friction(Record):
     """Coefficients of friction of a climb: at rest, and at speed."""
 
-    static: Length = Field(description="coefficient at rest [1]")
-    kinetic: Length = Field(description="coefficient at speed [1]")
+    static: Positive = Field(description="coefficient at rest [1]")
+    kinetic: Positive = Field(description="coefficient at speed [1]")
 
 
 class Compliance(Record):
     """How contacts give way; the defaults are those of `slipfree.climb.contact.Contact`."""
 
-    stiffness: Length | None = Field(default=None, description="of a contact [N/m]")
-    damping: Radius | None = Field(
+    stiffness: Positive | None = Field(default=None, description="of a contact [N/m]")
+    damping: NonNegative | None = Field(
         default=None, description="of Hunt and Crossley: part of the force for each speed [s/m]"
     )
-    creep: Length | None = Field(
+    creep: Positive | None = Field(
         default=None, description="slip speed at which friction is nearly full [m/s]"
     )
-    stribeck: Length | None = Field(
+    stribeck: Positive | None = Field(
         default=None,
         description="slip speed over which friction falls from static to kinetic [m/s]",
     )
@@ -126,49 +126,49 @@ class Compliance(Record):
 class Noise(Record):
     """Noise of a climb's sensors; the defaults are those of `slipfree.climb.noise.Noise`."""
 
-    tilt: Radius | None = Field(
+    tilt: NonNegative | None = Field(
         default=None, description="root mean square, of the bodies' tilts [rad]"
     )
-    tilt_rate: Radius | None = Field(
+    tilt_rate: NonNegative | None = Field(
         default=None, description="root mean square, of the tilts' rates [rad/s]"
     )
-    wheel_rate: Radius | None = Field(
+    wheel_rate: NonNegative | None = Field(
         default=None, description="root mean square, of the wheels' rates [rad/s]"
     )
-    band: Length | None = Field(default=None, description="largest frequency [Hz]")
+    band: Positive | None = Field(default=None, description="largest frequency [Hz]")
     seed: Count | None = Field(default=None, description="of the random numbers")
 
 
 class Control(Record):
     """How wheels are driven; the defaults are those of `slipfree.climb.control.Control`."""
 
-    speed: Length = Field(description="of the vehicle [m/s]")
+    speed: Positive = Field(description="of the vehicle [m/s]")
     law: Law | None = Field(default=None, description="reference speeds of the axles")
     directions: Directions | None = Field(
         default=None,
         description="in which axles move: as sensors see them, or those of the contacts",
     )
-    smoothing: Length | None = Field(
+    smoothing: Positive | None = Field(
         default=None, description="time constant of the sensors' low pass [s]"
     )
-    share: Radius | None = Field(
+    share: NonNegative | None = Field(
         default=None, description="part of the contacts' directions that the law is told [1]"
     )
     cap: Annotated[float, Field(ge=1)] | None = Field(
         default=None, description="largest reference speed over the vehicle's [1]"
     )
-    proportional: Length | None = Field(default=None, description="gain on the error [N m s/rad]")
-    integral: Length | None = Field(default=None, description="gain on its integral [N m/rad]")
-    derivative: Radius | None = Field(
+    proportional: Positive | None = Field(default=None, description="gain on the error [N m s/rad]")
+    integral: Positive | None = Field(default=None, description="gain on its integral [N m/rad]")
+    derivative: NonNegative | None = Field(
         default=None, description="gain on its derivative [N m s2/rad]"
     )
-    lag: Length | None = Field(
+    lag: Positive | None = Field(
         default=None, description="time constant of the filter behind the derivative [s]"
     )
-    unwinding: Radius | None = Field(
+    unwinding: NonNegative | None = Field(
         default=None, description="rate at which torque beyond the limit leaves the integral [1/s]"
     )
-    period: Length | None = Field(
+    period: Positive | None = Field(
         default=None,
         description="of a controller that samples; without it control is continuous [s]",
     )
@@ -179,7 +179,7 @@ class Approach(Record):
     """Where a climb begins: how far the front wheels are from the obstacle, and how fast."""
 
     distance: float = Field(description="of the front wheels from the obstacle [m]")
-    speed: Radius | None = Field(
+    speed: NonNegative | None = Field(
         default=None, description="at the start; default: that of the control [m/s]"
     )
 
@@ -191,9 +191,9 @@ class Legs(Record):
         default="time", description="what is least: time, the coefficient needed, or creep"
     )
     nodes: Annotated[int, Field(ge=20)] = Field(default=60, description="of a leg")
-    friction: Length | None = Field(
+    friction: Positive | None = Field(
         default=None, description="coefficient it may use; default: the static one [1]"
     )
-    speed: Length | None = Field(
+    speed: Positive | None = Field(
         default=None, description="largest of an axle; default: that of the control [m/s]"
     )

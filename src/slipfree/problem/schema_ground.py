@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PlainValidator
 
-from slipfree.problem.fields import Count, Length, Pair, Radius, Record, Rock, Window, coefficient
+from slipfree.files.toml.types import (
+    Count,
+    NonNegative,
+    Pair,
+    Positive,
+    Record,
+    Rock,
+    Window,
+    coefficient,
+)
 
 SEED = "of the random numbers"
 
@@ -14,12 +23,12 @@ SEED = "of the random numbers"
 class PowerLaw(Record):
     """Roughness that falls with the wave number by a power, added to the ground."""
 
-    rms: Length = Field(description="root mean square of the added heights [m]")
+    rms: Positive = Field(description="root mean square of the added heights [m]")
     hurst: Annotated[float, Field(gt=0, le=1)] = Field(
         description="Hurst exponent: 0.5 is jagged, 1 is smooth [1]"
     )
-    longest: Length = Field(description="longest wavelength [m]")
-    shortest: Length = Field(description="shortest wavelength, at least twice the spacing [m]")
+    longest: Positive = Field(description="longest wavelength [m]")
+    shortest: Positive = Field(description="shortest wavelength, at least twice the spacing [m]")
     seed: Count = Field(description=SEED)
 
 
@@ -36,7 +45,7 @@ class Rocks(Record):
 
     count: Count = Field(description="how many; more keep those of fewer")
     diameters: Pair = Field(description="smallest and largest [m]")
-    height_ratio: Length = Field(description="height over diameter [1]")
+    height_ratio: Positive = Field(description="height over diameter [1]")
     seed: Count = Field(description=SEED)
 
 
@@ -50,7 +59,7 @@ class Ramp(Record):
         default=True,
         description="slope without jumps, 15/8 of the mean at most; else an even slope",
     )
-    rounding: Radius = Field(
+    rounding: NonNegative = Field(
         default=0.0, description="length over which either edge of an even slope is round [m]"
     )
 
@@ -60,7 +69,7 @@ class Synthetic(Record):
 
     x: Pair = Field(description="first and last node [m]")
     y: Pair = Field(description="first and last node [m]")
-    spacing: Length = Field(description="between nodes [m]")
+    spacing: Positive = Field(description="between nodes [m]")
     base: float = Field(default=0.0, description="height before anything is added [m]")
     ramp: Ramp | None = Field(default=None, description="a ramp along y")
     power_law: PowerLaw | None = Field(default=None, description="roughness")
@@ -74,8 +83,8 @@ class Synthetic(Record):
 class ElevationError(Record):
     """A random error of the heights of a map."""
 
-    rms: Length = Field(description="standard deviation [m]")
-    correlation: Length = Field(
+    rms: Positive = Field(description="standard deviation [m]")
+    correlation: Positive = Field(
         description="distance at which the correlation has fallen to 1/e [m]"
     )
     seed: Count = Field(description=SEED)
@@ -89,14 +98,14 @@ class Terrain(Record):
         default=None, description="the map that matplotlib ships"
     )
     synthetic: Synthetic | None = Field(default=None, description="a made ground")
-    cell: Length | None = Field(
+    cell: Positive | None = Field(
         default=None, description="width of a cell of a picture that does not say it [m]"
     )
     registration: Literal["area", "point"] | None = Field(
         default=None,
         description="of such a picture: values belong to the middles of cells, or to nodes",
     )
-    spacing: Length | None = Field(
+    spacing: Positive | None = Field(
         default=None, description="between nodes, for scattered points [m]"
     )
     geographic: Literal["local"] | None = Field(
@@ -106,17 +115,17 @@ class Terrain(Record):
         default=None,
         description="fills holes from the heights around; without it holes are refused",
     )
-    scale: Length = Field(default=1.0, description="multiplies x, y and heights [1]")
-    horizontal_scale: Length = Field(default=1.0, description="multiplies x and y besides [1]")
-    vertical_scale: Length = Field(default=1.0, description="multiplies heights besides [1]")
+    scale: Positive = Field(default=1.0, description="multiplies x, y and heights [1]")
+    horizontal_scale: Positive = Field(default=1.0, description="multiplies x and y besides [1]")
+    vertical_scale: Positive = Field(default=1.0, description="multiplies heights besides [1]")
     window: Window | None = Field(
         default=None, description="part that is used, in coordinates of the scaled ground [m]"
     )
-    smooth: Length | None = Field(
+    smooth: Positive | None = Field(
         default=None, description="standard deviation of a Gaussian average of the heights [m]"
     )
     error: ElevationError | None = Field(default=None, description="a random error of the heights")
-    rolled: Length | None = Field(
+    rolled: Positive | None = Field(
         default=None, description="radius of the wheel as which the ground is felt, the largest [m]"
     )
     friction: Annotated[float | str | None, PlainValidator(coefficient)] = Field(

@@ -10,13 +10,12 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError, SlipfreeError, SolverError
-from slipfree.kinematics.reach import SUBSET, check_reach
-from slipfree.kinematics.rolling import direct_kinematics
-from slipfree.kinematics.subset import steered, subset_kinematics
-from slipfree.named import leaves
+from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.platform_rates import steered, subset_kinematics
+from slipfree.models.reach import SUBSET, check_reach
 from slipfree.problem import schema
-from slipfree.problem.ground import at, build_ground
-from slipfree.problem.parts import (
+from slipfree.problem.build_common import (
     Setup,
     build_start,
     build_terrain,
@@ -24,10 +23,12 @@ from slipfree.problem.parts import (
     check_names,
     samples,
 )
-from slipfree.problem.read import Fault, Problem, S, problem_error
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.load import Problem, S
+from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
-from slipfree.solve.seek import seek
 from slipfree.solve.simulate import simulate
+from slipfree.solve.trim import seek
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.formula import evaluate
 

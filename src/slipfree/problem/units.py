@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from slipfree.problem.locate import key_path
+from slipfree.files.toml.source_lines import key_path
 from slipfree.problem.schema import Climb, Motion
 
 UNIT = re.compile(r"\[([^\],]+)\]$")  # at the end of a description; one of several is none

@@ -16,11 +16,11 @@ from slipfree.climb.metrics import LOADED
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Body, Climber
 from slipfree.errors import ModelError
-from slipfree.kinematics.poses import spun
-from slipfree.named import Array
+from slipfree.models.poses import spun
+from slipfree.records import Array
 from slipfree.show import scene
+from slipfree.show.meshes import Mesh, clipped, extruded, joined, plate, rod, spokes, tyre
 from slipfree.show.scene import PLATE, ROD, TYRE, Actor, Arrows, Color, Ground, Scene
-from slipfree.show.shapes import Mesh, clipped, extruded, joined, plate, rod, spokes, tyre
 from slipfree.trajectory import Trajectory
 
 TRACK = 3.5  # half of the track, in radii of the wheels

@@ -8,13 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.kinematics.poses import Placed, part_poses, wheel_poses
-from slipfree.named import Array
-from slipfree.plan.region import Region
-from slipfree.plan.traversability import extents, nodes_at, traversability
-from slipfree.show import relief
-from slipfree.show.refine import Refined, refined
-from slipfree.show.relief import Window
+from slipfree.models.poses import Placed, part_poses, wheel_poses
+from slipfree.records import Array
+from slipfree.routing.regions import Region
+from slipfree.routing.traversability import extents, nodes_at, traversability
+from slipfree.show import ground_drawing
+from slipfree.show.ground_drawing import Window
+from slipfree.show.mesh_refinement import Refined, refined
+from slipfree.show.meshes import joined, rod, spokes, tyre
 from slipfree.show.scene import (
     BLOCKED,
     ROD,
@@ -32,12 +33,11 @@ from slipfree.show.scene import (
     layer,
     stopped,
 )
-from slipfree.show.shapes import joined, rod, spokes, tyre
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.mend import cut
+from slipfree.terrain.grid_ops import cut
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.chain import Joint, Vehicle
+from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 SIDE = 161  # nodes of the drawn ground along an axis, at most: 51 200 faces
@@ -91,7 +91,7 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)
     window = _window(drives, grid, reach)
-    x, y, z = relief.patch(grid, window, SIDE)
+    x, y, z = ground_drawing.patch(grid, window, SIDE)
     drawn = Grid(x, y, z)
     ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
     fine = refined(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
@@ -121,11 +121,11 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
     """Return the part of the ground to draw: the surroundings of all paths, on the map."""
     x, y = (np.concatenate([np.append(run[name], run[f"contact_{name}"]) for run in _runs(drives)])
             for name in "xy")  # fmt: skip
-    around = relief.about(x, y, grid, MARGIN)
+    around = ground_drawing.about(x, y, grid, MARGIN)
     least = [x.min() - NEXT * reach, x.max() + NEXT * reach,
              y.min() - NEXT * reach, y.max() + NEXT * reach]  # fmt: skip
     low, high = slice(0, None, 2), slice(1, None, 2)
-    whole = np.array(relief.whole(grid))
+    whole = np.array(ground_drawing.whole(grid))
     found = np.empty(4)
     found[low] = np.maximum(np.minimum(around[low], least[low]), whole[low])
     found[high] = np.minimum(np.maximum(around[high], least[high]), whole[high])
@@ -147,7 +147,7 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
     terrain, reach = drive.terrain, extents(drive.vehicle)[2]
     wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
     wide = (window[0] - wide_x, window[1] + wide_x, window[2] - wide_y, window[3] + wide_y)
-    whole = relief.whole(terrain.grid)
+    whole = ground_drawing.whole(terrain.grid)
     near = (max(wide[0], whole[0]), min(wide[1], whole[1]),
             max(wide[2], whole[2]), min(wide[3], whole[3]))  # fmt: skip
     part = Bicubic(cut(terrain.grid, near), terrain.center, terrain.mu)

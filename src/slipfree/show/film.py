@@ -10,8 +10,8 @@ from typing import TypeVar
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
+from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
-from slipfree.result_file import replaced
 
 FRAMES, FILM_DPI = 20, 110  # of a film, by second and by inch
 ENDINGS = (".gif", ".mp4")
@@ -57,7 +57,7 @@ def write_film(
                 writer.grab_frame()
 
     try:
-        replaced(file, fill)
+        replace_file(file, fill)
     except CalledProcessError as error:
         if isinstance(error.__context__, KeyboardInterrupt):  # which ended ffmpeg as well
             raise error.__context__ from None

@@ -1,7 +1,7 @@
 """What there is to draw in space: ground, vehicles with their poses, arrows; and how it looks.
 
 Everything is numbers in scene coordinates: map coordinates less ``Scene.origin``, z up. What draws
-them is elsewhere: a web page in `slipfree.show.viewer`, a film in `slipfree.show.animate`.
+them is elsewhere: a web page in `slipfree.show.viewer`, a film in `slipfree.show.drive_film`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
-from slipfree.named import Array
+from slipfree.records import Array
 from slipfree.show import style
-from slipfree.show.shapes import Mesh, plate
+from slipfree.show.meshes import Mesh, plate
 from slipfree.trajectory import Trajectory
 
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform, in radii of the wheels

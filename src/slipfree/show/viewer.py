@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.named import Array
-from slipfree.show.page import legend, swatch, warned, with_legend
+from slipfree.records import Array
+from slipfree.show.html_page import legend, swatch, warned, with_legend
 from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Layer, Scene, scale_words
 
 if TYPE_CHECKING:

@@ -139,8 +139,8 @@ def _model(dae: Dae[Any, Any, Any, Any, Any], count: int) -> _Model:
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.alg)[:count]
     rows = [dae.ode, alg]
-    if dae.easing:
-        rows = ca.substitute(rows, [dae.easing.symbol], [ca.SX(dae.easing.values[-1])])
+    if dae.continuation:
+        rows = ca.substitute(rows, [dae.continuation.symbol], [ca.SX(dae.continuation.values[-1])])
     whole = lifted([dae.t, x, z[:count], v], [ca.densify(each) for each in rows])
     smooth = [True] * len(whole.calls)
 

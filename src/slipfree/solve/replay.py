@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.named import Array, leaves, unpack
-from slipfree.solve.loop import close
-from slipfree.solve.sample import Samples, corrected
+from slipfree.records import Array, leaves, unpack
+from slipfree.solve.sampling import Samples, corrected
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
+from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory, joined
 
 DEGREE = 5  # of the spline through the inputs
@@ -39,7 +39,7 @@ def round_trip(dae: Model, run: Trajectory, names: Sequence[str]) -> dict[str, f
     dict of str to float
         Largest differences by name.
     """
-    loop = close(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0)
+    loop = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0)
     x, u, pose = (
         np.array([run.of(label) for label in leaves(record)])
         for record in (dae.labels.x, dae.labels.u, dae.labels.z[0])

@@ -10,10 +10,10 @@ import numpy as np
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
-from slipfree.named import Array, Mask, leaves, unpack
-from slipfree.solve.consistent import consistent, limit_words
-from slipfree.solve.loop import Loop, close
-from slipfree.solve.sample import UNSOLVED, Samples, corrected, table
+from slipfree.records import Array, Mask, leaves, unpack
+from slipfree.solve.initial_conditions import consistent, limit_words
+from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
+from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Stop, Trajectory
 
 
@@ -39,7 +39,7 @@ def settle(
         left undetermined.
     """
     x = dae.start(**start)
-    loop = close(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
+    loop = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
     z = consistent(loop, 0.0, x, first_guess(dae, x, guess or {}), loop.u[:, 0])
     samples = Samples(np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), loop.u)
     samples, report = corrected(loop, samples)
@@ -70,7 +70,7 @@ def _said(limit: Limit, value: float, x: Array, z: Array) -> str:
 
 
 def first_violation(
-    loop: Loop, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED
+    loop: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED
 ) -> tuple[int, Stop] | None:
     """Return the first sample that breaks a limit or fails a check, and the stop it means.
 

@@ -15,14 +15,14 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
-from slipfree.interrupt import Heed
-from slipfree.named import Array
-from slipfree.solve.consistent import consistent
-from slipfree.solve.ending import ending
+from slipfree.interrupt import InterruptGuard
+from slipfree.records import Array
 from slipfree.solve.equations import jacobian_option
-from slipfree.solve.loop import Loop, close
-from slipfree.solve.sample import UNSOLVED, Samples, corrected, table
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
 from slipfree.solve.settle import first_violation
+from slipfree.solve.stop_diagnosis import ending
+from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
@@ -86,13 +86,13 @@ def simulate(
     SolverError
         If the integrator fails; ``trajectory`` holds what was reached.
     """
-    with Heed() as heed:
+    with InterruptGuard() as heed:
         return _simulated(dae, start, inputs, t, tolerance, method, progress, heed)
 
 
 def _simulated(
     dae: Dae[Any, Any, Any, Any, Any], start: Trajectory, inputs: Any, t: Array, tolerance: float,
-    method: Method | None, progress: Progress | None, heed: Heed,
+    method: Method | None, progress: Progress | None, heed: InterruptGuard,
 ) -> Trajectory:  # fmt: skip
     """Return the motion, what gets lost of interruptions kept."""
     t = usable_times(t)
@@ -100,7 +100,7 @@ def _simulated(
         raise ModelError(
             f"tolerance: expected a number from {FINEST:g} to below 1, found {tolerance}"
         )
-    loop = close(dae, inputs, t.size - 1)
+    loop = with_inputs(dae, inputs, t.size - 1)
     task = _Task(loop, tolerance, _method(loop, method), progress, heed, guarded=True)
     first = _state(loop, start, t[0])
     clock = time.process_time()
@@ -142,7 +142,7 @@ def usable_times(t: Array) -> Array:
     return t
 
 
-def _method(loop: Loop, method: Method | None) -> Method:
+def _method(loop: System, method: Method | None) -> Method:
     """Return how to integrate, or refuse what cannot be."""
     if method is None:
         return "idas" if loop.moving else "cvodes"
@@ -156,7 +156,7 @@ def _method(loop: Loop, method: Method | None) -> Method:
     return method
 
 
-def _state(loop: Loop, start: Trajectory, t: float) -> Samples:
+def _state(loop: System, start: Trajectory, t: float) -> Samples:
     """Return the last sample of a trajectory, made consistent with the inputs."""
     dae = loop.dae
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
@@ -188,11 +188,11 @@ class _BeyondError(Exception):
 class _Task(NamedTuple):
     """How to integrate: what does not change from call to call."""
 
-    loop: Loop
+    loop: System
     tolerance: float
     method: Method
     progress: Progress | None
-    heed: Heed
+    heed: InterruptGuard
     guarded: bool
 
 
@@ -242,7 +242,7 @@ def _integrate(task: _Task, first: Samples, t: Array, u: Array, depth: int = 2) 
     return march
 
 
-def _at(loop: Loop, samples: Samples, u: Array) -> Samples:
+def _at(loop: System, samples: Samples, u: Array) -> Samples:
     """Return the last sample, made consistent with the inputs that come if they jump there."""
     at = Samples(*(part[..., -1:] for part in samples))
     if np.array_equal(at.u[:, -1], u):
@@ -274,7 +274,7 @@ def _looked_at(
     """Return the corrected samples up to the first that breaks a limit, and which one that is."""
     loop, runs = task.loop, list[Trajectory]()
     # Where all friction is used, states within the tolerance may have no exact equilibrium.
-    unsolved = max(UNSOLVED, LEEWAY * task.tolerance) if loop.dae.easing else UNSOLVED
+    unsolved = max(UNSOLVED, LEEWAY * task.tolerance) if loop.dae.continuation else UNSOLVED
     parts: list[Samples] = []
     fault = None
     for left in range(0, samples.t.size, CHUNK):

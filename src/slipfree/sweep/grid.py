@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError
-from slipfree.problem.inputs import digest, input_files
-from slipfree.problem.locate import key_path
-from slipfree.problem.read import Problem, read
+from slipfree.files.toml.source_lines import key_path
+from slipfree.problem.input_files import digest, input_files
+from slipfree.problem.load import Problem, read
 from slipfree.problem.schema import Climb, Motion
 from slipfree.version import __version__
 

@@ -125,7 +125,7 @@ def cluster(address: str) -> Pool:
     def pool(tasks: Sequence[Task], poll: Poll) -> Generator[Done, None, None]:
         if not tasks:
             return  # a finished sweep needs no cluster
-        from slipfree.sweep.work import work
+        from slipfree.sweep.worker import work
 
         with _client(address) as client:
             finished: queue.Queue[Any] = queue.Queue()

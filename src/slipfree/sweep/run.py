@@ -7,8 +7,8 @@ from contextlib import closing
 from pathlib import Path
 
 from slipfree.errors import DataError
-from slipfree.files import check_name
-from slipfree.result_file import write
+from slipfree.files.netcdf import write
+from slipfree.regular_files import check_name
 from slipfree.sweep.grid import Sweep
 from slipfree.sweep.log import NAME, Log, Row
 from slipfree.sweep.pools import Poll, Pool

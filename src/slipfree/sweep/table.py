@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
-from slipfree.named import Array
 from slipfree.problem.units import unit_of
-from slipfree.result_file import replaced
-from slipfree.show.swept import Swept, Varied
+from slipfree.records import Array
+from slipfree.show.sweep_results import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
 from slipfree.sweep.log import FAILED, LOST, Row
 from slipfree.sweep.task import COMPLETE
@@ -64,7 +64,7 @@ def write_table(file: Path, sweep: Sweep, rows: Sequence[Row]) -> None:
             writer = csv.writer(open_file, lineterminator="\n")
             writer.writerows([head, *lines])
 
-    replaced(file, fill)
+    replace_file(file, fill)
 
 
 def _line(run: Run, row: Row, names: dict[str, str]) -> list[object]:

@@ -14,8 +14,8 @@ from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from typing import NamedTuple
 
-from slipfree.named import Array
-from slipfree.result_file import NOTHING
+from slipfree.files.netcdf import NOTHING
+from slipfree.records import Array
 from slipfree.sweep.log import Row
 from slipfree.trajectory import Trajectory
 
@@ -73,7 +73,7 @@ def serve(pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent decides
     warnings.simplefilter("ignore")  # which the parent tells
     os.dup2(2, 1)  # what solvers print must not get into the summary
-    from slipfree.sweep.work import work
+    from slipfree.sweep.worker import work
 
     try:
         pipe.send(None)  # ready

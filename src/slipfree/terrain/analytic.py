@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.named import Array
+from slipfree.records import Array
 from slipfree.terrain.base import Jet, check_formula, jet_of
 from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain

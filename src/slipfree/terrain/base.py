@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
-from slipfree.named import Array, Mask
+from slipfree.records import Array, Mask
 
 HIGHEST = 1e9  # height of a ground [m]
 UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.named import Array
+from slipfree.records import Array
 from slipfree.terrain.base import Grid, Jet, jet_of
 from slipfree.terrain.friction import Friction, bordered, check_friction, coefficient, map_domain
 from slipfree.terrain.kernel import Layout, Opened, opened

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
-from slipfree.named import Array
+from slipfree.records import Array
 from slipfree.terrain.base import Grid, Terrain, check_formula
 
 # A number, a function of two SX scalars in map coordinates, a map, or none: then it is one. [1]

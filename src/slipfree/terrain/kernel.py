@@ -17,7 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.named import Array
+from slipfree.records import Array
 
 KEY_BITS = 52  # whole numbers that a double holds
 LAYOUT = 1  # of what `kernel.c` is given; an older library is left alone

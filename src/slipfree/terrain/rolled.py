@@ -9,10 +9,10 @@ import numpy as np
 from scipy import ndimage
 
 from slipfree.errors import ModelError
-from slipfree.named import Array
+from slipfree.records import Array
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.mend import averaged
+from slipfree.terrain.grid_ops import averaged
 
 NODES = 8  # nodes to a wheel radius
 BALL = 1.5  # radius of the closing ball over that of the wheel

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.named import Array
+from slipfree.records import Array
 from slipfree.terrain.base import Grid
 
 WAVES = 1000  # plane waves that make up a rough ground

@@ -1,0 +1,191 @@
+"""Commands that look at problems, vehicles and results."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slipfree.cli.common import (
+    BAD_INPUT,
+    File,
+    Settings,
+    about,
+    read_problem,
+    refuse_result,
+    reported,
+    show,
+    tell,
+)
+from slipfree.cli.json_output import motion_answer, quantities, row_answer
+from slipfree.cli.messages import complain, detail, has_bar, put, put_file
+from slipfree.errors import DataError
+
+if TYPE_CHECKING:
+    from slipfree.problem.build_common import Setup
+    from slipfree.problem.compare import Drive
+    from slipfree.problem.load import Problem
+    from slipfree.problem.schema import Climb, Motion
+
+
+def check(file: File, settings: Settings = None) -> None:
+    """Check a problem and stand the vehicle on its start, without solving."""
+    with reported():
+        from slipfree.problem.load import climbs
+        from slipfree.problem.solve import build, setup_facts
+        from slipfree.problem.summary import certificate
+
+        problem = read_problem(file, settings)
+        if climbs(problem):
+            _check_climb(problem)
+            return
+        setup = build(problem)
+        start, spec = setup.start, problem.spec
+        detail("stood the vehicle on its start")
+        put("start", lambda: quantities(start))
+        turned = ["yaw"] if spec.frame == "rep103" else []
+        names = [*spec.start, *turned, "z", "pitch", "roll"]
+        pose = ", ".join(f"{name} {start[name][0]:.10g}" for name in dict.fromkeys(names))
+        facts = [
+            *setup_facts(setup),
+            ("start", f"{pose} (m, rad)"),
+            ("contact certificate", certificate(start)),
+            ("samples", _samples(problem, setup)),
+        ]
+        tell(facts)
+        typer.echo("ok")
+
+
+def _samples(problem: Problem[Motion], setup: Setup) -> str:
+    """Return how the result will be sampled; how long a plan takes may be its own choice."""
+    if problem.spec.verb == "plan":
+        return f"{problem.spec.time.step:g} s apart or less, as the intervals of the plan need"
+    return f"{setup.t.size} to {setup.t[-1]:g} s"
+
+
+def _check_climb(problem: Problem[Climb]) -> None:
+    """Stand the vehicle of a climb before its obstacle."""
+    from slipfree.problem.climb import build_climb
+
+    setup = build_climb(problem)
+    detail("stood the vehicle on the floor")
+    put("start", lambda: quantities(setup.start))
+    place = ", ".join(f"{name} {setup.start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
+    samples = f"{setup.t.size} to {setup.t[-1]:g} s"
+    tell([*setup.facts, ("start", f"{place} (m, m/s)"), ("samples", samples)])
+    typer.echo("ok")
+
+
+def vehicle(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Problem file, or vehicle file (TOML or URDF).")
+    ],
+    settings: Settings = None,
+) -> None:
+    """Describe a vehicle: parts, unknowns, equations, whether it can roll, and how well."""
+    with reported():
+        from slipfree.problem.vehicle_report import describe
+
+        found = describe(file, settings or [])
+        typer.echo("\n".join([*found.tree, ""]))
+        put("tree", lambda: found.tree)
+        tell(found.facts)
+        if found.faults:
+            complain("\n".join(found.faults))
+            raise typer.Exit(BAD_INPUT)
+
+
+def compare(file: File, settings: Settings = None) -> None:
+    """Compare vehicles on one ground: which can roll without slip, how much the others slip."""
+    with reported():
+        from slipfree.problem.build_ground import ground_facts
+        from slipfree.problem.compare import compare as solve
+        from slipfree.problem.load import read_as
+        from slipfree.problem.schema import Compare
+
+        def told(name: str) -> None:
+            if sys.stderr.isatty() and has_bar():
+                typer.echo(f"  {name}", err=True)
+            detail(f"vehicle {name}")
+
+        refuse_result(file)
+        ground, rows = solve(read_as(Compare, file, settings or []), told)
+        tell(ground_facts(ground))
+        put("vehicles", lambda: [row_answer(row) for row in rows])
+        width = max(len(row.name) for row in rows)
+        for words, drives in (
+            ("at the same rates", [row.same for row in rows]),
+            ("at the rates of the driving law", [row.fitting for row in rows]),
+        ):
+            typer.echo(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
+            head = f"{'rank':6}{'along':18}{'across':18}{'measured on the poses':27}"
+            typer.echo(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
+            for row, drive in zip(rows, drives, strict=True):
+                rank = f"{row.rank}/{row.conditions}"
+                typer.echo(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
+        typer.echo("\n* largest coefficient of friction that a wheel needs, load-weighted")
+
+
+def _drive(drive: Drive) -> str:
+    slips = "".join(
+        f"{' '.join(f'{1e3 * value:.2f}' for value in values):18}"
+        for values in (drive.along, drive.across)
+    )
+    measured = " ".join(f"{1e3 * value:.1e}" for value in drive.measured)
+    axle = " to ".join(f"{value:.3f}" for value in drive.width)
+    stop = f", stopped at {drive.stop.t:.3g} s by {drive.stop.name}" if drive.stop else ""
+    return f"{slips}{measured:27}{drive.friction:<10.3f}{drive.tilt:<12.3f}{axle}{stop}"
+
+
+def info(
+    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    problem: Annotated[
+        bool, typer.Option("--problem", help="Print the problem file that led to it instead.")
+    ] = False,
+) -> None:
+    """Say what a result file holds."""
+    with reported(), about(file):
+        from slipfree.files.netcdf import read
+        from slipfree.problem.summary import motion_facts, ranges
+
+        motion = read(file)
+        attributes = dict(motion.attributes)
+        text = attributes.pop("problem", None)
+        if problem:
+            if text is None:
+                raise DataError(f"{file}: holds no problem file: it was not written by run")
+            put("problem", lambda: text)
+            typer.echo(text, nl=False)
+            return
+        facts = motion_facts(motion)
+        words = [(name.replace("_", " "), value) for name, value in attributes.items()]
+        tell([each for each in words if each not in facts] + facts)
+        typer.echo()
+        put("attributes", lambda: attributes)
+        put("result", lambda: motion_answer(motion))
+        show(ranges(motion))
+
+
+def export(
+    file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
+    path: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv|.geojson", help="The path, in the map's coordinates."),
+    ] = None,
+    rates: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="Rates of driven wheels and joints.")
+    ] = None,
+) -> None:
+    """Write a result for other programs: the path on its map, rates that a robot plays."""
+    with reported(), about(file):
+        from slipfree.files.export import export_path, export_rates
+
+        if path is None and rates is None:
+            raise DataError("export: expected --path, --rates or both, found neither")
+        for out, write in ((path, export_path), (rates, export_rates)):
+            if out is not None:
+                write(file, out)
+                put_file(out)
+                typer.echo(f"wrote {out}")

@@ -1,0 +1,477 @@
+"""Elevation models: maps from files, and from degrees of longitude and latitude."""
+
+from __future__ import annotations
+
+import lzma
+import struct
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.files.maps.points import read_points
+from slipfree.files.maps.raster import WORDS, Reading, Registration, read_png, read_tiff
+from slipfree.records import Array
+from slipfree.regular_files import regular_file
+from slipfree.terrain.base import Grid
+from slipfree.terrain.grid_ops import (
+    MOST_NODES,
+    Axis,
+    Heights,
+    Window,
+    axes_of,
+    check_whole,
+    fill_holes,
+    parts,
+)
+
+EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
+HEADER = 1e4  # bytes that a numpy array may have before its numbers
+WIDE = 0.01  # by which distances along x of a map in degrees may be wrong
+SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of that ellipsoid [m], [1]
+STEEP = 50.0  # median slope that no ground in metres has, but one in degrees [1]
+UNREADABLE = (  # what reading a damaged numpy archive raises
+    ValueError, EOFError, OSError, RuntimeError, NotImplementedError, MemoryError, SyntaxError,
+    KeyError, TypeError, OverflowError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
+    zlib.error, lzma.LZMAError,
+)  # fmt: skip
+TIFF, POINTS = (".tif", ".tiff"), (".xyz", ".txt", ".csv")
+ENDINGS = (".npz", ".asc", *TIFF, ".png", *POINTS)
+NEEDED_BY = {"cell": (*TIFF, ".png"), "registration": (*TIFF, ".png"), "spacing": POINTS}
+Facts = tuple[tuple[str, str], ...]
+
+
+class Frame(NamedTuple):
+    """Where the coordinates of a map come from: those of its file are ``x0 + kx x, y0 + ky y``.
+
+    Attributes
+    ----------
+    x0, y0 : float
+        Coordinates in the file of the ground's origin. [m] or [deg]
+    kx, ky : float
+        Units of the file in a metre of the ground.
+    """
+
+    x0: float = 0.0
+    kx: float = 1.0
+    y0: float = 0.0
+    ky: float = 1.0
+
+
+class Map(NamedTuple):
+    """A map of heights in metres, and what is known about its file.
+
+    Attributes
+    ----------
+    grid : Grid
+        The heights. [m]
+    frame : Frame
+        What leads from its coordinates to those of the file.
+    crs : str
+        Coordinate reference system of the file such as ``"EPSG:32633"``; empty if unknown.
+    geographic : bool
+        Whether the coordinates of the file are degrees.
+    told : tuple of (str, str)
+        Name and value of what to tell about it.
+    """
+
+    grid: Grid
+    frame: Frame = Frame()
+    crs: str = ""
+    geographic: bool = False
+    told: Facts = ()
+
+
+def read_grid(path: str | Path) -> Grid:
+    """Return the grid of heights in a file that says all about itself; see `read_map`.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, or does not hold a complete uniform grid.
+    """
+    return read_map(path).grid
+
+
+def read_map(
+    path: str | Path,
+    *,
+    window: Window | None = None,
+    cell: float | None = None,
+    registration: Registration | None = None,
+    spacing: float | None = None,
+    geographic: Literal["local"] | Frame | None = None,
+    fill: Literal["linear"] | None = None,
+) -> Map:
+    """Return the map of heights in a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.npz``: numpy arrays ``x`` of shape (n_x,), ``y`` of shape (n_y,) and ``z`` of shape
+        (n_x, n_y), all in metres, NaN in holes. ``.asc``: an ESRI ASCII grid, one line a row, the
+        northernmost first; with ``xllcorner`` and ``yllcorner`` the first node lies half a cell
+        inside the corner, with ``xllcenter`` and ``yllcenter`` on the given point; one
+        ``cellsize``, or ``dx`` and ``dy``. ``.tif``: see `read_tiff`. ``.png``: see `read_png`.
+        ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
+    window : tuple of 4 floats, optional
+        The part to read, x_min, x_max, y_min, y_max in the coordinates of the file; of a large
+        GeoTIFF or ESRI ASCII grid only that part is kept in memory. [m] or [deg]
+    cell, registration : float and {"area", "point"}, optional
+        Needed for pictures that do not say where they lie, and refused for others: see `Reading`.
+    spacing : float, optional
+        Between nodes; needed for scattered points, and refused for others. [m]
+    geographic : {"local"} or Frame, optional
+        Without it degrees are refused. ``"local"`` makes metres of them by `geographic_to_metric`,
+        a frame so that they lie in the coordinates of another map.
+    fill : {"linear"}, optional
+        Without it holes are refused; see `fill_holes`.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, or does not hold a uniform grid that is complete.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        raise DataError(
+            f"{path}: expected a file ending in {', '.join(ENDINGS)}, found "
+            f"{path.suffix or 'no ending'!r}; convert it, for example: gdal_translate in out.tif"
+        )
+    try:
+        _check_keys(ending, cell, registration, spacing)
+        with regular_file(path, "a map"):
+            found = _found(path, ending, Reading(window, cell, registration), spacing)
+        _check_degrees(found, local=geographic is not None)
+        return _mapped(found, geographic, fill)
+    except DataError as error:
+        if str(error).startswith(f"{path}:"):
+            raise
+        raise DataError(f"{path}: {error}") from error
+
+
+def _check_keys(
+    ending: str, cell: float | None, registration: str | None, spacing: float | None
+) -> None:
+    """Refuse what a kind of file has no use for."""
+    given = {"cell": cell, "registration": registration, "spacing": spacing}
+    for name, value in given.items():
+        endings = NEEDED_BY[name]
+        if value is not None and ending not in endings:
+            raise DataError(
+                f"expected no {name} for a {ending} file, which says it itself, found "
+                f"{value!r}; take it out ({name} is for {', '.join(endings)})"
+            )
+
+
+def _found(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heights:
+    if ending in TIFF:
+        return read_tiff(path, ask)
+    if ending in POINTS:
+        return read_points(path, spacing, ask.window)
+    readers = {".npz": _read_npz, ".asc": _read_asc, ".png": read_png}
+    return readers[ending](path, ask)
+
+
+def _check_degrees(found: Heights, *, local: bool) -> None:
+    """Refuse degrees that are taken for metres, and metres that are taken for degrees."""
+    reach = (f"x from {found.x[0]:.9g} to {found.x[-1]:.9g}, y from {found.y[0]:.9g} to "
+             f"{found.y[-1]:.9g}")  # fmt: skip
+    fits = max(abs(found.x[[0, -1]])) <= 360 and max(abs(found.y[[0, -1]])) <= 90
+    if local and not (found.geographic or (found.placed and fits and not found.crs)):
+        raise DataError(
+            f"geographic: expected a map in degrees, found {found.crs or 'one in metres'} with "
+            f"{reach}; take geographic out"
+        )
+    remedy = ('; ask for geographic = "local", or reproject it to metres: gdalwarp -t_srs '
+              "EPSG:326xx in out.tif (xx: the UTM zone)")  # fmt: skip
+    if found.geographic and not local:
+        raise DataError(f"expected a map in metres, found degrees ({found.crs}): {reach}{remedy}")
+    if local or found.crs or not (found.placed and fits):
+        return
+    rise = np.abs(np.diff(np.where(np.isinf(found.z), np.nan, found.z), axis=1))
+    rise = rise[rise > 0]  # neither holes nor lakes
+    steep = float(np.median(rise)) / axes_of(found.x, found.y)[1].step if rise.size else 0.0
+    if steep > STEEP:
+        raise DataError(
+            f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
+            f"slopes of {steep:.2g} along y (median){remedy}; if it is in metres, are its heights?"
+        )
+
+
+def _mapped(
+    found: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
+) -> Map:
+    """Return a map in metres without holes."""
+    told: Facts = found.told
+    mask = None
+    if fill is None:
+        check_whole(found)
+    else:
+        filled = fill_holes(found)
+        unit = "m" if geographic is None else "deg"
+        size = " x ".join(f"{each:.6g}" for each in filled.largest)
+        words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
+        told += (("ground holes filled", words if filled.nodes else "none found"),)
+        mask = np.isnan(found.z) if filled.nodes else None
+        found = found._replace(z=filled.z)
+    if geographic is None:
+        return Map(Grid(found.x, found.y, found.z, mask), crs=found.crs, told=told)
+    frame = local_frame(found.x, found.y) if geographic == "local" else geographic
+    x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
+    told += (("ground degrees", _degrees_words(found.y, frame)),)
+    if (wrong := _stretch(found.y, frame)) > WIDE:
+        raise DataError(
+            f"geographic: expected a map whose distances along x are wrong by {100 * WIDE:g} % at "
+            f"most, found {100 * wrong:.2g} % at its northern or southern border; name a window, "
+            "or reproject it to metres: gdalwarp -t_srs EPSG:326xx in out.tif (xx: the UTM zone)"
+        )
+    return Map(Grid(x, y, found.z, mask), frame, found.crs, geographic=True, told=told)
+
+
+def _degrees_words(latitude: Array, frame: Frame) -> str:
+    """Return how degrees became metres, and the error that makes."""
+    middle, edge = np.arccos(frame.ky / frame.kx), _stretch(latitude, frame)
+    # Radii of curvature of the ellipsoid along the meridian and across it.
+    w = np.sqrt(1 - ECCENTRICITY_2 * np.sin(middle) ** 2)
+    radii = SEMI_MAJOR * (1 - ECCENTRICITY_2) / w**3, SEMI_MAJOR / w
+    shape = max(abs(radius / EARTH_RADIUS - 1) for radius in radii)
+    return (
+        f"made local metres about longitude {frame.x0:.9g}, latitude {frame.y0:.9g} deg (the "
+        f"origin): distances along x are wrong by up to {100 * edge:.2g} % at the northern and "
+        f"southern border, all by up to {100 * shape:.2g} % since the earth is taken for a sphere"
+    )
+
+
+def _stretch(latitude: Array, frame: Frame) -> float:
+    """Return by what part distances along x are wrong at the border."""
+    return float(max(abs(np.cos(np.deg2rad(latitude[[0, -1]])) * frame.kx / frame.ky - 1)))
+
+
+def local_frame(longitude: Array, latitude: Array) -> Frame:
+    """Return the local metres of `geographic_to_metric`, about the first of both. [deg]."""
+    middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
+    degree = EARTH_RADIUS * np.deg2rad(1.0)
+    return Frame(
+        float(longitude[0]), float(1 / (degree * np.cos(middle))),
+        float(latitude[0]), float(1 / degree),
+    )  # fmt: skip
+
+
+def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
+    """Return a grid in metres, its south-western node at (0, 0), from one in degrees.
+
+    Parameters
+    ----------
+    longitude : ndarray, shape (n_x,)
+        Ascending to the east. [deg]
+    latitude : ndarray, shape (n_y,)
+        Ascending to the north. [deg]
+    z : ndarray, shape (n_x, n_y)
+        Heights at ``(longitude[i], latitude[j])``. [m]
+
+    Notes
+    -----
+    Equirectangular: ``x = R cos(middle) (longitude - longitude[0])`` and
+    ``y = R (latitude - latitude[0])`` in radians, with the mean radius R = 6371008.8 m and the
+    ``middle`` of the first and the last latitude. Distances along x are true there and wrong by
+    ``tan(middle)`` times the distance from it in radians elsewhere: 0.2 % at 36 degrees north,
+    15 km off.
+    """
+    frame = local_frame(longitude, latitude)
+    return Grid((longitude - frame.x0) / frame.kx, (latitude - frame.y0) / frame.ky, z)
+
+
+def jacksboro(scale: float = 1.0) -> Grid:
+    """Return the elevation model of the Jacksboro fault, Tennessee, that matplotlib ships.
+
+    403 by 344 nodes of 74.4 m by 92.7 m, heights from 236 m to 1076 m, x to the east, y to the
+    north, origin at the south-western node.
+
+    Parameters
+    ----------
+    scale : float
+        Multiplies all three directions: slopes stay, lengths change. [1]
+
+    Notes
+    -----
+    The file holds rows from north to south of cells 3 seconds of arc wide; its ``ymin`` and
+    ``ymax`` are exchanged. Degrees become metres by `geographic_to_metric`.
+    """
+    from matplotlib.cbook import get_sample_data
+
+    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as file:
+        rows = file["elevation"].astype(np.float64)
+        d_x, d_y = float(file["dx"]), float(file["dy"])
+        west, south = float(file["xmin"]), float(min(file["ymin"], file["ymax"]))
+    n_y, n_x = rows.shape
+    # The limits are outer borders of cells: the nodes are the middles.
+    longitude = west + d_x * (np.arange(n_x) + 0.5)
+    latitude = south + d_y * (np.arange(n_y) + 0.5)
+    grid = geographic_to_metric(longitude, latitude, rows[::-1].T)
+    return Grid(scale * grid.x, scale * grid.y, scale * grid.z)
+
+
+def _read_npz(path: Path, ask: Reading) -> Heights:
+    """Return the map in a numpy archive."""
+    x, y, z = _arrays(path)
+    grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks the axes and that all fits
+    i, j = parts(*axes_of(x, y), ask.window)
+    told = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
+    return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), told)
+
+
+def _arrays(path: Path) -> tuple[Array, Array, Array]:
+    """Return x, y, z of a numpy archive."""
+    try:
+        with path.open("rb") as stream, warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of headers by Python 2
+            file = np.load(stream, allow_pickle=False)
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise DataError(f"{path}: expected an archive, found one array; use np.savez")
+            largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
+            if largest > 8 * MOST_NODES + HEADER:
+                raise DataError(
+                    f"{path}: expected at most {MOST_NODES:g} nodes, found an array of "
+                    f"{largest / 1e9:.3g} GB; cut it, or make it a GeoTIFF and name a window"
+                )
+            missing = sorted({"x", "y", "z"} - set(file.files))
+            if missing:
+                raise DataError(
+                    f"{path}: expected the arrays x, y, z, found {sorted(file.files)} without "
+                    f"{missing}; write it with np.savez(path, x=x, y=y, z=z)"
+                )
+            arrays = {name: file[name] for name in ("x", "y", "z")}
+    except UNREADABLE as error:
+        if isinstance(error, DataError):
+            raise
+        raise DataError(
+            f"{path}: expected a numpy archive, found none that can be read "
+            f"({str(error).split(': ')[0]}); write it with np.savez(path, x=x, y=y, z=z)"
+        ) from error
+    for name, array in arrays.items():
+        if array.dtype.kind not in "iuf":
+            raise DataError(f"{path}: expected numbers in {name}, found {array.dtype}")
+    x, y, z = (array.astype(np.float64) for array in arrays.values())
+    return x, y, z
+
+
+class _Entry(NamedTuple):
+    """A value of a header, and the line it stands on."""
+
+    line: int
+    value: float
+
+
+class _Header(NamedTuple):
+    """What the first lines of an ESRI ASCII grid say."""
+
+    x: Axis
+    y: Axis
+    nodata: float | None
+    registration: Registration
+
+
+def _read_asc(path: Path, ask: Reading) -> Heights:
+    """Return the map in an ESRI ASCII grid; of rows outside the window nothing is kept."""
+    # Bytes that are no text become signs that are no numbers, and are reported as such.
+    with path.open(encoding="ascii", errors="replace") as file:
+        lines = ((n, line) for n, line in enumerate(file, start=1) if line.strip())
+        top, body = [], []
+        for n, line in lines:
+            if _is_number(line.split()[0]):
+                body = [(n, line)]
+                break
+            top.append((n, line))
+        header = _header(path, dict(_entries(path, top)))
+        i, j = parts(header.x, header.y, ask.window)
+        heights = np.empty((j.stop - j.start, i.stop - i.start))
+        north, last, count = header.y.size - j.stop, len(top), 0
+        for count, (last, line) in enumerate(chain(body, lines), start=1):
+            if 0 <= count - 1 - north < len(heights):
+                heights[count - 1 - north] = _row(path, last, line, header.x.size, i)
+    if count != header.y.size:
+        raise DataError(
+            f"{path}: line {last}: expected {header.y.size} rows as nrows says, found {count} "
+            "when the file ended; is it cut off, or not one row a line?"
+        )
+    if header.nodata is not None:
+        heights[heights == header.nodata] = np.nan
+    words = WORDS[header.registration]
+    told = (("ground map", f"ESRI ASCII grid, CRS not given, {words}"),)
+    z = np.ascontiguousarray(heights[::-1].T)
+    return Heights(header.x.nodes(i), header.y.nodes(j), z, told)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _entries(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[str, _Entry]]:
+    """Yield the keys of a header, in lower case, and what stands there."""
+    for n, line in lines:
+        words = line.split()
+        if len(words) != 2 or not _is_number(words[1]):
+            raise DataError(
+                f"{path}: line {n}: expected a key and a number such as 'ncols 100', "
+                f"found {line.strip()[:60]!r}; is this an ESRI ASCII grid?"
+            )
+        yield words[0].lower(), _Entry(n, float(words[1]))
+
+
+def _header(path: Path, entries: dict[str, _Entry]) -> _Header:
+    """Return the header, its axes through the nodes."""
+
+    def entry(*keys: str) -> _Entry:
+        for key in keys:
+            if key in entries:
+                return entries[key]
+        raise DataError(
+            f"{path}: line 1: expected {' or '.join(keys)} in the header, found "
+            f"{list(entries) or 'no header'}; an ESRI ASCII grid begins with ncols, nrows, "
+            "xllcorner, yllcorner, cellsize"
+        )
+
+    sizes = ("dx", "dy") if {"dx", "dy"} & set(entries) else ("cellsize", "cellsize")
+    checked = {key: entry(key) for key in ("ncols", "nrows", *sizes)}
+    for key, (line, value) in checked.items():
+        whole = key in ("ncols", "nrows")
+        if not 0 < value < np.inf or (whole and value != int(value)):
+            raise DataError(
+                f"{path}: line {line}: expected {key} to be a positive "
+                f"{'whole number' if whole else 'number'}, found {value:g}; correct the header"
+            )
+    axes = []
+    for name, count, size in zip("xy", ("ncols", "nrows"), sizes, strict=True):
+        first, step = entry(f"{name}llcenter", f"{name}llcorner").value, checked[size].value
+        first += 0.5 * step * (f"{name}llcenter" not in entries)
+        axes.append(Axis(first, step, int(checked[count].value)))
+    nodata = entries["nodata_value"].value if "nodata_value" in entries else None
+    return _Header(axes[0], axes[1], nodata, "point" if "xllcenter" in entries else "area")
+
+
+def _row(path: Path, n: int, line: str, columns: int, part: slice) -> Array:
+    """Return some of the heights of one line."""
+    words = line.split()
+    if len(words) != columns:
+        raise DataError(
+            f"{path}: line {n}: expected {columns} heights as ncols says, found {len(words)}; "
+            "is the file cut off, or not one row a line?"
+        )
+    try:
+        return np.array(words[part], dtype=np.float64)
+    except ValueError:
+        word = next(word for word in words[part] if not _is_number(word))
+        raise DataError(f"{path}: line {n}: expected numbers, found {word!r}; correct it") from None

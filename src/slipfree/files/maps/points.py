@@ -1,0 +1,172 @@
+"""Maps from scattered points: x y z, one point a line, put on a grid."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.records import Array
+from slipfree.terrain.grid_ops import FARTHEST, NEAR, Axis, Heights, Window, parts
+
+NAMES = ("x", "y", "z")
+BLOCK = 2**20  # nodes interpolated at once
+
+
+def read_points(path: Path, spacing: float | None, window: Window | None) -> Heights:
+    """Return the map that scattered points make.
+
+    Between points heights are linear on the triangles of Delaunay's rule; nodes outside the
+    convex hull of the points are holes. The first node lies at the least x and y of all points.
+
+    Parameters
+    ----------
+    path : Path
+        Text: three numbers a line, x, y, z, divided by blanks, commas or semicolons; ``#`` begins
+        a comment. A first line of names may give another order of x, y and z. [m]
+    spacing : float or None
+        Between nodes. [m]
+    window : tuple of 4 floats or None
+        The part that is wanted: x_min, x_max, y_min, y_max. [m]
+
+    Raises
+    ------
+    DataError
+        If there is no spacing, or the file does not hold points that span a plane.
+    """
+    columns = _columns(path)
+    if (farthest := float(np.abs(columns).max(initial=0.0))) > FARTHEST:
+        raise DataError(f"expected places up to {FARTHEST:g}, found {farthest:g}; correct it")
+    points, repeated, apart = _distinct(columns)
+    distance = _distance(points[:, :2])
+    if spacing is None:
+        raise DataError(
+            "expected spacing, the distance between nodes in metres, to put points on a grid; "
+            f"found none. The median distance of {len(points)} points from their nearest "
+            f"neighbours is {distance:.3g} m: give spacing = {distance:.2g}"
+        )
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    counts = np.floor((high - low) / spacing + NEAR).astype(int) + 1
+    x, y = (Axis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
+    if counts.min() < 4:
+        raise DataError(
+            f"expected points that span at least 4 nodes each way, found {counts[0]} by "
+            f"{counts[1]} at spacing = {spacing:g} m; give a smaller one"
+        )
+    i, j = parts(x, y, window)
+    z = _interpolated(points, low, spacing, (i, j))
+    told = (
+        f"{len(points)}, a median of {distance:.3g} m apart, for {z.size} nodes {spacing:g} m apart"
+    )
+    if repeated:
+        told += f"; {repeated} in the same places averaged, at most {apart:.3g} m apart in height"
+    return Heights(x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"),
+                                               ("ground points", told)))  # fmt: skip
+
+
+def _columns(path: Path) -> Array:
+    """Return x, y, z of all lines, shape (n, 3)."""
+    skip, order, delimiter = _layout(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of a file without points
+            found = np.loadtxt(
+                path, delimiter=delimiter, skiprows=skip, ndmin=2, encoding="utf-8-sig"
+            )
+    except (ValueError, OSError):
+        found = np.empty((0, 0))
+    if found.shape[1] != 3 or not np.isfinite(found).all():
+        number, text = next(_bad_lines(path, skip, delimiter), (skip + 1, "no points"))
+        raise DataError(
+            f"line {number}: expected three numbers x y z, found {text!r}; correct it, or keep "
+            "three columns, for example: awk '{print $1, $2, $3}' in.txt > out.xyz"
+        )
+    return np.asarray(found[:, order])
+
+
+def _bad_lines(path: Path, skip: int, delimiter: str | None) -> Iterator[tuple[int, str]]:
+    """Yield number and text of the lines that do not hold three finite numbers."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            text = line.split("#")[0].strip()
+            words = text.split(delimiter)
+            good = len(words) == 3 and all(_is_number(w) and isfinite(float(w)) for w in words)
+            if number > skip and text and not good:
+                yield number, text[:60]
+
+
+def _layout(path: Path) -> tuple[int, list[int], str | None]:
+    """Return how many lines to skip, the columns of x, y, z, and what divides them."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(file):
+            text = line.split("#")[0].strip()
+            if not text:
+                continue
+            delimiter = next((sign for sign in ";," if sign in text), None)
+            words = [word.strip().strip("\"'").lower() for word in text.split(delimiter)]
+            if not any(_is_number(word) for word in words):
+                known = sorted(words) == sorted(NAMES)
+                return (
+                    number + 1,
+                    [words.index(n) for n in NAMES] if known else [0, 1, 2],
+                    delimiter,
+                )
+            return number, [0, 1, 2], delimiter
+    raise DataError("expected points x y z, one a line, found no line; is the file empty?")
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _distinct(points: Array) -> tuple[Array, int, float]:
+    """Return points of different places, how many others there were, how far apart in height."""
+    places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    z = np.bincount(which, points[:, 2]) / np.bincount(which)
+    repeated = len(points) - len(places)
+    high, low = np.full(len(places), -np.inf), np.full(len(places), np.inf)
+    np.maximum.at(high, which, points[:, 2])
+    np.minimum.at(low, which, points[:, 2])
+    single = high == low  # not averaged: no rounding
+    z[single] = high[single]
+    return np.column_stack([places, z]), repeated, float((high - low).max())
+
+
+def _distance(places: Array) -> float:
+    """Return the median distance of points from their nearest neighbours. [m]."""
+    from scipy.spatial import cKDTree  # imported where it is used: it takes 0.2 s
+
+    if len(places) < 3:
+        raise DataError(f"expected at least 3 points in different places, found {len(places)}")
+    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
+
+
+def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, slice]) -> Array:
+    """Return heights at nodes, NaN outside the hull of the points."""
+    from scipy.interpolate import LinearNDInterpolator  # imported where it is used: it takes 0.2 s
+    from scipy.spatial import QhullError
+
+    cells = (points[:, :2] - low) / spacing  # from the first node: large coordinates cost no digits
+    nodes = np.rint(cells)
+    # What is a node but for rounding is one: else nodes on a straight border would lie outside.
+    cells = np.where(np.abs(cells - nodes) < NEAR, nodes, cells)
+    try:
+        surface = LinearNDInterpolator(cells, points[:, 2])
+    except QhullError as error:
+        raise DataError(
+            "expected points that span a surface, found that they lie on a line in x and y; check "
+            "the order of the columns"
+        ) from error
+    i, j = (np.arange(each.start, each.stop, dtype=np.float64) for each in part)
+    step = max(BLOCK // j.size, 1)
+    rows = [surface(i[k : k + step, None], j[None]) for k in range(0, i.size, step)]
+    return np.concatenate(rows)

@@ -1,0 +1,1 @@
+"""TOML files: lines of keys, types of values, errors."""

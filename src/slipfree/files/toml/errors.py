@@ -1,0 +1,156 @@
+"""Errors in TOML files: what was expected, what was found, and on which line."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import inf
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+
+from pydantic import BaseModel
+
+from slipfree.errors import DataError
+
+if TYPE_CHECKING:
+    from slipfree.files.toml.source_lines import Place, Source
+
+
+class ProblemError(DataError):
+    """A problem file cannot be used.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        One line for each fault: where it is, what was expected and what was found.
+    """
+
+    def __init__(self, *faults: str) -> None:
+        super().__init__("\n".join(faults))
+        self.faults = faults
+
+
+LARGEST = 1e300  # number that is shown as one
+VAST = 1e100  # no quantity is larger; squares and cubes up to here are numbers
+MOST_KNOWN = 60  # names that are listed in full
+DEEPEST = 3  # nesting of an array that is shown
+EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "string_type": "text in quotes",
+    "string_too_short": "text that is not empty",
+    "bool_type": "true or false",
+    "model_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "an array",
+    "finite_number": "a finite number",
+    "greater_than": "a number greater than {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number less than {lt:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "literal_error": "{expected}",
+    "too_long": "an array of {max_length}",
+}
+
+
+class Fault(NamedTuple):
+    """One thing wrong with a problem file."""
+
+    place: Place
+    expected: str
+    found: str
+
+
+def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
+    """Return the error that reports all faults, in the order of their lines."""
+    ordered = sorted(faults, key=lambda fault: source.order(fault.place))
+    return ProblemError(
+        *(f"{source.where(f.place)}: expected {f.expected}, found {f.found}" for f in ordered)
+    )
+
+
+def names(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
+    """Yield a fault for every given name that is not known, with the nearest that is."""
+    for name in given:
+        if name not in known:
+            yield _unknown((*place, name), known)
+
+
+def vast(value: Any, place: Place = ()) -> Iterator[Fault]:
+    """Yield a fault for every number with which there is no reckoning."""
+    if isinstance(value, Mapping | list):
+        parts = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, part in parts:
+            yield from vast(part, (*place, key))
+    elif isinstance(value, float | int) and VAST < abs(value) < inf:
+        yield Fault(place, f"a number of at most {VAST:g} in size", _shown(value))
+
+
+def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
+    """Return what pydantic found, in our words."""
+    place, kind = tuple(error["loc"]), error["type"]
+    found = "none" if kind == "missing" else _shown(error["input"])
+    if kind == "extra_forbidden":
+        model = _model(schema, place[:-1])
+        return _unknown(place, list(model.model_fields))
+    if kind == "missing" and isinstance(place[-1], int):
+        return Fault(place, "a number", found)
+    if kind == "missing":
+        wanted = _model(schema, place[:-1]).model_fields[place[-1]].annotation
+        table = isinstance(wanted, type) and issubclass(wanted, BaseModel)
+        table |= str(wanted).startswith("dict")
+        return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
+    words = EXPECTED.get(kind)
+    return Fault(place, words.format(**error.get("ctx", {})) if words else error["msg"], found)
+
+
+def _unknown(place: Place, known: Sequence[str]) -> Fault:
+    name = str(place[-1])
+    nearest = difflib.get_close_matches(name, known, n=1)
+    hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+    return Fault(place, f"one of {listed(known)}", f"the unknown key {_cut(name)!r}{hint}")
+
+
+def listed(known: Sequence[str]) -> str:
+    """Return names one after the other, the first ones of very many."""
+    more = len(known) - MOST_KNOWN
+    return ", ".join(known[:MOST_KNOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
+    """Return the record that describes a table."""
+    model = schema
+    for part in place:
+        if isinstance(part, int):
+            continue  # of an array of tables
+        model = next(_records(model.model_fields[str(part)].annotation))
+    return model
+
+
+def _records(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the records in an annotation, such as an array of them or none."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _records(part)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) < 40 else text[:37] + "..."
+
+
+def _shown(value: Any, deepest: int = DEEPEST) -> str:
+    """Return a value as TOML would have it, shortened."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return repr(_cut(value))
+    if isinstance(value, int) and abs(value) >= LARGEST:
+        return f"a whole number of {value.bit_length()} bits"
+    if isinstance(value, float | int):
+        return f"{value:.12g}"
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, list):
+        parts = [_shown(each, deepest - 1) for each in value[:4] if deepest]
+        return f"[{', '.join([*parts, *['...'] * (len(value) > len(parts))])}]"
+    return str(value)

@@ -1,0 +1,208 @@
+"""Where in a TOML file, or on the command line, each value comes from."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slipfree.errors import DataError
+from slipfree.files.toml.errors import ProblemError
+from slipfree.regular_files import read_bytes, regular_file
+
+if TYPE_CHECKING:
+    pass
+
+Place = tuple[str | int, ...]
+
+PIECE = re.compile(
+    r'"""(?:\\.|[^\\])*?"{3,5}'  # strings; those of several lines first
+    r"|'''.*?'{3,5}"
+    r'|"(?:\\.|[^"\\\n])*"'
+    r"|'[^'\n]*'"
+    r"|\#[^\n]*"
+    r"|.",
+    re.DOTALL,
+)
+KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The text of a problem file, and where its values come from.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    text : str
+        All of it.
+    lines : mapping of tuple to int
+        Line of every key and table; elements of arrays of tables by number.
+    settings : mapping of tuple to str
+        What the command line replaced: place and ``key=value``.
+    """
+
+    path: Path
+    text: str
+    lines: Mapping[Place, int]
+    settings: Mapping[Place, str] = field(default_factory=dict)
+
+    def where(self, place: Place) -> str:
+        """Return ``file:line: key``, or ``--set key``, of a value or of the table it belongs in."""
+        key = spelled(place)
+        if (part := _longest(place, self.settings)) is not None:
+            return f"--set {spelled(part)}" + (f": {key}" if part != place else "")
+        line = f"{self.path}:{self._line(place)}"
+        return f"{line}: {key}" if key else line
+
+    def is_set(self, place: Place) -> bool:
+        """Return whether the command line sets a value, or the table that it belongs in."""
+        return _longest(place, self.settings) is not None
+
+    def order(self, place: Place) -> int:
+        """Return the line of a value, for sorting; what the command line set comes last."""
+        if self.is_set(place):
+            return self.text.count("\n") + 2
+        return self._line(place)
+
+    def _line(self, place: Place) -> int:
+        part = _longest(place, self.lines)
+        return 1 if part is None else self.lines[part]
+
+
+def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
+    """Return the longest part of a place, from its beginning, that is known."""
+    parts = (place[:end] for end in range(len(place), 0, -1))
+    return next((part for part in parts if part in known), None)
+
+
+def spelled(place: Place) -> str:
+    """Return a place as users write it, as in ``inputs.right_rate[2]``."""
+    return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
+
+
+def key_path(text: str) -> tuple[str, ...]:
+    """Return the parts of a dotted key.
+
+    Raises
+    ------
+    tomllib.TOMLDecodeError
+        If it is not a key.
+    """
+    node, parts = tomllib.loads(f"{text} = 0"), []
+    while isinstance(node, dict):
+        ((part, node),) = node.items()
+        parts.append(part)
+    return tuple(parts)
+
+
+def key_lines(text: str) -> dict[Place, int]:
+    """Return the line of every key and table of a valid TOML text.
+
+    Keys inside an inline table or an array have no entry: the key before them has.
+    """
+    found: dict[Place, int] = {}
+    counts: dict[Place, int] = {}
+    table: Place = ()
+    for line, statement in _statements(text):
+        opening = re.match(r"\s*(\[{0,2})", statement)
+        depth = len(opening[1]) if opening else 0
+        match = KEY.match(statement, opening.end() if opening else 0)
+        if match is None:
+            continue
+        key = key_path(match[1])
+        if depth:
+            table = _resolved(key[: len(key) - (depth == 2)], counts)
+            if depth == 2:
+                table = (*table, key[-1])
+                found.setdefault(table, line)
+                counts[table] = counts.get(table, -1) + 1
+                table = (*table, counts[table])
+        place = table if depth else (*table, *key)
+        for end in range(1, len(place) + 1):
+            found.setdefault(place[:end], line)
+    return found
+
+
+def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
+    """Return the place of a table, with the numbers of the elements it lies in."""
+    place: Place = ()
+    for part in key:
+        place = (*place, part)
+        if place in counts:
+            place = (*place, counts[place])
+    return place
+
+
+def _statements(text: str) -> Iterator[tuple[int, str]]:
+    """Yield every statement with its line; one may reach over several lines."""
+    line, start, depth = 1, 1, 0
+    pieces: list[str] = []
+    for piece in PIECE.findall(text.replace("\r\n", "\n") + "\n"):
+        if piece == "\n" and depth == 0:
+            if statement := "".join(pieces).strip():
+                yield start, statement
+            pieces, start = [], line + 1
+        elif not piece.startswith("#"):
+            pieces.append(piece)
+            depth += (piece in "[{") - (piece in "]}")
+        line += piece.count("\n")
+
+
+MOST_BYTES = 10_000_000  # of a file of TOML
+# Python's reader takes hours for keys of very many parts.
+LONG_KEY = re.compile(
+    r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
+)
+
+
+def loaded(path: Path, text: str) -> dict[str, Any]:
+    """Return what a text in TOML holds; ProblemError if it is none, or nested beyond reason."""
+    if (found := LONG_KEY.search(text)) is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ProblemError(
+            f"{path}:{line}: expected keys of a few parts, found one of more than 60 parts"
+        )
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ProblemError(_syntax(path, text, str(error))) from error
+    except RecursionError as error:
+        raise ProblemError(
+            f"{path}: expected arrays and tables nested a few deep, found them hundreds deep"
+        ) from error
+    except ValueError as error:  # of a number
+        raise ProblemError(f"{path}: expected numbers, found one that is none: {error}") from error
+
+
+def read_text(path: Path) -> str:
+    try:
+        with regular_file(path, "a problem file") as size:
+            if size > MOST_BYTES:
+                raise DataError(
+                    f"{path}: expected a file of TOML of at most {MOST_BYTES / 1e6:g} MB, found "
+                    f"{size / 1e6:.3g} MB; check the name"
+                )
+            raw = read_bytes(path, "a problem file")
+    except DataError as error:
+        raise ProblemError(str(error)) from error
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise ProblemError(
+            f"{path}:{line}: expected text in UTF-8, found the byte {raw[error.start]:#04x}"
+        ) from error
+
+
+def _syntax(path: Path, text: str, message: str) -> str:
+    """Return tomllib's message with the line in front; before Python 3.14 only its text has it."""
+    found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if found is None:
+        last = len(text.splitlines()) or 1
+        return f"{path}:{last}: expected TOML, found an error at the end: {message}"
+    return f"{path}:{found[2]}: expected TOML, found an error in column {found[3]}: {found[1]}"

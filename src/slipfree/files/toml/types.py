@@ -1,0 +1,93 @@
+"""What single values of a problem file may be, and the records that hold them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator
+from pydantic_core import PydanticCustomError
+
+MOST = 1e300  # number that is taken for one
+Piecewise = tuple[tuple[float, float], ...]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0)]
+# Arrays are read as tuples; what is in them stays strict.
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+Place = Annotated[tuple[float, float, float], Field(strict=False)]
+Column = Annotated[tuple[float, ...], Field(strict=False)]
+Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
+Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
+
+
+class Record(BaseModel):
+    """A table of a problem file: nothing converted, nothing unknown, nothing changed later.
+
+    Every key has a description; that of a number ends in its unit in brackets.
+    """
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def _is_number(value: Any) -> bool:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) <= MOST  # integers may exceed all floats
+
+
+def _rate(value: Any) -> float | Piecewise:
+    """Return a constant, or times and values of a piecewise constant."""
+    if _is_number(value):
+        return float(value)
+    pairs = value if isinstance(value, list) else []
+    if not pairs or not all(
+        isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair)) for pair in pairs
+    ):
+        raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
+    times = [pair[0] for pair in pairs]
+    if times[0] != 0 or any(b <= a for a, b in pairwise(times)):
+        raise PydanticCustomError("expected", "[time, value] pairs whose times ascend from 0")
+    return tuple((float(t), float(rate)) for t, rate in pairs)
+
+
+def _course(value: Any) -> float | Piecewise | str:
+    """Return a rate as `_rate` does, or a formula of the time."""
+    if isinstance(value, str) and value:
+        return value
+    if not _is_number(value) and not isinstance(value, list):
+        expected = "a number, an array of [time, value] pairs, or a formula of t in quotes"
+        raise PydanticCustomError("expected", expected)
+    return _rate(value)
+
+
+def _bound(value: Any) -> tuple[float, float]:
+    """Return a range from a number or from two that ascend."""
+    if _is_number(value):
+        return float(value), float(value)
+    if isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)):
+        low, high = map(float, value)
+        if low <= high:
+            return low, high
+    raise PydanticCustomError("expected", "a number, or [low, high] that ascend")
+
+
+def coefficient(value: Any) -> float | str:
+    """Return a coefficient of friction, or the name of a file that holds a map of it."""
+    if isinstance(value, str) and value:
+        return value
+    if _is_number(value) and value > 0:
+        return float(value)
+    raise PydanticCustomError("expected", "a number greater than 0, or a file's name in quotes")
+
+
+def not_zero(value: float) -> float:
+    """Return a speed other than zero."""
+    if value == 0:
+        raise PydanticCustomError("expected", "a speed other than zero")
+    return value
+
+
+PiecewiseConstant = Annotated[Any, PlainValidator(_rate)]
+TimeFunction = Annotated[Any, PlainValidator(_course)]
+Range = Annotated[Any, PlainValidator(_bound)]

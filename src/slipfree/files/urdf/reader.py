@@ -1,0 +1,533 @@
+"""Vehicles from URDF: joints become joints, round links wheels, inertials masses."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from slipfree.files.urdf.tree import Faults, Mimic, Shape, Tree, UrdfJoint
+from slipfree.files.vehicle_draft import (
+    LARGEST,
+    Draft,
+    UnfitError,
+    degrees_words,
+    from_rep103,
+    is_symbol,
+    misfits,
+    rotation_of,
+)
+from slipfree.geometry.frame import Vector, unit_vector
+from slipfree.records import Array
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
+from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+UPRIGHT = 0.5  # largest upward part of an axle of what counts as a wheel unasked
+CENTERED = 1e-3  # of its radius, by which a wheel's centre may be off its joint's axis
+SIDEWAYS = 1e-6  # leftward part of an axle below which its wheel rolls neither way
+AWAY = 1e-3  # of a wheel's centre of mass from its centre, that is told [m]
+RIGHT = (0.0, -1.0, 0.0)
+
+
+class JointRole(NamedTuple):
+    """What moves a joint, and keywords of its coordinate that the URDF cannot say."""
+
+    kind: Kind | Literal["fixed"]
+    keywords: Mapping[str, Any] = {}
+
+
+class WheelRole(NamedTuple):
+    """What a URDF cannot say about a wheel; ``None``: as it says, or by default."""
+
+    driven: bool | None = None
+    radius: float | None = None
+    tube: float | None = None
+    grip: float = 1.0
+    rollers: bool = False
+
+
+@dataclass(frozen=True)
+class Roles:
+    """What to make of the joints of a URDF, by name.
+
+    Attributes
+    ----------
+    joints : mapping of str to JointRole
+        What moves them. Those with a transmission, a command interface or a mimic need none.
+    wheels : mapping of str to WheelRole
+        Joints that carry wheels, beside those that are seen to.
+    tube : float
+        Radius of the tubes of wheels whose link is a cylinder. [m]
+    """
+
+    joints: Mapping[str, JointRole]
+    wheels: Mapping[str, WheelRole]
+    tube: float = 0.0
+
+
+NO_ROLES = Roles({}, {})
+
+
+def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
+    """Return the vehicle of a URDF, in the package's axes.
+
+    The platform is the root link. Wheels are links with a cylinder or a sphere around the axis of
+    a continuous, level joint that ends the tree, and those that the roles name. Joints that carry
+    neither wheel nor mass are left out.
+
+    Parameters
+    ----------
+    tree : Tree
+        From `slipfree.files.urdf.tree.read_tree`.
+    roles : Roles
+        What the file cannot say.
+
+    Raises
+    ------
+    UnfitError
+        For every joint that no one says what moves, every wheel whose shape is unknown, and
+        wheels and suspension that do not match.
+    """
+    draft, faults = _Reading(tree, roles).draft()
+    draft = from_rep103(draft)
+    if faults.found:
+        raise UnfitError(faults.lines, draft)
+    wrong = [f"{tree.file}:1: expected {e}, found {f}" for e, f in misfits(draft)]
+    if wrong:
+        raise UnfitError(wrong, draft)
+    return draft
+
+
+class _Reading:
+    """One pass over a tree; what it finds is collected here."""
+
+    def __init__(self, tree: Tree, roles: Roles) -> None:
+        self.roles, self.faults = roles, Faults(tree.file)
+        self.released = _released(tree, roles)
+        self.tree = tree._replace(
+            joints={
+                name: j._replace(type="revolute") if name in self.released else j
+                for name, j in tree.joints.items()
+            }
+        )
+        self.coordinates: dict[str, Coordinate] = {}
+        self.notes: list[str] = []
+        self.unsaid: list[tuple[UrdfJoint, str]] = []
+        self.turns = _orientations(tree)
+        self.wheels = [j for j in tree.joints.values() if self._is_wheel(j)]
+
+    def draft(self) -> tuple[Draft, Faults]:
+        """Return what the tree makes, in its own axes, and what is wrong with it."""
+        tree = self.tree
+        self._check_fixed()
+        kept = self._kept()
+        part_of = {tree.root: "platform"} | {j.child: j.name for j in kept}
+        joints = tuple(self._joint(j, part_of[j.parent]) for j in kept)
+        wheels = tuple(wheel for j in self.wheels if (wheel := self._wheel(j, part_of)) is not None)
+        self._say(kept)
+        notes = tuple(self.notes)
+        body = _body(tree, tree.root)
+        coordinates = tuple(self.coordinates.values())
+        return Draft(tree.name, coordinates, joints, wheels, body, notes), self.faults
+
+    def _is_wheel(self, joint: UrdfJoint) -> bool:
+        """Return whether a joint carries a wheel: told so, or seen."""
+        tree, link = self.tree, self.tree.links[joint.child]
+        if joint.name in self.roles.wheels:
+            return True
+        last = not any(below.moves for below in tree.below(joint.child))
+        if joint.type != "continuous" or joint.name in self.roles.joints or not last:
+            return False
+        axis = unit_vector(joint.axis)
+        if abs((self.turns[joint.child] @ axis)[2]) > UPRIGHT:
+            return False
+        shape = self._shape(joint)
+        if shape is None:
+            if link.meshed:
+                self.faults.add(joint.line, f"joint {joint.name!r}: expected a cylinder or a "
+                                "sphere as its wheel, found a mesh, whose radius is not known; "
+                                f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or what "
+                                f"moves it if it is none{self._in_file()}")  # fmt: skip
+            return False
+        return _is_about(shape, axis)
+
+    def _check_fixed(self) -> None:
+        """Add an error for each role that would move a fixed joint without an axis."""
+        for joint in self.tree.joints.values():
+            role = self.roles.joints.get(joint.name)
+            if not joint.moves and role is not None and role.kind != "fixed":
+                self.faults.add(
+                    joint.line,
+                    f"joint {joint.name!r}: expected a joint that can be "
+                    f"{role.kind}, found one of type 'fixed' without an axis; write "
+                    'its axis in the URDF, as in <axis xyz="0 1 0"/>, or remove it '
+                    'from "joints"',
+                )
+
+    def _shape(self, joint: UrdfJoint) -> Shape | None:
+        """Return the shape of a wheel's link that touches level ground first, if there is one.
+
+        Of a joint that moves, shapes about its axis go before all others. The width of cylinders
+        does not count, as wheels are discs or tori at the cylinder's centre.
+        """
+        shapes, rotation = self.tree.links[joint.child].shapes, self.turns[joint.child]
+        if joint.moves:
+            axis = unit_vector(joint.axis)
+            shapes = tuple(shape for shape in shapes if _is_about(shape, axis)) or shapes
+        return min(shapes, key=lambda shape: _lowest(shape, rotation), default=None)
+
+    def _kept(self) -> list[UrdfJoint]:
+        """Return the joints that carry a wheel or a mass, parents before children."""
+        tree, names = self.tree, {wheel.name for wheel in self.wheels}
+        on_wheels = {j.name for wheel in self.wheels for j in tree.below(wheel.child)}
+        carrying = {wheel.parent for wheel in self.wheels}
+        kept: list[UrdfJoint] = []
+        for joint in reversed(tree.joints.values()):
+            if joint.name in names | on_wheels:
+                continue
+            if joint.child in carrying or tree.links[joint.child].mass:
+                kept.append(joint)
+                carrying.add(joint.parent)
+        left = [j.name for j in tree.joints.values() if j.name not in names | on_wheels
+                and j not in kept]  # fmt: skip
+        if left:
+            self.notes.append(f"left out, since they carry no wheel and no mass: {', '.join(left)}")
+        return kept[::-1]
+
+    def _joint(self, joint: UrdfJoint, parent: str) -> Joint:
+        """Return a joint of the vehicle."""
+        return Joint(
+            joint.name, parent, _axis(joint), joint.at, self._value(joint),
+            "slide" if joint.type == "prismatic" else "turn",
+            _body(self.tree, joint.child), joint.turned,
+        )  # fmt: skip
+
+    def _value(self, joint: UrdfJoint) -> str:
+        """Return the formula of a joint, and note the coordinate that it needs."""
+        if joint.type in ("floating", "planar"):
+            self.faults.add(joint.line, f"joint {joint.name!r}: expected fixed, revolute, "
+                            f"continuous or prismatic, found {joint.type}; split it into such "
+                            "joints")  # fmt: skip
+            return "0"
+        leader, multiplier, offset = self._leader(joint)
+        role = self.roles.joints.get(leader.name)
+        if not leader.moves or (role is not None and role.kind == "fixed"):
+            return repr(offset)
+        name = self._coordinate(leader)
+        self._restrict(name, joint, leader, multiplier, offset)
+        if (multiplier, offset) == (1.0, 0.0):
+            return name
+        scaled = f"-{name}" if multiplier == -1 else f"{multiplier!r}*{name}"
+        return scaled + (f" + {offset!r}" if offset else "")
+
+    def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
+        """Return the joint that one mimics in the end, with factor and offset."""
+        way, multiplier, offset = [joint], 1.0, 0.0
+        while (mimic := self._mimic(way[-1])) is not None:
+            leader = self.tree.joints.get(mimic.joint)
+            wrong = (
+                "no joint of that name"
+                if leader is None
+                else "a wheel"
+                if leader in self.wheels
+                else "one that follows it"
+                if leader in way
+                else ""
+            )
+            if leader is None or wrong:
+                words = f"a joint that moves by itself, found {mimic.joint!r}, {wrong}"
+                self.faults.add(way[-1].line, f"joint {way[-1].name!r}: expected to mimic {words}")
+                break
+            offset += multiplier * mimic.offset
+            multiplier *= mimic.multiplier
+            way.append(leader)
+        return way[-1], multiplier, offset
+
+    def _mimic(self, joint: UrdfJoint) -> Mimic | None:
+        return None if joint.name in self.roles.joints or not joint.moves else joint.mimic
+
+    def _coordinate(self, joint: UrdfJoint) -> str:
+        """Return the name of a joint's coordinate, made where it is new."""
+        name = self._symbol(joint.name)
+        if name in self.coordinates:
+            return name
+        role = self.roles.joints.get(joint.name)
+        if role is None and joint.name in self.tree.actuated:
+            role = JointRole("commanded")
+        if role is None or role.kind == "fixed":
+            if joint not in [each for each, _ in self.unsaid]:
+                self._ask(joint, f'{joint.name} = "passive"', "passive, commanded, suspension or "
+                          "fixed, or a wheel if its link is one")  # fmt: skip
+            return name
+        if name != joint.name:
+            self.notes.append(f"joint {joint.name} is the coordinate {name}")
+        for key in ("lower", "upper", "rest"):
+            value = role.keywords.get(key, 0.0)
+            if joint.type != "prismatic" and (words := degrees_words(value)):
+                self.faults.add(joint.line, f"joint {joint.name!r}: {key}: expected radians "
+                                f"({words}), found {value:g}")  # fmt: skip
+        words = f"joint {joint.name} of the URDF"
+        self.coordinates[name] = Coordinate(name, role.kind, **{"words": words, **role.keywords})
+        return name
+
+    def _symbol(self, joint: str) -> str:
+        """Return a name that formulas can hold."""
+        name = re.sub(r"\W", "_", joint)
+        name = name if name.isidentifier() else f"_{name}"
+        while not is_symbol(name) or (name != joint and name in self.tree.joints):
+            name += "_"
+        return name
+
+    def _ask(self, joint: UrdfJoint, example: str, choice: str) -> None:
+        self.unsaid.append((joint, example))
+        table = "wheels" if choice.startswith("driven") else "joints"
+        self.faults.add(joint.line, f"joint {joint.name!r}: expected what moves it, found no "
+                        f"transmission, command interface or mimic; write {table} = {{ {example} "
+                        f"}} ({choice}){self._in_file()}")  # fmt: skip
+
+    def _in_file(self) -> str:
+        return f' in a vehicle file with urdf = "{Path(self.tree.file).name}"'
+
+    def _restrict(
+        self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
+    ) -> None:
+        """Narrow the stops of a coordinate to the limits of a joint that it moves.
+
+        Stops that the role of the leading joint gives stay as they are.
+        """
+        c, role = self.coordinates.get(name), self.roles.joints.get(leader.name)
+        if multiplier == 0:
+            return
+        sides = ("lower", "upper") if multiplier > 0 else ("upper", "lower")
+        ends = {
+            side: (self._limit(joint, key) - offset) / multiplier
+            for key, side in zip(("lower", "upper"), sides, strict=True)
+            if role is None or side not in role.keywords
+        }
+        if c is None:
+            return
+        lower = max(c.lower, ends.get("lower", -math.inf))
+        upper = min(c.upper, ends.get("upper", math.inf))
+        if not lower < upper:
+            self.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected limits of {name} that "
+                f"ascend, found {lower:g} to {upper:g}; write {leader.name} = "
+                '"fixed" in "joints" if it does not move, else its "lower" and "upper" '
+                f"there, which override the URDF's{self._in_file()}",
+            )
+            return
+        self.coordinates[name] = replace(c, lower=lower, upper=upper)
+
+    def _limit(self, joint: UrdfJoint, key: str) -> float:
+        """Return a limit of a joint in the URDF; add an error if its unit looks wrong."""
+        value = joint.lower if key == "lower" else joint.upper
+        expected = ""
+        if not math.isinf(value) and joint.type == "prismatic" and abs(value) > LARGEST:
+            expected = f"metres, at most {LARGEST:g} (did you mean millimetres?)"
+        elif not math.isinf(value) and joint.type != "prismatic" and degrees_words(value):
+            expected = f"radians ({degrees_words(value)})"
+        if expected:
+            self.faults.add(
+                joint.line, f"joint {joint.name!r}: expected {key} in {expected}, found {value:g}"
+            )
+        return value
+
+    def _wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
+        """Return a wheel of the vehicle; none if it cannot be one."""
+        if joint.parent not in part_of:
+            self.faults.add(joint.line, f"joint {joint.name!r}: expected a wheel on a part of the "
+                            "vehicle, found it on another wheel")  # fmt: skip
+            return None
+        role = self.roles.wheels.get(joint.name, WheelRole())
+        size = self._size(joint, role)
+        below = self.tree.below(joint.child)
+        if size is None or any(each.moves for each in below):
+            if size is not None:
+                self.faults.add(joint.line, f"joint {joint.name!r}: expected a wheel that carries "
+                                "nothing that moves, found joints below it")  # fmt: skip
+            return None
+        radius, tube, at = size
+        driven = role.driven
+        if driven is None:
+            driven = joint.name in self.tree.actuated
+            if not driven:
+                self._ask(joint, f"{joint.name} = {{ driven = true }}", "driven = false if it is "
+                          "free")  # fmt: skip
+        links = [joint.child, *(each.child for each in below)]
+        mass = sum(self.tree.links[link].mass or 0.0 for link in links)
+        name = re.sub(r"[^\w-]", "_", joint.name)
+        if name != joint.name:
+            self.notes.append(f"joint {joint.name} carries the wheel {name}")
+        return Wheel(
+            name, part_of[joint.parent], _sum(joint.at, rotation_of(joint.turned) @ at), tube,
+            radius - tube, driven, role.grip, mass, self._axle(joint), role.rollers,
+        )  # fmt: skip
+
+    def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
+        """Return rolling radius, tube and place of a wheel in its link."""
+        shape = self._shape(joint)
+        radius = role.radius or (shape.radius if shape else None)
+        if radius is None:
+            self.faults.add(joint.line, f"joint {joint.name!r}: expected a cylinder or a sphere as "
+                            f"its wheel, found none; write wheels = {{ {joint.name} = {{ radius = "
+                            f"... }} }}{self._in_file()}")  # fmt: skip
+            return None
+        ball = shape is not None and shape.kind == "sphere"
+        tube = role.tube if role.tube is not None else radius if ball else self.roles.tube
+        if tube > radius:
+            self.faults.add(joint.line, f"joint {joint.name!r}: expected a tube of at most the "
+                            f"radius, {radius:g} m, found {tube:g}")  # fmt: skip
+            return None
+        if shape is None:
+            return radius, tube, ORIGIN
+        if joint.moves and _eccentricity(shape, unit_vector(joint.axis)) > CENTERED:
+            self.faults.add(joint.line, f"joint {joint.name!r}: expected a wheel about its axis, "
+                            f"found its {shape.kind} at {_spelled(shape.at)} m; move one to the "
+                            "other")  # fmt: skip
+            return None
+        return radius, tube, shape.at
+
+    def _axle(self, joint: UrdfJoint) -> Vector:
+        """Return the axle of a wheel in the parent's frame, to the right; note where it is not."""
+        parent = self.turns[joint.parent]
+        if not joint.moves:
+            return _vector(parent.T @ RIGHT)
+        axis = rotation_of(joint.turned) @ unit_vector(joint.axis)
+        left = float((parent @ axis)[1])
+        if left < -SIDEWAYS:
+            self.notes.append(f"wheel {joint.name}: its rate is positive forward here, about "
+                              "the opposite of its joint's axis")  # fmt: skip
+            return _vector(axis)
+        if left < SIDEWAYS:
+            self.notes.append(f"wheel {joint.name}: rolls to a side; its rate has its joint's sign")
+        return _vector(-axis)
+
+    def _say(self, kept: list[UrdfJoint]) -> None:
+        """Note what was not in the file and what became of it."""
+        links = [self.tree.root, *(j.child for j in (*kept, *self.wheels))]
+        bare = [link for link in links if self.tree.links[link].mass is None]
+        if bare:
+            self.notes.append(f"no inertial, so no mass: {', '.join(bare)}")
+        released = [j.name for j in kept if j.name in self.released]
+        if released:
+            self.notes.append(
+                "of type fixed in the URDF, taken as revolute, as they or the "
+                f'joints that they mimic are in "joints": {", ".join(released)}'
+            )
+        self._say_shapes()
+        thin = [
+            j.name
+            for j in self.wheels
+            if not self.roles.tube
+            and self.roles.wheels.get(j.name, WheelRole()).tube is None
+            and (s := self._shape(j))
+            and s.kind == "cylinder"
+        ]
+        away = [j.name for j in self.wheels if self._hangs_off(j)]
+        if away:
+            self.notes.append(f"mass taken at the wheel's centre, not where the inertial has it: "
+                              f"{', '.join(away)}")  # fmt: skip
+        if thin:
+            self.notes.append(f"cylinders taken as thin discs (tube = ...): {', '.join(thin)}")
+
+    def _say_shapes(self) -> None:
+        """Note which of several shapes gave the radius of a wheel."""
+        alike: dict[str, list[str]] = {}
+        for joint in self.wheels:
+            shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
+            given = self.roles.wheels.get(joint.name, WheelRole()).radius
+            if chosen is None or given is not None or all(s == chosen for s in shapes):
+                continue
+            counts = Counter((s.kind, s.radius) for s in shapes)
+            found = ", ".join(
+                f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
+            )
+            words = (
+                f"several shapes ({found}), radius {chosen.radius:g} m of the one about the "
+                "axle that touches level ground first"
+            )
+            alike.setdefault(words, []).append(joint.name)
+        for words, names in alike.items():
+            self.notes.append(
+                f"{words}; override by wheels = {{ {names[0]} = {{ radius = ... }} "
+                f"}}: {', '.join(names)}"
+            )
+
+    def _hangs_off(self, joint: UrdfJoint) -> bool:
+        """Return whether a wheel's centre of mass is not its centre."""
+        link, shape = self.tree.links[joint.child], self._shape(joint)
+        at = shape.at if shape else ORIGIN
+        return bool(link.mass) and math.dist(link.center, at) > AWAY
+
+
+def _released(tree: Tree, roles: Roles) -> frozenset[str]:
+    """Return the fixed joints with an axis that move by their role, or mimic one that does."""
+    fixed = [
+        j
+        for j in tree.joints.values()
+        if not j.moves and any(j.axis) and j.name not in roles.wheels
+    ]
+    found = {
+        j.name for j in fixed if j.name in roles.joints and roles.joints[j.name].kind != "fixed"
+    }
+    followers = [j for j in fixed if j.mimic is not None and j.name not in roles.joints]
+    while more := {j.name for j in followers if j.mimic and j.mimic.joint in found} - found:
+        found |= more
+    return frozenset(found)
+
+
+def _orientations(tree: Tree) -> dict[str, Array]:
+    """Return the rotation of every link in the root's axes, with all joints at zero."""
+    turns = {tree.root: np.eye(3)}
+    for joint in tree.joints.values():
+        turns[joint.child] = turns[joint.parent] @ rotation_of(joint.turned)
+    return turns
+
+
+def _axis(joint: UrdfJoint) -> Vector:
+    return unit_vector(joint.axis) if joint.moves and any(joint.axis) else (0.0, 0.0, 1.0)
+
+
+def _body(tree: Tree, link: str) -> Body:
+    found = tree.links[link]
+    return Body(found.mass or 0.0, found.center)
+
+
+def _eccentricity(shape: Shape, axis: Vector) -> float:
+    """Return how far a shape's centre is from an axis, relative to its radius."""
+    return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
+
+
+def _is_about(shape: Shape, axis: Vector) -> bool:
+    """Return whether a shape is round about an axis through its link's origin."""
+    along = float(rotation_of(shape.turned)[:, 2] @ axis)
+    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=CENTERED)
+    return parallel and _eccentricity(shape, axis) <= CENTERED
+
+
+def _lowest(shape: Shape, rotation: Array) -> float:
+    """Return the height of a shape's lowest point above its link's origin. [m]."""
+    upward = 0.0
+    if shape.kind == "cylinder":
+        upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))
+    return float(rotation[2] @ shape.at) - shape.radius * math.sqrt(1 - upward**2)
+
+
+def _vector(array: Array) -> Vector:
+    x, y, z = (float(each) for each in array)
+    return x, y, z
+
+
+def _sum(at: Vector, offset: Array) -> Vector:
+    return _vector(np.asarray(at) + offset)
+
+
+def _spelled(at: Vector) -> str:
+    return f"({', '.join(f'{each:g}' for each in at)})"

@@ -1,0 +1,336 @@
+"""URDF: links and joints as they stand in the file, checked to be a tree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Literal, NamedTuple, NoReturn
+
+from slipfree.files.urdf.xml import Element, parse
+from slipfree.files.vehicle_draft import LARGEST, UnfitError, degrees_words, in_order
+from slipfree.geometry.frame import Vector
+from slipfree.vehicle.wheel import ORIGIN
+
+TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
+ENDLESS = 1e3  # limits beyond stand for none [rad or m]
+FORWARD = (1.0, 0.0, 0.0)  # axis of a joint that names none
+
+
+class Shape(NamedTuple):
+    """A cylinder about its z axis or a sphere, in a link's frame. [m, rad]."""
+
+    kind: Literal["cylinder", "sphere"]
+    radius: float
+    at: Vector
+    turned: Vector
+
+
+class Link(NamedTuple):
+    """A link: its mass, if it has one, and its round collision shapes, else visual ones."""
+
+    name: str
+    mass: float | None
+    center: Vector
+    shapes: tuple[Shape, ...]
+    meshed: bool
+
+
+class Mimic(NamedTuple):
+    """A joint's value as that of another times a factor, and an offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+class UrdfJoint(NamedTuple):
+    """A joint, its frame in the parent link's; a fixed joint may lack an axis (zero). [m, rad]."""
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    at: Vector
+    turned: Vector
+    axis: Vector
+    lower: float
+    upper: float
+    mimic: Mimic | None
+    line: int
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is not rigid."""
+        return self.type != "fixed"
+
+
+class Tree(NamedTuple):
+    """All of a URDF that matters; joints with parents before children."""
+
+    file: str
+    name: str
+    root: str
+    links: dict[str, Link]
+    joints: dict[str, UrdfJoint]
+    actuated: frozenset[str]
+
+    def below(self, link: str) -> list[UrdfJoint]:
+        """Return the joints that hang on a link, directly or not."""
+        found, known = [], {link}
+        for joint in self.joints.values():
+            if joint.parent in known:
+                found.append(joint)
+                known.add(joint.child)
+        return found
+
+
+class Faults:
+    """What is wrong with a file, line by line."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.found: list[tuple[int, str]] = []
+
+    def add(self, line: int, words: str) -> None:
+        """Add a fault."""
+        self.found.append((line, words))
+
+    @property
+    def lines(self) -> list[str]:
+        """All faults in the order of their lines, each with its place."""
+        return [f"{self.file}:{line}: {words}" for line, words in sorted(self.found)]
+
+    def stop(self) -> NoReturn:
+        """Raise what was found."""
+        raise UnfitError(self.lines)
+
+
+def read_tree(data: bytes, file: str) -> Tree:
+    """Return the links and joints of a URDF.
+
+    Parameters
+    ----------
+    data : bytes
+        What the file holds.
+    file : str
+        What errors call it.
+
+    Raises
+    ------
+    DataError
+        If it is not XML; `UnfitError` for all that is wrong with its elements, by line.
+    """
+    robot, faults = parse(data, file), Faults(file)
+    if robot.tag != "robot":
+        faults.add(robot.line, f"expected URDF, that is <robot>, found <{robot.tag}>")
+        faults.stop()
+    for each in _everything(robot):
+        if each.tag.startswith("xacro:") or any("${" in text for text in each.attributes.values()):
+            faults.add(each.line, "expected plain URDF, found xacro; expand it first: "
+                       f"xacro {file} > robot.urdf")  # fmt: skip
+            faults.stop()
+    for tag in ("link", "joint"):
+        _check_names(robot, tag, faults)
+    links = {link.name: link for link in (_link(each, faults) for each in robot.all("link"))}
+    joints = {joint.name: joint for joint in (_joint(each, faults) for each in robot.all("joint"))}
+    root = _root(links, joints, faults) if not faults.found else ""
+    if faults.found:
+        faults.stop()
+    hung, _ = in_order({j.child: j.parent for j in joints.values()}, root)
+    by_child = {joint.child: joint for joint in joints.values()}
+    ordered = {by_child[child].name: by_child[child] for child in hung}
+    name = robot.attributes.get("name", "robot")
+    return Tree(file, name, root, links, ordered, frozenset(_actuated(robot)))
+
+
+def _everything(element: Element) -> Iterator[Element]:
+    left = [element]
+    while left:
+        each = left.pop()
+        yield each
+        left += each.children
+
+
+def _check_names(robot: Element, tag: str, faults: Faults) -> None:
+    seen: set[str] = set()
+    for element in robot.all(tag):
+        name = element.attributes.get("name", "")
+        if name in seen:
+            faults.add(element.line, f"{tag} {name!r}: expected a name of its own, found two")
+        seen.add(name)
+
+
+def _link(element: Element, faults: Faults) -> Link:
+    name = _text(element, "name", faults, "link")
+    inertial = element.first("inertial")
+    mass, center = None, ORIGIN
+    if inertial is not None:
+        center, _ = _origin(inertial, faults, f"link {name!r}")
+        weighed = inertial.first("mass")
+        if weighed is not None:
+            mass = _number(weighed, "value", None, faults, f"link {name!r}: mass")
+            if mass < 0:
+                faults.add(weighed.line, f"link {name!r}: expected a mass of zero or more "
+                           f"kilograms, found {mass:g}")  # fmt: skip
+    shapes = {
+        tag: tuple(shape for e in element.all(tag) if (shape := _shape(e, faults, name)))
+        for tag in ("collision", "visual")
+    }
+    drawn = (geometry for tag in shapes for e in element.all(tag) for geometry in e.all("geometry"))
+    meshed = any(geometry.first("mesh") is not None for geometry in drawn)
+    return Link(name, mass, center, shapes["collision"] or shapes["visual"], meshed)
+
+
+def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
+    """Return the cylinder or the sphere of a collision or visual, if it is one."""
+    geometry = element.first("geometry")
+    at, turned = _origin(element, faults, f"link {link!r}: {element.tag}")
+    for kind in ("cylinder", "sphere"):
+        found = geometry.first(kind) if geometry is not None else None
+        if found is not None:
+            radius = _number(found, "radius", None, faults, f"link {link!r}: {kind}")
+            if not 0 < radius <= LARGEST:
+                faults.add(found.line, f"link {link!r}: expected the radius of a {kind} in "
+                           f"metres, found {radius:g}")  # fmt: skip
+            return Shape("cylinder" if kind == "cylinder" else "sphere", radius, at, turned)
+    return None
+
+
+def _joint(element: Element, faults: Faults) -> UrdfJoint:
+    name = _text(element, "name", faults, "joint")
+    who, kind = f"joint {name!r}", element.attributes.get("type", "")
+    if kind not in TYPES:
+        faults.add(element.line, f"{who}: expected a type ({', '.join(TYPES)}), found {kind!r}")
+    ends = []
+    for tag in ("parent", "child"):
+        end = element.first(tag)
+        link = "" if end is None else end.attributes.get("link", "")
+        if not link:
+            faults.add(element.line, f'{who}: expected <{tag} link="..."/>, found none')
+        ends.append(link)
+    at, turned = _origin(element, faults, who)
+    pointed, axis = element.first("axis"), ORIGIN if kind == "fixed" else FORWARD
+    if pointed is not None:
+        axis = _vector(pointed, "xyz", FORWARD, faults, f"{who}: axis")
+        if not math.hypot(*axis) > 0 and kind not in ("fixed", "floating"):
+            faults.add(pointed.line, f"{who}: expected an axis other than zero, found 0 0 0; "
+                       'write <axis xyz="0 1 0"/> for one to the left')  # fmt: skip
+    lower, upper = _limits(element, kind, faults, who)
+    mimic = element.first("mimic")
+    follows = None if mimic is None else Mimic(
+        _text(mimic, "joint", faults, f"{who}: mimic"),
+        _number(mimic, "multiplier", 1.0, faults, f"{who}: mimic"),
+        _number(mimic, "offset", 0.0, faults, f"{who}: mimic"),
+    )  # fmt: skip
+    return UrdfJoint(
+        name, kind, ends[0], ends[1], at, turned, axis, lower, upper, follows, element.line
+    )
+
+
+def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
+    """Return the limits of a joint, infinite if absent or beyond `ENDLESS`.
+
+    Whether they are sensible is checked where they are used: a vehicle file may override them.
+    """
+    limit = element.first("limit")
+    if kind not in ("revolute", "prismatic", "fixed") or limit is None:
+        return -math.inf, math.inf
+    if not {"lower", "upper"} & set(limit.attributes):
+        return -math.inf, math.inf
+    found = []
+    for key, sign in (("lower", -1), ("upper", 1)):
+        value = _number(limit, key, 0.0, faults, f"{who}: limit")
+        found.append(sign * math.inf if abs(value) >= ENDLESS else value)
+    return found[0], found[1]
+
+
+def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]:
+    """Return place and angles of an element's origin; zero if it has none."""
+    origin = element.first("origin")
+    if origin is None:
+        return ORIGIN, ORIGIN
+    at = _vector(origin, "xyz", ORIGIN, faults, f"{who}: origin")
+    turned = _vector(origin, "rpy", ORIGIN, faults, f"{who}: origin")
+    if max(map(abs, at)) > LARGEST:
+        faults.add(origin.line, f"{who}: expected xyz in metres, at most {LARGEST:g} (did you mean "
+                   f"millimetres?), found {origin.attributes['xyz']}")  # fmt: skip
+    for angle in turned:
+        if words := degrees_words(angle):
+            faults.add(origin.line, f"{who}: expected rpy in radians ({words}), found {angle:g}")
+    return at, turned
+
+
+def _vector(element: Element, key: str, default: Vector, faults: Faults, who: str) -> Vector:
+    text = element.attributes.get(key)
+    if text is None:
+        return default
+    values = [_float(part) for part in text.split()]
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        faults.add(element.line, f"{who}: expected three numbers in {key}, found {text!r}")
+        return default
+    return values[0], values[1], values[2]
+
+
+def _number(element: Element, key: str, default: float | None, faults: Faults, who: str) -> float:
+    text = element.attributes.get(key)
+    if text is None and default is not None:
+        return default
+    value = _float(text or "")
+    if not math.isfinite(value):
+        found = "none" if text is None else repr(text)
+        faults.add(element.line, f"{who}: expected a number in {key}, found {found}")
+        return default or 1.0
+    return value
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _text(element: Element, key: str, faults: Faults, who: str) -> str:
+    if not element.attributes.get(key):
+        faults.add(element.line, f"{who}: expected {key} = a name, found none")
+    return element.attributes.get(key, "")
+
+
+def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) -> str:
+    """Return the link that carries all others; add what stands against it."""
+    parent_of: dict[str, UrdfJoint] = {}
+    for joint in joints.values():
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                faults.add(joint.line, f"joint {joint.name!r}: expected a link of this file as "
+                           f"{role}, found {link!r}")  # fmt: skip
+        if joint.child in parent_of:
+            other = parent_of[joint.child].name
+            faults.add(joint.line, f"joint {joint.name!r}: expected a tree, found a closed loop: "
+                       f"link {joint.child!r} hangs on joint {other!r} as well; cut the loop at "
+                       "one of the two")  # fmt: skip
+        parent_of[joint.child] = joint
+    if faults.found:
+        return ""
+    roots = [name for name in links if name not in parent_of]
+    if len(roots) > 1:
+        faults.add(1, "expected one link that carries all others, found "
+                   f"{', '.join(map(repr, roots))}: hang them on each other by joints")  # fmt: skip
+        return ""
+    root = roots[0] if roots else ""
+    _, loose = in_order({child: joint.parent for child, joint in parent_of.items()}, root)
+    if not links or loose:
+        line = parent_of[loose[0]].line if loose else 1
+        found = f"links in a loop: {', '.join(map(repr, loose))}" if loose else "no link"
+        faults.add(line, f"expected a tree of links, found {found}")
+    return root
+
+
+def _actuated(robot: Element) -> Iterator[str]:
+    """Yield the joints that a transmission or a command interface moves."""
+    for each in robot.all("transmission"):
+        yield from (joint.attributes.get("name", "") for joint in each.all("joint"))
+    for each in robot.all("ros2_control"):
+        for joint in each.all("joint"):
+            if joint.first("command_interface") is not None:
+                yield joint.attributes.get("name", "")

@@ -1,0 +1,184 @@
+"""Drafts of vehicles: what a file says, before it is known to be a vehicle."""
+
+from __future__ import annotations
+
+import keyword
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.geometry.frame import Vector, unit_vector
+from slipfree.records import Array
+from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+FULL_TURN = 2 * math.pi
+TAKEN = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
+NO_BODY = Body()
+LARGEST = 100.0  # length of a vehicle's part [m]
+FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # from rep103
+
+
+@dataclass(frozen=True)
+class Draft:
+    """The parts of a vehicle, with nothing asked of them.
+
+    Attributes
+    ----------
+    name, coordinates, joints, wheels, body, notes
+        As in `slipfree.vehicle.tree.Vehicle`.
+    """
+
+    name: str
+    coordinates: tuple[Coordinate, ...]
+    joints: tuple[Joint, ...]
+    wheels: tuple[Wheel, ...]
+    body: Body = NO_BODY
+    notes: tuple[str, ...] = ()
+
+    def of(self, kind: Kind) -> tuple[Coordinate, ...]:
+        """Return the coordinates of one kind, in order."""
+        return tuple(c for c in self.coordinates if c.kind == kind)
+
+    def vehicle(self) -> Vehicle:
+        """Return the vehicle; ModelError if the parts do not make one."""
+        return Vehicle(self.name, self.coordinates, self.joints, self.wheels, self.body, self.notes)
+
+
+class UnfitError(DataError):
+    """A file holds no vehicle.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        One for each fault: where it is, what was expected and what was found.
+    draft : Draft or None
+        What can be said about the vehicle all the same.
+    """
+
+    def __init__(self, faults: Sequence[str], draft: Draft | None = None) -> None:
+        super().__init__("\n".join(faults))
+        self.faults, self.draft = tuple(faults), draft
+
+
+def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
+    """Yield what was expected and found where wheels and suspension do not match."""
+    count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
+    if count < 3:
+        yield "three wheels or more, so that it stands", f"{count}"
+        return
+    needed = count - 3
+    expected = f"{needed} suspension coordinates for {count} wheels, one for each beyond three"
+    have = ", ".join(given) or "none"
+    if len(given) > needed:
+        more = len(given) - needed
+        yield (
+            expected,
+            (
+                f"{len(given)}, {more} too many: {have}; remove {more}, or make {more} of them "
+                "'passive' or 'commanded', or add a wheel"
+            ),
+        )
+    elif len(given) < needed:
+        fewer = needed - len(given)
+        others = [c.name for c in draft.coordinates if c.kind != "suspension"]
+        among = f" ({', '.join(others)})" if others else ""
+        yield (
+            expected,
+            (
+                f"{len(given)}, {fewer} too few: {have}; a wheel would hang in the air: add a "
+                f"joint with a suspension coordinate, or make one of the others 'suspension'{among}"
+            ),
+        )
+
+
+def is_symbol(name: str) -> bool:
+    """Return whether a coordinate may have a name: formulas and results must know it."""
+    used = name in FUNCTIONS or name in CONSTANTS or name in TAKEN or keyword.iskeyword(name)
+    return name.isidentifier() and not used
+
+
+def degrees_words(angle: float) -> str:
+    """Return the remedy for an angle beyond a full turn; empty if it is none."""
+    if abs(angle) <= FULL_TURN * 1.001:
+        return ""
+    return f"did you mean {angle:.6g} degrees? write {math.radians(angle):.6g}"
+
+
+def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names with parents before children, and those that do not hang on the root.
+
+    Otherwise the order is that of the mapping.
+    """
+    done, left = {root}, list(parents)
+    ordered: list[str] = []
+    while ready := [name for name in left if parents[name] in done]:
+        ordered += ready
+        done |= set(ready)
+        left = [name for name in left if name not in done]
+    return tuple(ordered), tuple(left)
+
+
+def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the names of the loop that a name hangs on, each the parent of the one before it."""
+    way = [name]
+    while parents.get(way[-1]) not in (None, *way):
+        way.append(parents[way[-1]])
+    last = parents.get(way[-1])
+    return tuple(way[way.index(last) :]) if last in way else ()
+
+
+def from_rep103(draft: Draft) -> Draft:
+    """Return a draft with axes x right, y forward from one with x forward, y left."""
+    return replace(
+        draft,
+        joints=tuple(
+            replace(
+                joint, axis=turned_right(unit_vector(joint.axis)), at=turned_right(joint.at),
+                turned=_angles_right(joint.turned), body=_body(joint.body),
+            )
+            for joint in draft.joints
+        ),
+        wheels=tuple(
+            replace(wheel, at=turned_right(wheel.at), axle=turned_right(unit_vector(wheel.axle)))
+            for wheel in draft.wheels
+        ),
+        body=_body(draft.body),
+    )  # fmt: skip
+
+
+def turned_right(vector: Vector) -> Vector:
+    """Return a vector of axes x forward, y left in axes x right, y forward."""
+    forward, left, up = vector
+    return 0.0 - left, forward, up
+
+
+def _body(body: Body) -> Body:
+    return Body(body.mass, turned_right(body.at))
+
+
+def _angles_right(turned: Vector) -> Vector:
+    """Return the fixed angles about x, y, z of the same turn in axes x right, y forward."""
+    if not any(turned[:2]):
+        return turned
+    rotation = FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T
+    z = math.atan2(rotation[1, 0], rotation[0, 0])
+    y = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
+    sin, cos = math.sin(z), math.cos(z)
+    x = math.atan2(
+        sin * rotation[0, 2] - cos * rotation[1, 2], cos * rotation[1, 1] - sin * rotation[0, 1]
+    )
+    return x, y, z
+
+
+def rotation_of(turned: Vector) -> Array:
+    """Return the rotation by angles about fixed x, then y, then z, shape (3, 3)."""
+    (sx, sy, sz), (cx, cy, cz) = np.sin(turned), np.cos(turned)
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_y @ about_x)

@@ -1,0 +1,400 @@
+"""Vehicle files: TOML, checked in two passes: every value by itself, then the parts together."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+
+from pydantic import AfterValidator, BaseModel, Field, PlainValidator, ValidationError
+from pydantic_core import PydanticCustomError
+
+from slipfree.errors import ModelError
+from slipfree.files.toml.errors import Fault, ProblemError, listed, names, validation_fault, vast
+from slipfree.files.toml.source_lines import (
+    PIECE,
+    Place,
+    Source,
+    key_lines,
+    loaded,
+    read_text,
+    spelled,
+)
+from slipfree.files.toml.types import NonNegative, Positive, Record
+from slipfree.files.toml.types import Place as Place3
+from slipfree.files.vehicle_draft import (
+    LARGEST,
+    Draft,
+    degrees_words,
+    from_rep103,
+    in_order,
+    is_symbol,
+    loop_of,
+    misfits,
+)
+from slipfree.geometry.frame import Vector
+from slipfree.vehicle.formula import names_in
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
+from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+PARTS = ("coordinates", "joints", "wheels")
+FRAMES = "'paper' (x right, y forward, z up) or 'rep103' (x forward, y left, z up)"
+SIDEWAYS = {"paper": (1.0, 0.0, 0.0), "rep103": (0.0, -1.0, 0.0)}
+PARENT = "the name of the joint that carries it, or 'platform'"
+T = TypeVar("T")
+
+
+class VehicleError(ProblemError):
+    """A file holds no vehicle.
+
+    Attributes
+    ----------
+    draft : Draft or None
+        What can be said about the vehicle all the same.
+    """
+
+    def __init__(self, *faults: str, draft: Draft | None = None) -> None:
+        super().__init__(*faults)
+        self.draft = draft
+
+
+def meters(value: float) -> float:
+    """Return a length unless it is too large for a part of a vehicle."""
+    if abs(value) > LARGEST:
+        raise _expected(
+            f"metres, at most {LARGEST:g} (did you mean millimetres? write {value / 1000:g})"
+        )
+    return value
+
+
+def _place(value: Vector) -> Vector:
+    for each in value:
+        meters(each)
+    return value
+
+
+def _radians(value: Vector) -> Vector:
+    for each in value:
+        if words := degrees_words(each):
+            raise _expected(f"radians ({words})")
+    return value
+
+
+def _expected(words: str) -> PydanticCustomError:
+    return PydanticCustomError("expected", "{words}", {"words": words})
+
+
+def _axis(value: Any) -> str | Vector:
+    if isinstance(value, str) and value in ("x", "y", "z"):
+        return value
+    numbers = value if isinstance(value, list) else []
+    good = [isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < LARGEST
+            for n in numbers]  # fmt: skip
+    if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
+        return float(numbers[0]), float(numbers[1]), float(numbers[2])
+    raise PydanticCustomError("expected", "'x', 'y', 'z' or a vector [x, y, z] other than zero")
+
+
+Axis = Annotated[Any, PlainValidator(_axis)]
+At = Annotated[Place3, AfterValidator(_place)]
+Turned = Annotated[Place3, AfterValidator(_radians)]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class CoordinateTable(Record):
+    """An angle or a length that joints follow."""
+
+    name: Name
+    kind: Kind
+    words: str | None = None
+    lower: float | None = None
+    upper: float | None = None
+    stiffness: NonNegative = 0.0
+    rest: float = 0.0
+    damping: NonNegative = 0.0
+    bump: NonNegative = 0.0
+
+
+class JointTable(Record):
+    """A part that turns about or slides along an axis of its parent."""
+
+    name: Name
+    parent: Name
+    axis: Axis
+    value: str
+    at: At = ORIGIN
+    motion: Literal["turn", "slide"] = "turn"
+    turned: Turned = ORIGIN
+    mass: NonNegative = 0.0
+    center_of_mass: At = ORIGIN
+
+
+class WheelTable(Record):
+    """A wheel."""
+
+    name: Name
+    parent: Name
+    radius: Annotated[Positive, AfterValidator(meters)]
+    at: At = ORIGIN
+    tube: NonNegative = 0.0
+    driven: bool = False
+    rollers: bool = False
+    axle: Axis | None = None
+    grip: Positive = 1.0
+    mass: NonNegative = 0.0
+
+
+class VehicleTable(Record):
+    """A vehicle file."""
+
+    name: Name
+    frame: Literal["paper", "rep103"]
+    mass: NonNegative = 0.0
+    center_of_mass: At = ORIGIN
+    coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
+    joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
+    wheels: Annotated[tuple[WheelTable, ...], Field(strict=False)]
+
+
+TABLES: dict[str, type[Record]] = {
+    "coordinates": CoordinateTable,
+    "joints": JointTable,
+    "wheels": WheelTable,
+}
+
+
+class File(NamedTuple):
+    """The text of a vehicle file and what TOML makes of it."""
+
+    source: Source
+    data: dict[str, Any]
+
+    def line(self, fault: Fault) -> str:
+        """Return a fault in words, with the name of the element it concerns."""
+        where = self.source.where(fault.place)
+        return f"{where}{self._who(fault.place)}: expected {fault.expected}, found {fault.found}"
+
+    def _who(self, place: Place) -> str:
+        if len(place) < 2 or not isinstance(place[1], int):
+            return ""
+        element = self.data[str(place[0])][place[1]]
+        name = element.get("name") if isinstance(element, dict) else None
+        return f" ({str(place[0])[:-1]} {name!r})" if name else ""
+
+    def error(self, faults: list[Fault], draft: Draft | None = None) -> VehicleError:
+        """Return the error that reports all faults, in the order of their lines."""
+        ordered = sorted(faults, key=lambda fault: self.source.order(fault.place))
+        return VehicleError(*map(self.line, ordered), draft=draft)
+
+
+def open_file(path: Path) -> File:
+    """Return what a TOML file holds; ProblemError if it cannot be read."""
+    text = read_text(path)
+    data = loaded(path, text)
+    lines = key_lines(text)
+    for part in PARTS:
+        if (part,) in lines and (part, 0) not in lines:
+            starts = _element_lines(text, lines[(part,)])
+            lines |= {(part, index): line for index, line in enumerate(starts)}
+    return File(Source(path, text, lines), data)
+
+
+def _element_lines(text: str, start: int) -> Iterator[int]:
+    """Yield the lines on which the tables of an array begin that begins on a line."""
+    line, depth = start, 0
+    rest = text.replace("\r\n", "\n").split("\n", start - 1)[-1]
+    for piece in PIECE.findall(rest):
+        if piece == "{" and depth == 1:
+            yield line
+        depth += (piece in "[{") - (piece in "]}")
+        line += piece.count("\n")
+        if depth == 0 and piece == "]":
+            return
+
+
+def validated(model: type[Record], parts: Mapping[str, type[BaseModel]], file: File) -> Any:
+    """Return the record that a file holds; VehicleError for every value that is wrong."""
+    try:
+        found = model.model_validate(file.data)
+    except ValidationError as error:
+        faults = [_worded(model, parts, dict(e)) for e in error.errors(include_url=False)]
+        raise file.error(faults) from error
+    if faults := [*vast(file.data)]:
+        raise file.error(faults)
+    return found
+
+
+def _worded(
+    model: type[BaseModel], parts: Mapping[str, type[BaseModel]], error: dict[str, Any]
+) -> Fault:
+    place, kind = tuple(error["loc"]), error["type"]
+    if kind == "extra_forbidden":
+        table = parts[str(place[0])] if len(place) > 1 else model
+        (unknown,) = names(place[:-1], [str(place[-1])], list(table.model_fields))
+        return unknown
+    if kind == "missing" and isinstance(place[-1], str):
+        expected = {"frame": FRAMES, "parent": PARENT, "wheels": "three wheels or more"}
+        return Fault(place, expected.get(place[-1], "a value"), "none")
+    return validation_fault(model, error)
+
+
+def read_toml(file: File) -> Draft:
+    """Return the draft of the vehicle of a file, with what is sure to make one.
+
+    Raises
+    ------
+    VehicleError
+        For all that is wrong, by line; with a draft if its values by themselves are right.
+    """
+    table: VehicleTable = validated(VehicleTable, TABLES, file)
+    faults = [*_names(table), *_hanging(table), *_values(table), *_sizes(table)]
+    parts, wrong = _built(table)
+    draft = parts if table.frame == "paper" else from_rep103(parts)
+    faults += wrong
+    if len(draft.wheels) == len(table.wheels):
+        faults += [Fault((_counted(table),), *words) for words in misfits(draft)]
+    if faults:
+        raise file.error(faults, draft)
+    return draft
+
+
+def _counted(table: VehicleTable) -> str:
+    """Return the part to which faults of counting belong."""
+    return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
+
+
+def _names(table: VehicleTable) -> Iterator[Fault]:
+    """Yield faults of names: used twice, taken, or nothing that a formula can hold."""
+    seen: dict[str, str] = {}
+    for part in ("coordinates", "wheels", "joints"):
+        if part == "joints":
+            seen = {"platform": "the platform"}
+        for index, each in enumerate(getattr(table, part)):
+            place = (part, index, "name")
+            if each.name in seen:
+                expected = "a name of its own"
+                yield Fault(place, expected, f"{each.name!r}, the name of {seen[each.name]} too")
+            seen.setdefault(each.name, spelled((part, index)))
+            if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
+                yield Fault(place, "a name of letters, digits, _ and -", repr(each.name))
+            if part == "coordinates" and not is_symbol(each.name):
+                expected = "a name of letters, digits and _, other than a function's or a state's"
+                yield Fault(place, expected, repr(each.name))
+
+
+def _hanging(table: VehicleTable) -> Iterator[Fault]:
+    """Yield faults of parents: unknown ones, and loops."""
+    parents = {joint.name: joint.parent for joint in table.joints}
+    known = ["platform", *parents]
+    for part in ("joints", "wheels"):
+        for index, each in enumerate(getattr(table, part)):
+            if each.parent not in known:
+                yield Fault((part, index, "parent"), f"{PARENT}: {listed(known)}",
+                            _near(each.parent, known))  # fmt: skip
+    told: set[str] = set()
+    for index, joint in enumerate(table.joints):
+        loop = loop_of(joint.name, parents)
+        if joint.name in loop and joint.name not in told:
+            told |= set(loop)
+            found = f"a loop: {' on '.join((*loop, loop[0]))}"
+            expected = "a tree that begins at 'platform' (cut the loop at one joint)"
+            yield Fault(("joints", index, "parent"), expected, found)
+
+
+def _near(name: str, known: list[str]) -> str:
+    nearest = get_close_matches(name, known, n=1)
+    return f"{name!r}" + (f"; did you mean {nearest[0]!r}?" if nearest else "")
+
+
+def _values(table: VehicleTable) -> Iterator[Fault]:
+    """Yield faults of the joints' formulas and of coordinates that none of them uses."""
+    known = [c.name for c in table.coordinates]
+    motions: dict[str, set[str]] = {name: set() for name in known}
+    for index, joint in enumerate(table.joints):
+        place = ("joints", index, "value")
+        try:
+            used = names_in(joint.value)
+        except ModelError as error:
+            yield Fault(place, "a formula of coordinates, '0' if it is rigid", str(error))
+            continue
+        for name in sorted(used):
+            if name not in motions:
+                expected = f"a formula of the coordinates ({', '.join(known) or 'none'})"
+                add = f'{_near(name, known)}; add it to coordinates, as {{ name = "{name}", kind = '
+                yield Fault(place, expected, f'{add}"passive" }}')
+            motions.setdefault(name, set()).add(joint.motion)
+    for index, c in enumerate(table.coordinates):
+        if not motions[c.name]:
+            yield Fault(("coordinates", index), "a joint whose value uses it", "none")
+        if len(motions[c.name]) > 1:
+            yield Fault(("coordinates", index), "joints that all turn or all slide by it", "both")
+
+
+def _sizes(table: VehicleTable) -> Iterator[Fault]:
+    """Yield faults of stops and tubes."""
+    slides = {name for joint in table.joints if joint.motion == "slide"
+              for name in _names_in(joint.value)}  # fmt: skip
+    for index, c in enumerate(table.coordinates):
+        for key in ("lower", "upper", "rest"):
+            value = getattr(c, key) or 0.0
+            if c.name in slides and abs(value) > LARGEST:
+                expected = f"metres, at most {LARGEST:g}"
+                yield Fault(("coordinates", index, key), expected, f"{value:g}")
+            elif c.name not in slides and (words := degrees_words(value)):
+                expected = f"radians ({words})"
+                yield Fault(("coordinates", index, key), expected, f"{value:g}")
+    for index, wheel in enumerate(table.wheels):
+        if wheel.tube > wheel.radius:
+            expected = f"at most the radius, {wheel.radius:g} m (a ball)"
+            yield Fault(("wheels", index, "tube"), expected, f"{wheel.tube:g}")
+
+
+def _names_in(formula: str) -> frozenset[str]:
+    try:
+        return names_in(formula)
+    except ModelError:
+        return frozenset()
+
+
+def _built(table: VehicleTable) -> tuple[Draft, list[Fault]]:
+    """Return what can be built of the parts, parents before children, and what cannot."""
+    faults: list[Fault] = []
+
+    def built(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:
+        made = []
+        for index, each in enumerate(getattr(table, part)):
+            try:
+                made.append(make(each))
+            except ModelError as error:
+                faults.append(Fault((part, index), "a valid one of its kind", str(error)))
+        return tuple(made)
+
+    coordinates = built("coordinates", _coordinate)
+    joints = {joint.name: joint for joint in built("joints", _joint)}
+    parents = {name: joint.parent for name, joint in joints.items()}
+    hung, loose = in_order(parents, "platform")
+    wheels = built("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
+    body = Body(table.mass, table.center_of_mass)
+    ordered = tuple(joints[name] for name in (*hung, *loose))
+    draft = Draft(table.name, coordinates, ordered, wheels, body)
+    return draft, [f for f in faults if f.place[0] == "coordinates"]  # the others are told
+
+
+def _coordinate(table: CoordinateTable) -> Coordinate:
+    given = table.model_dump(exclude_none=True)
+    return Coordinate(**{"words": table.name.replace("_", " "), **given})
+
+
+def _joint(table: JointTable) -> Joint:
+    given = table.model_dump(exclude={"mass", "center_of_mass"})
+    return Joint(**given, body=Body(table.mass, table.center_of_mass))
+
+
+def _wheel(table: WheelTable, sideways: Vector) -> Wheel:
+    tube = table.tube
+    given = table.model_dump(include={"name", "parent", "at", "driven", "rollers", "grip", "mass"})
+    axle = sideways if table.axle is None else table.axle
+    return Wheel(**given, r1=tube, r2=table.radius - tube, axle=axle)

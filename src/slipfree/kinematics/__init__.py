@@ -1,1 +1,0 @@
-"""Models of motion and driving laws."""

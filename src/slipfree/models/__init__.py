@@ -1,0 +1,1 @@
+"""Models of motion: functions that return a `Dae`."""

@@ -1,0 +1,359 @@
+"""Contact forces that use friction least, where equilibrium leaves them free."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slipfree.errors import ModelError
+from slipfree.records import Array, Mask
+
+Index = npt.NDArray[np.intp]
+
+ROUNDING = 1e-9  # normal forces down to minus this count as none [weight]
+RANK = 1e-9  # singular values below this part of the largest count as zero
+BALANCE = 1e-8  # largest residual of an equilibrium that has a solution [weight]
+REACH = 1e3  # internal forces stay below this, so that a jammed vehicle has an optimum [weight]
+LOADED = 0.02  # phase one ends where friction times normal force exceeds this [weight]
+STARVED = 1e6  # utilisation above this: a wheel without normal force has to hold something
+CENTRAL = 0.7  # Newton decrement below which full steps converge and the level may move
+ROUNDS = 400  # most Newton steps; 50 to 130 are usual
+ABSOLUTE, RELATIVE = 1e-9, 1e-8  # width of the bracket around the least utilisation
+STEPS = np.array([8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.03, 0.01])  # tried when not central
+ADVANCES = 1 - np.array([0.02, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7, 0.85, 0.93, 0.97, 0.99, 1.0])
+RETREAT = 0.9  # part of the farthest advance that is taken
+
+
+class Best(NamedTuple):
+    """The distribution of contact forces that uses friction least, for n samples.
+
+    Attributes
+    ----------
+    utilisation : ndarray, shape (n,)
+        Least possible largest ratio of tangential to limiting friction force; ``inf`` where no
+        distribution exists, NaN where the search for it does not converge. [1]
+    force : ndarray, shape (n, 3 m)
+        A distribution that attains it (others may too), NaN where none was found. [weight]
+    """
+
+    utilisation: Array
+    force: Array
+
+
+class _Contacts(NamedTuple):
+    """Contact forces as affine functions of the k unknowns ``y``, wheel by wheel.
+
+    The normal forces carry the coefficient of friction, so that ``hypot(along, across) <= s
+    normal`` is Coulomb's law at utilisation ``s``. Values (n, m), slopes (n, m, k).
+    """
+
+    along: Array
+    across: Array
+    normal: Array
+    along_slope: Array
+    across_slope: Array
+    normal_slope: Array
+
+    def pick(self, index: Index | Mask) -> _Contacts:
+        """Return some of the samples."""
+        return _Contacts(*(item[index] for item in self))
+
+
+class _Goal(NamedTuple):
+    """What is made least: the level p of ``hypot <= (fixed + factor p) normal + shift p``.
+
+    ``absolute`` and ``relative`` bound the distance to the least level, ``enough`` ends early.
+    """
+
+    fixed: float
+    factor: float
+    shift: float
+    absolute: float
+    relative: float
+    enough: float
+
+
+class _Newton(NamedTuple):
+    """A Newton step at a fixed level, the path of the centres, and how far the least level is."""
+
+    step: Array
+    tangent: Array
+    decrement: Array
+    gap: Array
+
+
+LIFT = _Goal(1.0, 0.0, 1.0, 1e-11, 0.2, -LOADED)  # the normal force that is missing
+USE = _Goal(0.0, 1.0, 0.0, ABSOLUTE, RELATIVE, -np.inf)  # the utilisation
+
+
+def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
+    """Return the contact forces in equilibrium whose largest use of friction is least.
+
+    Among all forces with ``matrix @ force + load = 0`` and no negative normal force it finds those
+    with the least ``max_i hypot(along_i, across_i) / (friction_i normal_i)``. By the limit theorems
+    of plasticity no distribution can hold the vehicle by Coulomb friction where that exceeds one;
+    one below shows only that some distribution can. Forces at a fixed utilisation form a convex
+    set; its analytic centre is followed by Newton's method while the utilisation decreases [1]_,
+    all samples at a time. Internal forces stay below a thousand weights: a vehicle that can brace
+    itself between walls has a least utilisation under that bound only.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, w, 3 m)
+        Equations of equilibrium; columns are (along, across, normal) for every wheel. Any rank.
+    load : ndarray, shape (n, w)
+        What the contact forces balance, in units of the vehicle's weight. [weight]
+    friction : ndarray, shape (n, m)
+        Available coefficients of friction, positive. [1]
+
+    Returns
+    -------
+    Best
+        With normal forces that are nonnegative to 1e-9 weights.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit, numbers are not finite, or a friction is not positive.
+
+    References
+    ----------
+    .. [1] Boyd and El Ghaoui, Method of centers for minimizing generalized eigenvalues, Linear
+       Algebra and its Applications 188, 1993.
+    """
+    _check(matrix, load, friction)
+    particular, free, solvable = _solutions(matrix, load)
+    contacts = _contacts(particular, free, friction)
+    y = np.zeros((len(free), free.shape[2]))
+    poor = np.flatnonzero(solvable & (_normal(contacts, y).min(1) < LOADED))
+    y[poor] = _loaded(contacts.pick(poor), y[poor])
+    held = np.flatnonzero(solvable & (_normal(contacts, y).min(1) > 0))
+    y[held] = _shared(contacts.pick(held), y[held])
+    utilisation = np.full(len(y), np.inf)
+    utilisation[held] = _utilisation(contacts.pick(held), y[held])
+    utilisation[utilisation > STARVED] = np.inf
+    utilisation[np.isnan(y).any(1)] = np.nan
+    force = particular + _apply(free, y)
+    force[~np.isfinite(utilisation)] = np.nan
+    return Best(utilisation, force)
+
+
+def _check(matrix: Array, load: Array, friction: Array) -> None:
+    """Refuse arrays that do not fit each other."""
+    if friction.ndim != 2 or 0 in friction.shape:
+        raise ModelError(f"friction: expected shape (n, m), found {friction.shape}")
+    n, m = friction.shape
+    w = matrix.shape[1] if matrix.ndim == 3 else 0
+    if w == 0 or matrix.shape != (n, w, 3 * m):
+        raise ModelError(f"matrix: expected shape ({n}, w, {3 * m}), found {matrix.shape}")
+    if load.shape != (n, w):
+        raise ModelError(f"load: expected shape ({n}, {w}), found {load.shape}")
+    for name, values in (("matrix", matrix), ("load", load), ("friction", friction)):
+        if not np.isfinite(values).all():
+            raise ModelError(f"{name}: expected finite numbers, found NaN or infinity")
+    if friction.min() <= 0:
+        raise ModelError(f"friction: expected positive numbers, found {friction.min()}")
+
+
+def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
+    """Return the least forces in equilibrium, a basis of the internal ones, and which exist.
+
+    The basis has as many columns as the largest null space of the batch, at least one; those that
+    a sample does not need are zero.
+    """
+    size = np.linalg.norm(matrix, axis=2)
+    size = np.where(size > 0, size, 1.0)  # equations in different units weigh the same
+    rows, right = matrix / size[..., None], load / size
+    u, values, vt = np.linalg.svd(rows)
+    count = values.shape[1]
+    used = values > RANK * values[:, :1]
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=used)
+    part = inverse * np.einsum("nwr,nw->nr", u[:, :, :count], right)
+    particular = -np.einsum("nrf,nr->nf", vt[:, :count], part)
+    internal = np.ones(vt.shape[:2])
+    internal[:, :count] = ~used
+    first = min(int(used.sum(1).min()), vt.shape[1] - 1)
+    free = np.swapaxes(vt * internal[..., None], 1, 2)[:, :, first:]
+    residual = np.abs(_apply(rows, particular) + right).max(1)
+    return particular, np.ascontiguousarray(free), residual < BALANCE
+
+
+def _contacts(particular: Array, free: Array, friction: Array) -> _Contacts:
+    """Return the forces wheel by wheel, normal ones times friction and free of rounding."""
+    n, m = friction.shape
+    values, slopes = particular.reshape(n, m, 3), free.reshape(n, m, 3, -1)
+    return _Contacts(
+        values[..., 0],
+        values[..., 1],
+        friction * (values[..., 2] + ROUNDING),
+        slopes[..., 0, :],
+        slopes[..., 1, :],
+        friction[..., None] * slopes[..., 2, :],
+    )
+
+
+def _loaded(contacts: _Contacts, y: Array) -> Array:
+    """Return unknowns with positive normal forces, where there are any (phase one)."""
+    none = np.zeros_like(contacts.along)
+    flat = np.zeros_like(contacts.along_slope)
+    upright = contacts._replace(along=none, across=none, along_slope=flat, across_slope=flat)
+    return _follow(upright, y, 1.0 - _normal(contacts, y).min(1), LIFT)
+
+
+def _shared(contacts: _Contacts, y: Array) -> Array:
+    """Return unknowns of least utilisation, from any with positive normal forces."""
+    return _follow(contacts, y, 2.0 * _utilisation(contacts, y) + 1e-3, USE)
+
+
+def _follow(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
+    """Return the unknowns at the least level, from any that hold strictly at ``level``.
+
+    Samples that do not converge are NaN.
+    """
+    y, level = y.copy(), level.copy()
+    active = np.arange(len(y))
+    for _ in range(ROUNDS):
+        if active.size == 0:
+            return y
+        now = contacts.pick(active)
+        newton = _newton(now, y[active], level[active], goal)
+        central = newton.decrement < CENTRAL
+        near = newton.gap <= np.maximum(goal.absolute, goal.relative * np.abs(level[active]))
+        lost = ~np.isfinite(newton.decrement)
+        y[active[lost]] = np.nan
+        done = (central & near) | (level[active] <= goal.enough) | lost
+        for rows, move in ((~central & ~done, _center), (central & ~done, _advance)):
+            if rows.any():
+                some, index = _Newton(*(item[rows] for item in newton)), active[rows]
+                y[index], level[index] = move(now.pick(rows), y[index], level[index], some, goal)
+        active = active[~done]
+    y[active] = np.nan
+    return y
+
+
+def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton:
+    """Return the Newton step of the barrier ``-sum log(c^2 - t^2) - log(REACH^2 - y^2)``.
+
+    ``c`` is the radius of a wheel's friction disc, ``t`` its tangential force. With ``a = c - t``,
+    ``b = c + t`` and e the direction of t, the Hessian is a sum of squares of the slopes of a and
+    b over their values, and of t's part across e: no digits cancel close to the cone. It is
+    factorised without being formed: a wheel that hardly bears anything has slopes 1e9 times
+    those of the others, whose squares would vanish in the sum.
+    """
+    rows, radius_rate, normal_rate, inverse = _squares(contacts, y, level, goal)
+    k, m = y.shape[1], inverse.shape[1] // 2
+    room = REACH**2 - (y * y).sum(1)
+    edge = 2 * y / room[:, None]
+    ball = np.sqrt(2 / room)[:, None, None] * np.eye(k)
+    q, r = np.linalg.qr(np.concatenate([rows, edge[:, None], ball], 1))
+    radial = np.swapaxes(rows[:, : 2 * m], 1, 2)
+    gradient = edge - radial.sum(2)
+    weight = inverse[:, :m] + inverse[:, m:]
+    change = _apply(radial, np.tile(radius_rate, 2) * inverse)
+    change -= _apply(np.swapaxes(normal_rate, 1, 2), weight)
+    first = q[:, : 2 * m].sum(1) - q[:, 3 * m]  # of -gradient, by the same rows
+    second = np.linalg.solve(np.swapaxes(r, 1, 2), -change[..., None])[..., 0]
+    solved = np.linalg.solve(r, np.stack([first, second], -1))
+    step = solved[..., 0]
+    decrement = np.sqrt(np.maximum(-(gradient * step).sum(1), 0.0))
+    gap = 2 * m / (weight * radius_rate).sum(1)  # the barrier's parameter over its rate
+    return _Newton(step, solved[..., 1], decrement, gap)
+
+
+def _squares(
+    contacts: _Contacts, y: Array, level: Array, goal: _Goal
+) -> tuple[Array, Array, Array, Array]:
+    """Return rows whose squares sum to the Hessian, rates by the level, and 1/a and 1/b.
+
+    Shapes (n, 3 m, k), (n, m) of the radius, (n, m, k) of its slope, (n, 2 m).
+    """
+    along = contacts.along + _apply(contacts.along_slope, y)
+    across = contacts.across + _apply(contacts.across_slope, y)
+    normal = _normal(contacts, y)
+    factor = goal.fixed + goal.factor * level[:, None]
+    radius = factor * normal + goal.shift * level[:, None]
+    slope = factor[..., None] * contacts.normal_slope
+    size = np.hypot(along, across)
+    some = size > 0
+    e_along = np.divide(along, size, out=np.ones_like(size), where=some)[..., None]
+    e_across = np.divide(across, size, out=np.zeros_like(size), where=some)[..., None]
+    outward = e_along * contacts.along_slope + e_across * contacts.across_slope
+    sideways = e_along * contacts.across_slope - e_across * contacts.along_slope
+    m = size.shape[1]
+    with np.errstate(divide="ignore", invalid="ignore"):  # where rounding has left the cone: NaN
+        inverse = 1 / np.concatenate([radius - size, radius + size], 1)
+        bend = np.sqrt(2 * inverse[:, :m] * inverse[:, m:])
+    radial = np.concatenate([slope - outward, slope + outward], 1) * inverse[..., None]
+    rows = np.concatenate([radial, bend[..., None] * sideways], 1)
+    return rows, goal.factor * normal + goal.shift, goal.factor * contacts.normal_slope, inverse
+
+
+def _center(
+    contacts: _Contacts, y: Array, level: Array, newton: _Newton, goal: _Goal
+) -> tuple[Array, Array]:
+    """Go along the Newton step, as far as the barrier is lowest, at the same level."""
+    safe = 1 / (1 + newton.decrement)  # stays inside: the barrier is self-concordant
+    steps = np.vstack([np.repeat(STEPS[:, None], len(y), 1), safe])
+    barrier = _barrier(contacts, y + steps[..., None] * newton.step, level + 0 * steps, goal)
+    chosen = steps[barrier.argmin(0), np.arange(len(y))]
+    return y + chosen[:, None] * newton.step, level
+
+
+def _advance(
+    contacts: _Contacts, y: Array, level: Array, newton: _Newton, goal: _Goal
+) -> tuple[Array, Array]:
+    """Take the Newton step, then lower the level along the path of the centres."""
+    falls = -ADVANCES[:, None] * newton.gap
+    centre = y + newton.step
+
+    def inside(move: Array) -> Mask:
+        points = centre + move[..., None] * newton.tangent
+        return np.isfinite(_barrier(contacts, points, level + move, goal))
+
+    held = inside(falls) & inside(RETREAT * falls)  # points and levels together are not convex
+    first = held.argmax(0)
+    samples = np.arange(len(y))
+    move = RETREAT * falls[first, samples]
+    ok = held[first, samples]
+    return (
+        np.where(ok[:, None], centre + move[:, None] * newton.tangent, y),
+        np.where(ok, level + move, level),
+    )
+
+
+def _barrier(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
+    """Return the barrier at several points (j, n, k) and levels (j, n), ``inf`` outside."""
+
+    def at(value: Array, slope: Array) -> Array:
+        return value + np.swapaxes(slope @ y.transpose(1, 2, 0), 1, 2).swapaxes(0, 1)
+
+    normal = at(contacts.normal, contacts.normal_slope)
+    along = at(contacts.along, contacts.along_slope)
+    across = at(contacts.across, contacts.across_slope)
+    radius = (goal.fixed + goal.factor * level[..., None]) * normal + goal.shift * level[..., None]
+    size = np.hypot(along, across)
+    room = REACH**2 - (y * y).sum(-1, keepdims=True)
+    # a negative utilisation turns the cone around: level times factor has to stay positive
+    sign = np.where(goal.factor * level < 0, -1.0, 1.0)[..., None]
+    slack = np.concatenate([radius - size, radius + size, room, sign], -1)
+    held = (slack > 0).all(-1)
+    return np.where(held, -np.log(np.where(slack > 0, slack, 1.0)).sum(-1), np.inf)
+
+
+def _utilisation(contacts: _Contacts, y: Array) -> Array:
+    """Return the largest utilisation, shape (n,)."""
+    along = contacts.along + _apply(contacts.along_slope, y)
+    across = contacts.across + _apply(contacts.across_slope, y)
+    return np.asarray((np.hypot(along, across) / _normal(contacts, y)).max(1))
+
+
+def _normal(contacts: _Contacts, y: Array) -> Array:
+    """Return friction times normal force, shape (n, m) in weights."""
+    return contacts.normal + _apply(contacts.normal_slope, y)
+
+
+def _apply(matrices: Array, vectors: Array) -> Array:
+    """Return the product sample by sample, shapes (n, i, j) and (n, j)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])

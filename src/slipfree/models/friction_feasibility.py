@@ -1,0 +1,137 @@
+"""Whether friction can hold a vehicle at all, however the forces of its contacts distribute."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.closure import ContactFrame, contact_frame
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import platform
+from slipfree.models.base import carriers
+from slipfree.models.force_distribution import least_utilisation
+from slipfree.models.labels import labels_of
+from slipfree.models.records import Algebraic, Configuration
+from slipfree.models.statics import Mechanics, mechanics
+from slipfree.records import Array, Label, leaves, pack, symbols
+from slipfree.terrain.base import Terrain
+from slipfree.trajectory import Column, Trajectory
+from slipfree.vehicle.tree import Vehicle
+
+LEVEL = 0.005  # slope that is none [rad]
+HELD = 0.99  # utilisation up to which friction is not the reason for a failure
+EXHAUSTED = 1.001  # and up to which it is just exhausted
+LEANING = 0.02  # of a wheel on the ground, below which it is upright [rad]
+BEST = Label(
+    "utilisation_best", "1", "least largest utilisation over all distributions of the forces"
+)
+
+
+def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Trajectory:
+    """Return a motion with the column ``utilisation_best``.
+
+    Of a vehicle whose contact forces equilibrium leaves open, ``utilisation`` belongs to one
+    distribution, the load-weighted one. This is the least that the most used wheel must bear in any
+    distribution; above one, friction cannot hold the vehicle. It is infinite where no contact
+    forces balance the vehicle: it tips over, or something is free to move. It is NaN where the
+    search for it does not converge.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What moved, with mass.
+    terrain : Terrain
+        What it moved on.
+    run : Trajectory
+        Of any model of the two.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle has no mass.
+    """
+    if not vehicle.mass:
+        raise ModelError(f"best_utilisation: {vehicle.name} has no mass")
+    labels = labels_of(vehicle, "least")
+    sought = labels.x, labels.z.position, labels.z.rates.motion, labels.u
+    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
+    contacts = [
+        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0])
+        for place, pose in zip(z.position.contacts, carriers(vehicle, x, z.position), strict=True)
+    ]
+    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u)
+    f = ca.Function("hold", [pack((x, z.position, z.rates.motion, u))], _held(parts))
+    origin = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
+    origin |= {f"contact_{axis}": origin[axis] for axis in ("x", "y")}
+    rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(sought)])
+    columns, loads, friction = (np.array(out) for out in f.map(run.t.size)(rows))
+    matrix = columns.reshape(len(columns), run.t.size, -1).transpose(1, 0, 2)
+    known = np.isfinite(matrix).all(axis=(1, 2)) & (friction > 0).all(axis=0)
+    best = np.full(run.t.size, np.nan)
+    found = least_utilisation(matrix[known], loads.T[known], friction.T[known])
+    best[known] = found.utilisation
+    return replace(run, columns={**run.columns, BEST.name: Column(BEST, best)})
+
+
+def _held(parts: Mechanics) -> list[ca.SX]:
+    """Return equilibrium's matrix and load, over the weight, and friction at the wheels."""
+    return [parts.free.T, parts.load / parts.weight, ca.vertcat(*parts.friction)]
+
+
+def diagnosis(
+    parts: Mechanics,
+    contacts: Sequence[ContactFrame],
+    margin: ca.SX,
+    x: Configuration,
+    z: Algebraic,
+) -> Callable[[Array, Array], str]:
+    """Return what says, of a state, which friction it would take to hold the vehicle there.
+
+    It says as well how far a wheel leans, and nothing where friction does hold the vehicle.
+    """
+    normal = sum((each.normal for each in contacts), ca.SX.zeros(3))
+    uphill, slope = -normal[:2], ca.acos(normal[2] / ca.norm_2(normal))
+    base = platform(x.x, x.y, z.position.z, x.heading, z.position.roll, z.position.pitch)
+    forward = base.rotation[:2, 1]
+    aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
+    angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
+    lean = ca.acos(ca.fmin(ca.mmin(ca.vertcat(*(each.uprightness for each in contacts))), 1))
+    f = ca.Function("hold", [pack(x), pack(z)], [*_held(parts), *angles, margin, lean])
+
+    def describe(x: Array, z: Array) -> str:
+        matrix, load, friction, *rest = (np.array(each) for each in f(x, z))
+        slope, aside, margin, lean = (float(each.item()) for each in rest)
+        if not all(np.isfinite(each).all() for each in (matrix, load, friction)):
+            return ""
+        factor = float(least_utilisation(matrix[None], load.T, friction.T).utilisation[0])
+        way = f"headed {np.degrees(aside):.0f} degrees from uphill on a slope of "
+        place = f"{way}{np.degrees(slope):.1f} degrees" if slope > LEVEL else "on level ground"
+        words = _needed(factor, friction, tips=margin < 0)
+        leans = f"; a wheel leans by {lean:.3g} rad" if lean > LEANING else ""
+        return f"no quasi-static equilibrium: {place} {words}{leans}" if words else ""
+
+    return describe
+
+
+def _needed(factor: float, friction: Array, *, tips: bool) -> str:
+    """Return which friction it takes; nothing where friction is not the reason."""
+    if tips:
+        return "the vehicle tips over"
+    if np.isinf(factor):
+        return (
+            "no contact forces balance the vehicle: something is free to move, a wheel without "
+            "drive or a passive joint"
+        )
+    low, high = friction.min(), friction.max()
+    even = high - low < 1e-9 * high
+    offered = f"{low:.4g}" if even else f"{low:.4g} to {high:.4g}"
+    if not factor >= HELD:  # or it was not found
+        return ""
+    if factor < EXHAUSTED:
+        return f"the vehicle needs all the friction that the ground offers, {offered}"
+    needed = (f"a coefficient of friction of at least {factor * low:.4g}" if even
+              else f"{factor:.4g} times the friction that it finds")  # fmt: skip
+    return f"the vehicle needs {needed}, the ground offers {offered}"

@@ -1,0 +1,360 @@
+"""Direct kinematics by Montana's contact equations, and its comparison with the closure model.
+
+The wheels' contact coordinates are states: each wheel touches the ground and moves over it exactly
+as the equations say, and its pose follows from them. What holds the vehicle together - every wheel
+where its chain of joints carries it, turned as that turns it - is true at the start and kept at
+rate level. The integrator's errors let it drift; terms proportional to the drift draw it back
+(Baumgarte), and the drift is an output. Three distances between wheel centres, as in [1]_, do not
+suffice: the orientations of the axles are needed too.
+
+References
+----------
+.. [1] N. Chakraborty and A. Ghosal, "Kinematics of wheeled mobile robots on uneven terrain",
+       section 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.certify import SecondTouch
+from slipfree.contact.closure import ContactFrame, contact_frame
+from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
+from slipfree.dae import Dae, Labels, Limit
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Pose, Twist
+from slipfree.models.base import (
+    at_rest,
+    balance,
+    carriers,
+    contact_limits,
+    joint_rates,
+    outputs,
+    sizes,
+    spins,
+    stops,
+    touch_function,
+)
+from slipfree.models.labels import labels_of
+from slipfree.models.records import (
+    Algebraic,
+    Configuration,
+    Dependent,
+    ForceOutputs,
+    Forces,
+    Inputs,
+    Rates,
+    SlipLaw,
+    Totals,
+)
+from slipfree.models.statics import loads, mechanics
+from slipfree.records import Array, Label, leaves, pack, symbols
+from slipfree.terrain.base import Terrain
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+LOOSE = 1e-3  # drift that no longer counts as assembled, in wheel radii and in rad
+
+
+class Assembly(NamedTuple):
+    """Differential states: platform, joints, and how every wheel touches the ground.
+
+    ``joints`` are the commanded and the passive coordinates, ``suspension`` the others, both in
+    the vehicle's order. [m, rad]
+    """
+
+    x: Any
+    y: Any
+    z: Any
+    heading: Any
+    roll: Any
+    pitch: Any
+    joints: tuple[Any, ...]
+    suspension: tuple[Any, ...]
+    contacts: tuple[ContactCoordinates, ...]
+
+
+class Unknowns(NamedTuple):
+    """Algebraic unknowns in the blocks that determine them."""
+
+    rates: Rates
+    forces: Forces
+
+
+class AssemblyOutputs(NamedTuple):
+    """What else is sampled along a motion; the first as in the closure model, then the drift.
+
+    ``drift_position`` and ``drift_rotation`` lie between the wheel's pose from its contact
+    coordinates and from the chain of joints. [m, rad]
+    """
+
+    contact_z: tuple[Any, ...]
+    center_x: tuple[Any, ...]
+    center_y: tuple[Any, ...]
+    center_z: tuple[Any, ...]
+    slip_along: tuple[Any, ...]
+    slip_across: tuple[Any, ...]
+    wheel_rate: tuple[Any, ...]
+    yaw: Any
+    quaternion: tuple[Any, ...]
+    forces: ForceOutputs | tuple[()]
+    drift_position: tuple[Any, ...]
+    drift_rotation: tuple[Any, ...]
+
+
+class Rolling(NamedTuple):
+    """A wheel that rolls: where, how fast, and how far from the place the vehicle has for it.
+
+    Attributes
+    ----------
+    contact : ContactFrame
+        The contact point.
+    pose : Pose
+        Pose of the wheel's hub from the contact coordinates.
+    slip : SX, shape (3, 1)
+        Velocity of the wheel's material contact point. [m/s]
+    rates : ContactCoordinates
+        Rates of the contact coordinates.
+    displacement, rotation : SX, shape (3, 1)
+        What leads from the chain's centre to the wheel's, and from the wheel's orientation to the
+        chain's, to first order. [m, rad]
+    """
+
+    contact: ContactFrame
+    pose: Pose
+    slip: ca.SX
+    rates: ContactCoordinates
+    displacement: ca.SX
+    rotation: ca.SX
+
+
+def montana_kinematics(
+    vehicle: Vehicle, terrain: Terrain, *, slip: SlipLaw = "least", kappa: float = 10.0
+) -> Dae[Assembly, Unknowns, Totals, Inputs, AssemblyOutputs]:
+    """Return the same motion as ``direct_kinematics`` from contact equations at rate level.
+
+    Its start is a sample of the closure model, settled or later: ``simulate`` finds all states
+    there by name. ``settle`` has nothing to solve for here, since the contacts are states. A
+    vehicle that falls apart is a violated limit.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle; every wheel has a tube (``r1 > 0``).
+    terrain : Terrain
+        The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
+    slip : {"least", "rolling"}
+        As in the closure model; traction belongs to that one.
+    kappa : float
+        Rate at which drift decays. [1/s]
+
+    Returns
+    -------
+    Dae
+        Inputs are the rates of the driven wheels and of the commanded coordinates.
+
+    Raises
+    ------
+    ModelError
+        If a wheel is a disc, ``kappa`` is not a rate, or the slip law does not fit the vehicle.
+    """
+    _check(vehicle, kappa, slip)
+    labels = _assembly_labels(vehicle, slip)
+    x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
+    configuration, position = _place(x)
+    like = configuration, Algebraic(position, z.rates, z.forces)
+    turning = spins(vehicle, z.rates, u)
+    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(vehicle, z.rates, u), *z.rates.suspension)
+    rolls = _rolls(vehicle, terrain, x, q_dot, turning, kappa)
+    contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
+    slips = [roll.slip for roll in rolls]
+    scale, shift = sizes(vehicle, terrain, labels)
+    touching = touch_function(x, z, poses, contacts)
+    parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u)
+    state = configuration, position, u
+    bears = loads(vehicle, terrain, parts, z.forces, slips, contacts, state)
+    return Dae(
+        t, x, z, symbols(labels.q), u,
+        ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
+        alg=(balance(slip, slips, contacts, z.rates), bears.equations),
+        quad=ca.vertcat(*turning, *bears.work),
+        y=AssemblyOutputs(
+            **_of_assembly(outputs(terrain, poses, contacts, slips, turning, *like, bears.outputs)),
+            drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
+            drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
+        ),
+        labels=labels,
+        limits=(
+            *_assembled(vehicle, rolls),  # first: nothing else is meaningful for a wheel astray
+            *stops(vehicle, *like),
+            *contact_limits(vehicle, terrain, contacts),
+            *bears.limits,
+        ),
+        checks=tuple(
+            SecondTouch(terrain, wheel, pose)
+            for wheel, pose in zip(vehicle.wheels, touching, strict=True)
+        ),
+        guess=at_rest(vehicle, labels.z),
+        scale=scale,
+        shift=shift,
+        suppress_algebraic=True,
+    )  # fmt: skip
+
+
+def _check(vehicle: Vehicle, kappa: float, slip: SlipLaw) -> None:
+    if slip == "traction":
+        raise ModelError("Montana's form takes slip = 'least' or 'rolling', found 'traction'")
+    if any(wheel.rollers for wheel in vehicle.wheels):
+        raise ModelError("Montana's form takes wheels without rollers; use the closure")
+    if not (np.isfinite(kappa) and kappa >= 0):
+        raise ModelError(f"kappa: expected a rate of zero or more per second, found {kappa}")
+    for wheel in vehicle.wheels:
+        if wheel.r1 <= 0:
+            raise ModelError(
+                f"wheel {wheel.name}: Montana's equations need a tube, r1 > 0, found {wheel.r1} m; "
+                "the closure model (direct_kinematics) takes discs"
+            )
+
+
+def _place(x: Assembly) -> tuple[Configuration, Dependent]:
+    """Return the states of platform and joints in the records of the closure model."""
+    position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
+    return Configuration(x.x, x.y, x.heading, x.joints), position
+
+
+def _rolls(
+    vehicle: Vehicle,
+    terrain: Terrain,
+    x: Assembly,
+    q_dot: ca.SX,
+    turning: list[ca.SX],
+    kappa: float,
+) -> list[Rolling]:
+    """Return how every wheel rolls; ``q_dot`` are the rates of all states but the contacts."""
+    chain, q = carriers(vehicle, *_place(x)), pack(x[:-1])
+    return [
+        _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa)
+        for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True)
+    ]
+
+
+def _rolling(
+    wheel: Wheel, terrain: Terrain, at: ContactCoordinates,
+    carrier: Pose, twist: Twist, spin: ca.SX, kappa: float,
+) -> Rolling:  # fmt: skip
+    """Return how a wheel rolls whose hub moves as the chain does, and towards its place there."""
+    both = pair(wheel, terrain, at)
+    pose, frame = both.pose, both.frame
+    contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0])
+    displacement = pose.origin - carrier.origin
+    turn = carrier.rotation @ pose.rotation.T
+    rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis
+    omega = twist.omega + kappa * rotation - spin * pose.rotation[:, 0]
+    slip = twist.v - kappa * displacement + ca.cross(omega, contact.point - pose.origin)
+    wheel_uv, ground_uv, psi = contact_rates(
+        both.wheel.forms, both.ground.forms, at.psi, frame.T @ slip, frame.T @ omega
+    )
+    # u and v belong to the hub, in which the wheel turns: v stays near 3 pi/2
+    rates = ContactCoordinates(ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin, psi)
+    return Rolling(contact, pose, slip, rates, displacement, rotation)
+
+
+def _of_assembly(shared: Any) -> dict[str, Any]:
+    """Return the outputs, or labels, of the closure model that are outputs here too."""
+    return {name: value for name, value in shared._asdict().items()
+            if name in AssemblyOutputs._fields}  # fmt: skip
+
+
+def _assembled(vehicle: Vehicle, rolls: list[Rolling]) -> Iterator[Limit]:
+    """Yield the limits on the drift."""
+    for wheel, roll in zip(vehicle.wheels, rolls, strict=True):
+        words = (
+            f"wheel {wheel.name} is not in its place on the vehicle; start from the closure model "
+            "and take a smaller tolerance (drift in wheel radii or rad)"
+        )
+        drift = ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
+        yield Limit(Label("assembly", "1", words, wheel.name), drift, -np.inf, LOOSE)
+
+
+def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
+    """Return the labels of the closure model, sorted into the records used here."""
+
+    def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
+        return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
+
+    x, z, q, u, y, (_, *equations) = labels_of(vehicle, slip)
+    place = z.position
+    contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
+    sampled = AssemblyOutputs(
+        **_of_assembly(y),
+        drift_position=each("drift_position", "m", "distance of the wheel from its place"),
+        drift_rotation=each("drift_rotation", "rad", "angle of the wheel from its orientation"),
+    )
+    states = Assembly(
+        x.x, x.y, place.z, x.heading, place.roll, place.pitch, x.joints, place.suspension,
+        tuple(ContactCoordinates(*row) for row in contacts),
+    )  # fmt: skip
+    return Labels(states, Unknowns(z.rates, z.forces), q, u, sampled, tuple(equations))
+
+
+class Difference(NamedTuple):
+    """How far two motions are apart in one quantity, at the sample where they are farthest.
+
+    Attributes
+    ----------
+    label : Label
+        The quantity, with the wheel at which they are farthest, if it belongs to wheels.
+    size : float
+        Absolute difference; angles modulo 2 pi. [the label's unit]
+    t : float
+        When. [s]
+    """
+
+    label: Label
+    size: float
+    t: float
+
+
+def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]:
+    """Return the largest difference of every quantity that two motions share, in their order.
+
+    Left out is what describes the solution and not the motion - residuals, singular values, the
+    clearance of a second contact, which jumps - and the quaternion, whose sign may jump.
+
+    Parameters
+    ----------
+    first, second : Trajectory
+        Sampled at the same times; if one ends early, the common part counts.
+
+    Raises
+    ------
+    ModelError
+        If the times differ.
+    """
+    n = min(first.t.size, second.t.size)
+    if not np.array_equal(first.t[:n], second.t[:n]):
+        raise ModelError("cross_check: the motions must be sampled at the same times")
+    shared = [name for name in first if name in second.columns and _of_motion(name)]
+    return tuple(_difference(first, second, name, n) for name in shared)
+
+
+def _of_motion(name: str) -> bool:
+    return not name.endswith("_residual") and name not in {
+        "newton_step", "singular_value", "clearance", *(f"quaternion_{axis}" for axis in "xyzw")
+    }  # fmt: skip
+
+
+def _difference(first: Trajectory, second: Trajectory, name: str, n: int) -> Difference:
+    label = first.columns[name].label
+    gap: Array = np.abs(first[name][:n] - second[name][:n]).reshape(n, -1)
+    if label.unit == "rad":
+        gap = np.abs((gap + np.pi) % (2 * np.pi) - np.pi)
+    k, i = np.unravel_index(np.argmax(gap), gap.shape)
+    wheel = first.wheels[i] if first[name].ndim == 2 else None
+    place = Label(label.name, label.unit, label.words, wheel)
+    return Difference(place, float(gap[k, i]), float(first.t[k]))

@@ -1,0 +1,92 @@
+"""Where a vehicle's parts and wheels were during a motion, from its samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.geometry.frame import Pose, platform
+from slipfree.records import Array
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+
+POSITION = ("x", "y", "z", "heading", "roll", "pitch")
+
+
+class Placed(NamedTuple):
+    """Poses of frames over time, in map coordinates.
+
+    Attributes
+    ----------
+    origins : ndarray, shape (n, k, 3)
+        Of k frames at n samples. [m]
+    rotations : ndarray, shape (n, k, 3, 3)
+        Columns are the frames' axes. [1]
+    """
+
+    origins: Array
+    rotations: Array
+
+
+def part_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
+    """Return the poses of the platform and of all joints' parts, in this order.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What moved.
+    run : Trajectory
+        Its motion, with the pose of the platform and the value of every coordinate.
+
+    Raises
+    ------
+    ModelError
+        If the motion lacks one of these.
+    """
+
+    def parts(place: Pose, values: Mapping[str, ca.SX]) -> Sequence[Pose]:
+        return tuple(vehicle.parts(place, values).values())
+
+    return _placed(vehicle, run, parts)
+
+
+def wheel_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
+    """Return the poses of the wheels themselves, turned about their axles, the frames' x axes.
+
+    Parameters and errors are those of `part_poses`; the angles of the wheels are needed too.
+    """
+    found = _placed(vehicle, run, vehicle.carriers)
+    return found._replace(rotations=spun(found.rotations, run["wheel_angle"]))
+
+
+def spun(rotations: Array, angles: Array) -> Array:
+    """Return rotations, shape (..., 3, 3), turned forward about their x axes by angles. [rad]."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    turned = np.zeros(rotations.shape)  # about the axle, which points right, by minus the angle
+    turned[..., 0, 0] = 1
+    turned[..., 1, 1] = turned[..., 2, 2] = cosine
+    turned[..., 1, 2], turned[..., 2, 1] = sine, -sine
+    return np.asarray(rotations @ turned)
+
+
+def _placed(
+    vehicle: Vehicle,
+    run: Trajectory,
+    frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]],
+) -> Placed:
+    """Return the poses of frames that depend on those of the platform and the coordinates."""
+    names = (*POSITION, *(c.name for c in vehicle.coordinates))
+    q = ca.SX.sym("q", len(names))
+    place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))
+    found = frames(platform(*place), values)
+    columns = np.column_stack([run[name] for name in names]).T
+    out = [ca.horzcat(*(pose.origin for pose in found)),
+           ca.horzcat(*(ca.vec(pose.rotation) for pose in found))]  # fmt: skip
+    function = ca.Function("poses", [q], [ca.vec(each) for each in out])
+    origins, rotations = (np.array(each).T for each in function.map(run.t.size)(columns))
+    shape = run.t.size, len(found)
+    by_column = rotations.reshape(*shape, 3, 3)
+    return Placed(origins.reshape(*shape, 3), by_column.transpose(0, 1, 3, 2))

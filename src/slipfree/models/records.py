@@ -1,0 +1,169 @@
+"""Records of a vehicle's motion - states, unknowns, inputs, outputs - and their labels."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+
+from slipfree.records import pack
+from slipfree.vehicle.tree import Vehicle
+
+SlipLaw = Literal["least", "rolling", "traction"]
+
+
+class Configuration(NamedTuple):
+    """Differential states: place, heading, and the joints that do not yield to the ground.
+
+    ``joints`` are the commanded and the passive coordinates in the vehicle's order. [m, rad]
+    """
+
+    x: Any
+    y: Any
+    heading: Any
+    joints: tuple[Any, ...]
+
+
+class ContactPoint(NamedTuple):
+    """Ground coordinates of a contact point, ``u_g`` and ``v_g``. [m]."""
+
+    x: Any
+    y: Any
+
+
+class Dependent(NamedTuple):
+    """What the ground decides, given a configuration. [m, rad]."""
+
+    z: Any
+    roll: Any
+    pitch: Any
+    suspension: tuple[Any, ...]
+    contacts: tuple[ContactPoint, ...]
+
+
+class Rates(NamedTuple):
+    """Rates of all that is not commanded, and what the law of slip needs with them. [m/s, rad/s].
+
+    ``passive`` are those of the passive coordinates, ``free`` those of the wheels without drive.
+    With least slip, ``multipliers`` are those of the contacts [m/s]. With traction, ``normal`` are
+    the normal forces [N], ``along`` and ``across`` the parts of the friction that are used [1].
+    """
+
+    x: Any
+    y: Any
+    z: Any
+    heading: Any
+    roll: Any
+    pitch: Any
+    suspension: tuple[Any, ...]
+    passive: tuple[Any, ...]
+    free: tuple[Any, ...]
+    multipliers: tuple[Any, ...]
+    normal: tuple[Any, ...] = ()
+    along: tuple[Any, ...] = ()
+    across: tuple[Any, ...] = ()
+
+    @property
+    def motion(self) -> tuple[Any, ...]:
+        """The rates alone."""
+        return tuple(self[: self._fields.index("multipliers")])
+
+
+class Forces(NamedTuple):
+    """Forces of the ground on the wheels, where they follow from the motion. [N].
+
+    ``virtual`` are the virtual rates that distribute them, if equilibrium alone does not: the
+    contact forces are then friction for these rates. [1, 1/m]
+    """
+
+    along: tuple[Any, ...] = ()
+    across: tuple[Any, ...] = ()
+    normal: tuple[Any, ...] = ()
+    virtual: tuple[Any, ...] = ()
+
+    @property
+    def column(self) -> ca.SX:
+        """The forces as a column: along, across, normal, wheel by wheel."""
+        wheels = zip(self.along, self.across, self.normal, strict=True)
+        return pack(tuple(wheels))
+
+
+class Algebraic(NamedTuple):
+    """Algebraic unknowns in the blocks that determine them."""
+
+    position: Dependent
+    rates: Rates
+    forces: Forces
+
+
+class Inputs(NamedTuple):
+    """Rates of the driven wheels and of the commanded coordinates, in their order. [rad/s]."""
+
+    wheels: tuple[Any, ...]
+    joints: tuple[Any, ...]
+
+
+class Totals(NamedTuple):
+    """Quadratures: angles through which the wheels have turned, work of the drives. [rad, J].
+
+    ``work`` is empty if the vehicle has no mass.
+    """
+
+    wheels: tuple[Any, ...]
+    work: tuple[Any, ...]
+
+
+class ForceOutputs(NamedTuple):
+    """What a vehicle with mass bears, and what holds it.
+
+    ``along`` and ``across`` are the tangential forces, where they are no unknowns.
+    """
+
+    along: tuple[Any, ...]
+    across: tuple[Any, ...]
+    friction_needed: tuple[Any, ...]
+    utilisation: tuple[Any, ...]
+    drive_torque: tuple[Any, ...]
+    joint_effort: tuple[Any, ...]
+    power: Any
+    dissipation: Any
+    potential_energy: Any
+    tip_over_margin: Any
+
+
+class Outputs(NamedTuple):
+    """What else is sampled along a motion; positions in map coordinates.
+
+    ``quaternion`` (x, y, z, w) and ``yaw`` are those of the platform with x forward, y left, z up.
+    """
+
+    contact_z: tuple[Any, ...]
+    center_x: tuple[Any, ...]
+    center_y: tuple[Any, ...]
+    center_z: tuple[Any, ...]
+    slip_along: tuple[Any, ...]
+    slip_across: tuple[Any, ...]
+    wheel_rate: tuple[Any, ...]
+    wheel_u: tuple[Any, ...]
+    wheel_v: tuple[Any, ...]
+    psi: tuple[Any, ...]
+    yaw: Any
+    quaternion: tuple[Any, ...]
+    forces: ForceOutputs | tuple[()]
+
+
+def kept(vehicle: Vehicle) -> tuple[str, ...]:
+    """Return the names of the coordinates that are differential states."""
+    return tuple(c.name for c in vehicle.coordinates if c.kind != "suspension")
+
+
+def is_determinate(vehicle: Vehicle) -> bool:
+    """Return whether equilibrium alone determines the contact forces, three a wheel.
+
+    A wheel with rollers bears no force across it, so that they are not three a wheel.
+    """
+    if any(wheel.rollers for wheel in vehicle.wheels):
+        return False
+    free = sum(not wheel.driven for wheel in vehicle.wheels)
+    wheels, others = len(vehicle.wheels), len(vehicle.of("passive")) + free
+    return others == 2 * wheels - 3

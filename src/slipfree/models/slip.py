@@ -1,0 +1,110 @@
+"""Slip of the wheels, and the rates that make it least."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Pose
+from slipfree.models.poses import wheel_poses
+from slipfree.records import Array
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+
+def slip_velocity(
+    wheel: Wheel, carrier: Pose, contact: ContactFrame, q: ca.SX, q_dot: ca.SX, wheel_rate: ca.SX
+) -> ca.SX:
+    """Return the velocity of a wheel's material contact point over the ground, shape (3, 1).
+
+    Parameters
+    ----------
+    wheel : Wheel
+        The wheel. With rollers, its contact point moves across it as the ground does.
+    carrier : Pose
+        Pose of the part that carries the wheel, at the wheel's centre, as a function of ``q``.
+    contact : ContactFrame
+        Where the wheel touches the ground.
+    q, q_dot : SX, shape (n, 1)
+        Coordinates of the vehicle and their rates.
+    wheel_rate : SX, shape (1, 1)
+        Rate of the wheel about its axle, positive drives forward. [rad/s]
+
+    Returns
+    -------
+    SX, shape (3, 1)
+        In fixed axes; its normal part vanishes on the holonomic constraint. [m/s]
+    """
+    twist = carrier.twist(q, q_dot)
+    omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
+    slip = twist.v + ca.cross(omega, contact.point - carrier.origin)
+    return slip - contact.across * ca.dot(contact.across, slip) if wheel.rollers else slip
+
+
+def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
+    """Return the slip velocities of a motion, measured on its poses alone.
+
+    The material point that touches the ground at a sample is carried along with the wheel to the
+    samples around, by the poses and wheel angles there, and its velocity is the difference
+    quotient over five samples. It shares nothing with the rates of the model but the poses. Of a
+    wheel with rollers, what they take up counts as slip here.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What moved.
+    run : Trajectory
+        At evenly spaced times, five or more.
+
+    Returns
+    -------
+    ndarray, shape (n - 4, n_wheels, 3)
+        In fixed axes, at the samples but the first and the last two. [m/s]
+
+    Raises
+    ------
+    ModelError
+        If the samples are too few or not evenly spaced.
+    """
+    steps = np.diff(run.t)
+    if steps.size < 4 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0):
+        raise ModelError("measured slip: expected five or more evenly spaced samples")
+    centers, rotations = wheel_poses(vehicle, run)
+    contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], -1)
+    places = np.einsum("nwji,nwj->nwi", rotations, contacts - centers)[2:-2]
+    n = run.t.size
+
+    def carried(k: int) -> Array:
+        span = slice(2 + k, n - 2 + k)
+        return np.asarray(centers[span] + np.einsum("nwij,nwj->nwi", rotations[span], places))
+
+    differences = carried(-2) - 8 * carried(-1) + 8 * carried(1) - carried(2)
+    return np.asarray(differences / (12 * steps[0]))
+
+
+def least_slip(
+    slips: Sequence[ca.SX], normals: Sequence[ca.SX], rates: ca.SX, multipliers: ca.SX
+) -> ca.SX:
+    """Return the conditions for the least slip that the contacts allow, shape (n + m, 1).
+
+    The rates are the stationary point of ``L = 1/2 sum s.s + sum lambda n.s``: the slip
+    velocities ``s`` are least in the mean square while no wheel leaves or enters the ground. Since
+    ``n.s`` vanishes, only the tangential slip counts. What a vehicle does on real ground also
+    depends on friction: this is the least slip that kinematics allows, not a prediction.
+
+    Parameters
+    ----------
+    slips, normals : sequence of SX, shape (3, 1)
+        Slip velocity and unit normal at every wheel. [m/s, 1]
+    rates, multipliers : SX, shapes (n, 1) and (m, 1)
+        The unknowns.
+    """
+    lagrangian = sum(0.5 * ca.sumsqr(s) for s in slips)
+    for s, n, multiplier in zip(slips, normals, ca.vertsplit(multipliers), strict=True):
+        lagrangian += multiplier * ca.dot(n, s)
+    return ca.gradient(lagrangian, ca.vertcat(rates, multipliers))

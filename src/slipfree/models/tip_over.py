@@ -1,0 +1,57 @@
+"""The support of a vehicle, and how far it is from tipping over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import casadi as ca
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.geometry.frame import platform
+from slipfree.models.base import values_of
+from slipfree.models.records import Configuration, Dependent
+from slipfree.vehicle.tree import Vehicle
+
+ROUNDING = 1e-9  # of a distance relative to that of two wheels, which counts as none
+
+
+def tip_over_margin(
+    vehicle: Vehicle, x: Configuration, position: Dependent, contacts: Sequence[ContactFrame]
+) -> ca.SX:
+    """Return the least angle by which gravity may lean before it passes an edge of the support.
+
+    About the line through two neighbouring contact points, it is the angle between the vertical
+    and the way from the common centre of mass to the line (as Papadopoulos and Rey's force-angle
+    measure, for gravity alone).
+    """
+    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
+    masses = list(vehicle.masses(base, values_of(vehicle, x, position)))
+    center = sum(mass * at for _, mass, at in masses) / vehicle.mass
+    down, least = ca.SX([0, 0, -1]), ca.SX.inf()
+    for i, j in permutations(range(len(contacts)), 2):
+        edge = contacts[j].point - contacts[i].point
+        outer = _is_outer(contacts, i, j)
+        edge /= ca.norm_2(edge)
+        way = contacts[i].point - center
+        way -= ca.dot(way, edge) * edge
+        lean = ca.atan2(ca.dot(edge, ca.cross(way, down)), ca.dot(way, down))
+        least = ca.fmin(least, ca.if_else(outer, lean, ca.SX.inf()))
+    return ca.if_else(least > ca.pi, -ca.pi, least)  # wheels on one line bear nothing
+
+
+def _is_outer(contacts: Sequence[ContactFrame], i: int, j: int) -> ca.SX:
+    """Return whether all other wheels lie to the left of a line in plan, or between its ends."""
+    here = contacts[i].point[:2]
+    way = contacts[j].point[:2] - here
+    length, outer, aside = ca.sumsqr(way), ca.SX(1), ca.SX(0)
+    for k, other in enumerate(contacts):
+        if k in (i, j):
+            continue
+        off = (way[0] * (other.point[1] - here[1]) - way[1] * (other.point[0] - here[0])) / length
+        ahead = ca.dot(other.point[:2] - here, way) / length
+        left = off > ROUNDING
+        between = ca.logic_and(ca.fabs(off) <= ROUNDING, ca.logic_and(ahead > 0, ahead < 1))
+        outer = ca.logic_and(outer, ca.logic_or(left, between))
+        aside = ca.logic_or(aside, left)
+    return ca.logic_and(outer, aside)

@@ -1,0 +1,199 @@
+"""The constraints of a program by what they are about: where they stand, and what misses them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.plan.transcription import Index, Piece, Program, Task
+from slipfree.records import Array, Label, leaves
+
+WITHIN = 1e-6  # violation that is rounding, in the unit of what is violated
+EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
+
+
+class Violation(NamedTuple):
+    """The worst place at which a constraint does not hold.
+
+    Attributes
+    ----------
+    label : Label
+        What is constrained, with its wheel.
+    t : float
+        When. [s]
+    interval : int
+        On which interval of the mesh.
+    size : float
+        By how much, in the label's unit.
+    bound, value : float
+        The bound, and what was found, in the label's unit and in map coordinates.
+    role : str
+        ``"equation"``, ``"limit"``, ``"input"``, ``"goal"``, or ``"way-point at 0.5"``.
+    """
+
+    label: Label
+    t: float
+    interval: int
+    size: float
+    bound: float
+    value: float
+    role: str
+
+
+class Group(NamedTuple):
+    """Places of a program at which one constraint stands.
+
+    Attributes
+    ----------
+    label, role : Label, str
+        As in `Violation`.
+    where : ndarray, shape (n,)
+        Positions in the column of all rows, then all unknowns.
+    intervals, parts : ndarray, shape (n,)
+        Of the mesh, and fractions of the duration.
+    lower, upper : float
+        Bounds.
+    shift : float
+        What leads to map coordinates.
+    typical : float
+        Size of an equation's terms; zero elsewhere.
+    """
+
+    label: Label
+    role: str
+    where: Index
+    intervals: Index
+    parts: Array
+    lower: float
+    upper: float
+    shift: float
+    typical: float = 0.0
+
+
+def groups(program: Program) -> Iterator[Group]:
+    """Yield the constraints of a program, each with all its places."""
+    task, mesh, layout = program.task, program.mesh, program.layout
+    n_g, count = program.g_lower.size, mesh.ends.size - 1
+    yield from _along(program, program.pieces[0])
+    begin = count * len(program.pieces[0].labels)
+    for place, piece in zip(task.places, program.pieces[1:], strict=True):
+        k = int(np.flatnonzero(np.isin(layout.states[:, -1, 0], piece.where))[0])
+        for r, limit in enumerate(place.limits):
+            yield Group(plainly(limit.label), role_of(place.fraction), np.array([begin + r]),
+                         np.array([k]), mesh.ends[[k + 1]], limit.lower, limit.upper,
+                         shift_of(task, limit.expression))  # fmt: skip
+        begin += len(piece.labels)
+    intervals, parts = np.repeat(np.arange(count), mesh.degree), mesh.nodes[1:]
+    for limit in task.limits:
+        plain = plain_of(task, limit.expression)
+        if plain is not None:
+            record, k = plain
+            where = (layout.states if record == "x" else layout.unknowns)[:, :, k].ravel()
+            yield Group(plainly(limit.label), LIMIT, n_g + where, intervals, parts, limit.lower,
+                         limit.upper, shift_of(task, limit.expression))  # fmt: skip
+    for k, label in enumerate(leaves(task.dae.labels.u)):
+        low, high = task.inputs[k]
+        where = layout.inputs[:, k]
+        yield Group(label, INPUT, n_g + where, np.arange(where.size).clip(max=count - 1),
+                     mesh.ends[: where.size], low, high, 0.0)  # fmt: skip
+
+
+def _along(program: Program, piece: Piece) -> Iterator[Group]:
+    """Yield the constraints among the rows of the intervals."""
+    task, mesh = program.task, program.mesh
+    each, every = len(piece.labels), np.arange(len(piece.where))
+    rates = int(np.isfinite(task.accelerations).any(axis=1).sum())
+    size = (each - rates) // mesh.degree
+    limits = [limit for limit in task.limits if plain_of(task, limit.expression) is None]
+    intervals, parts = np.repeat(every, mesh.degree), mesh.nodes[1:]
+    points = each * every[:, None] + size * np.arange(mesh.degree)
+    n_x, n_z, n_r = (part.shape[-1] for part in (program.layout.first, program.layout.unknowns,
+                                                  program.layout.roots))  # fmt: skip
+    typical = np.concatenate([np.ones(n_x), task.dae.scale[:n_z], np.ones(n_r)])
+    for r in range(size):
+        where, limit = (points + r).ravel(), r - (size - len(limits))
+        label, role = piece.labels[r], EQUATION if limit < 0 else LIMIT
+        shift = 0.0 if limit < 0 else shift_of(task, limits[limit].expression)
+        yield Group(plainly(label), role, where, intervals, parts, piece.lower[r],
+                     piece.upper[r], shift, typical[r] if limit < 0 else 0.0)  # fmt: skip
+    for r in range(each - rates, each):
+        label = replace(piece.labels[r], wheel=None)
+        yield Group(label, INPUT, each * every + r, every, mesh.ends[1:], piece.lower[r],
+                     piece.upper[r], 0.0)  # fmt: skip
+
+
+def violated(
+    program: Program, values: Array, tolerance: float
+) -> Iterator[tuple[float, Violation]]:
+    """Yield relative size and worst place of every bound that does not hold.
+
+    Parameters
+    ----------
+    program : Program
+        From `transcribe`.
+    values : ndarray, shape (n_g + n_w,)
+        Rows and unknowns.
+    tolerance : float
+        Violation that counts as none.
+    """
+    duration = values[program.g_lower.size + program.layout.duration]
+    for group in groups(program):
+        size = size_of(group, values)
+        for sign in (1.0, -1.0):
+            bound, here = side_of(group, sign), values[group.where]
+            over = sign * (bound - here)
+            worst = over.max()
+            if not worst > tolerance:
+                continue
+            # Of places that are as bad as each other the first one counts.
+            k = int(np.flatnonzero(over >= worst - tolerance)[0])
+            yield worst / size, Violation(
+                group.label, float(group.parts[k] * duration), int(group.intervals[k]),
+                float(worst), float(bound + group.shift), float(here[k] + group.shift), group.role,
+            )  # fmt: skip
+
+
+def side_of(group: Group, sign: float) -> float:
+    """Return the lower bound for a positive sign, else the upper one."""
+    return group.lower if sign > 0 else group.upper
+
+
+def size_of(group: Group, values: Array) -> float:
+    """Return what a violation is compared to: the range of the bounds, or what is typical."""
+    if group.typical:
+        return max(1.0, group.typical)
+    width = group.upper - group.lower
+    if 0 < width < np.inf:
+        return float(width)
+    # A goal that is one value is missed by metres and radians, whatever the value is.
+    one_sided = np.abs(values[group.where]).max() if width else 1.0
+    return float(max(1.0, one_sided))
+
+
+def plain_of(task: Task, expression: ca.SX) -> tuple[str, int] | None:
+    """Return the record and the number of the state or unknown that an expression is."""
+    for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
+        for k, symbol in enumerate(leaves(symbols)):
+            if ca.is_equal(expression, symbol):
+                return record, k
+    return None
+
+
+def shift_of(task: Task, expression: ca.SX) -> float:
+    """Return what leads from the value of an expression to map coordinates."""
+    plain = plain_of(task, expression)
+    return 0.0 if plain is None else float(task.dae.shift[plain[0] == "z"][plain[1]])
+
+
+def role_of(fraction: float) -> str:
+    """Return the role of what is asked for at a fraction of the duration."""
+    return GOAL if fraction == 1 else f"{WAY_POINT} at {fraction:g}"
+
+
+def plainly(label: Label) -> Label:
+    """Return a label by the name of the quantity that is limited."""
+    return replace(label, name=label.name.removesuffix("_limit"))

@@ -1,0 +1,108 @@
+"""Why a search ended without a plan: what it violates, and what must give, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slipfree.plan.constraints import EQUATION, WITHIN, Violation, violated
+from slipfree.plan.elastic import Relaxation, relax
+from slipfree.plan.ipopt import Solution
+from slipfree.plan.messages import number, subject
+from slipfree.plan.transcription import Program
+from slipfree.records import Array
+
+WORST = 5  # violations that an explanation names
+STATUS = {  # what IPOPT's words mean for a plan
+    "Solve_Succeeded": "the plan is solved",
+    "Solved_To_Acceptable_Level": "the plan is solved, to a lesser accuracy",
+    "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
+    "Restoration_Failed": "the search found no way back to the constraints",
+    "Maximum_Iterations_Exceeded": "the search did not end within its iterations",
+    "Maximum_CpuTime_Exceeded": "the search did not end within its time",
+    "Maximum_WallTime_Exceeded": "the search did not end within its time",
+    "User_Requested_Stop": "the search was stopped",
+    "Diverging_Iterates": "the search ran away: something that pays has no bound",
+    "Search_Direction_Becomes_Too_Small": "the search made no more progress",
+    "Error_In_Step_Computation": "the search found no next step",
+    "Not_Enough_Degrees_Of_Freedom": "there are more equations than unknowns",
+    "Invalid_Number_Detected": "a function of the model has no value where the search looked",
+}
+
+
+def violations(program: Program, solution: Solution, tolerance: float = WITHIN) -> list[Violation]:
+    """Return the worst place of every constraint that does not hold, the worst constraint first.
+
+    They are in the order of their size relative to the range of their bounds or to what else is
+    typical.
+
+    Parameters
+    ----------
+    program : Program
+        From `transcribe`.
+    solution : Solution
+        Where its iteration ended.
+    tolerance : float
+        Violation that counts as none, in the unit of what is violated.
+    """
+    worst: dict[tuple[str, str], tuple[float, Violation]] = {}
+    values = np.concatenate([solution.rows, solution.unknowns])
+    for size, violation in violated(program, values, tolerance):
+        key = violation.role, violation.label.full
+        if key not in worst or size > worst[key][0]:
+            worst[key] = size, violation
+    return [each for _, each in sorted(worst.values(), key=lambda pair: -pair[0])]
+
+
+def words(violation: Violation) -> str:
+    """Return a violation as a sentence."""
+    label, role, at = violation.label, violation.role, f"at t = {violation.t:.4g} s"
+    size = number(label, violation.size)
+    if role == EQUATION:
+        return f"{subject(label, role)} is not met by {size} {at}"
+    side = "below" if violation.value < violation.bound else "above"
+    return f"{subject(label, role)} is {size} {side} {number(label, violation.bound)} {at}"
+
+
+def explanation(program: Program, solution: Solution, first: Array) -> str:
+    """Return lines that say how a search ended, what it violates, and what had to give.
+
+    Parameters
+    ----------
+    program : Program
+        From `transcribe`.
+    solution : Solution
+        Where its iteration ended.
+    first : ndarray, shape (n_w,)
+        Where it began, not scaled.
+    """
+    meant = STATUS.get(solution.status, "the search ended")
+    lines = [f"{meant} ({solution.status}, after {solution.iterations} iterations)"]
+    found = violations(program, solution)
+    if found:
+        lines.append(f"violated most there, of {len(found)} constraints:")
+        lines += [f"  {words(each)}" for each in found[:WORST]]
+    # Who stopped a search does not wait for another.
+    if not solution.success and solution.status != "User_Requested_Stop":
+        lines += _relaxed_words(relax(program, first))
+    return "\n".join(lines)
+
+
+def _relaxed_words(relaxation: Relaxation) -> list[str]:
+    if not relaxation.success:
+        meant = STATUS.get(relaxation.status, "it ended")
+        return [f"what had to give was not found: {meant} ({relaxation.status}) even with all "
+                "bounds but the start and the duration given up; try another guess"]  # fmt: skip
+    if not relaxation.relaxed:
+        return ["nothing has to give: a motion that keeps to all constraints was found without the "
+                "costs; try it as a guess, or more iterations"]  # fmt: skip
+    lines = ["a motion was found that gives up (one set that suffices; others may):"]
+    for each in relaxation.relaxed:
+        given, needed = (number(each.label, value) for value in (each.bound, each.value))
+        lines.append(f"  {subject(each.label, each.role)}: {needed} instead of {given} "
+                     f"at t = {each.t:.4g} s")  # fmt: skip
+    if relaxation.held:
+        lines.append("because these hold; if one of them gives, less of the above must:")
+    for held in relaxation.held:
+        bound = f"{held.side} {number(held.label, held.bound)}".lstrip()
+        lines.append(f"  {subject(held.label, held.role)}: {bound}")
+    return lines

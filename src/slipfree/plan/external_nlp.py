@@ -1,0 +1,58 @@
+"""Solving nonlinear programs that come ready made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import SolverError
+from slipfree.interrupt import heeded
+from slipfree.nlp import Nlp
+from slipfree.plan.ipopt import ITERATIONS, TOLERANCE, Solution
+
+
+@heeded
+def solve_nlp(nlp: Nlp, iterations: int = ITERATIONS) -> Solution:
+    """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
+
+    Parameters
+    ----------
+    nlp : Nlp
+        The program.
+    iterations : int
+        Most iterations.
+
+    Raises
+    ------
+    SolverError
+        If there is no solution, or none was found.
+    """
+    options: dict[str, Any] = {
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": iterations,
+                  "mu_strategy": "adaptive", "mumps_permuting_scaling": 0},
+        "print_time": False, "error_on_fail": False, "record_time": True,
+    }  # fmt: skip
+    solver = ca.nlpsol("nlp", "ipopt", {"x": nlp.x, "f": nlp.f, "g": nlp.g}, options)
+    found = solver(
+        x0=nlp.guess / nlp.scale, lbx=nlp.lower / nlp.scale, ubx=nlp.upper / nlp.scale,
+        lbg=nlp.g_lower, ubg=nlp.g_upper,
+    )  # fmt: skip
+    stats = solver.stats()
+    status, count = str(stats["return_status"]), int(stats["iter_count"])
+    if not stats["success"]:
+        raise SolverError(
+            f"no solution of the nonlinear program was found: IPOPT ended with {status} after "
+            f"{count} iterations; loosen its limits if they cannot be met together"
+        )
+    times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
+    functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
+    total = times.get("t_wall_total", 0.0)
+    x, rows, row_multipliers, bound_multipliers = (
+        np.array(found[name]).ravel() for name in ("x", "g", "lam_g", "lam_x")
+    )
+    return Solution(
+        x * nlp.scale, rows, float(found["f"]), row_multipliers, bound_multipliers,
+        status, True, count, {"total": total, "functions": functions, "rest": total - functions},
+    )  # fmt: skip

@@ -1,0 +1,221 @@
+"""Solving a nonlinear program with IPOPT through CasADi: progress, interruption, best iterate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.interrupt import InterruptGuard
+from slipfree.plan.transcription import Program, completed
+from slipfree.records import Array
+
+INFEASIBLE = "Infeasible_Problem_Detected"
+ITERATIONS = 500
+GROWTH = 100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
+TOLERANCE = 1e-8
+NEARBY = 1e-5  # barrier of a start from a solution nearby
+PUSH = 1e-9  # from the bounds in a warm start
+WARM: dict[str, Any] = {
+    "warm_start_init_point": "yes",
+    **{f"warm_start_{name}_push": PUSH for name in ("bound", "slack_bound", "mult_bound")},
+    "warm_start_bound_frac": PUSH, "warm_start_slack_bound_frac": PUSH,
+}  # fmt: skip
+QUASI_DENSE = 6  # minimum degree ordering for matrices with a few full rows, as of a free duration
+Look = Callable[["Iterate"], bool]
+
+
+class Iterate(NamedTuple):
+    """What is known after an iteration.
+
+    Attributes
+    ----------
+    number : int
+        Of iterations so far.
+    cost, violation : float
+        Cost, and largest violation of a row.
+    unknowns : ndarray, shape (n_w,)
+        Not scaled.
+    """
+
+    number: int
+    cost: float
+    violation: float
+    unknowns: Array
+
+
+class Solution(NamedTuple):
+    """What came of a program.
+
+    Attributes
+    ----------
+    unknowns : ndarray, shape (n_w,)
+        Not scaled.
+    rows : ndarray, shape (n_g,)
+        Values of all rows.
+    cost : float
+        Total.
+    row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
+        Of rows and bounds, for a warm start.
+    status : str
+        IPOPT's words.
+    success : bool
+        Whether it is optimal to the tolerance.
+    iterations : int
+        How many it took.
+    seconds : dict of str to float
+        Wall time in all, in functions, and in the linear solver and the rest. [s]
+    """
+
+    unknowns: Array
+    rows: Array
+    cost: float
+    row_multipliers: Array
+    bound_multipliers: Array
+    status: str
+    success: bool
+    iterations: int
+    seconds: dict[str, float]
+
+
+class _Watch(ca.Callback):
+    """Sees every iterate, keeps the one that violates least, and stops IPOPT when asked to."""
+
+    def __init__(self, program: Program, look: Look, heed: InterruptGuard) -> None:
+        ca.Callback.__init__(self)
+        self.program, self.look, self.heed, self.count = program, look, heed, 0
+        self.best: tuple[Iterate, Array] | None = None
+        self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        """Return the number of arguments, those of a solver's results."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """Return the number of results."""
+        return 1
+
+    def get_name_in(self, index: int) -> str:
+        """Return the name of an argument."""
+        return str(ca.nlpsol_out(index))
+
+    def get_name_out(self, _index: int) -> str:
+        """Return the name of the result."""
+        return "stop"
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        """Return the shape of an argument."""
+        n_w, n_g, n_p = self.sizes
+        sizes = {"f": 1, "x": n_w, "lam_x": n_w, "g": n_g, "lam_g": n_g, "lam_p": n_p}
+        return ca.Sparsity.dense(sizes[ca.nlpsol_out(index)], 1)
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
+        """Look at an iterate; a one stops the solver."""
+        try:
+            return [0.0 if self.heed.call(self.look, self._seen(arguments)) else 1.0]
+        except BaseException as error:
+            self.heed.keep(error)
+            return [1.0]
+
+    def _seen(self, arguments: Sequence[ca.DM]) -> Iterate:
+        values = dict(zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments,
+                          strict=True))  # fmt: skip
+        rows = np.array(values["g"]).ravel()
+        unknowns = np.array(values["x"]).ravel() * self.program.scale
+        over = violation(self.program, rows)
+        iterate = Iterate(self.count, float(values["f"]), over, unknowns)
+        if self.best is None or over < self.best[0].violation:
+            self.best = iterate, rows
+        self.count += 1
+        return iterate
+
+
+def violation(program: Program, rows: Array) -> float:
+    """Return by how much the rows miss their bounds at most, each in its unit."""
+    return float(np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0))
+
+
+def solve(
+    program: Program, weights: Array, first: Array, *,
+    warm: Solution | None = None, iterations: int = ITERATIONS, look: Look | None = None,
+) -> Solution:  # fmt: skip
+    """Return the solution of a program, or else the iterate that violates it least.
+
+    Where IPOPT found it infeasible, that is its last one.
+
+    Parameters
+    ----------
+    program : Program
+        From `transcribe`.
+    weights : ndarray, shape (n_costs + 1,)
+        Of the costs, the smoothness last.
+    first : ndarray, shape (n_w,)
+        First guess, not scaled; its roots do not count.
+    warm : Solution, optional
+        Whose multipliers to start from.
+    iterations : int
+        Most iterations.
+    look : callable, optional
+        Called with every iterate; the iteration ends where it returns False.
+    """
+    given = {"x0": completed(program, first) / program.scale, "p": weights,
+             "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
+             "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
+    if warm is not None:
+        given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
+    ipopt = ({} if warm is None else WARM) | {"max_iter": iterations}
+    with InterruptGuard() as heed:
+        watch = _Watch(program, look or (lambda _: True), heed)
+        solver = _ready(program, ipopt, {"iteration_callback": watch})
+        solution = _solution(program, solver(**given), solver.stats())
+    if solution.success or solution.status == INFEASIBLE or watch.best is None:
+        return solution
+    best, rows = watch.best
+    if best.violation >= violation(program, solution.rows):
+        return solution
+    return solution._replace(unknowns=best.unknowns, rows=rows, cost=best.cost)
+
+
+def kept_going(program: Program, iterations: int) -> ca.Function:
+    """Return a solver that takes iterations from a solution nearby, in full steps.
+
+    It takes unknowns, divided by their scale, multipliers and bounds under CasADi's names for them.
+    """
+    ipopt = WARM | {"max_iter": iterations, "mu_strategy": "monotone", "mu_init": NEARBY,
+                    "accept_every_trial_step": "yes"}  # fmt: skip
+    return _ready(program, ipopt, {})
+
+
+def _ready(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
+    """Return IPOPT for a program."""
+    quiet: dict[str, Any] = {
+        "print_level": 0, "sb": "yes", "tol": TOLERANCE, "mu_strategy": "adaptive",
+        "honor_original_bounds": "yes",
+        "mumps_permuting_scaling": 0, "mumps_pivot_order": QUASI_DENSE, "theta_max_fact": GROWTH,
+    }  # fmt: skip
+    every: dict[str, Any] = {
+        "ipopt": quiet | ipopt, "print_time": False, "error_on_fail": False, "record_time": True,
+        "grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian,
+        "no_nlp_grad": True, "calc_lam_p": False, "show_eval_warnings": False,
+    }  # fmt: skip
+    return ca.nlpsol("plan", "ipopt", program.problem, every | options)
+
+
+def _solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:
+    times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
+    total = times.get("t_wall_total", 0.0)
+    functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))
+    return Solution(
+        np.array(found["x"]).ravel() * program.scale,
+        np.array(found["g"]).ravel(),
+        float(found["f"]),
+        np.array(found["lam_g"]).ravel(),
+        np.array(found["lam_x"]).ravel(),
+        str(stats["return_status"]),
+        bool(stats["success"]),
+        int(stats["iter_count"]),
+        {"total": total, "functions": functions, "rest": total - functions},
+    )

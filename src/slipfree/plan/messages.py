@@ -1,0 +1,61 @@
+"""How constraints and their numbers are put into words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slipfree.plan.constraints import EQUATION, INPUT, LIMIT
+from slipfree.records import Label
+
+MODEL = "model"  # the role of the model's own limits, before they are in the program
+DURATION = "duration"
+LIMITED = " is limited by the plan"  # ends the words of a limit that was asked for
+LARGE = 1000.0  # from which on four digits are too few
+
+
+def rate_of(label: Label) -> Label:
+    """Return the label of an input's rate, as the program calls it."""
+    return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
+
+
+def subject(label: Label, role: str) -> str:
+    """Return what is constrained, and whose it is or where."""
+    whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
+    if role == INPUT:
+        return f"input {label.full}"
+    if role == DURATION:
+        return "duration"
+    if role in (LIMIT, EQUATION, MODEL):
+        kind = "equation " if role == EQUATION else "model's own " if role == MODEL else ""
+        return f"{kind}{label.name} of {whose}"
+    return f"{label.full} at the {role}"
+
+
+def number(label: Label, value: float) -> str:
+    """Return a value with its unit."""
+    unit = _unit(label.unit)
+    return f"{_digits(value)}{unit and ' '}{unit}"
+
+
+def _digits(value: float) -> str:
+    """Return a value to four digits, large ones, as of places on a map, to three decimals."""
+    value = round(value, 9) + 0.0
+    return f"{value:.4g}" if abs(value) < LARGE else f"{round(value, 3):.15g}"
+
+
+def bounds_words(label: Label, low: float, high: float) -> str:
+    """Return a range with its unit."""
+    if low == high:
+        return number(label, low)
+    if np.isfinite(low) and np.isfinite(high):
+        return f"{_digits(low)} to {number(label, high)}"
+    return f"at least {number(label, low)}" if np.isfinite(low) else \
+        f"at most {number(label, high)}"  # fmt: skip
+
+
+def _unit(unit: str) -> str:
+    """Return a unit with a stroke, ``"rad/s"`` for ``"rad s-1"``."""
+    parts = unit.split()
+    over = [part for part in parts if "-" not in part and part != "1"]
+    under = [part.replace("-", "").removesuffix("1") for part in parts if "-" in part]
+    return "/".join([" ".join(over) or "1", *under]) if under else " ".join(over)

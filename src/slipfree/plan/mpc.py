@@ -1,0 +1,301 @@
+"""Plans that are kept up to date while the vehicle moves: a step of Newton's method a cycle.
+
+A window of fixed length goes ahead of the vehicle along a plan, and ends where the plan is then, in
+what the goal asks for. From cycle to cycle its program stays the same but for bounds; its solution
+is shifted, the measured state put in, and one iteration taken (Diehl, Bock, Schloeder, A real-time
+iteration scheme for nonlinear optimization in optimal feedback control, SIAM J. Control Optim. 43,
+2005). Behind the end of the plan the window shrinks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import ModelError, SolverError
+from slipfree.interrupt import heeded
+from slipfree.plan.ipopt import ITERATIONS, kept_going, violation
+from slipfree.plan.plan import Plan
+from slipfree.plan.polynomial_motion import PolynomialMotion, course
+from slipfree.plan.transcription import Index, Mesh, Program, Task, completed, transcribe
+from slipfree.plan.verification import inputs_along
+from slipfree.records import Array
+
+APART = 1e-6  # times that are nearer are one [s]
+GOING_ON = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
+SHORTEST = 0.25  # part of the window that is left when nothing is decided any more
+
+
+@dataclass(frozen=True, eq=False)
+class Horizon:
+    """A window ahead of the vehicle.
+
+    Attributes
+    ----------
+    program : Program
+        Of the window.
+    plan : PolynomialMotion
+        The motion along which it goes.
+    targets : casadi Function
+        ``(x, z, u) ->`` what the goal asks for.
+    span : float
+        Length of the window. [s]
+    weights : ndarray, shape (n_costs + 1,)
+        Of the costs, the smoothness last.
+    rows : casadi Function
+        ``(w, p) ->`` the rows of the program.
+    solver : casadi Function
+        Takes the iterations of a cycle.
+    """
+
+    program: Program
+    plan: PolynomialMotion
+    targets: ca.Function
+    span: float
+    weights: Array
+    rows: ca.Function
+    solver: ca.Function
+
+
+class Cycle(NamedTuple):
+    """What is known at a time, and what the next cycle starts from.
+
+    Attributes
+    ----------
+    t : float
+        When. [s]
+    course : PolynomialMotion
+        The motion from then on.
+    row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
+        Of rows and bounds.
+    violation : float
+        By how much the motion violates its equations and what is asked for.
+    """
+
+    t: float
+    course: PolynomialMotion
+    row_multipliers: Array
+    bound_multipliers: Array
+    violation: float
+
+
+def horizon(
+    plan: Plan, *, span: float, intervals: int = 20, degree: int = 3, iterations: int = 1
+) -> Horizon:
+    """Return a window of a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its costs, limits and goal hold in the window, its way-points only by the plan itself.
+    span : float
+        Length of the window. [s]
+    intervals, degree : int
+        Of the window's collocation.
+    iterations : int
+        Of a cycle at most.
+
+    Raises
+    ------
+    ModelError
+        If the window is longer than the plan, numbers are not positive, or the model or what is
+        asked of it depends on time, which a window would count from its own beginning.
+    """
+    length, task = plan.course.duration, plan.program.task
+    _check(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
+    if not 0 < span <= length:
+        raise ModelError(
+            f"horizon: expected a window of at most the duration of the plan, {length:g} s, found "
+            f"{span} s"
+        )
+    own = replace(task, places=task.places[-1:], duration=(span, span))
+    program = transcribe(own, Mesh(np.linspace(0, 1, intervals + 1), degree))
+    x, z, u = task.dae.columns()
+    n_z = plan.course.layout.unknowns.shape[2]
+    asked = ca.vertcat(*(limit.expression for limit in own.places[0].limits))
+    weights = np.array([*(cost.weight for cost in task.costs), task.smooth])
+    names = [program.problem[name] for name in "xp"]
+    return Horizon(
+        program, plan.course, ca.Function("targets", [x, z[:n_z], u], [asked]), span, weights,
+        ca.Function("rows", names, [program.problem["g"]]), kept_going(program, iterations),
+    )  # fmt: skip
+
+
+def _check(task: Task, numbers: dict[str, int]) -> None:
+    for name, number in numbers.items():
+        if number < 1:
+            raise ModelError(f"horizon: {name}: expected 1 or more, found {number}")
+    dae = task.dae
+    asked = (limit.expression for limit in (*task.limits, *dae.limits, *task.places[-1].limits))
+    costs = (cost.expression for cost in task.costs)
+    everything = ca.vertcat(dae.ode, *dae.alg, *asked, *costs)
+    if ca.depends_on(everything, dae.t):
+        raise ModelError(
+            "horizon: expected a model, costs and limits that do not depend on time, found some "
+            "that do; plan the whole way instead"
+        )
+
+
+def begin(window: Horizon) -> Cycle:
+    """Return the cycle before the first one: the beginning of the plan, solved for the window."""
+    program, layout = window.program, window.program.layout
+    first = _along(window, [(window.plan, 0.0)], 0.0, window.span)
+    blank = Cycle(0.0, course(program, first), np.zeros(program.g_lower.size),
+                  np.zeros(program.scale.size), np.inf)  # fmt: skip
+    patient = replace(window, solver=kept_going(program, ITERATIONS))
+    return advance(patient, blank, 0.0, first[layout.first])
+
+
+@heeded
+def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
+    """Return the next cycle.
+
+    Parameters
+    ----------
+    window : Horizon
+        The window.
+    former : Cycle
+        The last one.
+    t : float
+        Time since the plan began. [s]
+    x : ndarray, shape (n_x,)
+        States that were measured then, local.
+
+    Returns
+    -------
+    Cycle
+        Near the end of the plan, what is left of the former one.
+
+    Raises
+    ------
+    ModelError
+        If time or states are none.
+    SolverError
+        If the iterations fail, as from a state far from the window; the former cycle may be driven
+        on.
+    """
+    program, plan, scale = window.program, window.plan, window.program.scale
+    x = np.asarray(x, dtype=float)
+    if x.shape != program.layout.first.shape or not np.isfinite([t, *x]).all():
+        raise ModelError(
+            f"horizon: expected a time and {program.layout.first.size} states, all finite, found "
+            f"t = {t} and {x}"
+        )
+    if t < former.t - APART:
+        raise ModelError(f"horizon: expected a time from {former.t:g} s on, found {t:g} s")
+    span = min(window.span, plan.duration - t)
+    if span < SHORTEST * window.span:
+        return former
+    first = _along(window, [(former.course, former.t), (plan, 0.0)], t, span)
+    first[program.layout.first] = x
+    first = completed(program, first)
+    lower, upper = program.lower.copy(), program.upper.copy()
+    lower[program.layout.first] = upper[program.layout.first] = x
+    lower[program.layout.duration] = upper[program.layout.duration] = span
+    g_lower, g_upper = _bounds(window, t + span)
+    rows, bounds = _shifted(program, former, t, span)
+    found = window.solver(
+        x0=first / scale, p=window.weights, lbx=lower / scale, ubx=upper / scale, lbg=g_lower,
+        ubg=g_upper, lam_g0=rows, lam_x0=bounds,
+    )  # fmt: skip
+    status = window.solver.stats()["return_status"]
+    # IPOPT's own rows are those of its last accepted iterate, which may not be what it returns.
+    g = np.array(window.rows(found["x"], window.weights)).ravel()
+    if status not in GOING_ON or not np.isfinite(g).all():
+        raise SolverError(
+            f"horizon: no step at t = {t:g} s from the state {x}: {status}; the former cycle may "
+            "be driven on"
+        )
+    unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
+    asked = replace(program, g_lower=g_lower, g_upper=g_upper)
+    return Cycle(t, course(program, unknowns * scale), rows, bounds, violation(asked, g))
+
+
+def driven(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Any, Array]:
+    """Return the inputs of a cycle from one time since the plan began to another, for ``simulate``.
+
+    Returns
+    -------
+    record, ndarray
+        The inputs, and the times at which to simulate under them, since the cycle; the last one is
+        the end of the cycle's motion if that comes first. [s]
+
+    Raises
+    ------
+    ModelError
+        If there is nothing left to drive, or the times are before the cycle.
+    """
+    ends = cycle.course.ends
+    first, last = begin - cycle.t, min(end - cycle.t, ends[-1])
+    if not -APART <= first < last:
+        raise ModelError(
+            f"horizon: expected times from {cycle.t:g} to {cycle.t + ends[-1]:g} s, the second "
+            f"after the first, found {begin:g} and {end:g} s"
+        )
+    inside = ends[(ends > first + APART) & (ends < last - APART)]
+    times = np.concatenate([[first], inside, [last]])
+    return inputs_along(window.program.task.dae, cycle.course, times), times
+
+
+def _along(
+    window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
+) -> Array:
+    """Return unknowns that mean what motions are from a time on, each as far as it goes."""
+    program = window.program
+    mesh, layout = program.mesh, program.layout
+    unknowns = np.zeros(program.scale.size)
+    unknowns[layout.duration] = span
+    nodes, n_z = t + span * mesh.nodes, layout.unknowns.shape[2]
+    ends = t + span * (mesh.ends if len(layout.inputs) == mesh.ends.size
+                       else (mesh.ends[1:] + mesh.ends[:-1]) / 2)  # fmt: skip
+    states, unknown, inputs = (_joined(motions, at, read) for at, read in (
+        (nodes, PolynomialMotion.states), (nodes, PolynomialMotion.algebraic), (ends, PolynomialMotion.inputs)))  # fmt: skip
+    unknowns[layout.first] = states[:, 0]
+    unknowns[layout.states] = states[:, 1:].T.reshape(layout.states.shape)
+    unknowns[layout.unknowns] = unknown[:n_z, 1:].T.reshape(layout.unknowns.shape)
+    unknowns[layout.inputs] = inputs.T
+    return completed(program, unknowns)
+
+
+def _joined(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
+    """Return values of the first motion that goes as far as each time."""
+    values = read(motions[-1][0], _part(motions[-1], at))
+    for motion in reversed(motions[:-1]):
+        inside = at <= motion[1] + motion[0].duration
+        values[:, inside] = read(motion[0], _part(motion, at[inside]))
+    return np.asarray(values)
+
+
+def _part(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
+    """Return times as fractions of a motion."""
+    return np.clip((at - motion[1]) / motion[0].duration, 0.0, 1.0)
+
+
+def _bounds(window: Horizon, end: float) -> tuple[Array, Array]:
+    """Return bounds of the rows for a window that ends at a time: there it meets the plan."""
+    program, plan = window.program, window.plan
+    lower, upper = program.g_lower.copy(), program.g_upper.copy()
+    if end < plan.duration - APART:  # what is summed up may be off by rounding
+        at = np.array([end / plan.duration])
+        values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
+        count = len(program.pieces[-1].labels)
+        lower[-count:] = upper[-count:] = np.array(values).ravel()
+    return lower, upper
+
+
+def _shifted(program: Program, former: Cycle, t: float, span: float) -> tuple[Array, Array]:
+    """Return the multipliers of a cycle for the next one, interval by interval."""
+    ends, layout = program.mesh.ends, program.layout
+    middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.course.duration
+    which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)
+    piece = program.pieces[0]
+    count = len(piece.where) * len(piece.labels)
+    rows, bounds = former.row_multipliers.copy(), np.zeros(program.scale.size)
+    rows[:count] = rows[:count].reshape(len(piece.where), -1)[which].ravel()
+    for where in (layout.inputs[: which.size], layout.states, layout.unknowns, layout.roots):
+        bounds[where] = former.bound_multipliers[where[which]]
+    bounds[layout.inputs[which.size :]] = former.bound_multipliers[layout.inputs[which.size :]]
+    return rows, bounds

@@ -1,0 +1,201 @@
+"""What the unknowns of a program say about the motion, between the points of collocation too."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.plan.transcription import Index, Layout, Mesh, Program, completed
+from slipfree.records import Array, leaves
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.radau import basis
+from slipfree.solve.sampling import Samples, followed, table
+from slipfree.solve.system import with_inputs
+from slipfree.trajectory import Trajectory
+
+NEAR = 1e-6  # distance of states within which a motion begins where another does [m, rad]
+ROUNDING = 1e-12  # part of the duration by which a place may miss the end of an interval
+
+
+class PolynomialMotion(NamedTuple):
+    """A motion as polynomials on the intervals of a mesh, in local coordinates.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        Its intervals.
+    layout : Layout
+        Where things are among the unknowns.
+    unknowns : ndarray, shape (n_w,)
+        Not scaled.
+    """
+
+    mesh: Mesh
+    layout: Layout
+    unknowns: Array
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.unknowns[self.layout.duration])
+
+    @property
+    def ends(self) -> Array:
+        """Times of the ends of the intervals, shape (n + 1,) [s]."""
+        return self.mesh.ends * self.duration
+
+    def states(self, at: Array) -> Array:
+        """Return the states at fractions of the duration, shape (n_x, n_at)."""
+        k, inside = self._where(at)
+        values, layout = self.unknowns, self.layout
+        inner = values[layout.states]
+        first = np.concatenate([values[layout.first][None], inner[:-1, -1]])
+        nodes = np.concatenate([first[:, None], inner], axis=1)
+        weights = basis(self.mesh.degree).values(inside, tied=True)
+        return np.asarray(np.einsum("ij,ijx->xi", weights, nodes[k]))
+
+    def algebraic(self, at: Array) -> Array:
+        """Return the algebraic unknowns at fractions of the duration, shape (n_z, n_at)."""
+        k, inside = self._where(at)
+        weights = basis(self.mesh.degree).values(inside, tied=False)
+        return np.asarray(np.einsum("ij,ijz->zi", weights, self.unknowns[self.layout.unknowns][k]))
+
+    def inputs(self, at: Array) -> Array:
+        """Return the inputs at fractions of the duration, shape (n_u, n_at)."""
+        k, inside = self._where(at)
+        values = self.unknowns[self.layout.inputs]
+        if not self.continuous:
+            return np.asarray(values[k].T)
+        return np.asarray((values[k] + inside[:, None] * (values[k + 1] - values[k])).T)
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the inputs are continuous: then they have values at the ends."""
+        return len(self.layout.inputs) == self.mesh.ends.size
+
+    def _where(self, at: Array) -> tuple[Index, Array]:
+        """Return intervals, an end among the one before it, and places on them from 0 to 1."""
+        ends = self.mesh.ends
+        k = np.clip(np.searchsorted(ends, at - ROUNDING) - 1, 0, ends.size - 2)
+        return k, (at - ends[k]) / np.diff(ends)[k]
+
+
+def course(program: Program, unknowns: Array) -> PolynomialMotion:
+    """Return what unknowns of a program mean."""
+    return PolynomialMotion(program.mesh, program.layout, unknowns)
+
+
+def carried(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
+    """Return unknowns of a program that mean the motion of another mesh, goal or ground.
+
+    Of the former motion what comes after a part of its duration counts. Unknowns that only the new
+    program has are taken from its model.
+    """
+    task, layout = program.task, program.layout
+    nodes = after + (1 - after) * program.mesh.nodes
+    count, degree = len(layout.states), program.mesh.degree
+    unknowns = np.zeros(program.scale.size)
+    unknowns[layout.first] = task.start
+    unknowns[layout.duration] = np.clip((1 - after) * former.duration, *task.duration)
+    x, u, z = former.states(nodes), former.inputs(nodes), former.algebraic(nodes)
+    unknowns[layout.states] = x[:, 1:].T.reshape(count, degree, -1)
+    have, need = len(z), layout.unknowns.shape[2]
+    if have < need:
+        t = nodes * former.duration
+        z = _followed(program, Samples(t, x, z, np.zeros((0, t.size)), u)).z[:need]
+    unknowns[layout.unknowns] = z[:need, 1:].T.reshape(count, degree, -1)
+    _put_inputs(program, unknowns, former, after)
+    return completed(program, unknowns)
+
+
+def _put_inputs(program: Program, unknowns: Array, former: PolynomialMotion, after: float) -> None:
+    ends, where = after + (1 - after) * program.mesh.ends, program.layout.inputs
+    at = ends if len(where) == ends.size else (ends[1:] + ends[:-1]) / 2
+    bounds = program.task.inputs
+    unknowns[where] = np.clip(former.inputs(at).T, bounds[:, 0], bounds[:, 1])
+
+
+def _followed(program: Program, samples: Samples) -> Samples:
+    """Return samples with all algebraic unknowns, of which the first ones are known."""
+    dae = program.task.dae
+    z = np.full((dae.scale.size, samples.t.size), np.nan)
+    z[: len(samples.z)] = samples.z
+    return followed(open_loop(program), samples._replace(z=z))[0]
+
+
+def nearest(former: PolynomialMotion, start: Array) -> float:
+    """Return the part of the duration after which a motion is nearest to a state, its first ones.
+
+    Zero if the motion begins there.
+    """
+    nodes = former.mesh.nodes
+    away = np.linalg.norm(former.states(nodes) - start[:, None], axis=0)
+    return 0.0 if away[0] < NEAR else float(nodes[: away.size - 1][away[:-1].argmin()])
+
+
+def open_loop(program: Program) -> Any:
+    """Return the model with its inputs as numbers."""
+    dae = program.task.dae
+    return with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
+
+
+def unknowns_of(program: Program, guess: Trajectory) -> Array:
+    """Return the unknowns of a motion, stretched over the mesh."""
+    task, layout = program.task, program.layout
+    dae, mesh = task.dae, program.mesh
+    unknowns = np.zeros(program.scale.size)
+
+    def at(record: str, count: int, parts: Array) -> Array:
+        labels = list(leaves(getattr(dae.labels, record)))[:count]
+        t = guess.t[0] + parts * (guess.t[-1] - guess.t[0])
+        return np.array([np.interp(t, guess.t, guess.of(label)) for label in labels])
+
+    n_z = layout.unknowns.shape[2]
+    x, z = at("x", layout.first.size, mesh.nodes), at("z", n_z, mesh.nodes)
+    x, z = x - dae.shift[0][:, None], z - dae.shift[1][:n_z, None]
+    count = len(layout.states)
+    unknowns[layout.first] = task.start
+    unknowns[layout.states] = x[:, 1:].T.reshape(count, mesh.degree, -1)
+    unknowns[layout.unknowns] = z[:, 1:].T.reshape(count, mesh.degree, -1)
+    n_u = layout.inputs.shape[1]
+    if len(layout.inputs) == mesh.ends.size:
+        u = at("u", n_u, mesh.ends).T
+    else:
+        u = at("u", n_u, mesh.nodes)[:, 1:].reshape(-1, count, mesh.degree).mean(axis=2).T
+    unknowns[layout.inputs] = np.clip(u, task.inputs[:, 0], task.inputs[:, 1])
+    unknowns[layout.duration] = np.clip(guess.t[-1] - guess.t[0], *task.duration)
+    return unknowns
+
+
+def sampled(program: Program, unknowns: Array) -> Trajectory:
+    """Return a plan at the beginning and at all points of collocation."""
+    found, loop = course(program, unknowns), open_loop(program)
+    nodes, n_z = program.mesh.nodes, program.layout.unknowns.shape[2]
+    inner = unknowns[program.layout.unknowns].reshape(-1, n_z).T
+    z = np.full((program.task.dae.scale.size, nodes.size), np.nan)
+    z[:n_z] = np.column_stack([inner[:, :1], inner])
+    x, u = found.states(nodes), found.inputs(nodes)
+    t = nodes * found.duration
+    # The program has no unknowns at the beginning; a failed one may be no guess for them either.
+    with suppress(ModelError):
+        z[:, 0] = consistent(loop, 0.0, x[:, 0], z[:, 1], u[:, 0])
+    try:
+        rates = np.array(loop.quad.map(t.size)(t[None], x, z[: loop.moving], u))[:, 1:]
+    except RuntimeError:  # the forces of a failed iterate may not be found
+        rates = np.full((program.task.dae.quad.numel(), t.size - 1), np.nan)
+    q = _integrated(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))
+    samples, report = followed(loop, Samples(t, x, z, q, u))
+    return table(loop, samples, report)
+
+
+def _integrated(rates: Array, lengths: Array) -> Array:
+    """Return integrals from zero to all points of rates at the points, shape (n_q, 1 + n k)."""
+    count, degree = rates.shape[1:]
+    inside = basis(degree).integrals(basis(degree).points)
+    parts = np.einsum("pj,qij->qip", inside, rates) * lengths[:, None]
+    before = np.cumsum(parts[:, :, -1], axis=1) - parts[:, :, -1]
+    total = (parts + before[:, :, None]).reshape(len(rates), count * degree)
+    return np.column_stack([np.zeros(len(rates)), total])

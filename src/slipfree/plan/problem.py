@@ -1,0 +1,188 @@
+"""From names and numbers to an optimal control problem of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Limit
+from slipfree.errors import ModelError
+from slipfree.plan.bound_conflicts import conflicts
+from slipfree.plan.messages import LIMITED
+from slipfree.plan.transcription import Cost, Model, Place, Task
+from slipfree.records import Array, Label, leaves
+from slipfree.trajectory import Trajectory
+
+Range = tuple[float, float]
+IDLE = 0.1  # power around which work and braking blend [W]
+ROUND = 0.01  # part of a bound over which the tip of a root at zero is rounded
+
+
+def duration_of(value: float | Range) -> Range:
+    """Return the least and the largest duration. [s]."""
+    low, high = (value, value) if isinstance(value, int | float) else value
+    if not 0 < low <= high < np.inf:
+        raise ModelError(f"plan: expected a positive duration or a range of them, found {value} s")
+    return float(low), float(high)
+
+
+def costs_of(dae: Model, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
+    """Return terms of the cost from weights by name; terms as they are."""
+    if not isinstance(given, Mapping):
+        return tuple(given)
+    costs = []
+    for name, weight in given.items():
+        if not weight >= 0:
+            raise ModelError(f"plan: the weight of {name} must not be negative, found {weight}")
+        costs.append(Cost(*_term(dae, name), weight))
+    return tuple(costs)
+
+
+def _term(dae: Model, name: str) -> tuple[Label, ca.SX]:
+    """Return label and expression of a term of the cost."""
+    if name == "time":
+        return Label(name, "s", "duration"), ca.SX(1)
+    if name == "effort":
+        return Label(name, "rad2 s-1", "squared inputs"), ca.sumsqr(ca.vertcat(*leaves(dae.u)))
+    if name == "slip":
+        parts = [*dae.named("slip_along"), *dae.named("slip_across")]
+        return Label(name, "m2 s-1", "squared slip of all wheels"), ca.sumsqr(ca.vertcat(*parts))
+    if name == "energy":
+        return Label(name, "J", "work of the drives, braking not counted"), _work(dae)
+    squares = ca.SX(sum(_square(each) for each in dae.named(name)))
+    return Label(name, _squared_unit(dae, name), f"squared {name}, integrated over time"), squares
+
+
+def _work(dae: Model) -> ca.SX:
+    """Return the power of the drives that work, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
+    powers = [torque * rate for torque, rate in
+              zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)]  # fmt: skip
+    return ca.SX(sum((p + ca.sqrt(p**2 + IDLE**2) - IDLE) / 2 for p in powers))
+
+
+def _square(expression: ca.SX) -> ca.SX:
+    """Return the square, that of a root without the root, which has no derivative at zero."""
+    return expression.dep(0) if expression.op() == ca.OP_SQRT else expression**2
+
+
+def _squared_unit(dae: Model, name: str) -> str:
+    records = (dae.labels.x, dae.labels.z, dae.labels.u, dae.labels.y)
+    unit = next(label.unit for record in records for label in leaves(record)
+                if name in (label.name, label.full))  # fmt: skip
+    return "s" if unit == "1" else f"({unit})2 s"
+
+
+def limits_of(dae: Model, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+    """Return limits on quantities of a model by name, in map coordinates; others as they are."""
+    if not isinstance(given, Mapping):
+        return tuple(given)
+    return tuple(limit for name, bounds in given.items()
+                 for limit in _conditions(dae, name, bounds))  # fmt: skip
+
+
+def _conditions(dae: Model, name: str, bounds: float | Range) -> Iterator[Limit]:
+    """Yield limits on a quantity, in map coordinates; one a wheel if it belongs to wheels."""
+    low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
+    if not low <= high:
+        raise ModelError(f"plan: bounds of {name} must ascend, found {low} to {high}")
+    found = False
+    for record, shift in (("x", dae.shift[0]), ("z", dae.shift[1]), ("u", None), ("y", None)):
+        labels = list(leaves(getattr(dae.labels, record)))
+        for k, (label, expression) in enumerate(
+            zip(labels, leaves(getattr(dae, record)), strict=True)
+        ):
+            if name in (label.name, label.full):
+                away = 0.0 if shift is None else float(shift[k])
+                words = f"{label.words}{LIMITED}"
+                own = replace(label, name=f"{label.name}_limit", words=words)
+                yield _rounded(Limit(own, expression, low - away, high - away))
+                found = True
+    for limit in dae.limits:
+        if name in (limit.label.name, limit.label.full):
+            yield limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))
+            found = True
+    if not found:
+        dae.named(name)  # says which names there are
+
+
+def _rounded(limit: Limit) -> Limit:
+    """Return a limit on a root such that it has derivatives where what is under it vanishes.
+
+    ``sqrt(e) <= b`` is ``sqrt(e + d^2) <= sqrt(b^2 + d^2)``, for every ``d``.
+    """
+    if limit.expression.op() != ca.OP_SQRT or limit.upper <= 0:
+        return limit
+    tip = (ROUND * limit.upper) ** 2 if np.isfinite(limit.upper) else ROUND**2
+    low = -np.inf if limit.lower <= 0 else float(np.sqrt(limit.lower**2 + tip))
+    high = float(np.sqrt(limit.upper**2 + tip))
+    return limit._replace(expression=ca.sqrt(limit.expression.dep(0) + tip), lower=low, upper=high)
+
+
+def places_of(
+    dae: Model,
+    goal: Mapping[str, float | Range] | Sequence[Limit],
+    way_points: Mapping[float, Mapping[str, float | Range]],
+) -> Iterator[Place]:
+    """Yield the conditions at way-points and goal."""
+    for fraction, wanted in sorted(way_points.items()):
+        if not 0 < fraction < 1:
+            raise ModelError(f"plan: way-points lie between 0 and 1, found {fraction}")
+        yield Place(fraction, _place(dae, wanted))
+    yield Place(1.0, _place(dae, goal))
+
+
+def _place(dae: Model, wanted: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+    if not isinstance(wanted, Mapping):
+        return tuple(wanted)
+    return tuple(limit for name, value in wanted.items()
+                 for limit in _conditions(dae, name, value))  # fmt: skip
+
+
+def bounds_of(dae: Model, given: Mapping[str, Range]) -> Array:
+    """Return bounds by name as rows, one for each input; infinite where none are given."""
+    names = [label.full for label in leaves(dae.labels.u)]
+    bounds = np.tile([-np.inf, np.inf], (len(names), 1))
+    for name, (low, high) in given.items():
+        if name not in names:
+            raise ModelError(f"plan: {name!r} is no input; inputs are {', '.join(names)}")
+        if not low <= high:
+            raise ModelError(f"plan: bounds of {name} must ascend, found {low} to {high}")
+        bounds[names.index(name)] = low, high
+    return bounds
+
+
+def task_of(
+    dae: Model,
+    start: Trajectory,
+    *,
+    goal: Mapping[str, float | Range] | Sequence[Limit],
+    costs: Mapping[str, float] | Sequence[Cost],
+    duration: float | Range,
+    smooth: float = 0.0,
+    continuous: bool = True,
+    limits: Mapping[str, Range] | Sequence[Limit] = (),
+    way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
+    inputs: Mapping[str, Range] | None = None,
+    accelerations: Mapping[str, Range] | None = None,
+) -> Task:
+    """Return the optimal control problem of a plan; arguments are those of ``plan``.
+
+    Raises
+    ------
+    ModelError
+        If a name is not known, nothing is asked for at the goal, or start, goal and limits
+        contradict each other.
+    """
+    if not goal:
+        raise ModelError("plan: expected a goal, values or ranges by name, found none")
+    task = Task(
+        dae, dae.rows("x", start, -1), duration_of(duration), costs_of(dae, costs),
+        tuple(places_of(dae, goal, way_points or {})), limits_of(dae, limits),
+        bounds_of(dae, inputs or {}), bounds_of(dae, accelerations or {}), smooth, continuous,
+    )  # fmt: skip
+    if wrong := conflicts(task, start):
+        raise ModelError("plan: " + "; ".join(wrong))
+    return task

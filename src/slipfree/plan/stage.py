@@ -1,0 +1,138 @@
+"""What a plan asks for at one point of time: equations, limits and costs of the model.
+
+Where a cost is a sum of squares, as that of slip is, the roots are unknowns of the program as well,
+with an equation each. Newton's method then sees a cost that is quadratic, and takes a third of the
+iterations (Albersmeyer and Diehl, The lifted Newton method, SIAM J. Optim. 20, 2010).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Limit
+from slipfree.records import Array, Label, leaves
+from slipfree.solve.system import Block, System
+
+
+class Cost(NamedTuple):
+    """A term of the cost, integrated over time.
+
+    Attributes
+    ----------
+    label : Label
+        Name and unit of the integral.
+    expression : SX, shape (1, 1)
+        In the symbols of the model.
+    weight : float
+        What a unit of the integral costs.
+    """
+
+    label: Label
+    expression: ca.SX
+    weight: float
+
+
+class Point(NamedTuple):
+    """What happens at a point of time.
+
+    Attributes
+    ----------
+    function : casadi Function
+        ``(t, x, z, r, u) -> (rates of the states, rows, costs)``, with the unknowns that matter.
+    sizes : tuple of 3 ints
+        Numbers of states, unknowns and inputs.
+    roots : int
+        Number of roots, whose equations are behind those of the model, before the limits.
+    labels : tuple of Label
+        Of the rows, those of the states' motion first.
+    lower, upper : ndarray, shape (n_rows,)
+        Their bounds.
+    """
+
+    function: ca.Function
+    sizes: tuple[int, int, int]
+    roots: int
+    labels: tuple[Label, ...]
+    lower: Array
+    upper: Array
+
+
+def point_of(
+    loop: System, costs: Sequence[Cost], limits: Sequence[Limit], asked: Sequence[ca.SX]
+) -> Point:
+    """Return what happens at a point, with the unknowns that matter.
+
+    Parameters
+    ----------
+    loop : System
+        The model.
+    costs, limits : sequence of Cost and of Limit
+        The limits take a row each.
+    asked : sequence of SX
+        All of which there are conditions, also elsewhere.
+    """
+    given = [*asked, *(cost.expression for cost in costs)]
+    dae, blocks = loop.dae, _needed(loop, ca.vertcat(ca.SX(0, 1), *given))
+    x, z, u = dae.columns()
+    z = z[: blocks[-1].span.stop]
+    alg = ca.vertcat(*dae.alg[: len(blocks)])
+    if dae.continuation is not None:
+        alg = ca.substitute(alg, dae.continuation.symbol, dae.continuation.values[-1])
+    r, equations, paid = _costs(costs, ca.vertcat(x, z))
+    kept = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
+    motion = [Label(f"{label.name}_motion", label.unit, f"motion of {label.words}", label.wheel)
+              for label in leaves(dae.labels.x)]  # fmt: skip
+    model = [label for block in dae.labels.alg[: len(blocks)] for label in block]
+    own = [Label(f"{label.name}_root", "1", f"root of {label.words}") for label, _ in equations]
+    zeros = np.zeros(len(motion) + len(model) + len(own))
+    rows = ca.vertcat(alg, *(each for _, each in equations), kept)
+    return Point(
+        ca.Function("point", [dae.t, x, z, r, u], [dae.ode, rows, paid]),
+        (x.numel(), z.numel(), u.numel()), r.numel(),
+        (*motion, *model, *own, *(limit.label for limit in limits)),
+        np.append(zeros, [limit.lower for limit in limits]),
+        np.append(zeros, [limit.upper for limit in limits]),
+    )  # fmt: skip
+
+
+def _needed(loop: System, asked: ca.SX) -> tuple[Block, ...]:
+    """Return the blocks of equations that matter: those of the motion, and what is asked for."""
+    z = loop.dae.columns()[1][loop.moving :]
+    follows = ca.depends_on(asked, z) if z.numel() else False
+    return (*loop.blocks, *loop.after) if follows else loop.blocks
+
+
+def _costs(costs: Sequence[Cost], motion: ca.SX) -> tuple[ca.SX, list[tuple[Label, ca.SX]], ca.SX]:
+    """Return the roots, an equation for each with the label of its cost, and costs with roots."""
+    roots, equations, paid = ca.SX(0, 1), list[tuple[Label, ca.SX]](), ca.SX(0, 1)
+    for cost in costs:
+        terms = ca.SX(0)
+        for term in _summands(cost.expression):
+            inner = _root(term, motion)
+            if inner is None:
+                terms += term
+                continue
+            root = ca.SX.sym("root")
+            roots = ca.vertcat(roots, root)
+            equations.append((cost.label, inner - root))
+            terms += root**2
+        paid = ca.vertcat(paid, terms)
+    return roots, equations, paid
+
+
+def _summands(expression: ca.SX) -> list[ca.SX]:
+    if expression.op() != ca.OP_ADD:
+        return [expression]
+    return [term for k in range(2) for term in _summands(expression.dep(k))]
+
+
+def _root(term: ca.SX, motion: ca.SX) -> ca.SX | None:
+    """Return what is squared if that is a formula of the motion."""
+    if term.op() != ca.OP_SQ:
+        return None
+    inner = term.dep(0)
+    return inner if ca.depends_on(inner, motion) and not inner.is_symbolic() else None

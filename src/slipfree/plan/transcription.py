@@ -1,0 +1,432 @@
+"""From an optimal control problem to a nonlinear program, by Radau collocation.
+
+Time is divided into intervals. On each of them the states are polynomials of the degree, with their
+values at its beginning and at the Radau points, the last of which is its end; the algebraic
+unknowns have values at the points. Equations, limits and costs of one point are a symbolic function
+of its own unknowns and of the polynomials' values, rates of the inputs one of an interval's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae, Limit
+from slipfree.errors import ModelError
+from slipfree.plan.nlp_block import Element, element
+from slipfree.plan.nlp_block import Index as Index
+from slipfree.plan.sparse_assembly import Functions, assembled
+from slipfree.plan.stage import Cost as Cost
+from slipfree.plan.stage import Point, point_of
+from slipfree.records import Array, Label, leaves
+from slipfree.solve.system import System, with_inputs
+
+DEGREES = (1, 2, 3, 4, 5)
+Model = Dae[Any, Any, Any, Any, Any]
+
+
+class Place(NamedTuple):
+    """Conditions at one time: the goal at the end, or a way-point.
+
+    Attributes
+    ----------
+    fraction : float
+        Of the duration; one is the end. The nearest end of an interval counts.
+    limits : tuple of Limit
+        Conditions in the symbols of the model; equal bounds for an equation.
+    """
+
+    fraction: float
+    limits: tuple[Limit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """An optimal control problem.
+
+    Attributes
+    ----------
+    dae : Dae
+        The model.
+    start : ndarray, shape (n_x,)
+        States at the beginning, local.
+    duration : tuple of 2 floats
+        Least and largest duration; equal for a fixed one. [s]
+    costs : tuple of Cost
+        Their sum is least.
+    places : tuple of Place
+        Goal and way-points.
+    limits : tuple of Limit
+        Along the way.
+    inputs : ndarray, shape (n_u, 2)
+        Least and largest inputs.
+    accelerations : ndarray, shape (n_u, 2)
+        Least and largest rates of the inputs, infinite if they may change at will. [1/s2]
+    smooth : float
+        Weight of the squared rates of the inputs, integrated over time.
+    continuous : bool
+        Whether inputs are continuous and linear on every interval, else constant on it.
+    """
+
+    dae: Model
+    start: Array
+    duration: tuple[float, float]
+    costs: tuple[Cost, ...]
+    places: tuple[Place, ...]
+    limits: tuple[Limit, ...]
+    inputs: Array
+    accelerations: Array
+    smooth: float
+    continuous: bool = False
+
+
+class Mesh(NamedTuple):
+    """Intervals and the points on each.
+
+    Attributes
+    ----------
+    ends : ndarray, shape (n + 1,)
+        Fractions of the duration, from zero to one.
+    degree : int
+        Number of points of an interval.
+    """
+
+    ends: Array
+    degree: int
+
+    @property
+    def points(self) -> Array:
+        """Radau points of (0, 1], shape (degree,)."""
+        return np.array(ca.collocation_points(self.degree, "radau"))
+
+    @property
+    def nodes(self) -> Array:
+        """Fractions of the duration: the beginning and all points, shape (1 + n degree,)."""
+        inner = self.ends[:-1, None] + np.diff(self.ends)[:, None] * self.points
+        return np.append(0.0, inner.ravel())
+
+
+class Piece(NamedTuple):
+    """Rows of the program that stand at several places.
+
+    Attributes
+    ----------
+    where : ndarray, shape (count, n_v)
+        On which unknowns of the program they depend.
+    labels : tuple of Label
+        Of the rows.
+    lower, upper : ndarray, shape (n_rows,)
+        Bounds of the rows.
+    """
+
+    where: Index
+    labels: tuple[Label, ...]
+    lower: Array
+    upper: Array
+
+
+class Layout(NamedTuple):
+    """Where the unknowns of the program are: states, inputs, unknowns by point, and duration.
+
+    Attributes
+    ----------
+    first : ndarray, shape (n_x,)
+        States at the beginning.
+    inputs : ndarray, shape (n, n_u) or (n + 1, n_u)
+        Inputs of every interval; continuous ones at all ends of intervals.
+    states, unknowns : ndarray, shape (n, degree, n_x) and (n, degree, n_z)
+        At all points.
+    duration : int
+        Behind all of them.
+    roots : ndarray, shape (n, degree, n_r)
+        Behind the duration: what is squared in the costs, at all points.
+    """
+
+    first: Index
+    inputs: Index
+    states: Index
+    unknowns: Index
+    duration: int
+    roots: Index = np.zeros((0, 0, 0), dtype=np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A nonlinear program: ``f(w, p)`` is least within ``lower <= w <= upper`` and rows' bounds.
+
+    Unknowns are divided by ``scale``; ``p`` are the weights of the costs, the smoothness last.
+
+    Attributes
+    ----------
+    task, mesh, layout : Task, Mesh, Layout
+        What it came from.
+    pieces : tuple of Piece
+        What its rows are made of, in their order.
+    problem : dict
+        ``x, p, f, g`` for CasADi.
+    gradient, jacobian, hessian : casadi Function
+        Exact derivatives, in the form that its interface to IPOPT takes.
+    scale, lower, upper : ndarray, shape (n_w,)
+        Sizes of the unknowns, and their bounds, not scaled.
+    g_lower, g_upper : ndarray, shape (n_g,)
+        Bounds of the rows.
+    roots : casadi Function
+        ``x ->`` what is squared in the costs, from the other unknowns, in the order of the layout.
+    compiled : bool
+        Whether its functions are compiled, not interpreted.
+    """
+
+    task: Task
+    mesh: Mesh
+    layout: Layout
+    pieces: tuple[Piece, ...]
+    problem: dict[str, Any]
+    gradient: ca.Function
+    jacobian: ca.Function
+    hessian: ca.Function
+    scale: Array
+    lower: Array
+    upper: Array
+    g_lower: Array
+    g_upper: Array
+    roots: ca.Function
+    compiled: bool
+
+
+def transcribe(task: Task, mesh: Mesh) -> Program:
+    """Return the nonlinear program of a task on a mesh.
+
+    Raises
+    ------
+    ModelError
+        If the degree is not one of 1 to 5.
+    """
+    if mesh.degree not in DEGREES:
+        raise ModelError(f"plan: expected a degree of 1 to 5, found {mesh.degree}")
+    loop = with_inputs(task.dae, task.dae.inputs(**{
+        label.full: 0.0 for label in leaves(task.dae.labels.u)}), 0)  # fmt: skip
+    bounds, limits = _split(task, loop)
+    conditions = [*task.limits, *(limit for place in task.places for limit in place.limits)]
+    point = point_of(loop, task.costs, limits, [each.expression for each in conditions])
+    layout = _with_roots(positions(mesh, point.sizes, continuous=task.continuous), point)
+    pieces = (_interval(task, point, mesh, layout),
+              *(_place(task, place, mesh, layout) for place in task.places))  # fmt: skip
+    begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in pieces)]).tolist()
+    elements = [
+        _points(task, point, mesh, layout), _rates(task, mesh, layout, len(pieces[0].labels)),
+        *(_met(task, place, mesh, piece, begin)
+          for place, piece, begin in zip(task.places, pieces[1:], begins[1:-1], strict=True)),
+    ]  # fmt: skip
+    scale = _scale(task, layout)
+    made = assembled(elements, scale, len(task.costs) + 1)
+    lower, upper = _bounds(task, layout, bounds, scale.size)
+    return Program(
+        task, mesh, layout, pieces, {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
+        made.gradient, made.jacobian, made.hessian, scale, lower, upper,
+        np.concatenate([np.tile(each.lower, len(each.where)) for each in pieces]),
+        np.concatenate([np.tile(each.upper, len(each.where)) for each in pieces]),
+        _completion(elements[0], made, layout), not elements[0].parts.rows.is_a("SXFunction"),
+    )  # fmt: skip
+
+
+def completed(program: Program, unknowns: Array) -> Array:
+    """Return the unknowns of a program with the roots that belong to the others, not scaled."""
+    full, n_w = unknowns.copy(), program.roots.size1_in(0)
+    found = program.roots(unknowns[:n_w] / program.scale[:n_w])
+    full[program.layout.roots.ravel()] = np.array(found).ravel()
+    return full
+
+
+def _completion(points: Element, made: Functions, layout: Layout) -> ca.Function:
+    """Return the function that finds the roots: what they are, and what their equations miss."""
+    n_x, n_r = layout.first.size, layout.roots.shape[2]
+    begin = n_x + layout.unknowns.shape[2]
+    rows = points.rows[:, begin : begin + n_r].ravel().tolist()
+    all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
+    return ca.Function("roots", [made.w],
+                       [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])  # fmt: skip
+
+
+def positions(mesh: Mesh, counts: tuple[int, int, int], *, continuous: bool) -> Layout:
+    """Return where the unknowns are, for numbers of states, algebraic unknowns and inputs."""
+    n_x, n_z, n_u = counts
+    count, degree = mesh.ends.size - 1, mesh.degree
+    block = n_u + degree * (n_x + n_z)
+    begins = n_x + block * np.arange(count + continuous)[:, None]
+    inputs = begins + np.arange(n_u)
+    begins = begins[:count]
+    states = (begins + n_u + np.arange(degree * n_x)).reshape(count, degree, n_x)
+    rest = begins + n_u + degree * n_x + np.arange(degree * n_z)
+    unknowns = rest.reshape(count, degree, n_z)
+    duration = n_x + block * count + n_u * continuous
+    return Layout(np.arange(n_x), inputs, states, unknowns, duration)
+
+
+def _split(
+    task: Task, loop: System
+) -> tuple[dict[tuple[str, int], tuple[float, float]], list[Limit]]:
+    """Return limits that bound a state or an unknown alone, and those that take a row."""
+    x, z, _ = loop.dae.columns()
+    simple: dict[tuple[str, int], tuple[float, float]] = {}
+    rows = []
+    for limit in task.limits:
+        found = [(kind, k) for kind, column in (("x", x), ("z", z)) for k in range(column.numel())
+                 if ca.is_equal(limit.expression, column[k])]  # fmt: skip
+        if not found:
+            rows.append(limit)
+            continue
+        low, high = simple.get(found[0], (-np.inf, np.inf))
+        simple[found[0]] = max(low, limit.lower), min(high, limit.upper)
+    return simple, rows
+
+
+def _with_roots(layout: Layout, point: Point) -> Layout:
+    count, degree, _ = layout.states.shape
+    shape = count, degree, point.roots
+    return layout._replace(roots=layout.duration + 1 + np.arange(np.prod(shape)).reshape(shape))
+
+
+def _interval(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Piece:
+    """Return the rows of every interval: those of its points, then rates of the inputs."""
+    names = [label.full for label in leaves(task.dae.labels.u)]
+    jumps = _bounded(task)
+    rates = [Label(f"{names[k]}_change", "s-2", f"rate of {names[k]}") for k in jumps]
+    low, high = (np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
+                 for side, bounds in enumerate((point.lower, point.upper)))  # fmt: skip
+    return Piece(_whole(layout, mesh), (*(point.labels * mesh.degree), *rates), low, high)
+
+
+def _bounded(task: Task) -> list[int]:
+    """Return the inputs whose rates are bounded."""
+    return [k for k, bounds in enumerate(task.accelerations) if np.isfinite(bounds).any()]
+
+
+def _whole(layout: Layout, mesh: Mesh) -> Index:
+    """Return the unknowns of every interval: states, inputs, unknowns, roots and the duration."""
+    count = mesh.ends.size - 1
+    inner = [each.reshape(count, -1) for each in (layout.unknowns, layout.roots)]
+    last = np.full((count, 1), layout.duration)
+    return np.hstack([_nodes(layout), *_ends(layout, mesh), *inner, last])
+
+
+def _nodes(layout: Layout) -> Index:
+    """Return the states at the beginning and at the points of every interval, node by node."""
+    first = np.vstack([layout.first, layout.states[:-1, -1]])
+    return np.hstack([first, layout.states.reshape(len(first), -1)])
+
+
+def _ends(layout: Layout, mesh: Mesh) -> tuple[Index, Index]:
+    """Return the inputs of every interval and those that follow."""
+    count = mesh.ends.size - 1
+    # Behind the last interval a constant input stays what it is.
+    after = np.vstack([layout.inputs[1:], layout.inputs[-1:]])
+    return layout.inputs[:count], after[:count]
+
+
+def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
+    """Return what every point adds: motion, equations, limits and costs."""
+    n_x, n_z, n_u = point.sizes
+    count, degree = mesh.ends.size - 1, mesh.degree
+    nodes, x, z = (ca.SX.sym(*of) for of in (("nodes", n_x, 1 + degree), ("x", n_x), ("z", n_z)))
+    r, duration = ca.SX.sym("r", point.roots), ca.SX.sym("duration")
+    u, after = ca.SX.sym("u", n_u), ca.SX.sym("after", n_u)
+    q, p = ca.SX.sym("q", 5 + degree), ca.SX.sym("p", len(task.costs) + 1)
+    begin, length, at, weight, slopes = q[0], q[1], q[2], q[3], q[4:]
+    here = (1 - at) * u + at * after if task.continuous else u
+    ode, rows, paid = point.function((begin + at * length) * duration, x, z, r, here)
+    h = length * duration
+    inner = np.repeat(np.arange(count), degree)
+    where = np.hstack([
+        _nodes(layout)[inner], layout.states.reshape(-1, n_x), layout.unknowns.reshape(-1, n_z),
+        layout.roots.reshape(inner.size, -1), *(each[inner] for each in _ends(layout, mesh)),
+        np.full((inner.size, 1), layout.duration),
+    ])  # fmt: skip
+    each = len(point.labels)
+    jumps = inner[:, None] * len(_bounded(task))
+    places = each * np.arange(inner.size)[:, None] + jumps + np.arange(each)
+    return element(
+        (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
+        weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
+        ca.vertcat(nodes @ slopes - h * ode, rows), where, places, _constants(mesh),
+        compiled=task.dae.compiled,
+    )  # fmt: skip
+
+
+def _constants(mesh: Mesh) -> Array:
+    """Return what differs between points, shape (n degree, 5 + degree).
+
+    Beginning and length of the interval and the point's place on it, the weight of its value in an
+    integral, and those of the values at all nodes in the slope.
+    """
+    lagrange, _, weights = ca.collocation_coeff(mesh.points.tolist())
+    own = np.column_stack([mesh.points, weights.nonzeros(), np.array(lagrange).T])
+    spans = np.column_stack([mesh.ends[:-1], np.diff(mesh.ends)])
+    return np.hstack([np.repeat(spans, mesh.degree, axis=0), np.tile(own, (len(spans), 1))])
+
+
+def _rates(task: Task, mesh: Mesh, layout: Layout, each: int) -> Element:
+    """Return what the rates of the inputs add, behind the points of every interval."""
+    n_u, jumps = layout.inputs.shape[1], _bounded(task)
+    u, after, duration = ca.SX.sym("u", n_u), ca.SX.sym("after", n_u), ca.SX.sym("duration")
+    length, p = ca.SX.sym("length"), ca.SX.sym("p", len(task.costs) + 1)
+    h = length * duration
+    change = (after - u) / h
+    count = mesh.ends.size - 1
+    where = np.hstack([*_ends(layout, mesh), np.full((count, 1), layout.duration)])
+    places = each * np.arange(1, count + 1)[:, None] + np.arange(-len(jumps), 0)
+    return element(
+        (ca.vertcat(u, after, duration), length, p), p[-1] * h * ca.sumsqr(change),
+        ca.vertcat(ca.SX(0, 1), *(change[k] for k in jumps)), where, places,
+        np.diff(mesh.ends)[:, None],
+    )  # fmt: skip
+
+
+def _place(task: Task, place: Place, mesh: Mesh, layout: Layout) -> Piece:
+    """Return the rows of a goal or a way-point: conditions on inputs, states and unknowns."""
+    k = _nearest(place, mesh)
+    where = np.concatenate([layout.states[k, -1], layout.unknowns[k, -1],
+                            layout.inputs[k + task.continuous], [layout.duration]])  # fmt: skip
+    low, high = (np.array([getattr(limit, side) for limit in place.limits])
+                 for side in ("lower", "upper"))  # fmt: skip
+    return Piece(where[None], tuple(limit.label for limit in place.limits), low, high)
+
+
+def _nearest(place: Place, mesh: Mesh) -> int:
+    """Return the interval at whose end a place is."""
+    return max(int(np.abs(mesh.ends - place.fraction).argmin()) - 1, 0)
+
+
+def _met(task: Task, place: Place, mesh: Mesh, piece: Piece, begin: int) -> Element:
+    """Return what a goal or a way-point adds; its rows begin at a number."""
+    x, z, u = task.dae.columns()
+    p, duration = ca.SX.sym("p", len(task.costs) + 1), ca.SX.sym("duration")
+    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in place.limits))
+    rows = ca.substitute(rows, task.dae.t, mesh.ends[_nearest(place, mesh) + 1] * duration)
+    n_z = piece.where.size - x.numel() - u.numel() - 1
+    return element(
+        (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p), ca.SX(0), rows,
+        piece.where, begin + np.arange(len(piece.labels))[None], np.zeros((1, 0)),
+    )  # fmt: skip
+
+
+def _scale(task: Task, layout: Layout) -> Array:
+    scale = np.ones(layout.duration + 1 + layout.roots.size)
+    scale[layout.unknowns] = task.dae.scale[: layout.unknowns.shape[2]]
+    return scale
+
+
+def _bounds(
+    task: Task, layout: Layout, simple: dict[tuple[str, int], tuple[float, float]], size: int
+) -> tuple[Array, Array]:
+    """Return the bounds of the unknowns."""
+    lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
+    lower[layout.first] = upper[layout.first] = task.start
+    lower[layout.inputs], upper[layout.inputs] = task.inputs[:, 0], task.inputs[:, 1]
+    for (kind, k), (low, high) in simple.items():
+        where = (layout.states if kind == "x" else layout.unknowns)[:, :, k]
+        lower[where], upper[where] = low, high
+    lower[layout.duration], upper[layout.duration] = task.duration
+    return lower, upper

@@ -1,0 +1,209 @@
+"""Plans against simulation: how far apart they are, what is violated between, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Limit, PiecewiseLinear
+from slipfree.errors import SolverError
+from slipfree.plan.polynomial_motion import ROUNDING, PolynomialMotion, course
+from slipfree.plan.transcription import Index, Mesh, Model, Program
+from slipfree.records import Array, Mask, leaves
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import Trajectory
+
+PART = 0.01  # of the width between the bounds of a limit that counts, if that is less
+NEAR = 0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
+LOOKS = 8  # samples of an interval at least; the denser, the nearer its ends
+
+
+class Proof(NamedTuple):
+    """A plan's inputs simulated, and compared to the plan.
+
+    Attributes
+    ----------
+    replay : Trajectory
+        The simulation, several samples on every interval.
+    difference : dict of str to float
+        Largest difference of every state from the plan. [m, rad]
+    violation : dict of str to float
+        By how much the simulation violates the limits of the plan, and what is asked for at the
+        goal and at way-points, each in its unit; only what it violates.
+    worse : ndarray of bool, shape (n,)
+        Intervals on which the accuracy asked for is missed, and that may be refined.
+    accurate : bool
+        Whether the accuracy is reached: by states, limits and goal.
+    """
+
+    replay: Trajectory
+    difference: dict[str, float]
+    violation: dict[str, float]
+    worse: Mask
+    accurate: bool
+
+
+def prove(
+    program: Program,
+    unknowns: Array,
+    start: Trajectory,
+    *,
+    accuracy: float,
+    step: float,
+    tolerance: float,
+) -> Proof:
+    """Return what the simulation of a plan shows.
+
+    Parameters
+    ----------
+    program : Program
+        What was solved.
+    unknowns : ndarray, shape (n_w,)
+        Its solution.
+    start : Trajectory
+        Its last sample is where the plan begins.
+    accuracy : float
+        What differences and violations may be, each in its unit.
+    step : float
+        Between samples at most. [s]
+    tolerance : float
+        Of the integrator.
+    """
+    found = course(program, unknowns)
+    dae, limits = program.task.dae, program.task.limits
+    replay = rerun(dae, start, found, step=step, tolerance=tolerance)
+    parts = np.minimum(replay.t / found.duration, 1.0)
+    x, z, u = (_rows(dae, record, replay) for record in "xzu")
+    samples = replay.t, x, z, u
+    gaps = x - found.states(parts)
+    over, allowed = _over(dae, limits, samples), _allowed(limits, accuracy)[:, None]
+    ends = program.mesh.ends
+    where = np.clip(np.searchsorted(ends, parts - ROUNDING) - 1, 0, ends.size - 2)
+    worse = np.zeros(ends.size - 1, dtype=bool)
+    if (over > allowed).any():  # a finer mesh bulges elsewhere: what is near is refined as well
+        worse[where[(over > allowed * NEAR).any(axis=0)]] = True
+    worse |= _arises(gaps, where, accuracy, ends.size - 1)
+    if replay.stop is not None:
+        # Where a limit ends it that the program does not know, a finer mesh is of no use.
+        worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
+    missed = _missed(program, samples, parts)
+    violation = _named(limits, over.max(axis=1)) | missed
+    names = [label.full for label in leaves(dae.labels.x)]
+    met = max(missed.values(), default=0.0) <= accuracy
+    return Proof(
+        replay, dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)), violation, worse,
+        met and replay.stop is None and not worse.any(),
+    )  # fmt: skip
+
+
+def _named(limits: Sequence[Limit], most: Array) -> dict[str, float]:
+    """Return what is violated by name, the most of those that share one."""
+    found: dict[str, float] = {}
+    for limit, size in zip(limits, most, strict=True):
+        if size > 0:
+            name = limit.label.full.replace("_limit", "")
+            found[name] = max(found.get(name, 0.0), float(size))
+    return found
+
+
+def _missed(
+    program: Program, samples: tuple[Array, Array, Array, Array], parts: Array
+) -> dict[str, float]:
+    """Return by how much the simulation misses what is asked for at way-points and goal."""
+    found: dict[str, float] = {}
+    for place in program.task.places:
+        k = int(np.abs(parts - place.fraction).argmin())
+        if abs(parts[k] - place.fraction) > 1e-6:  # the simulation ended before
+            continue
+        t, x, z, u = (rows[..., k : k + 1] for rows in samples)
+        role = "goal" if place.fraction == 1 else f"way-point at {place.fraction:g}"
+        over = _over(program.task.dae, place.limits, (t, x, z, u))[:, 0]
+        found |= {f"{name} at the {role}": size
+                  for name, size in _named(place.limits, over).items()}  # fmt: skip
+    return found
+
+
+def _allowed(limits: Sequence[Limit], accuracy: float) -> Array:
+    """Return by how much each limit may be violated: less than the accuracy if it is narrow."""
+    widths = np.array([limit.upper - limit.lower for limit in limits])
+    return np.where(widths > 0, np.minimum(accuracy, PART * np.abs(widths)), accuracy)
+
+
+def _rows(dae: Model, record: str, run: Trajectory) -> Array:
+    """Return states, unknowns or inputs of all samples in local coordinates, in columns."""
+    shift = {"x": dae.shift[0], "z": dae.shift[1]}.get(record)
+    rows = np.array([run.of(label) for label in leaves(getattr(dae.labels, record))])
+    return rows if shift is None else rows - shift[:, None]
+
+
+def _over(dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
+    """Return by how much every limit is violated at every sample, shape (n_limits, n)."""
+    values = _values(dae, limits, samples)
+    low, high = (np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
+                 for side in ("lower", "upper"))  # fmt: skip
+    return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
+
+
+def _values(
+    dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
+) -> Array:
+    t, x, z, u = samples
+    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
+    f = ca.Function("limits", [dae.t, *dae.columns()], [rows])
+    return np.array(f.map(t.size)(t[None], x, z, u)).reshape(len(limits), t.size)
+
+
+def _arises(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
+    """Return on which intervals a difference that is too large arises.
+
+    What is off stays off, so that an interval counts by how much the difference changes on it; all
+    of them together make no more than the accuracy if each makes its share.
+    """
+    if np.abs(gaps).max(initial=0.0) <= accuracy:
+        return np.zeros(count, dtype=bool)
+    change = np.zeros(count)
+    for k in np.unique(where):
+        first = int(np.argmax(where == k))
+        before = gaps[:, max(first - 1, 0)]
+        change[k] = np.abs(gaps[:, where == k] - before[:, None]).max()
+    return np.asarray(change >= min(accuracy / count, change.max()))
+
+
+def refined(mesh: Mesh, worse: Mask) -> Mesh:
+    """Return a mesh with some of its intervals halved."""
+    middles = (mesh.ends[1:] + mesh.ends[:-1]) / 2
+    return mesh._replace(ends=np.sort(np.concatenate([mesh.ends, middles[worse]])))
+
+
+def inputs_along(dae: Model, found: PolynomialMotion, times: Array) -> Any:
+    """Return what drives a model along a plan, for ``simulate`` at times that hold all its ends."""
+    names = [label.full for label in leaves(dae.labels.u)]
+    ends, values = found.ends, found.unknowns[found.layout.inputs].T
+    k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
+    if not found.continuous:
+        return dae.inputs(**dict(zip(names, values[:, k], strict=True)))
+    slopes = np.diff(values) / np.diff(ends)
+    bases = values[:, :-1] - slopes * ends[:-1]
+    lines = [PiecewiseLinear(base[k], slope[k]) for base, slope in zip(bases, slopes, strict=True)]
+    return dae.inputs(**dict(zip(names, lines, strict=True)))
+
+
+def rerun(
+    dae: Model, start: Trajectory, found: PolynomialMotion, *, step: float, tolerance: float
+) -> Trajectory:
+    """Return the motion of a model under the inputs of a plan, or what is reached of it."""
+    # Limits are crossed just behind the kinks of the inputs: samples of Chebyshev's.
+    lengths = np.diff(found.ends)
+    counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), LOOKS).astype(int)
+    inside = [(1 - np.cos(np.pi * np.arange(n) / n)) / 2 for n in counts]
+    times = [a + h * part for a, h, part in zip(found.ends[:-1], lengths, inside, strict=True)]
+    t = np.append(np.concatenate(times), found.ends[-1])
+    try:
+        return simulate(dae, start, inputs_along(dae, found, t), t, tolerance=tolerance)
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory

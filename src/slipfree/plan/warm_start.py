@@ -1,0 +1,113 @@
+"""What a plan leaves for the next one: its unknowns and multipliers, on its mesh."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.errors import DataError, ModelError
+from slipfree.plan.ipopt import Solution
+from slipfree.plan.polynomial_motion import PolynomialMotion
+from slipfree.plan.transcription import Layout, Mesh, Model, Program, positions
+from slipfree.records import Array, leaves
+
+PREFIX = "plan_"  # of the names of the arrays
+
+
+class Saved(NamedTuple):
+    """A plan as numbers, from which another may start.
+
+    Attributes
+    ----------
+    ends : ndarray, shape (n + 1,)
+        Of the intervals, fractions of the duration.
+    sizes : ndarray, shape (5,)
+        Degree, numbers of states, algebraic unknowns and inputs, and one if inputs are continuous.
+    unknowns, bound_multipliers : ndarray, shape (n_w,)
+        Unknowns, not scaled, and multipliers of their bounds.
+    row_multipliers : ndarray, shape (n_g,)
+        Multipliers of the rows.
+    shift : ndarray, shape (n_x + n_z,)
+        Map minus local values of states and algebraic unknowns, local ones being saved.
+    model : ndarray, shape (1,)
+        A number made of the names of states, unknowns and inputs.
+    """
+
+    ends: Array
+    sizes: Array
+    unknowns: Array
+    bound_multipliers: Array
+    row_multipliers: Array
+    shift: Array
+    model: Array
+
+    @property
+    def course(self) -> PolynomialMotion:
+        """The motion."""
+        degree, n_x, n_z, n_u, continuous = (int(value) for value in self.sizes)
+        mesh = Mesh(self.ends, degree)
+        layout = positions(mesh, (n_x, n_z, n_u), continuous=bool(continuous))
+        return PolynomialMotion(mesh, layout, self.unknowns)
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """What to write to a file, by name."""
+        return {f"{PREFIX}{name}": value for name, value in self._asdict().items()}
+
+
+def saved(program: Program, found: Solution) -> Saved:
+    """Return what a solution leaves."""
+    layout: Layout = program.layout
+    sizes = [program.mesh.degree, layout.first.size, layout.unknowns.shape[2],
+             layout.inputs.shape[1], len(layout.inputs) == program.mesh.ends.size]  # fmt: skip
+    return Saved(program.mesh.ends, np.array(sizes, dtype=float), found.unknowns,
+                 found.bound_multipliers, found.row_multipliers,
+                 np.concatenate(program.task.dae.shift), _model(program.task.dae))  # fmt: skip
+
+
+def _model(dae: Model) -> Array:
+    names = " ".join(label.full for part in (dae.labels.x, dae.labels.z, dae.labels.u)
+                     for label in leaves(part))  # fmt: skip
+    return np.array([float(zlib.crc32(names.encode()))])
+
+
+def local(former: Saved, dae: Model) -> PolynomialMotion:
+    """Return a saved motion in the local coordinates of a model.
+
+    Raises
+    ------
+    ModelError
+        If the model has other states, unknowns or inputs.
+    """
+    if not np.array_equal(former.model, _model(dae)):
+        raise ModelError(
+            "plan: expected the plan of a vehicle with the same wheels and joints, and of the same "
+            "law of slip, to start from, found another one's; start without it"
+        )
+    found, away = former.course, former.shift - np.concatenate(dae.shift)
+    unknowns, n_x = found.unknowns.copy(), dae.shift[0].size
+    count = found.layout.unknowns.shape[2]
+    unknowns[found.layout.first] += away[:n_x]
+    unknowns[found.layout.states] += away[:n_x]
+    unknowns[found.layout.unknowns] += away[n_x : n_x + count]
+    return found._replace(unknowns=unknowns)
+
+
+def from_arrays(arrays: Mapping[str, Array], where: str) -> Saved:
+    """Return what a file holds.
+
+    Raises
+    ------
+    DataError
+        If it holds no plan.
+    """
+    names = [f"{PREFIX}{name}" for name in Saved._fields]
+    if not set(names) <= set(arrays):
+        raise DataError(
+            f"{where}: expected the result of a plan, found none in it; give a file that slipfree "
+            'run wrote for a problem of verb = "plan"'
+        )
+    return Saved(*(arrays[name] for name in names))

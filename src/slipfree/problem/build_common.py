@@ -1,0 +1,169 @@
+"""What the solving of every problem begins with: vehicle, start, times and names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import DataError
+from slipfree.files.toml.errors import Fault, names, problem_error
+from slipfree.problem import schema
+from slipfree.problem.build_ground import Ground, at
+from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
+from slipfree.problem.load import Problem, S
+from slipfree.problem.summary import Facts
+from slipfree.records import Array, leaves
+from slipfree.regular_files import read_bytes
+from slipfree.solve.settle import settle
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+
+NEAR = 1e-9  # times closer than this part of the duration are one
+COUNTS = {2: "two", 3: "three", 4: "four"}
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """All that a problem needs before it is integrated.
+
+    Attributes
+    ----------
+    ground, terrain, vehicle : Ground, Bicubic, Vehicle
+        What moves, and on what, as data and as a surface.
+    model, dae : Dae
+        The closure model, which settles the start, and what is integrated.
+    start : Trajectory
+        The vehicle at its start: at rest, or as the given rates of its platform move it.
+    inputs : record
+        Rates, or a driving law.
+    t : ndarray, shape (n,)
+        Times of the samples. [s]
+    driven : str
+        What drives it, in words.
+    """
+
+    ground: Ground
+    terrain: Bicubic
+    vehicle: Vehicle
+    model: Dae[Any, Any, Any, Any, Any]
+    dae: Dae[Any, Any, Any, Any, Any]
+    start: Trajectory
+    inputs: Any
+    t: Array
+    driven: str
+
+
+def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
+    """Return the ground as a surface, in coordinates from the start."""
+    start = problem.spec.start
+    return Bicubic(ground.grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
+
+
+def turned(problem: Problem[S]) -> float:
+    """Return what leads from the frame's headings to those from the y axis. [rad]."""
+    return -np.pi / 2 if getattr(problem.spec, "frame", "paper") == "rep103" else 0.0
+
+
+def build_start(problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any]) -> Trajectory:
+    """Return the vehicle at rest where the problem starts."""
+    values: dict[str, Any] = dict(problem.spec.start)
+    if "heading" in values:
+        values["heading"] += turned(problem)
+    with at(problem, ("start",)):
+        return settle(dae, **values)
+
+
+def read_columns(
+    file: Path, columns: Sequence[str], what: str = "way-points"
+) -> list[tuple[float, ...]]:
+    """Return the rows of a CSV file of numbers; a first line of names may reorder the columns."""
+    wanted = f"{COUNTS[len(columns)]} numbers {','.join(columns)}"
+    try:
+        text = read_bytes(file, f"{what} as CSV").decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{file}: expected {what} as CSV, found no text file") from error
+    rows, order = [], list(range(len(columns)))
+    for number, line in enumerate(text.splitlines(), 1):
+        cells = [cell.strip() for cell in line.split(",")]
+        if not line.strip():
+            continue
+        if number == 1 and sorted(cells) == sorted(columns):
+            order = [cells.index(name) for name in columns]
+            continue
+        try:
+            row = [float(cell) for cell in cells]
+        except ValueError:
+            row = []
+        if len(row) != len(columns) or not all(map(isfinite, row)):
+            raise DataError(f"{file}:{number}: expected {wanted}, found {line.strip()!r}")
+        rows.append(tuple(row[k] for k in order))
+    return rows
+
+
+def samples(
+    time: schema.Time, inputs: Mapping[str, float | schema.Piecewise]
+) -> tuple[Array, dict[str, float | Array]]:
+    """Return the times of the samples, jumps of the inputs among them, and rates by interval.
+
+    Returns
+    -------
+    t : ndarray, shape (n,)
+        From zero to the duration. [s]
+    rates : dict of str to float or ndarray of shape (n - 1,)
+        Constants, and values in every interval of what is piecewise constant. [rad/s]
+    """
+    near = NEAR * time.duration
+    regular = time.step * np.arange(int(time.duration / time.step) + 1)
+    jumps = [pair[0] for value in inputs.values() if isinstance(value, tuple) for pair in value]
+    t = np.sort(np.concatenate([regular, [time.duration], jumps]))
+    t = t[t <= time.duration]
+    t = t[np.append(True, np.diff(t) > near)]
+    t[-1] = time.duration
+    middles = (t[1:] + t[:-1]) / 2
+
+    def by_interval(value: float | schema.Piecewise) -> float | Array:
+        if not isinstance(value, tuple):
+            return value
+        times, rates = (np.array(column) for column in zip(*value, strict=True))
+        return np.asarray(rates[np.searchsorted(times, middles, side="right") - 1])
+
+    return t, {name: by_interval(value) for name, value in inputs.items()}
+
+
+def check_names(
+    problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any], inputs: Iterable[str] | None
+) -> None:
+    """Raise for all states and inputs of the problem that the model does not have, or lacks."""
+    faults = [*names(("start",), problem.spec.start, _names(dae.labels.x))]
+    if inputs is not None:
+        known = _names(dae.labels.u)
+        faults += names(("inputs",), inputs, known)
+        faults += [
+            Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs
+        ]
+    if faults:
+        raise problem_error(problem.source, faults)
+
+
+def _names(labels: Iterable[Any]) -> list[str]:
+    return [label.full for label in leaves(labels)]
+
+
+def vehicle_facts(vehicle: Vehicle) -> Facts:
+    """Return what to tell about a vehicle."""
+    wheels = ", ".join(
+        f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
+    )
+    facts = [("vehicle", f"{vehicle.name}: {wheels}")]
+    if vehicle.mass:
+        facts.append(("mass", f"{vehicle.mass:g} kg, weight {vehicle.weight:.1f} N"))
+    if vehicle.notes:
+        facts.append(("vehicle file", "; ".join(vehicle.notes)))
+    return facts

@@ -1,0 +1,250 @@
+"""From the [terrain] table of a problem to a ground."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.errors import DataError, ModelError
+from slipfree.files.maps.elevation import NEEDED_BY, Frame, Map, jacksboro, read_map
+from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source_lines import Place
+from slipfree.problem import schema
+from slipfree.problem.load import A, Problem, S
+from slipfree.problem.summary import Facts
+from slipfree.terrain.base import Grid
+from slipfree.terrain.friction import check_friction
+from slipfree.terrain.grid_ops import MOST_NODES, cut, disturbed, scaled, smoothed
+from slipfree.terrain.rolled import NODES, Rolled, rolled
+from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
+from slipfree.trajectory import Trajectory
+
+OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys that only files have
+
+
+class Ground(NamedTuple):
+    """The ground of a problem.
+
+    Attributes
+    ----------
+    grid : Grid
+        As the wheels meet it.
+    source : str
+        Where it comes from, in words.
+    rolled : Rolled or None
+        What was changed for the wheels, if that was asked for.
+    mu : float, Grid or None
+        Coefficient of friction, or a map of it. [1]
+    friction : str
+        The same in words; empty if there is none.
+    told : list of (str, str)
+        What else to tell: the map it was made of, what was changed, and how to return to the
+        coordinates of the map.
+    """
+
+    grid: Grid
+    source: str
+    rolled: Rolled | None
+    mu: float | Grid | None
+    friction: str
+    told: Facts
+
+
+@contextmanager
+def at(problem: Problem[A], place: Place) -> Iterator[None]:
+    """Say which line of the problem an error of the library concerns."""
+    try:
+        yield
+    except (ModelError, DataError) as error:
+        if isinstance(error, ProblemError):
+            raise
+        raise ProblemError(f"{problem.source.where(place)}: {error}") from error
+
+
+def build_ground(problem: Problem[S]) -> Ground:
+    """Return the ground that a problem asks for.
+
+    In this order: the file is read, in its window; holes are filled; degrees become metres; it is
+    scaled, (if it is no file) cut to the window, smoothed, disturbed, and rolled.
+    """
+    spec = problem.spec.terrain
+    _check_keys(problem)
+    horizontal, vertical = _scales(spec)
+    found, source = _source(problem)
+    grid = scaled(found.grid, horizontal, vertical)
+    if spec.window is not None and spec.file is None:
+        with at(problem, ("terrain", "window")):
+            grid = cut(grid, spec.window)
+    grid, changes = _changed(problem, grid)
+    told = [*found.told, *changes, *_origin(found, horizontal, vertical)]
+    mu, friction = _friction(problem, found)
+    if spec.rolled is None:
+        return Ground(grid, source + _scale_words(spec), None, mu, friction, told)
+    with at(problem, ("terrain", "rolled")):
+        _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
+        felt = rolled(grid, spec.rolled)
+    return Ground(felt.grid, source + _scale_words(spec), felt, mu, friction, told)
+
+
+def _check_keys(problem: Problem[S]) -> None:
+    """Refuse keys that mean nothing for a ground that is no file."""
+    spec = problem.spec.terrain
+    for key in OF_FILES:
+        read = spec.file is not None or isinstance(spec.friction, str)
+        if not read and getattr(spec, key) is not None:
+            where = problem.source.where(("terrain", key))
+            raise ProblemError(f"{where}: expected it beside a file alone; take it out")
+
+
+def _scales(spec: schema.Terrain) -> tuple[float, float]:
+    """Return by what x and y, and heights, are multiplied."""
+    return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
+
+
+def _scale_words(spec: schema.Terrain) -> str:
+    horizontal, vertical = _scales(spec)
+    if horizontal == vertical:
+        return f" scaled by {horizontal:g}" if horizontal != 1 else ""
+    return f" scaled by {horizontal:g} in x and y, by {vertical:g} in height"
+
+
+def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
+    """Return a ground smoothed and disturbed, as far as that is asked for, and words on it."""
+    spec, told = problem.spec.terrain, []
+    if spec.smooth is not None:
+        with at(problem, ("terrain", "smooth")):
+            smooth = smoothed(grid, spec.smooth)
+        grid = smooth.grid
+        change = f"at most {smooth.largest:.3g} m, rms {smooth.rms:.3g} m"
+        told.append(("ground changed by smooth", f"{change} (Gaussian of {spec.smooth:g} m)"))
+    if (error := spec.error) is not None:
+        before = grid.z
+        with at(problem, ("terrain", "error")):
+            grid = disturbed(grid, error.rms, error.correlation, error.seed)
+        rms = float(np.sqrt(np.mean((grid.z - before) ** 2)))
+        told.append((
+            "ground error added",
+            f"random heights, rms {error.rms:g} m (on this ground {rms:.3g} m), correlated over "
+            f"{error.correlation:g} m, seed {error.seed}",
+        ))  # fmt: skip
+    return grid, told
+
+
+def _origin(found: Map, horizontal: float, vertical: float) -> Facts:
+    """Return the reference system of a map, and what leads back to its coordinates."""
+    facts = [("map crs", found.crs)] if found.crs else []
+    x0, kx, y0, ky = found.frame
+    if found.frame != Frame() or (horizontal, vertical) != (1, 1):
+        x, y = ("longitude", "latitude") if found.geographic else ("x", "y")
+        lines = ((x, x0, kx / horizontal, "x"), (y, y0, ky / horizontal, "y"),
+                 ("z", 0.0, 1 / vertical, "z"))  # fmt: skip
+        words = ", ".join(f"{name} = {a!r} + {k!r} {of}" for name, a, k, of in lines)
+        facts.append(("map coordinates", words))
+    return facts
+
+
+def _check_size(width: float, length: float, spacing: float) -> None:
+    nodes = width / spacing * length / spacing
+    if nodes > MOST_NODES:
+        raise ModelError(
+            f"expected a ground of at most {MOST_NODES:g} nodes, found {nodes:.2g} at a spacing "
+            f"of {spacing:g} m; cut the ground to a window or choose a larger spacing or radius"
+        )
+
+
+def _source(problem: Problem[S]) -> tuple[Map, str]:
+    """Return the ground before it is scaled, and what to call it."""
+    spec = problem.spec.terrain
+    if spec.file is not None:
+        window, (horizontal, _) = spec.window, _scales(spec)
+        if window is not None and spec.geographic is None:
+            a, b, c, d = (each / horizontal for each in window)
+            window = a, b, c, d
+        asked = {key: getattr(spec, key) for key in OF_FILES}
+        with at(problem, ("terrain", "file")):
+            found = read_map(problem.folder / spec.file, window=window, **asked)
+        return found, spec.file
+    if spec.synthetic is not None:
+        with at(problem, ("terrain", "synthetic")):
+            return Map(_synthetic(spec.synthetic)), "synthetic"
+    with at(problem, ("terrain", "sample")):
+        return Map(jacksboro()), "Jacksboro fault (sample of matplotlib)"
+
+
+def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, str]:
+    """Return the friction of the ground, and what to tell about it."""
+    spec = problem.spec.terrain
+    name, (horizontal, _) = spec.friction, _scales(spec)
+    if not isinstance(name, str):
+        return name, "" if name is None else f"{name:g}"
+    ending = Path(name).suffix.lower()
+    asked: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES
+                             if ending in NEEDED_BY.get(key, (ending,))}  # fmt: skip
+    if ground.geographic:
+        asked["geographic"] = ground.frame
+    with at(problem, ("terrain", "friction")):
+        found = read_map(problem.folder / name, **asked)
+        check_friction(found.grid)  # before it is scaled: the message gives places of the file
+    # Both files describe one place, so that both are scaled; coefficients have no length.
+    mu = scaled(found.grid, horizontal, 1.0)
+    told = "".join(f"; {key.removeprefix('ground ')} {words}" for key, words in found.told
+                   if not key.startswith("ground map"))  # fmt: skip
+    return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{told}"
+
+
+def _synthetic(spec: schema.Synthetic) -> Grid:
+    _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing)
+    grid = blank(spec.x, spec.y, spec.spacing)
+    grid = Grid(grid.x, grid.y, grid.z + spec.base)
+    for rule, values in (
+        (ramp, spec.ramp),
+        (power_law, spec.power_law),
+        (craters, spec.craters),
+        (rocks, spec.rocks),
+    ):
+        if values is not None:
+            grid = rule(grid, **dict(values))
+    return place_rocks(grid, map(Rock._make, spec.placed_rocks))
+
+
+def filled_words(grid: Grid, run: Trajectory) -> str:
+    """Return how far the wheels of a motion roll on filled ground; empty if none was filled."""
+    if grid.filled is None:
+        return ""
+    on = grid.touches_filled(run["contact_x"], run["contact_y"])
+    count, size = np.count_nonzero(on.any(axis=1)), run.t.size
+    if not count:
+        return f"no wheel on it at any of {size} samples"
+    steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
+    lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
+    parts = [
+        f"{wheel} {part:.4g} of {whole:.4g} m"
+        for wheel, part, whole in zip(run.wheels, lengths, steps.sum(axis=0), strict=True)
+    ]
+    return (
+        f"{count} of {size} samples have a wheel on interpolated heights; along the contact "
+        f"points: {', '.join(parts)}"
+    )
+
+
+def ground_facts(ground: Ground) -> Facts:
+    """Return what to tell about a ground."""
+    grid = ground.grid
+    (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing
+    facts = [
+        ("ground", ground.source),
+        *ground.told,
+        ("ground size", f"{np.ptp(grid.x):g} x {np.ptp(grid.y):g} m, {n_x} x {n_y} nodes"),
+        ("ground cell", f"{h_x:.4g} x {h_y:.4g} m"),
+        ("ground height", f"{grid.z.min():.3f} to {grid.z.max():.3f} m"),
+    ]
+    if ground.friction:
+        facts.append(("ground friction", ground.friction))
+    if ground.rolled is not None:
+        change = f"at most {ground.rolled.largest:.3g} m, rms {ground.rolled.rms:.3g} m"
+        facts.append(("ground changed by rolled", change))
+    return facts

@@ -1,0 +1,168 @@
+"""From a problem's table of a vehicle, or a vehicle's own file, to a vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from slipfree.errors import DataError, ModelError
+from slipfree.files.toml.errors import Fault, names
+from slipfree.files.toml.source_lines import Place
+from slipfree.files.toml.types import NonNegative, Positive, Record
+from slipfree.files.urdf.reader import JointRole, Roles, WheelRole, read_urdf
+from slipfree.files.urdf.tree import read_tree
+from slipfree.files.vehicle_draft import Draft, UnfitError
+from slipfree.files.vehicle_toml import (
+    PARTS,
+    File,
+    VehicleError,
+    meters,
+    open_file,
+    read_toml,
+    validated,
+)
+from slipfree.problem import schema
+from slipfree.problem.catalog_table import CATALOG
+from slipfree.regular_files import read_bytes
+from slipfree.vehicle.tree import Vehicle, actuated
+
+
+class JointTable(Record):
+    """What moves a joint of a URDF; the keys of a coordinate."""
+
+    kind: Literal["commanded", "passive", "suspension", "fixed"]
+    words: str | None = None
+    lower: float | None = None
+    upper: float | None = None
+    stiffness: NonNegative | None = None
+    rest: float | None = None
+    damping: NonNegative | None = None
+    bump: NonNegative | None = None
+
+
+class WheelTable(Record):
+    """What a URDF cannot say about a wheel."""
+
+    driven: bool | None = None
+    radius: Annotated[Positive, AfterValidator(meters)] | None = None
+    tube: NonNegative | None = None
+    grip: Positive = 1.0
+    rollers: bool = False
+
+
+def _kind_alone(value: Any) -> Any:
+    return {"kind": value} if isinstance(value, str) else value
+
+
+class UrdfTable(Record):
+    """A vehicle file that completes a URDF."""
+
+    urdf: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1)] | None = None
+    tube: NonNegative = 0.0
+    joints: dict[str, Annotated[JointTable, BeforeValidator(_kind_alone)]] | None = None
+    wheels: dict[str, WheelTable] | None = None
+
+
+def build_vehicle(spec: schema.Vehicle, folder: Path) -> Vehicle:
+    """Return the vehicle of a problem.
+
+    Parameters
+    ----------
+    spec : Vehicle
+        The problem's table.
+    folder : Path
+        Where relative names of files start.
+
+    Raises
+    ------
+    VehicleError
+        If its file holds no vehicle.
+    ModelError
+        If a keyword of the catalogue is not allowed, or a joint has no free coordinate to actuate.
+    """
+    if spec.file is not None:
+        return actuated(read_vehicle(folder / spec.file), *spec.actuated)
+    return actuated(CATALOG[str(spec.catalog)](**spec.keywords), *spec.actuated)
+
+
+def read_vehicle(path: str | Path) -> Vehicle:
+    """Return the vehicle of a vehicle file, TOML or URDF.
+
+    Raises
+    ------
+    VehicleError
+        For all that is wrong, with file and line; it holds a draft of what can be said all the
+        same.
+    """
+    draft = _draft(Path(path))
+    try:
+        return draft.vehicle()
+    except ModelError as error:
+        raise VehicleError(f"{path}:1: {error}", draft=draft) from error
+
+
+def is_vehicle_file(path: Path) -> bool:
+    """Return whether a file is meant as a vehicle, not as a problem."""
+    if path.suffix.lower() in (".urdf", ".xacro"):
+        return True
+    data = open_file(path).data
+    return "verb" not in data and not {*PARTS, "urdf"}.isdisjoint(data)
+
+
+def _draft(path: Path) -> Draft:
+    ending = path.suffix.lower()
+    if ending == ".toml":
+        file = open_file(path)
+        return _completed(file) if "urdf" in file.data else read_toml(file)
+    if ending == ".urdf":
+        return _urdf(path, Roles({}, {}))
+    hint = "; expand it first: xacro FILE > robot.urdf" if ending == ".xacro" else ""
+    raise VehicleError(f"{path}: expected a vehicle file, .toml or .urdf, found {path.suffix!r}"
+                       + hint)  # fmt: skip
+
+
+def _completed(file: File) -> Draft:
+    """Return the draft of a URDF that a vehicle file completes."""
+    table: UrdfTable = validated(UrdfTable, {"joints": JointTable, "wheels": WheelTable}, file)
+    joints = {
+        name: JointRole(each.kind, each.model_dump(exclude_none=True, exclude={"kind"}))
+        for name, each in (table.joints or {}).items()
+    }
+    given = table.wheels or {}
+    wheels = {name: WheelRole(**each.model_dump()) for name, each in given.items()}
+    path = file.source.path.parent / table.urdf
+    draft = _urdf(path, Roles(joints, wheels, table.tube), file)
+    return draft if table.name is None else replace(draft, name=table.name)
+
+
+def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
+    """Return the draft of a URDF; faults of the roles belong to the file that has them."""
+    by = f" (urdf of {file.source.path})" if file else ""
+    try:
+        data = read_bytes(path, f"a URDF{by}")
+        tree = read_tree(data, str(path))
+        if file is not None:
+            _check(roles, list(tree.joints), file)
+        return read_urdf(tree, roles)
+    except UnfitError as error:
+        raise VehicleError(*error.faults, draft=error.draft) from error
+    except DataError as error:
+        raise error if isinstance(error, VehicleError) else VehicleError(str(error)) from error
+    except ModelError as error:
+        raise VehicleError(f"{file.source.path if file else path}:1: {error}") from error
+
+
+def _check(roles: Roles, known: list[str], file: File) -> None:
+    """Raise for joints that the URDF does not have, or that are said to be two things."""
+    faults: list[Fault] = []
+    for table, given in (("joints", roles.joints), ("wheels", roles.wheels)):
+        faults += names((table,), given, known)
+    for name in set(roles.joints) & set(roles.wheels):
+        place: Place = ("joints", name)
+        faults.append(Fault(place, "a joint that is no wheel", "the same name in wheels"))
+    if faults:
+        raise file.error(faults)

@@ -1,0 +1,113 @@
+"""Vehicles of the catalogue, and the keys that each takes in a problem file."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, get_type_hints
+
+from pydantic import BaseModel, Field, ValidationError, create_model
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from slipfree.geometry.frame import Vector
+from slipfree.vehicle.catalogue.carts import ackermann, articulated, differential_drive, skid_steer
+from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
+from slipfree.vehicle.catalogue.step_climber import seven_wheels
+from slipfree.vehicle.catalogue.three_wheeler import three_wheeler
+from slipfree.vehicle.tree import Vehicle
+
+CATALOG: dict[str, Callable[..., Vehicle]] = {
+    function.__name__: function
+    for function in (
+        three_wheeler, differential_drive, ackermann, skid_steer, articulated, rocky7,
+        open_source_rover, seven_wheels,
+    )
+}  # fmt: skip
+MAY_BE_ZERO = ("r1", "r2", "stiffness", "damping", "bump", "mass", "wheel_mass")
+ANY_SIGN = ("trail", "joint", "preload")
+OWN = ("catalog", "file", "actuated", "name")  # keys that are none of the vehicle's function
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found, in words."""
+
+    words: str
+
+    def __str__(self) -> str:
+        return self.words
+
+
+def fault(place: str | None, expected: str, found: str) -> InitErrorDetails:
+    """Return a fault of a key of a table, or of the table."""
+    kind = PydanticCustomError("expected", "{words}", {"words": expected})
+    return InitErrorDetails(type=kind, loc=(place,) if place else (), input=Found(found))
+
+
+@cache
+def table_of(base: type[BaseModel], catalog: str) -> type[BaseModel]:
+    """Return the schema of the table of a vehicle of the catalogue: base and its keywords."""
+    function = CATALOG[catalog]
+    hints = get_type_hints(function)
+    fields: dict[str, Any] = {
+        key: (_kind(key, hints[key]) | None, None) for key in inspect.signature(function).parameters
+    }
+    return create_model(f"{base.__name__}_{catalog}", __base__=base, **fields)
+
+
+def _kind(key: str, hint: Any) -> Any:
+    """Return what a keyword may be; further checks are the function's."""
+    if hint is float:
+        if key in ANY_SIGN:
+            return Annotated[float, Field()]
+        return Annotated[float, Field(ge=0)] if key in MAY_BE_ZERO else Annotated[
+            float, Field(gt=0)]  # fmt: skip
+    return Annotated[Vector, Field(strict=False)] if hint == Vector else hint
+
+
+def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel]) -> BaseModel:
+    """Return the table of a vehicle: from a file, or with the keywords of the catalogue.
+
+    Parameters
+    ----------
+    base : type
+        What every such table holds.
+    data : Any
+        What the file has.
+    read : callable
+        Reads what ``base`` holds.
+
+    Raises
+    ------
+    ValidationError
+        For all that does not fit; of unknown keys, with those that there are.
+    """
+    if not isinstance(data, dict) or not set(base.model_fields) <= set(OWN):
+        return read(data)
+    if ("catalog" in data) == ("file" in data):
+        place, found = ("file", "catalog and file") if "file" in data else (None, "none")
+        wrong = fault(place, "exactly one of catalog, file", found)
+        raise ValidationError.from_exception_data(base.__name__, [wrong])
+    catalog = data.get("catalog")
+    if catalog not in tuple(CATALOG):
+        return read(data)
+    try:
+        return table_of(base, catalog).model_validate(data)
+    except ValidationError as error:
+        keys = list(inspect.signature(CATALOG[catalog]).parameters)
+        known = ["catalog", *keys, "actuated", *(["name"] if "name" in base.model_fields else [])]
+        faults = [_worded(dict(each), known) for each in error.errors(include_url=False)]
+        raise ValidationError.from_exception_data(base.__name__, faults) from error
+
+
+def _worded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
+    if error["type"] == "extra_forbidden":
+        name = str(error["loc"][-1])
+        nearest = difflib.get_close_matches(name, known, n=1)
+        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+        return fault(name, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
+    details = InitErrorDetails(type=error["type"], loc=error["loc"], input=error["input"])
+    return details | {"ctx": error["ctx"]} if "ctx" in error else details

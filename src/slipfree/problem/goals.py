@@ -1,0 +1,147 @@
+"""Places and ways of a problem of planning: start, way-points, goal, keep-outs, and routes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem import schema
+from slipfree.problem.build_common import turned
+from slipfree.problem.build_ground import at
+from slipfree.problem.direct import way_of
+from slipfree.problem.load import Problem, S
+from slipfree.records import Array
+from slipfree.routing.regions import Disc, Polygon, Region
+from slipfree.routing.search import route, routes
+from slipfree.routing.traversability import Traversability
+
+Place = tuple[str, float, float]
+Wanted = dict[str, tuple[float, float]]
+Domain = tuple[float, float, float, float]
+
+
+def places_of(
+    problem: Problem[S], spec: schema.Plan, between: Mapping[float, Wanted], domain: Domain
+) -> tuple[tuple[Place, ...], set[str]]:
+    """Return where the vehicle starts and is to go, in map coordinates, as far as known.
+
+    Of ranges it is the middle of what lies on the map; with them come the names of places that are
+    exact.
+
+    Raises
+    ------
+    ProblemError
+        If nothing of a range lies on the map.
+    """
+    places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
+    exact = {"start"}
+    named = [(f"way-point at {part:g}", wanted) for part, wanted in between.items()]
+    for name, wanted in (*named, ("goal", spec.goal)):
+        at = {}
+        for axis, low, high in (("x", *domain[:2]), ("y", *domain[2:])):
+            if axis not in wanted:
+                continue
+            least, most = max(wanted[axis][0], low), min(wanted[axis][1], high)
+            if least > most:
+                where = problem.source.where((key_of(name),))
+                raise ProblemError(
+                    f"{where}: the {name} lies off the map: {axis} is {spelled(wanted[axis])} m, "
+                    f"and the map reaches from {low:.10g} to {high:.10g} m; move the {name}"
+                )
+            at[axis] = (least + most) / 2
+        if len(at) == 2:
+            places.append((name, at["x"], at["y"]))
+            if all(wanted[axis][0] == wanted[axis][1] for axis in at):
+                exact.add(name)
+    return tuple(places), exact
+
+
+def key_of(place: str) -> str:
+    """Return the key of a problem file that gives a place."""
+    return place if place in ("start", "goal") else "way_points"
+
+
+def way_points_of(problem: Problem[S], spec: schema.Plan) -> dict[float, Wanted]:
+    """Return what is asked for on the way, by the fraction of the duration."""
+    found: dict[float, Wanted] = {}
+    for index, each in enumerate(spec.way_points):
+        wanted = dict(each)
+        with at(problem, ("way_points", index)):
+            low, high = wanted.pop("at", (0.0, 0.0))
+            if not 0 < low == high < 1:
+                raise ModelError(
+                    "way_points: expected at, a fraction of the duration between 0 and 1, and "
+                    f"values by name, found at = {spelled((low, high))}"
+                )
+            if low in found:
+                raise ModelError(
+                    f"way_points: expected one at {low:g}, found two; put them together"
+                )
+            found[low] = facing(problem, wanted)
+    return dict(sorted(found.items()))
+
+
+def facing(problem: Problem[S], wanted: Wanted) -> Wanted:
+    """Return what is asked for, with headings that count from the y axis."""
+    return {name: (low + turned(problem), high + turned(problem)) if name == "heading"
+            else (low, high) for name, (low, high) in wanted.items()}  # fmt: skip
+
+
+def ways_of(
+    problem: Problem[S], spec: schema.Plan, layers: Traversability, places: tuple[Place, ...]
+) -> tuple[Array, ...]:
+    """Return the paths that start the search: given ones, or routes over the ground."""
+    driver = spec.driver
+    if driver is None or driver.name == "straight":
+        return ()
+    if driver.name == "follow":
+        with at(problem, ("driver",)):
+            if driver.paths is None:
+                return (way_of(problem, driver),)
+            if driver.path is not None or driver.file is not None:
+                raise ModelError("driver: expected one of path, paths and file, found two")
+            return tuple(np.array(path) for path in driver.paths)
+    if places[-1][0] != "goal":
+        raise ProblemError(f"{problem.source.where(('goal',))}: a route needs a goal in x and y")
+    return _routes(problem, driver, layers, [np.array(place[1:]) for place in places])
+
+
+def _routes(
+    problem: Problem[S], driver: schema.Guide, layers: Traversability, places: list[Array]
+) -> tuple[Array, ...]:
+    """Return ways over the ground through all places; several of them only without way-points."""
+    with at(problem, ("driver",)):
+        if len(places) == 2:
+            found = routes(layers, places[0], places[1], driver.count,
+                           turning_radius=driver.turning_radius)  # fmt: skip
+            return tuple(way.points for way in found)
+        if driver.count > 1:
+            raise ModelError("driver: several routes are sought without way-points only; count = 1")
+        legs = [route(layers, one, other, turning_radius=driver.turning_radius)
+                for one, other in pairwise(places)]  # fmt: skip
+        return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
+
+
+def regions(problem: Problem[S], spec: schema.Plan) -> tuple[Region, ...]:
+    """Return the places to keep out of."""
+    found: list[Region] = []
+    for index, each in enumerate(spec.keep_out):
+        with at(problem, ("keep_out", index)):
+            disc = (each.x, each.y, each.radius)
+            if each.points is not None and disc == (None, None, None):
+                found.append(Polygon(each.points))
+            elif each.points is None and None not in disc:
+                found.append(Disc(*(float(value or 0.0) for value in disc)))
+            else:
+                raise ModelError("keep_out: expected either x, y and radius, or points")
+    return tuple(found)
+
+
+def spelled(bounds: tuple[float, float]) -> str:
+    """Return a value or a range in words."""
+    low, high = bounds
+    return f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}"

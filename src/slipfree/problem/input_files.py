@@ -1,0 +1,53 @@
+"""Files that a problem names, and what tells whether they are still the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from hashlib import file_digest
+from pathlib import Path
+from typing import Any
+
+from slipfree.errors import DataError
+from slipfree.files.vehicle_toml import open_file
+from slipfree.problem.load import Problem
+from slipfree.problem.schema import Climb, Motion
+from slipfree.regular_files import regular_file
+
+TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # that may name a file
+DRAWN = ("terrain", "vehicle", "profile")  # those of them that make ground and vehicle
+MISSING = "missing"
+
+
+def input_names(spec: Motion | Climb, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
+    """Return the names of the files that tables of a problem name, as they stand there."""
+    found = [getattr(spec, name, None) for name in tables]
+    names: list[Any] = [getattr(table, "file", None) for table in found]
+    names += [getattr(table, "friction", None) for table in found]
+    return tuple(name for name in names if isinstance(name, str))
+
+
+def input_files(problem: Problem[Motion] | Problem[Climb]) -> dict[str, Path]:
+    """Return all input files of a problem by their names; those that a vehicle file names too."""
+    names = list(input_names(problem.spec))
+    for name in input_names(problem.spec, ["vehicle"]):
+        names += _named_urdf(problem.folder, name)
+    return {name: problem.folder / name for name in names}
+
+
+def digest(file: Path) -> str:
+    """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
+    try:
+        with regular_file(file, "an input file"), file.open("rb") as stream:  # may exceed memory
+            return file_digest(stream, "sha256").hexdigest()
+    except DataError:
+        return MISSING
+
+
+def _named_urdf(folder: Path, name: str) -> list[str]:
+    """Return the name of the URDF that a vehicle file completes, from the problem's folder."""
+    with suppress(DataError):  # errors in it are reported where the vehicle is built
+        urdf = open_file(folder / name).data.get("urdf")
+        if isinstance(urdf, str):
+            return [str(Path(name).parent / urdf)]
+    return []

@@ -1,0 +1,249 @@
+"""What a vehicle is made of, what decides its motion, and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import DataError, ModelError
+from slipfree.files.vehicle_draft import Draft
+from slipfree.files.vehicle_toml import VehicleError
+from slipfree.geometry.frame import AXES, unit_vector
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.records import is_determinate
+from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
+from slipfree.problem.load import read_motion
+from slipfree.problem.solve import build
+from slipfree.problem.summary import Facts
+from slipfree.records import leaves, unpack
+from slipfree.solve.settle import settle
+from slipfree.solve.system import with_inputs
+from slipfree.terrain.analytic import Analytic
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
+
+SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
+
+DEEPEST = 40  # parts below parts that are told
+
+
+class Description(NamedTuple):
+    """What can be said about a vehicle.
+
+    Attributes
+    ----------
+    tree : list of str
+        Its name, and its parts below those that carry them.
+    facts : list of pairs of str
+        Names and values.
+    faults : tuple of str
+        Why it cannot be built, or cannot stand on its ground; empty if it can.
+    """
+
+    tree: list[str]
+    facts: Facts
+    faults: tuple[str, ...]
+
+
+def describe(path: Path, settings: Sequence[str] = ()) -> Description:
+    """Return what can be said about the vehicle of a problem, or of a vehicle file.
+
+    A vehicle by itself stands on level ground. Of a file that holds no vehicle, the faults come
+    with what can be said all the same.
+
+    Raises
+    ------
+    DataError
+        If nothing can be said about the vehicle.
+    """
+    try:
+        if not is_vehicle_file(path):
+            setup = build(read_motion(path, settings))
+            return _told(setup.vehicle, setup.model, setup.start)
+        if settings:
+            raise DataError(f"--set: expected a problem file to set values in, found {path}")
+        vehicle = read_vehicle(path)
+    except VehicleError as error:
+        if error.draft is None:
+            raise
+        return Description(_drawn(error.draft), _shares(error.draft), error.faults)
+    dae = direct_kinematics(vehicle, Analytic(_level))
+    try:
+        return _told(vehicle, dae, settle(dae))
+    except ModelError as error:
+        facts = [*counts(vehicle, dae), *_notes(vehicle)]
+        faults = (f"{path}: on level ground: {error}",)
+        return Description(_drawn(vehicle), facts, faults)
+
+
+def _told(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Description:
+    facts = [*counts(vehicle, dae), *conditioning(dae, start), *_notes(vehicle)]
+    return Description(_drawn(vehicle), facts, ())
+
+
+def _drawn(vehicle: Vehicle | Draft) -> list[str]:
+    return [f"{vehicle.name}, in axes x right, y forward, z up", *tree(vehicle)]
+
+
+def _notes(vehicle: Vehicle | Draft) -> Facts:
+    return [("vehicle file", note) for note in vehicle.notes]
+
+
+def _level(x: ca.SX, _: ca.SX) -> ca.SX:
+    return 0 * x
+
+
+def tree(vehicle: Vehicle | Draft) -> list[str]:
+    """Return the parts of a vehicle, indented below those that carry them."""
+    kinds = {c.name: c for c in vehicle.coordinates}
+    hung: list[Joint] = []
+
+    def below(part: str, indent: str) -> Iterator[str]:
+        if len(indent) > 2 * DEEPEST:
+            yield f"{indent}..."
+            return
+        for joint in vehicle.joints:
+            if joint.parent == part:
+                hung.append(joint)
+                yield f"{indent}{joint.name}: {_joint(joint, kinds)}"
+                yield from below(joint.name, indent + "  ")
+        for wheel in vehicle.wheels:
+            if wheel.parent == part:
+                drive = "driven" if wheel.driven else "free"
+                size = f"r1 {wheel.r1:g}, r2 {wheel.r2:g} m"
+                more = f", {wheel.mass:g} kg" if wheel.mass else ""
+                more += f", grip {wheel.grip:g}" if wheel.grip != 1 else ""
+                more += ", rollers" if wheel.rollers else ""
+                yield f"{indent}wheel {wheel.name}: {drive}, {size}{more}"
+
+    body = vehicle.body
+    at = ", ".join(f"{each:g}" for each in body.at)
+    mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
+    lines = [f"platform{mass}", *below("platform", "  ")]
+    parts = {"platform", *(joint.name for joint in hung)}
+    loose = [(j.name, j.parent) for j in vehicle.joints if j not in hung]
+    loose += [(f"wheel {w.name}", w.parent) for w in vehicle.wheels if w.parent not in parts]
+    return lines + [f"not on the platform: {name}, on {parent}" for name, parent in loose]
+
+
+def _joint(joint: Joint, kinds: dict[str, Coordinate]) -> str:
+    """Return how a joint moves and what moves it."""
+    moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
+    if not moved:
+        return "rigid" if joint.value in ("0", "0.0") else f"held at {joint.value}"
+    vector = unit_vector(joint.axis)
+    names = AXES | {f"-{n}": (-x, -y, -z) for n, (x, y, z) in AXES.items()}
+    axis = next((name for name, each in names.items() if each == vector), None)
+    along = axis or f"({', '.join(f'{each:.3g}' for each in vector)})"
+    does = "turns about" if joint.motion == "turn" else "slides along"
+    if joint.value in moved:
+        return f"{does} {along} by {joint.value} ({moved[joint.value]})"
+    kinds_of = "; ".join(f"{name}: {kind}" for name, kind in moved.items())
+    return f"{does} {along} by {joint.value} ({kinds_of})"
+
+
+def _kind(c: Coordinate | None) -> str:
+    """Return what decides a coordinate, and what acts on it."""
+    if c is None:
+        return "not said what decides it"
+    acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
+    return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
+
+
+def _forces(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what decides the forces of a vehicle with mass."""
+    if not vehicle.mass:
+        return
+    count = 3 * len(vehicle.wheels)
+    if dae.labels.z.rates.normal:
+        how = "the law of friction decides them, together with the rates"
+    elif is_determinate(vehicle):
+        how = "equilibrium determines them"
+    else:
+        how = f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are left open by " \
+              "equilibrium: the load-weighted ones are taken"  # fmt: skip
+    yield "contact forces", f"{count}: {how}"
+
+
+def counts(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Facts:
+    """Return what decides the motion: unknowns and equations, named and counted."""
+    wheels = len(vehicle.wheels)
+    position, rates, _ = dae.labels.z
+    free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
+    passive = [c.name for c in vehicle.of("passive")]
+    given, needed = len(passive) + len(free), 2 * wheels - 3
+    if given == needed:
+        rolls = "as many as needed: it can roll without slip (slip = 'rolling')"
+    else:
+        more = "too few by" if given < needed else "too many by"
+        rolls = f"{more} {abs(needed - given)}: it slips the least it can (slip = 'least')"
+
+    def listed(record: Any) -> str:
+        names = [label.full for label in leaves(record)]
+        return f"{len(names)}: {', '.join(names) or 'none'}"
+
+    return [
+        ("inputs", listed(dae.labels.u)),
+        ("states", listed(dae.labels.x)),
+        ("decided by the ground", listed(position)),
+        ("  equations", f"{3 * wheels}: three for each wheel that touches the ground"),
+        ("suspension", f"{len(vehicle.of('suspension'))} of {wheels - 3} needed"),
+        ("rates", listed((rates.motion, rates.multipliers))),
+        ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),
+        ("passive joints", f"{len(passive)}: {', '.join(passive) or 'none'}"),
+        ("free wheels", f"{len(free)}: {', '.join(free) or 'none'}"),
+        ("no-slip conditions", f"{needed} more than the wheels' touching; freedoms {rolls}"),
+        *_forces(vehicle, dae),
+    ]
+
+
+def _equations(dae: Dae[Any, Any, Any, Any, Any]) -> str:
+    """Return what the equations of the rates state."""
+    if dae.labels.z.rates.normal:
+        return "equilibrium, touching and friction; they decide the normal forces too"
+    return dae.labels.alg[1][0].name.replace("_", " ")
+
+
+def _shares(draft: Draft) -> Facts:
+    """Return what decides the motion of parts that do not make a vehicle."""
+
+    def listed(names: list[str]) -> str:
+        return f"{len(names)}: {', '.join(names) or 'none'}"
+
+    needed = max(len(draft.wheels) - 3, 0)
+    suspension = [c.name for c in draft.of("suspension")]
+    return [
+        ("wheels", listed([wheel.name for wheel in draft.wheels])),
+        ("driven wheels", listed([wheel.name for wheel in draft.wheels if wheel.driven])),
+        ("commanded", listed([c.name for c in draft.of("commanded")])),
+        ("passive joints", listed([c.name for c in draft.of("passive")])),
+        ("suspension", f"{listed(suspension)}; {needed} needed"),
+        *_notes(draft),
+    ]
+
+
+def conditioning(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Facts:
+    """Return how far a start is from a singular configuration, and by which motion.
+
+    Condition numbers of the Jacobians of the equations in metres and radians, position and rates
+    each by themselves, and what the right singular vector of the smallest value moves most.
+    """
+    rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
+    loop, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
+    labels, facts = list(leaves(dae.labels.z)), []
+    moving = {*leaves(dae.labels.z.position), *leaves(dae.labels.z.rates.motion)}
+    for name, block in zip(("position", "rates"), loop.blocks, strict=False):
+        point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
+        _, values, right = np.linalg.svd(np.array(block.jacobian(*point)))
+        size = [abs(part) if label in moving else 0.0
+                for part, label in zip(right[-1], labels[block.span], strict=True)]  # fmt: skip
+        weak = [labels[block.span][k].full for k in np.argsort(size)[::-1]
+                if size[k] > SHARE * max(size)]  # fmt: skip
+        words = f"{values[0] / values[-1]:.3g} at the start, weakest in {', '.join(weak)}"
+        facts.append((f"condition of {name}", words))
+    return facts

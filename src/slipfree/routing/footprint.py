@@ -1,0 +1,154 @@
+"""The ground as a footprint feels it: slope, roughness, and how hollow it is, on a map of nodes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from slipfree.errors import ModelError
+from slipfree.records import Array
+from slipfree.terrain.base import Grid
+
+
+def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
+    """Return the axes of the cost grid: the grid's own, or even ones about a spacing apart.
+
+    Raises
+    ------
+    ModelError
+        If the spacing is not positive or too large for the map.
+    """
+    extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
+    if not 0 < spacing <= extent / 2:
+        raise ModelError(
+            "traversability: spacing must be positive and at most half the map's extent, "
+            f"{extent / 2:.4g} m, found {spacing:.4g} m"
+        )
+    axes = []
+    for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True):
+        count = round(float(np.ptp(axis)) / spacing)
+        same = abs(spacing - h) < 1e-9 * h
+        axes.append(np.array(axis) if same else np.linspace(axis[0], axis[-1], count + 1))
+    return axes[0], axes[1]
+
+
+def ground_figures(
+    grid: Grid, x: Array, y: Array, half: float, sharpest: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return what the ground under a footprint is like, at every node of a coarser map.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground.
+    x, y : ndarray, shape (n_x,) and (n_y,)
+        Axes of the map. [m]
+    half : float
+        Half the side of the square that stands for the footprint. [m]
+    sharpest : float
+        Curvature from which on ground counts as too hollow. [1/m]
+
+    Returns
+    -------
+    four ndarrays, shape (n_x, n_y)
+        Slope [rad], roughness [m] and hollow [1/m], as `Traversability` has them, and the share of
+        the footprint that is too hollow [1].
+    """
+    z = grid.z - grid.z.mean()
+    p, q, r, s, t = _derivatives(z, grid.spacing)
+    hollow = _sharpest(p, q, r, s, t)
+    if min(_nodes_within(half, h) for h in grid.spacing) > 0:
+        p, q, variance = _plane(z, grid.spacing, half)
+    else:
+        # Nodes too far apart to fit a plane to: what curvature makes of a square of this size.
+        variance = half**4 * ((r**2 + t**2) / 45 + s**2 / 9)
+    share = footprint_mean((hollow >= sharpest).astype(float), grid.spacing, half)
+    layers = [np.arctan(np.hypot(p, q)), np.sqrt(variance), share]
+    slope, roughness, share = (_sampled(layer, grid, x, y) for layer in layers)
+    size = [math.ceil(step(new) / h - 1e-9) for new, h in zip((x, y), grid.spacing, strict=True)]
+    largest = (
+        hollow if max(size) == 1 else ndimage.maximum_filter(hollow, [2 * n - 1 for n in size])
+    )
+    nearest = [nearest_nodes(old, new) for old, new in ((grid.x, x), (grid.y, y))]
+    return slope, roughness, largest[np.ix_(*nearest)], share
+
+
+def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array, Array, Array]:
+    """Return first and second differences: z_x, z_y [1], z_xx, z_xy, z_yy [1/m]."""
+    p: Array = np.gradient(z, h[0], axis=0, edge_order=2)
+    q: Array = np.gradient(z, h[1], axis=1, edge_order=2)
+    second = [1.0, -2.0, 1.0]
+    # Neighbours, not neighbours' neighbours: what lies between two nodes counts in full.
+    r = ndimage.correlate1d(z, second, axis=0, mode="nearest") / h[0] ** 2
+    t = ndimage.correlate1d(z, second, axis=1, mode="nearest") / h[1] ** 2
+    for array, axis in ((r, 0), (t, 1)):  # at the border the same as next to it
+        border = np.moveaxis(array, axis, 0)
+        border[0], border[-1] = border[1], border[-2]
+    s: Array = np.gradient(p, h[1], axis=1)
+    return p, q, r, s, t
+
+
+def _sharpest(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
+    """Return the largest normal curvature of a surface, upwards positive [1/m]."""
+    w = np.sqrt(1 + p**2 + q**2)
+    mean = ((1 + q**2) * r - 2 * p * q * s + (1 + p**2) * t) / (2 * w**3)
+    total = (r * t - s**2) / w**4
+    largest: Array = mean + np.sqrt(np.maximum(mean**2 - total, 0))
+    return largest
+
+
+def _plane(z: Array, h: tuple[float, float], half: float) -> tuple[Array, Array, Array]:
+    """Return the slopes [1] of the least-squares plane of a square, and the variance left [m^2]."""
+    left = footprint_mean(z**2, h, half) - footprint_mean(z, h, half) ** 2
+    slopes = []
+    for axis in (0, 1):
+        m = _nodes_within(half, h[axis])
+        offset = h[axis] * np.arange(-m, m + 1)
+        weights = offset / (offset @ offset)
+        others = footprint_mean(z, h, half, axes=(1 - axis,))
+        slope = ndimage.correlate1d(others, weights, axis=axis, mode="nearest")
+        left -= slope**2 * np.mean(offset**2)
+        slopes.append(slope)
+    return slopes[0], slopes[1], np.maximum(left, 0)
+
+
+def footprint_mean(
+    z: Array, h: tuple[float, float], half: float, axes: tuple[int, ...] = (0, 1)
+) -> Array:
+    """Return the means over squares of the footprint's size."""
+    for axis in axes:
+        size = 2 * _nodes_within(half, h[axis]) + 1
+        z = ndimage.uniform_filter1d(z, size, axis=axis, mode="nearest")
+    return z
+
+
+def _nodes_within(half: float, h: float) -> int:
+    """Return the nodes on either side of the middle of a square: their cells fill it."""
+    return round(half / h - 0.5)
+
+
+def _sampled(layer: Array, grid: Grid, x: Array, y: Array) -> Array:
+    """Return a layer at new nodes, interpolated linearly."""
+    for axis, (old, new) in enumerate(((grid.x, x), (grid.y, y))):
+        if old.size == new.size:
+            continue
+        cell = (new - old[0]) / step(old)
+        first = np.clip(np.floor(cell).astype(np.intp), 0, old.size - 2)
+        weight = np.expand_dims(cell - first, 1 - axis)
+        low, high = np.take(layer, first, axis), np.take(layer, first + 1, axis)
+        layer = low + weight * (high - low)
+    return layer
+
+
+def step(axis: Array) -> float:
+    """Return the distance between the nodes of an even axis [m]."""
+    return float(np.ptp(axis) / (axis.size - 1))
+
+
+def nearest_nodes(axis: Array, at: Array) -> npt.NDArray[np.intp]:
+    """Return the nearest nodes of an even axis."""
+    cells = np.rint((at - axis[0]) / step(axis))
+    return np.asarray(np.clip(cells, 0, axis.size - 1), dtype=np.intp)

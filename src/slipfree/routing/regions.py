@@ -1,0 +1,255 @@
+"""Regions of the map that a vehicle keeps out of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.records import Array
+
+ROUND = 1e-3  # the part of a disc's radius over which its tip at the centre is rounded
+CORNER = 1e-12  # the part of a polygon's size over which the tip at a corner is rounded
+STRAIGHT = 1e-9  # sine of the turn at a point below which it is no corner
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A disc.
+
+    Attributes
+    ----------
+    x, y : float
+        Its centre in map coordinates. [m]
+    radius : float
+        Its radius. [m]
+
+    Raises
+    ------
+    ModelError
+        If the centre is not finite or the radius not positive.
+    """
+
+    x: float
+    y: float
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.x) and math.isfinite(self.y)):
+            raise ModelError(f"disc: its centre must be finite, found ({self.x}, {self.y})")
+        if not 0 < self.radius < math.inf:
+            raise ModelError(
+                f"disc: its radius must be a positive number of metres, found {self.radius}"
+            )
+
+    @property
+    def words(self) -> str:
+        """What it is and where, for messages."""
+        return f"disc at ({self.x:.9g}, {self.y:.9g}) of {self.radius:.4g} m radius"
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """``x_min, x_max, y_min, y_max`` in map coordinates [m]."""
+        return (
+            self.x - self.radius, self.x + self.radius,
+            self.y - self.radius, self.y + self.radius,
+        )  # fmt: skip
+
+    def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return how far a point lies outside, negative inside, as an expression [m].
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            Map coordinates. [m]
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            The signed distance, its tip at the centre rounded so that it has derivatives there
+            too: zero on the circle, and within 5e-7 radii of the distance outside. [m]
+        """
+        soft = (ROUND * self.radius) ** 2
+        from_center = ca.sqrt((x - self.x) ** 2 + (y - self.y) ** 2 + soft)
+        return ca.SX(from_center - math.sqrt(self.radius**2 + soft))
+
+    def distance(self, x: Array, y: Array) -> Array:
+        """Return the signed distances of points of equal shape, negative inside [m]."""
+        distance: Array = np.hypot(np.subtract(x, self.x), np.subtract(y, self.y)) - self.radius
+        return distance
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """The inside of a simple polygon.
+
+    Attributes
+    ----------
+    points : tuple of tuple of 2 floats
+        Its points in map coordinates, three or more, in either order; the last one is joined to
+        the first. It may be concave. [m]
+
+    Raises
+    ------
+    ModelError
+        If points are too few, not finite or coincide, or if edges cross or touch.
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, dtype=float)
+        if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3:
+            raise ModelError(
+                f"polygon: expected three or more points (x, y), found shape {points.shape}"
+            )
+        if not np.isfinite(points).all():
+            k = int(np.argmin(np.isfinite(points).all(axis=1)))
+            raise ModelError(f"polygon: point {k + 1} must be finite, found {tuple(points[k])}")
+        # Tuples, so that equal polygons are equal and have the same hash.
+        object.__setattr__(self, "points", tuple((float(x), float(y)) for x, y in points))
+        _check_simple(points - points[0])
+
+    @property
+    def words(self) -> str:
+        """What it is and where, for messages."""
+        x, y = np.mean(self.points, axis=0)
+        return f"polygon of {len(self.points)} points about ({x:.9g}, {y:.9g})"
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """``x_min, x_max, y_min, y_max`` in map coordinates [m]."""
+        (x_min, y_min), (x_max, y_max) = np.min(self.points, axis=0), np.max(self.points, axis=0)
+        return float(x_min), float(x_max), float(y_min), float(y_max)
+
+    def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return how far a point lies outside, negative inside, as an expression [m].
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            Map coordinates. [m]
+
+        Returns
+        -------
+        SX, shape (1, 1)
+            The signed distance. It is smooth across the edges, where its gradient is their
+            normal; it has kinks only where two parts of the border are equally near. [m]
+
+        Notes
+        -----
+        The sign comes with the nearest part of the border: inside an edge, from the side of that
+        edge; at a corner, from whether the corner points outwards. No root is taken of a distance
+        that vanishes on an edge, so that derivatives are exact on it.
+        """
+        corners, tips = self._corners
+        x, y = x - self.points[0][0], y - self.points[0][1]
+        soft = (CORNER * float(np.ptp(corners, axis=0).max())) ** 2
+        nearest, signed = ca.SX(math.inf), ca.SX(math.inf)
+        ends, end_tips = np.roll(corners, -1, axis=0), np.roll(tips, -1)
+        for (a_x, a_y), (b_x, b_y), tip_a, tip_b in zip(corners, ends, tips, end_tips, strict=True):
+            length = math.hypot(b_x - a_x, b_y - a_y)
+            e_x, e_y = (b_x - a_x) / length, (b_y - a_y) / length
+            along = (x - a_x) * e_x + (y - a_y) * e_y
+            across = (x - a_x) * e_y - (y - a_y) * e_x  # to the right, which is outside
+            to_a = tip_a * ca.sqrt((x - a_x) ** 2 + (y - a_y) ** 2 + soft)
+            to_b = tip_b * ca.sqrt((x - b_x) ** 2 + (y - b_y) ** 2 + soft)
+            here = ca.if_else(along < 0, to_a, ca.if_else(along > length, to_b, across))
+            signed = ca.if_else(ca.fabs(here) < nearest, here, signed)
+            nearest = ca.fmin(nearest, ca.fabs(here))
+        return signed
+
+    def distance(self, x: Array, y: Array) -> Array:
+        """Return the signed distances of points of equal shape, negative inside [m]."""
+        x_0, y_0 = self.points[0]
+        x, y = np.broadcast_arrays(np.subtract(x, x_0), np.subtract(y, y_0))
+        corners = self._corners[0]
+        square, inside = np.full(x.shape, np.inf), np.zeros(x.shape, dtype=bool)
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            e = b - a
+            along = np.clip(((x - a[0]) * e[0] + (y - a[1]) * e[1]) / (e @ e), 0, 1)
+            d_x, d_y = x - a[0] - along * e[0], y - a[1] - along * e[1]
+            np.minimum(square, d_x**2 + d_y**2, out=square)
+            if a[1] != b[1]:  # a ray to the right crosses the edge once, or not
+                crosses = (a[1] > y) != (b[1] > y)
+                inside ^= crosses & (x < a[0] + (y - a[1]) * (e[0] / e[1]))
+        signed: Array = np.where(inside, -1.0, 1.0) * np.sqrt(square)
+        return signed
+
+    @cached_property
+    def _corners(self) -> tuple[Array, Array]:
+        """The corners, from the first point and counter-clockwise, and 1 if outwards, else -1."""
+        local = np.asarray(self.points) - self.points[0]
+        turns = _turns(local)
+        # A point on a straight edge is no corner: its side would be decided by rounding.
+        corner = np.abs(turns) > STRAIGHT
+        local, turns = local[corner], turns[corner]
+        if _area(local) < 0:
+            local, turns = local[::-1], -turns[::-1]
+        return local, np.sign(turns)
+
+
+Region = Disc | Polygon
+
+
+def _turns(points: Array) -> Array:
+    """Return the sine of the left turn at every point."""
+    e = points - np.roll(points, 1, axis=0)
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    after = np.roll(e, -1, axis=0)
+    return np.asarray(e[:, 0] * after[:, 1] - e[:, 1] * after[:, 0])
+
+
+def _area(points: Array) -> float:
+    """Return the area, positive if the points run counter-clockwise [m^2]."""
+    after = np.roll(points, -1, axis=0)
+    return 0.5 * float(np.sum(points[:, 0] * after[:, 1] - points[:, 1] * after[:, 0]))
+
+
+def _check_simple(points: Array) -> None:
+    """Refuse points that coincide, and edges that fold back, cross or touch."""
+    count = len(points)
+    edges = np.roll(points, -1, axis=0) - points
+    for k in range(count):
+        if not edges[k].any():
+            raise ModelError(
+                f"polygon: points {k + 1} and {(k + 1) % count + 1} coincide; leave one out (the "
+                "last point is joined to the first by itself)"
+            )
+    before = np.roll(edges, 1, axis=0)
+    folded = (np.abs(_turns(points)) <= STRAIGHT) & (np.sum(edges * before, axis=1) < 0)
+    if folded.any():
+        raise ModelError(
+            f"polygon: the edges at point {int(folded.argmax()) + 1} fold back onto each other"
+        )
+    for first in range(count - 2):
+        for second in range(first + 2, count - (first == 0)):
+            if _meet(points, first, second):
+                raise ModelError(
+                    f"polygon: edge {_edge(first, count)} crosses or touches edge "
+                    f"{_edge(second, count)}; put the points in order along the border"
+                )
+
+
+def _edge(k: int, count: int) -> str:
+    return f"{k + 1}-{(k + 1) % count + 1}"
+
+
+def _meet(points: Array, first: int, second: int) -> bool:
+    """Return whether two edges have a point in common."""
+    count = len(points)
+    a, b = points[first], points[(first + 1) % count]
+    c, d = points[second], points[(second + 1) % count]
+    if (np.maximum(a, b) < np.minimum(c, d)).any() or (np.maximum(c, d) < np.minimum(a, b)).any():
+        return False
+    return _side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0
+
+
+def _side(a: Array, b: Array, p: Array) -> float:
+    """Return on which side of a line a point lies: left positive, zero on it."""
+    e, f = b - a, p - a
+    return float(np.sign(e[0] * f[1] - e[1] * f[0]))

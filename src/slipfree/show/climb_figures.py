@@ -1,0 +1,431 @@
+"""Figures of a climb: where the vehicle was, references, slip and disturbance, forces; a film.
+
+Functions draw on the axes they are given, name the artists that belong in a legend, and return the
+axes; legends are the caller's. ``climb_figures`` composes the figures, ``save_climb_figures``
+writes them, and ``animate`` writes a moving picture.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
+
+from slipfree.climb.metrics import LOADED, disturbance_ratio, slip_ratio
+from slipfree.climb.profile import Profile
+from slipfree.climb.vehicle import AXLES, Climber
+from slipfree.records import Array
+from slipfree.show import style
+from slipfree.show.film import FRAMES, film_writer, write_film
+from slipfree.show.motion_figures import check_formats, write
+from slipfree.show.scene import stopped
+from slipfree.show.style import MM, PAGE, PLATFORM, STYLE
+from slipfree.trajectory import Trajectory
+
+EVERY, POSES = 0.3, 2  # between dots [s], and in how many of them the vehicle is drawn once
+TIMES = colormaps["viridis"]
+LATEST = 0.85  # of the scale of colors: its yellow end is too light for lines
+GROUND = "0.85"
+ROOM, BELOW = 0.04, 0.03  # around and below what is drawn [m]
+HIGHEST = 100.0  # of ratios that are drawn [%]
+WIDTH = 110  # letters in a line of a film
+ROW = 38 * MM  # height of a panel over time [in]
+
+
+def ground(profile: Profile, ax: Axes) -> Axes:
+    """Draw the solids of a ground, filled.
+
+    Parameters
+    ----------
+    profile : Profile
+        The ground.
+    ax : Axes
+        Where to draw; its aspect becomes equal.
+    """
+    for solid in profile.solids:
+        ax.add_patch(Polygon(solid.points, fc=GROUND, ec=GROUND, lw=0.3, zorder=0))
+    ax.set_aspect("equal")
+    ax.set(xlabel="forward $x$ [m]", ylabel="height $z$ [m]")
+    return ax
+
+
+def strobe(
+    run: Trajectory, climber: Climber, profile: Profile, ax: Axes, every: float = EVERY
+) -> Axes:
+    """Draw where a vehicle was: its axles at even times, and itself at every other of them.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    climber, profile : Climber, Profile
+        What climbed what.
+    ax : Axes
+        Where to draw.
+    every : float
+        Time between dots. [s]
+    """
+    ground(profile, ax)
+    for axle in AXLES:
+        ax.plot(run["axle_x", axle], run["axle_z", axle], color="0.5", lw=0.6, zorder=2)
+    duration = float(run.t[-1] - run.t[0])
+    times = run.t[0] + every * np.arange(int(duration / every) + 1)
+    for number, k in enumerate(np.searchsorted(run.t, times - 1e-9)):
+        color = TIMES(LATEST * (run.t[k] - run.t[0]) / duration)
+        if number % POSES == 0:
+            _pose(run, climber, int(k), ax, color)
+        dots = {"mfc": "white", "mec": color, "mew": 0.8, "ms": 2.6, "ls": "none", "zorder": 4}
+        ax.plot(run["axle_x"][k], run["axle_z"][k], "o", **dots)
+    return _framed(run, climber, ax)
+
+
+def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> None:
+    """Draw wheels, links and centers of mass at a sample."""
+    links, centers = _skeleton(run, climber, k)
+    ax.plot(*links, color=color, lw=1.3, zorder=3, solid_joinstyle="round")
+    ax.plot(*centers, "+", color=color, ms=4, mew=0.8, zorder=3)
+    for x, z in zip(run["axle_x"][k], run["axle_z"][k], strict=True):
+        ax.add_patch(Circle((x, z), climber.radius, fc="none", ec=color, lw=0.9, zorder=3))
+
+
+def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
+    """Return rear axle, joint and front axle, and the centers of mass, both of shape (2, n)."""
+    joint = np.array([run["x"][k], run["z"][k]])
+    ends = [np.array([run[name, axle][k] for name in ("axle_x", "axle_z")])
+            for axle in ("rear", "front")]  # fmt: skip
+    centers = []
+    for body, name in ((climber.rear_body, "rear"), (climber.front_body, "front")):
+        cosine, sine = np.cos(run[f"tilt_{name}"][k]), np.sin(run[f"tilt_{name}"][k])
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        centers.append(joint + turn @ (body.ahead, body.above))
+    return np.stack([ends[0], joint, ends[1]], axis=1), np.stack(centers, axis=1)
+
+
+def _framed(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
+    """Show all of a motion, and a little of the ground below it."""
+    reach, x, z = climber.radius + ROOM, run["axle_x"], run["axle_z"]
+    top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)
+    ax.set(xlim=(x.min() - reach, x.max() + reach),
+           ylim=(z.min() - climber.radius - BELOW, top))  # fmt: skip
+    return ax
+
+
+def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
+    """Draw the references of the wheels over time, as rim speeds, and the rims' own speeds."""
+    for k, axle in enumerate(AXLES):
+        look = style.look(k)
+        ax.plot(run.t, climber.radius * run["wheel_rate", axle], **look | {"lw": 0.6, "alpha": 0.5})
+        ax.plot(run.t, climber.radius * run["reference", axle], label=axle, **look)
+    ax.set_ylabel("rim speed [m/s]")
+    return _over_time(run, ax)
+
+
+def slip(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
+    """Draw the paper's slip ratio of every axle over time, its equation (20)."""
+    return _ratios(run, slip_ratio(run, climber), "slip (20) [%]", ax)
+
+
+def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> Axes:
+    """Draw the speed at which rims slip on the solid that bears most, over that of the rims."""
+    solids = range(len(profile.solids))
+    loads = np.array([run[f"load_{k}"] for k in solids])
+    slips = np.array([run[f"slip_{k}"] for k in solids])
+    speed = np.take_along_axis(slips, loads.argmax(axis=0)[None], axis=0)[0]
+    rim = climber.radius * run["wheel_rate"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(loads.max(axis=0) > LOADED, -speed / rim, np.nan)
+    return _ratios(run, ratio, "true slip [%]", ax)
+
+
+def disturbance(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the error of the wheels' rates over time, the paper's equation (21)."""
+    return _ratios(run, disturbance_ratio(run), "disturbance (21) [%]", ax)
+
+
+def _ratios(run: Trajectory, ratios: Array, words: str, ax: Axes) -> Axes:
+    shown = np.clip(100 * ratios, -HIGHEST, HIGHEST)
+    for k, axle in enumerate(AXLES):
+        ax.plot(run.t, shown[:, k], label=axle, **style.look(k) | {"lw": 0.9})
+    ax.axhline(0, color="0.4", lw=0.6)
+    ax.set_ylabel(words)
+    return _over_time(run, ax)
+
+
+def tilts(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the tilts of both bodies over time."""
+    for name, dashes in (("rear", "-"), ("front", "--")):
+        ax.plot(run.t, run[f"tilt_{name}"], color=PLATFORM, ls=dashes, label=f"{name} body")
+    ax.set_ylabel("tilt, nose up [rad]")
+    return _over_time(run, style.degrees(ax))
+
+
+def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
+    """Draw the normal forces on the axles over time, of all solids together."""
+    total = np.sum([run[f"load_{k}"] for k in range(len(profile.solids))], axis=0)
+    for k, axle in enumerate(AXLES):
+        ax.plot(run.t, total[:, k], label=axle, **style.look(k) | {"lw": 0.9})
+    ax.set_ylim(0, 1.1 * float(np.percentile(total, 99.5)))
+    ax.set_ylabel("normal force [N]")
+    return _over_time(run, ax)
+
+
+def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
+    """Draw the torque of a wheel of every axle over time, and its limit if it comes near."""
+    for k, axle in enumerate(AXLES):
+        ax.plot(run.t, run["torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
+    if climber.torque < 1.5 * np.abs(run["torque"]).max():
+        for limit in (-climber.torque, climber.torque):
+            ax.axhline(limit, color="0.4", lw=0.8, ls="--")
+    ax.set_ylabel("torque of a wheel [N m]")
+    return _over_time(run, ax)
+
+
+def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes) -> Axes:
+    """Draw the rims' speeds over the way: planned, and thin driven.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion that tracks a plan.
+    plan : Trajectory
+        The plan, with its ``progress``.
+    climber : Climber
+        The vehicle.
+    ax : Axes
+        Where to draw.
+    """
+    come, plan_speeds = _progress(run), climber.radius * plan["wheel_rate"]
+    speeds = climber.radius * run["wheel_rate"]
+    ax.set_ylabel("rim speed [m/s]")
+    return _over_way(come, speeds, plan, plan_speeds, ax)
+
+
+def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Axes) -> Axes:
+    """Draw the friction that wheels use over the way, on the solid that bears most, and planned.
+
+    Parameters
+    ----------
+    run, plan, ax
+        As for `planned_speeds`.
+    profile : Profile
+        The ground.
+    """
+    normal = np.array([run[f"load_{k}"] for k in range(len(profile.solids))])
+    along = np.array([run[f"friction_{k}"] for k in range(len(profile.solids))])
+    most = normal.argmax(axis=0)[None]
+    force, load = (np.take_along_axis(each, most, axis=0)[0] for each in (along, normal))
+    used = np.where(load > LOADED, np.abs(force) / np.maximum(load, LOADED), np.nan)
+    wanted = np.abs(plan["friction"]) / np.maximum(plan["load"], LOADED)
+    ax.axhline(plan.statistics["mu"], color="0.4", lw=0.8, ls="--")
+    ax.set_ylabel("friction used [1]")
+    return _over_way(_progress(run), used, plan, wanted, ax)
+
+
+def _progress(run: Trajectory) -> Array:
+    return np.asarray((run["axle_x"] + run["axle_z"]).mean(axis=1))
+
+
+def _over_way(come: Array, driven: Array, plan: Trajectory, planned: Array, ax: Axes) -> Axes:
+    """Draw what is planned over the progress, and thin what is driven."""
+    for k, axle in enumerate(AXLES):
+        look = style.look(k)
+        ax.plot(come, driven[:, k], **look | {"lw": 0.6, "alpha": 0.6})
+        ax.plot(plan["progress"], planned[:, k], label=axle, **look)
+    ax.set_xlabel("progress: mean over the axles of $x + z$ [m]")
+    ax.margins(x=0.02)
+    return ax
+
+
+def _over_time(run: Trajectory, ax: Axes) -> Axes:
+    """Label the axis of time, and shade what is left out of the averages."""
+    counts = run.statistics
+    if "climb_from" in counts:
+        for left, right in ((run.t[0], counts["climb_from"]), (counts["climb_to"], run.t[-1])):
+            ax.axvspan(left, right, color="0.94", lw=0, zorder=0)
+    return style.time_axis(run, ax)
+
+
+def climb_figures(
+    run: Trajectory, climber: Climber, profile: Profile, plan: Trajectory | None = None
+) -> dict[str, Figure]:
+    """Return the figures of a climb, by name.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion of `slipfree.climb.dynamics.climbing`.
+    climber, profile : Climber, Profile
+        What climbed what.
+    plan : Trajectory, optional
+        The plan that the motion tracks.
+
+    Returns
+    -------
+    dict of str to Figure
+        ``strobe, references, slip, forces``, 180 mm wide; ``plan`` if there is one.
+    """
+    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
+        return {
+            "strobe": _strobe(run, climber, profile),
+            "references": _references(run, climber),
+            "slip": _slip(run, climber, profile),
+            "forces": _forces(run, climber, profile),
+        } | ({} if plan is None else {"plan": _plan(run, plan, climber, profile)})
+
+
+def save_climb_figures(
+    run: Trajectory, climber: Climber, profile: Profile, folder: str | Path,
+    formats: Sequence[str] = ("png",), plan: Trajectory | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write the figures of a climb to a folder, which is made if needed, and return their files.
+
+    Parameters
+    ----------
+    run, climber, profile, plan
+        As for `climb_figures`.
+    folder : str or Path
+        Where the files go, as ``strobe.png`` and so on.
+    formats : sequence of str
+        What to write: ``"png"`` (200 dpi), ``"pdf"``, ``"svg"``.
+
+    Raises
+    ------
+    ModelError
+        If a format is not known.
+    """
+    check_formats(formats)
+    return write(climb_figures(run, climber, profile, plan), folder, formats)
+
+
+def _strobe(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
+    figure = style.figure(PAGE, 70 * MM)
+    ax = strobe(run, climber, profile, figure.subplots())
+    _sized(figure, ax)
+    note = (
+        f"Dots every {EVERY:g} s, the vehicle every {POSES * EVERY:g} s, from violet to green; + "
+    )
+    note += "centers of mass."
+    return style.finished(figure, run, [], note + _outcome(run))
+
+
+def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
+    """Make a figure as high as its axes of equal aspect need."""
+    width, height = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
+    figure.set_figheight((PAGE - 14 * MM) * float(height / width) + room)
+
+
+def _references(run: Trajectory, climber: Climber) -> Figure:
+    figure = style.figure(PAGE, 2 * ROW + 24 * MM)
+    panels = figure.subplots(2, 1, sharex=True)
+    references(run, climber, panels[0])
+    tilts(run, panels[1])
+    return style.finished(style.stacked(figure, panels), run, panels,
+                          "Thin: speed of the rim. Shaded: not averaged.")  # fmt: skip
+
+
+def _slip(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
+    figure = style.figure(PAGE, 3 * ROW + 24 * MM)
+    panels = figure.subplots(3, 1, sharex=True)
+    slip(run, climber, panels[0])
+    true_slip(run, climber, profile, panels[1])
+    disturbance(run, panels[2])
+    return style.finished(
+        style.stacked(figure, panels), run, panels[:1],
+        f"Drawn up to {HIGHEST:g} %. Equation (20) takes the middle axle's speed for all wheels. "
+        "Shaded: not averaged.",
+    )  # fmt: skip
+
+
+def _forces(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
+    figure = style.figure(PAGE, 2 * ROW + 24 * MM)
+    panels = figure.subplots(2, 1, sharex=True)
+    loads(run, profile, panels[0])
+    torques(run, climber, panels[1])
+    return style.finished(style.stacked(figure, panels), run, panels[:1],
+                          "Short peaks of impacts are cut off. Shaded: not averaged.")  # fmt: skip
+
+
+def _plan(run: Trajectory, plan: Trajectory, climber: Climber, profile: Profile) -> Figure:
+    figure = style.figure(PAGE, 2 * ROW + 24 * MM)
+    panels = figure.subplots(2, 1, sharex=True)
+    planned_speeds(run, plan, climber, panels[0])
+    planned_friction(run, plan, profile, panels[1])
+    return style.finished(style.stacked(figure, panels), run, panels[:1],
+                          "Thin: driven. Dashed: the friction that the plan uses.")  # fmt: skip
+
+
+def _outcome(run: Trajectory) -> str:
+    """Return how a climb ended, as its problem says, in a sentence."""
+    words = run.attributes.get("outcome", "")
+    return f" It {words}." if words.startswith(("climbs", "stalls", "slides", "tips")) else ""
+
+
+def animate(
+    run: Trajectory, climber: Climber, profile: Profile, file: str | Path, rate: int = FRAMES
+) -> None:
+    """Write a climb as a film in real time.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    climber, profile : Climber, Profile
+        What climbed what.
+    file : str or Path
+        Its name ends in ``.gif`` or ``.mp4``.
+    rate : int
+        Pictures in a second. [1/s]
+
+    Raises
+    ------
+    DataError
+        If the ending is unknown, or ffmpeg is missing.
+    """
+    writer = film_writer(Path(file), rate)
+    with rc_context(STYLE):  # type: ignore[arg-type]
+        figure = style.figure(PAGE, 70 * MM)
+        FigureCanvasAgg(figure)
+        ax = _framed(run, climber, ground(profile, figure.subplots()))
+        _sized(figure, ax, 12 * MM)
+        film = _Film(climber, ax)
+        times = np.append(np.arange(run.t[0], run.t[-1], 1 / rate), run.t[-1])
+        samples = np.searchsorted(run.t, times - 1e-9).tolist()
+        write_film(writer, figure, Path(file), partial(film.show, run), samples)
+
+
+class _Film:
+    """The artists of a film: wheels with a spoke, links, centers of mass, and the time."""
+
+    def __init__(self, climber: Climber, ax: Axes) -> None:
+        self.climber, colors = climber, style.PALETTE[: len(AXLES)]
+        self.wheels = [Circle((0, 0), climber.radius, fc="white", ec=each, lw=1.6)
+                       for each in colors]  # fmt: skip
+        for wheel in self.wheels:
+            ax.add_patch(wheel)
+        self.spokes: list[Line2D] = [ax.plot([], [], color=each, lw=1)[0] for each in colors]
+        (self.links,) = ax.plot([], [], "-o", color=PLATFORM, lw=2, ms=3)
+        (self.centers,) = ax.plot([], [], "+", color=PLATFORM, ms=6)
+        self.time = ax.text(0.01, 0.97, "", transform=ax.transAxes, va="top", parse_math=False)
+
+    def show(self, run: Trajectory, k: int) -> None:
+        """Move everything to where it is at a sample."""
+        links, centers = _skeleton(run, self.climber, k)
+        self.links.set_data(*links)
+        self.centers.set_data(*centers)
+        for i in range(len(AXLES)):
+            x, z, angle = (run[name][k, i] for name in ("axle_x", "axle_z", "wheel_angle"))
+            self.wheels[i].center = (x, z)
+            spoke = self.climber.radius * np.array([np.cos(angle), -np.sin(angle)])
+            self.spokes[i].set_data([x - spoke[0], x + spoke[0]], [z - spoke[1], z + spoke[1]])
+        end = f"\n{textwrap.fill(stopped(run), WIDTH)}" if k == run.t.size - 1 else ""
+        self.time.set_text(f"t = {run.t[k]:.2f} s{end}")

@@ -1,0 +1,303 @@
+"""Figures of what a vehicle with mass asks of the ground and of its drives.
+
+Functions draw on the axes they are given, name the artists that belong in a legend, and return the
+axes; legends are the caller's. ``load_figures`` composes the figures for which a motion has the
+quantities: those of vehicles without mass have none.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from slipfree.records import Array
+from slipfree.show import ground_drawing, style
+from slipfree.show.style import COLUMN, MM, PAGE, PALETTE, PLATFORM
+from slipfree.terrain.base import Grid
+from slipfree.trajectory import Trajectory
+
+COLOURS = "viridis"
+OVER = "#D55E00"  # of what friction cannot hold
+CEILING = 3.0  # utilisation above this is not drawn over time
+HEADROOM = 1.25  # of the axis of utilisation, for the words at the worst point
+CROWDED = 0.8  # words at a utilisation from here to 1 would cover the line at 1
+EDGES = 0.3  # words at points this near to an edge of the axes reach away from it
+CASING = "0.15"  # edge of coloured tracks
+
+
+def normal_forces(run: Trajectory, ax: Axes) -> Axes:
+    """Draw how much every wheel presses on the ground over time; at zero it lifts off."""
+    _by_wheel(run, run["force_normal"], ax)
+    ax.set_ylabel("normal force [N]")
+    return style.time_axis(run, _with_zero(ax))
+
+
+def tangential_forces(run: Trajectory, ax: Axes) -> Axes:
+    """Draw how much of its contact force every wheel needs of friction over time."""
+    _by_wheel(run, np.hypot(run["force_along"], run["force_across"]), ax)
+    ax.set_ylabel("tangential force [N]")
+    return style.time_axis(run, _with_zero(ax))
+
+
+def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
+    """Draw what the drives of wheels and joints give over time, but for those that give nothing.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    ax : Axes
+        Where to draw.
+    unit : {"N m", "N"}
+        ``"N m"`` for the torques of wheels and joints, ``"N"`` for the forces of sliding joints.
+    """
+    if unit == "N m":
+        _by_wheel(run, run["drive_torque"], ax, zeros=False)
+    for k, name in enumerate(_joints(run), start=len(run.wheels)):
+        if run.columns[name].label.unit == unit:
+            ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
+    what = "torque" if unit == "N m" else "joint force"
+    if not ax.lines:
+        style.remark(ax, f"no {what}")
+    ax.set_ylabel(f"{what} [{unit}]")
+    return style.time_axis(run, _with_zero(ax))
+
+
+def utilisation(run: Trajectory, ax: Axes) -> Axes:
+    """Draw which part of the friction every wheel needs over time, and where that is worst.
+
+    Values above 3 are not drawn, as a remark then says. Where the friction of the ground was not
+    given, it is the friction coefficient needed that is drawn.
+    """
+    values = run["utilisation"]
+    for k, wheel in enumerate(run.wheels):
+        ax.plot(run.t, _finite(values[:, k]), label=style.words(wheel), **style.look(k))
+    if "utilisation_best" in run:
+        best = _finite(run["utilisation_best"])
+        ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="forces distributed best")
+    words = "all that friction gives" if _given(run) else "a friction coefficient of 1"
+    ax.axhline(1, color="0.4", lw=0.8, ls="--", label=words)
+    largest = float(values.max())
+    ax.set_ylim(0, CEILING if largest > CEILING else HEADROOM * max(1.0, largest))
+    ax.set_ylabel(f"{_quantity(run)} [1]")
+    style.time_axis(run, ax)
+    if largest > CEILING:
+        words = "" if np.isfinite(largest) else "; infinite where a wheel bears nothing"
+        style.remark(ax, f"not drawn above {CEILING:g}{words}", above=True)
+    _mark_worst(run, ax)
+    return ax
+
+
+def tip_over(run: Trajectory, ax: Axes) -> Axes:
+    """Draw by which angle gravity may lean over time before the vehicle tips; at zero it does."""
+    ax.plot(run.t, run["tip_over_margin"], color=PLATFORM, label="tip-over margin")
+    ax.set_ylabel("tip-over\nmargin [rad]")
+    return style.time_axis(run, style.degrees(_with_zero(ax)))
+
+
+def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
+    """Draw the tracks of the contact points in plan, coloured by utilisation, on grey ground.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    grid : Grid
+        The ground.
+    ax : Axes
+        Where to draw; its aspect becomes equal. Between two samples the larger value counts, and
+        where tracks cross the largest lies on top.
+    """
+    ground_drawing.muted(grid, ax, ground_drawing.around(run, grid, pad=0.15))
+    x, y, values = run["contact_x"], run["contact_y"], run["utilisation"]
+    ax.plot(x, y, lw=3, color=CASING, solid_capstyle="round")
+    points = np.stack([x, y], axis=-1)
+    pieces = np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 2)
+    largest = _finite(np.maximum(values[:-1], values[1:])).ravel()
+    order = np.argsort(largest, kind="stable")
+    scale = colormaps[COLOURS].with_extremes(over=OVER)
+    lines = LineCollection(
+        list(pieces[order]), array=largest[order], cmap=scale, norm=Normalize(0, 1),
+        linewidths=2, capstyle="round", zorder=3,
+    )  # fmt: skip
+    ax.add_collection(lines, autolim=False)
+    bar = ax.figure.colorbar(lines, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max")
+    bar.set_label(f"{_quantity(run)} [1]")
+    marks: dict[str, Any] = {"ls": "none", "mec": "black", "zorder": 4}
+    ax.plot(x[0], y[0], "o", mfc="white", ms=4, label=f"start, {run.t[0]:.4g} s", **marks)
+    k, wheel = _worst(run)
+    at = x[k, wheel], y[k, wheel]
+    ax.plot(*at, "D", mfc="none", ms=8, label=f"largest, {_worst_words(run)}", **marks)
+    if values[k, wheel] > 1:
+        words = "beyond friction" if _given(run) else "above 1"
+        ax.plot([], [], color=OVER, lw=2, label=words)
+    return ax
+
+
+def energy(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the work of the drives since the start, the potential energy, and what is lost."""
+    work = run["work"] - run["work"][0]
+    height = run["potential_energy"] - run["potential_energy"][0]
+    ax.plot(run.t, work, label="drives", color=PALETTE[0])
+    # long gaps, as it covers the work of the drives where nothing is lost
+    ax.plot(run.t, height, label="potential energy", color=PALETTE[2], ls=(0, (6, 6)))
+    ax.plot(run.t, work - height, label="lost", color=PALETTE[1])
+    ax.set_ylabel("energy since the start [J]")
+    return style.time_axis(run, _with_zero(ax))
+
+
+def power(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the power of the drives and what of it is lost over time, coloured as in `energy`."""
+    ax.plot(run.t, run["power"], label="drives", color=PALETTE[0])
+    ax.plot(run.t, run["dissipation"], label="lost", color=PALETTE[1])
+    ax.set_ylabel("power [W]")
+    return style.time_axis(run, _with_zero(ax))
+
+
+def load_figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
+    """Return the figures of the forces and energies of a motion, by name.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    grid : Grid
+        The ground it happened on.
+
+    Returns
+    -------
+    dict of str to Figure
+        ``forces, utilisation, utilisation_map, energy``, as far as the motion has the quantities;
+        nothing for a vehicle without mass.
+
+    Raises
+    ------
+    ModelError
+        If it has a quantity but not those that belong to it, or is not on this ground.
+    """
+    drawn: dict[str, Figure] = {}
+    if "force_normal" in run:
+        drawn["forces"] = _forces(run)
+    if "utilisation" in run:
+        drawn["utilisation"] = _utilisation(run)
+        drawn["utilisation_map"] = _utilisation_map(run, grid)
+    if "work" in run:
+        drawn["energy"] = _energy(run)
+    return drawn
+
+
+def _forces(run: Trajectory) -> Figure:
+    slides = "N" in {run.columns[name].label.unit for name in _joints(run)}
+    figure = style.figure(PAGE, (150 if slides else 118) * MM)
+    panels = list(figure.subplots(4 if slides else 3, 1, sharex=True))
+    normal_forces(run, panels[0])
+    tangential_forces(run, panels[1])
+    drives(run, panels[2])
+    if slides:
+        drives(run, panels[3], "N")
+    return style.finished(style.stacked(figure, panels), run, panels)
+
+
+def _utilisation(run: Trajectory) -> Figure:
+    if "tip_over_margin" not in run:
+        figure = style.figure(PAGE, 72 * MM)
+        return style.finished(figure, run, [utilisation(run, figure.subplots())])
+    figure = style.figure(PAGE, 100 * MM)
+    panels = list(figure.subplots(2, 1, sharex=True, height_ratios=(5, 2)))
+    utilisation(run, panels[0])
+    tip_over(run, panels[1])
+    return style.finished(style.stacked(figure, panels), run, panels[:1])
+
+
+def _utilisation_map(run: Trajectory, grid: Grid) -> Figure:
+    west, east, south, north = ground_drawing.around(run, grid, pad=0.15)
+    panel = min(85 * MM * (north - south) / (east - west), 110 * MM)
+    figure = style.figure(COLUMN, panel + 27 * MM)
+    style.finished(figure, run, [utilisation_map(run, grid, figure.subplots())])
+    figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
+    return figure
+
+
+def _energy(run: Trajectory) -> Figure:
+    figure = style.figure(PAGE, 100 * MM)
+    panels = list(figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
+    energy(run, panels[0])
+    power(run, panels[1])
+    return style.finished(style.stacked(figure, panels), run, panels)
+
+
+def _by_wheel(run: Trajectory, values: Array, ax: Axes, zeros: bool = True) -> None:
+    """Draw a line a wheel, with or without those that are nothing but zero."""
+    for k, wheel in enumerate(run.wheels):
+        if zeros or values[:, k].any():
+            ax.plot(run.t, values[:, k], label=style.words(wheel), **style.look(k))
+
+
+def _joints(run: Trajectory) -> list[str]:
+    """Return the names of the torques and forces of joints that are not nothing but zero."""
+    ends, columns = {"N m": "_torque", "N": "_force"}, run.columns.items()
+    ours = [
+        n for u, end in ends.items() for n, c in columns if c.label.unit == u and n.endswith(end)
+    ]
+    return [name for name in ours if run[name].ndim == 1 and run[name].any()]
+
+
+def _with_zero(ax: Axes) -> Axes:
+    """Draw the zero that gives values their size, as the lowest line."""
+    ax.axhline(0, color="0.4", lw=0.6, zorder=1)
+    return ax
+
+
+def _finite(values: Array) -> Array:
+    """Return values that can be drawn: what is infinite leaves the axes instead of breaking off."""
+    return np.minimum(values, 1e3 * CEILING)
+
+
+def _given(run: Trajectory) -> bool:
+    """Return whether the ground has friction: else what is used of it is what is needed."""
+    if "ground_friction" in run.attributes:
+        return True
+    return not np.array_equal(run["utilisation"], run["friction_needed"])
+
+
+def _quantity(run: Trajectory) -> str:
+    return "utilisation" if _given(run) else "friction needed $|f_t|/N$"
+
+
+def _worst(run: Trajectory) -> tuple[int, int]:
+    """Return sample and wheel of the largest utilisation."""
+    values = run["utilisation"]
+    k, wheel = np.unravel_index(np.argmax(values), values.shape)
+    return int(k), int(wheel)
+
+
+def _worst_words(run: Trajectory) -> str:
+    k, wheel = _worst(run)
+    value = run["utilisation"][k, wheel]
+    number = f"{value:.3g}" if np.isfinite(value) else "infinite"
+    return f"{style.words(run.wheels[wheel])}: {number} at {run.t[k]:.4g} s"
+
+
+def _mark_worst(run: Trajectory, ax: Axes) -> None:
+    """Mark the largest utilisation, at the upper edge of the axes where it lies above."""
+    k, wheel = _worst(run)
+    value, top = run["utilisation"][k, wheel], ax.get_ylim()[1]
+    above = value > top
+    at = (run.t[k], min(value, top))
+    ax.plot(*at, "^" if above else "o", color=style.look(wheel)["color"], mec="black",
+            ms=5, clip_on=False, zorder=5)  # fmt: skip
+    part = (run.t[k] - run.t[0]) / max(float(np.ptp(run.t)), 1e-300)
+    side = "left" if part < EDGES else "right" if part > 1 - EDGES else "center"
+    away = {"left": 7, "center": 0, "right": -7}[side] if above else 0
+    clear = 1.0 if CROWDED < value < 1 else at[1]
+    ax.annotate(
+        _worst_words(run), (at[0], clear), (away, -4 if above else 6), textcoords="offset points",
+        ha=side, va="top" if above else "bottom", fontsize=7, zorder=6,
+        bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1},
+    )  # fmt: skip

@@ -1,0 +1,133 @@
+"""The ground as figures draw it: which part, how finely, and its shading."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LightSource
+from scipy.interpolate import RectBivariateSpline
+
+from slipfree.errors import ModelError
+from slipfree.records import Array
+from slipfree.show import style
+from slipfree.terrain.base import Grid, Terrain
+from slipfree.trajectory import Trajectory
+
+HEATMAP = 600  # samples of a drawn map along an axis
+DIGITS = 9  # to which drawn heights are rounded, so that flat ground looks flat [m]
+INSIDE = 0.44  # words on a map lie this near to its middle, in parts of its width
+
+Window = tuple[float, float, float, float]
+
+
+def extent(x: Array, y: Array) -> dict[str, Any]:
+    """Return where an image of values at such nodes belongs."""
+    dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
+    return {
+        "extent": (x[0] - dx / 2, x[-1] + dx / 2, y[0] - dy / 2, y[-1] + dy / 2),
+        "origin": "lower",
+        "interpolation": "bilinear",
+    }
+
+
+def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
+    """Draw shadows of the heights, transparent where there are none, and axes of equal scale."""
+    dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
+    light = LightSource(azdeg=315, altdeg=45).hillshade(z.T, dx=dx, dy=dy)
+    shadow = np.zeros((*light.shape, 4))
+    shadow[..., 3] = 0.4 * (1 - light)
+    ax.imshow(shadow, **extent(x, y))
+    ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal")
+    style.place_axis(ax.xaxis, "x", x[0])
+    style.place_axis(ax.yaxis, "y", y[0])
+    return ax
+
+
+def muted(grid: Grid, ax: Axes, window: Window) -> Axes:
+    """Draw a part of the ground in grey, so that colours are free to mean something else."""
+    x, y, z = patch(grid, window, HEATMAP)
+    shade(x, y, z, ax)
+    if np.ptp(z) > 0:
+        lines = ax.contour(x, y, z.T, levels=10, colors="0.5", linewidths=0.4, zorder=1)
+        levels = np.asarray(lines.levels)[::2]
+        for words in ax.clabel(lines, levels, fontsize=5, fmt="%g m", inline=False, zorder=1):
+            words.set_path_effects(style.halo(1.5))
+            inside = ax.transAxes.inverted().transform(ax.transData.transform(words.get_position()))
+            words.set_visible(bool(np.all(np.abs(inside - 0.5) < INSIDE)))
+    return ax
+
+
+def whole(grid: Grid) -> Window:
+    """Return the part of the map that a ground covers: all of it. [m]."""
+    return float(grid.x[0]), float(grid.x[-1]), float(grid.y[0]), float(grid.y[-1])
+
+
+def around(run: Trajectory, grid: Grid, pad: float) -> Window:
+    """Return the part of the map around the contacts, shaped like the map unless that is narrow."""
+    x, y = (np.concatenate([run[name], run[f"contact_{name}"].ravel()]) for name in "xy")
+    return about(x, y, grid, pad)
+
+
+def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
+    """Return the part of the map around places, shaped like the map unless that is narrow."""
+    west, east, south, north = whole(grid)
+    sides = []
+    for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):
+        if at.max() < low or at.min() > high:
+            raise ModelError(
+                f"the motion is not on this ground: {name} is {at.min():.6g} to {at.max():.6g} m, "
+                f"the ground reaches from {low:.6g} to {high:.6g} m"
+            )
+        sides.append((float(at.min() + at.max()) / 2, float(np.ptp(at)) * (1 + 2 * pad), low, high))
+    ratio = float(np.clip((east - west) / (north - south), 0.5, 2.0))
+    width = max(sides[0][1], sides[1][1] * ratio)
+    window: list[float] = []
+    for (middle, _, low, high), wanted in zip(sides, (width, width / ratio), strict=True):
+        size = min(wanted, high - low)
+        start = min(max(middle - size / 2, low), high - size)
+        window += [start, start + size]
+    return window[0], window[1], window[2], window[3]
+
+
+def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
+    """Return a part of the ground on so many nodes a side, by the bicubic spline through its own.
+
+    Of more nodes than that, only as many are used.
+    """
+    kept, fine = [], []
+    for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):
+        last = min(int(np.searchsorted(axis, high)) + 3, axis.size)
+        first = max(min(int(np.searchsorted(axis, low)) - 3, last - 4), 0)
+        nodes = np.linspace(first, last - 1, min(last - first, count))
+        kept.append(nodes.round().astype(int))
+        fine.append(np.linspace(low, high, count))
+    spline = RectBivariateSpline(grid.x[kept[0]], grid.y[kept[1]], grid.z[np.ix_(*kept)])
+    return fine[0], fine[1], np.round(spline(*fine), DIGITS)
+
+
+def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
+    """Return the slope angle of a ground along headings at map points.
+
+    Parameters
+    ----------
+    ground : Terrain
+        The ground.
+    x, y : ndarray, shape (n,)
+        Map coordinates. [m]
+    heading : ndarray, shape (n,)
+        Directions from the y axis, counter-clockwise. [rad]
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Angle of the tangent to the surface, positive uphill. [rad]
+    """
+    at = ca.SX.sym("x"), ca.SX.sym("y")
+    gradient = ca.Function("gradient", at, [ca.densify(ground.jet(*at).gradient)])
+    x_0, y_0, _ = ground.origin
+    rise = gradient(ca.DM(x - x_0).T, ca.DM(y - y_0).T)
+    along = np.stack([-np.sin(heading), np.cos(heading)])
+    return np.asarray(np.arctan(np.sum(along * np.array(rise), axis=0)))

@@ -1,0 +1,151 @@
+"""A drawn ground that is finer where vehicles go: cells near their ways are divided."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import product
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slipfree.records import Array
+from slipfree.show.meshes import Mesh, joined, sheet
+from slipfree.terrain.base import Grid, Terrain
+
+MOST = 60_000  # nodes that are added
+
+
+class Refined(NamedTuple):
+    """A grid, and the cells of it that are divided.
+
+    Attributes
+    ----------
+    grid : Grid
+        Its nodes.
+    near : ndarray of bool, shape (n_x - 1, n_y - 1)
+        Which cells are divided.
+    parts : int
+        Into how many a side.
+    terrain : Terrain
+        What gives the heights in these cells.
+    """
+
+    grid: Grid
+    near: npt.NDArray[np.bool_]
+    parts: int
+    terrain: Terrain
+
+    @property
+    def spacing(self) -> float:
+        """The larger distance between nodes in divided cells [m]."""
+        return float(max(self.grid.spacing)) / self.parts
+
+    def mesh(self, origin: Array) -> Mesh:
+        """Return the surface less an origin: the nodes of the grid, then those of the cells."""
+        x, y, z = self.grid.x, self.grid.y, self.grid.z
+        points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], z), axis=-1)
+        whole = sheet(points - origin)
+        if not self.near.any():
+            return whole
+        kept = np.repeat(~self.near.ravel(), 2)  # a cell has two faces
+        x, y = self._places()
+        tiles = np.stack([x, y, self._sealed(self.terrain.elevation(x, y))], axis=-1) - origin
+        return joined(Mesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
+
+    def spread(self, colors: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Return the colors of all nodes from those of the grid, shape (n_x n_y, 3)."""
+        whole = colors.reshape(*self.grid.z.shape, 3).astype(float)
+        i, j = np.nonzero(self.near)
+        a, b = self._shares()
+        corners = [(whole[i + p, j + q], (a if p else 1 - a) * (b if q else 1 - b))
+                   for p, q in product((0, 1), repeat=2)]  # fmt: skip
+        mixed = sum(color[:, None, None, :] * share[None, :, :, None] for color, share in corners)
+        fine = np.rint(mixed).astype(np.uint8).reshape(-1, 3)
+        return np.concatenate([colors, fine])
+
+    def height(self, x: Array, y: Array) -> Array:
+        """Return how high the drawn surface is, linear along x and y between its nodes. [m]."""
+        at, (h_x, h_y) = self._cells(x, y), self.grid.spacing
+        i, j = at
+        k = np.where(self.near[i, j], self.parts, 1)
+        u, v = (x - self.grid.x[i]) * k / h_x, (y - self.grid.y[j]) * k / h_y
+        s, t = (np.clip(np.floor(each), 0, k - 1) for each in (u, v))
+        total = np.zeros(np.shape(x))
+        for p, q in product((0, 1), repeat=2):
+            fine = self.terrain.elevation(self.grid.x[i] + (s + p) * h_x / k,
+                                          self.grid.y[j] + (t + q) * h_y / k)  # fmt: skip
+            corner = np.where(k > 1, fine, self.grid.z[i + p, j + q])
+            share = (u - s if p else 1 - u + s) * (v - t if q else 1 - v + t)
+            total += share * corner
+        return total
+
+    def _sealed(self, heights: Array) -> Array:
+        """Return the heights of divided cells, straight where they meet one that is not divided."""
+        i, j = np.nonzero(self.near)
+        beside, share = np.pad(self.near, 1), np.arange(self.parts + 1) / self.parts
+        for along, last in product((0, 1), repeat=2):
+            there = (i + 1 + (2 * last - 1), j + 1) if along else (i + 1, j + 1 + (2 * last - 1))
+            edge = ~beside[there]
+            ends = [self.grid.z[(i + last, j + k) if along else (i + k, j + last)] for k in (0, 1)]
+            line = ends[0][:, None] * (1 - share) + ends[1][:, None] * share
+            side = (edge, -last) if along else (edge, slice(None), -last)
+            heights[side] = line[edge]
+        return heights
+
+    def _cells(self, x: Array, y: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
+        """Return the cells that hold points; the nearest ones of points outside."""
+        h_x, h_y = self.grid.spacing
+        i, j = np.floor((x - self.grid.x[0]) / h_x), np.floor((y - self.grid.y[0]) / h_y)
+        n, m = self.near.shape
+        return np.clip(i, 0, n - 1).astype(int), np.clip(j, 0, m - 1).astype(int)
+
+    def _shares(self) -> tuple[Array, Array]:
+        share = np.arange(self.parts + 1) / self.parts
+        a, b = np.meshgrid(share, share, indexing="ij")
+        return a, b
+
+    def _places(self) -> tuple[Array, Array]:
+        """Return where the nodes of the divided cells are, shape (n, parts + 1, parts + 1)."""
+        (i, j), (a, b), (h_x, h_y) = np.nonzero(self.near), self._shares(), self.grid.spacing
+        return (self.grid.x[i][:, None, None] + a * h_x, self.grid.y[j][:, None, None] + b * h_y)
+
+
+def refined(
+    grid: Grid, terrain: Terrain, ways: Iterable[Array], margin: float, wanted: float
+) -> Refined:
+    """Return a grid whose cells near ways are divided, as finely as is wanted or can be drawn.
+
+    Parameters
+    ----------
+    grid : Grid
+        Heights to draw.
+    terrain : Terrain
+        The ground itself.
+    ways : iterable of ndarray, shape (n, 2)
+        Places on the ground. [m]
+    margin : float
+        How far from the ways the ground is to be fine. [m]
+    wanted : float
+        Distance of its nodes there. [m]
+    """
+    whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
+    cell = float(max(grid.spacing))
+    if cell <= wanted:
+        return whole
+    near = whole.near.copy()
+    aside = np.linspace(-margin, margin, 2 * ceil(margin / min(grid.spacing)) + 1)
+    for way in ways:
+        points = _dense(way, min(cell, margin) / 2)
+        for dx, dy in product(aside, repeat=2):
+            near[whole._cells(points[:, 0] + dx, points[:, 1] + dy)] = True
+    parts = min(ceil(cell / wanted), int(np.sqrt(MOST / near.sum())) - 1)
+    return whole._replace(near=near, parts=parts) if parts > 1 else whole
+
+
+def _dense(way: Array, step: float) -> Array:
+    """Return places along a way that are no farther apart than a step."""
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+    at = np.linspace(0, lengths[-1], max(2, ceil(lengths[-1] / step) + 1))
+    return np.stack([np.interp(at, lengths, each) for each in way.T], axis=1)

@@ -1,0 +1,148 @@
+"""Meshes of simple bodies, from which a vehicle and its ground are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slipfree.records import Array
+
+AROUND, TUBE, ROD = 36, 12, 8  # faces around a wheel, around its tube and around a rod
+THIN = 0.04  # radius that the tube of a disc is drawn with, in radii of the wheel
+SPOKES, SPOKE = 4, 0.06  # of a wheel, and the radius of one in radii of the wheel
+NEAR = 1e-9  # lengths below this are none [m]
+Faces = npt.NDArray[np.uint32]
+
+
+class Mesh(NamedTuple):
+    """A surface of triangles.
+
+    Attributes
+    ----------
+    vertices : ndarray, shape (n, 3)
+        Its corners. [m]
+    faces : ndarray, shape (m, 3)
+        Three corners each, counter-clockwise as seen from outside.
+    """
+
+    vertices: Array
+    faces: Faces
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    """Return several meshes as one."""
+    starts = np.cumsum([0, *(len(each.vertices) for each in meshes)])
+    faces = [each.faces + np.uint32(start) for each, start in zip(meshes, starts, strict=False)]
+    return Mesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
+
+
+def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
+    """Return the surface through a grid of points, shape (n, m, 3), closed in either direction."""
+    n, m, _ = points.shape
+    i, j = (np.arange(size if each else size - 1)
+            for size, each in zip((n, m), closed, strict=True))  # fmt: skip
+    first, right = i[:, None] * m, ((i + 1) % n)[:, None] * m
+    here, up = j[None, :], ((j + 1) % m)[None, :]
+    a, b, c, d = first + here, right + here, right + up, first + up
+    faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=2)
+    return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3).astype(np.uint32))
+
+
+def tyre(r1: float, r2: float) -> Mesh:
+    """Return a torus about the x axis.
+
+    Parameters
+    ----------
+    r1, r2 : float
+        Radius of its tube, and of the circle of tube centers. The tube of a disc is drawn a little
+        thick, inside its rolling radius. [m]
+    """
+    tube = max(r1, THIN * (r1 + r2))
+    v = 2 * np.pi * np.arange(AROUND) / AROUND
+    u = -2 * np.pi * np.arange(TUBE) / TUBE
+    out = r1 + r2 - tube + tube * np.sin(u)[None, :]
+    torus = np.broadcast_arrays(
+        tube * np.cos(u)[None, :], np.cos(v)[:, None] * out, np.sin(v)[:, None] * out
+    )
+    return sheet(np.stack(torus, axis=-1), closed=(True, True))
+
+
+def spokes(radius: float) -> Mesh:
+    """Return what shows how a wheel about the x axis turns: spokes, one of them thicker. [m]."""
+    angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
+    ends = [(0.0, float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]
+    sizes = [2 * SPOKE, *[SPOKE] * (SPOKES - 1)]
+    return joined(*(rod((0.0, 0.0, 0.0), end, size * radius)
+                    for end, size in zip(ends, sizes, strict=True)))  # fmt: skip
+
+
+def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float) -> Mesh:
+    """Return a prism of eight sides from one point to another. [m]."""
+    ends = np.array([start, end], dtype=float)
+    along = ends[1] - ends[0]
+    length = float(np.linalg.norm(along))
+    along = along / length if length > NEAR else np.array([0.0, 0.0, 1.0])
+    side = np.cross(along, np.eye(3)[int(np.abs(along).argmin())])
+    side /= np.linalg.norm(side)
+    angles = 2 * np.pi * np.arange(ROD) / ROD
+    round_ = np.outer(np.cos(angles), side) + np.outer(np.sin(angles), np.cross(along, side))
+    return extruded(ends[0] + radius * round_, ends[1] - ends[0])
+
+
+def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
+    """Return a convex outline pulled along a vector, with both ends.
+
+    Parameters
+    ----------
+    outline : ndarray, shape (n, 3)
+        Corners in order, counter-clockwise as seen against the vector.
+    along : array_like, shape (3,)
+        Where to, and how far. [m]
+    """
+    n = len(outline)
+    side = sheet(np.stack([outline, outline + np.asarray(along)], axis=1), closed=(True, False))
+    k = np.arange(1, n - 1)
+    fan = np.stack([np.zeros_like(k), k, k + 1], axis=1)
+    # Each end has vertices of its own, so that edges stay sharp when normals are averaged.
+    caps = [Mesh(outline, fan[:, ::-1].astype(np.uint32)),
+            Mesh(outline + np.asarray(along), fan.astype(np.uint32))]  # fmt: skip
+    return joined(side, *caps)
+
+
+def plate(half_width: float, rear: float, front: float, thickness: float) -> Mesh:
+    """Return a flat body around the origin, x right, y forward, pointed where its front is. [m]."""
+    shoulder = front - 0.25 * (front - rear)
+    corners = ((-half_width, rear), (half_width, rear), (half_width, shoulder), (0.0, front),
+               (-half_width, shoulder))  # fmt: skip
+    outline = np.array([(x, y, -thickness / 2) for x, y in corners])
+    return extruded(outline, (0.0, 0.0, thickness))
+
+
+def clipped(
+    points: Sequence[tuple[float, float]], low: tuple[float, float], high: tuple[float, float]
+) -> Array:
+    """Return the part of a convex polygon in a box between two corners, shape (n, 2).
+
+    Nothing is left of a polygon outside.
+    """
+    found = np.array(points, dtype=float)
+    for axis in (0, 1):
+        for bound, sign in ((low[axis], 1.0), (high[axis], -1.0)):
+            found = _cut(found, axis, bound, sign)
+    return found
+
+
+def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
+    """Return the part of a convex polygon on one side of a line along the other axis."""
+    heights = sign * (points[:, axis] - bound)
+    kept: list[Array] = []
+    for k in range(len(points)):
+        before, here = heights[k - 1], heights[k]
+        if (before < 0) != (here < 0):
+            kept.append(points[k - 1] + before / (before - here) * (points[k] - points[k - 1]))
+        if here >= 0:
+            kept.append(points[k])
+    return np.array(kept).reshape(-1, 2)

@@ -1,0 +1,500 @@
+"""Figures of a motion and of the ground it happens on.
+
+Functions draw on the axes they are given, name the artists that belong in a legend, and return the
+axes; legends are the caller's. ``figures`` composes the usual set and ``save_figures`` writes it.
+Angles are drawn in radians, with degrees on a second axis.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backend_bases import FigureCanvasBase
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import ScalarFormatter
+from matplotlib.transforms import Bbox
+
+from slipfree.atomic_files import replace_file
+from slipfree.contact.certify import NONE
+from slipfree.errors import DataError, ModelError
+from slipfree.records import Array
+from slipfree.show import ground_drawing, style
+from slipfree.show.force_figures import load_figures
+from slipfree.show.ground_drawing import HEATMAP, Window
+from slipfree.show.style import COLUMN, DPI, FLAT, MM, PAGE, PLATFORM, STOPPED, STYLE
+from slipfree.terrain.base import Grid, Terrain
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Trajectory
+
+HEIGHTS = "cividis"
+HATCH, FILLED = "//////", "#D60093"  # marks filled holes
+MESH = 72  # of a drawn surface
+ROUNDING = 1e-9  # slip below this is rounding [m/s]
+TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
+STILL = 1e-9  # a joint that moves less stays where it is [rad]
+BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # seen under what follows it
+NEAR = 0.6  # a path that takes up less than this of the map is drawn again, larger
+RELIEF = (0.22, 0.6)  # height of a drawn surface as a part of its width
+POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
+CHECKS = {
+    "closure_residual": "log",
+    "newton_step": "log",
+    "singular_value": "linear",
+    "clearance": "linear",
+    "relative_curvature": "linear",
+}
+
+
+def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
+    """Draw the heights of a ground as a shaded map with contour lines and a colour bar.
+
+    Parameters
+    ----------
+    grid : Grid
+        The ground.
+    ax : Axes
+        Where to draw; its aspect becomes equal.
+    window : tuple of 4 floats, optional
+        ``x_min, x_max, y_min, y_max`` of the part to draw; the whole by default. [m]
+    """
+    x, y, z = ground_drawing.patch(grid, window or ground_drawing.whole(grid), HEATMAP)
+    heights = ax.imshow(z.T, **_colours(z), **ground_drawing.extent(x, y))
+    ground_drawing.shade(x, y, z, ax)
+    if np.ptp(z) > 0:
+        ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
+    _hatch_filled(grid, x, y, ax)
+    bar = ax.figure.colorbar(heights, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)))
+    bar.set_label("height $z$ [m]")
+    bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
+    return ax
+
+
+def _hatch_filled(grid: Grid, x: Array, y: Array, ax: Axes) -> None:
+    """Hatch the filled cells of a ground, with an entry for the legend."""
+    filled = grid.touches_filled(x[:, None], y[None, :])
+    if filled.any():
+        area = ax.contourf(x, y, filled.T, levels=(0.5, 1.5), colors="none", hatches=[HATCH])
+        area.set_edgecolor(FILLED)
+        look: dict[str, Any] = {"fill": False, "ec": FILLED, "lw": 0, "hatch": HATCH}
+        ax.add_patch(Rectangle((x[0], y[0]), 0, 0, label="filled holes", **look))
+
+
+def path(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the way of the platform's centre in plan: direction, start, end, and why it ended."""
+    x, y = run["x"], run["y"]
+    ax.plot(x, y, color=PLATFORM, label="platform", path_effects=style.halo(2.4), zorder=3)
+    for at, way in _directions(x, y, float(np.ptp(ax.get_xlim()))):
+        ax.plot(*at, marker=(3, 0, way), ms=6, mfc=PLATFORM, mec="white", mew=0.6, zorder=4)
+    marks: dict[str, Any] = {"ls": "none", "mec": "black", "ms": 5, "zorder": 5}
+    ax.plot(x[:1], y[:1], "o", mfc="white", label=f"start, {run.t[0]:.4g} s", **marks)
+    if run.stop is None:
+        ax.plot(x[-1:], y[-1:], "s", mfc="black", label=f"end, {run.t[-1]:.4g} s", **marks)
+    else:
+        words = f"stopped, {run.stop.t:.4g} s: {run.stop.name}"
+        ax.plot(x[-1:], y[-1:], "X", mfc=STOPPED, label=words, **marks | {"ms": 7})
+    return ax
+
+
+def tracks(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the tracks of the contact points in plan, one line a wheel."""
+    for k, wheel in enumerate(run.wheels):
+        u, v = run["contact_x", wheel], run["contact_y", wheel]
+        ax.plot(
+            u,
+            v,
+            lw=1,
+            label=f"contact {style.words(wheel)}",
+            path_effects=style.halo(1.8),
+            **style.look(k),
+        )
+    return ax
+
+
+def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
+    """Draw the ground around the way as a surface, with the platform and the contact tracks.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    grid : Grid
+        The ground.
+    ax : Axes3D
+        From ``figure.add_subplot(projection="3d")``. The heights are enlarged where the relief is
+        low; the label of the axis says by how much.
+    """
+    window = ground_drawing.around(run, grid, pad=0.4)
+    x, y, z = ground_drawing.patch(grid, window, MESH)
+    ax.computed_zorder = False
+    ax.plot_surface(
+        *np.meshgrid(x, y, indexing="ij"), z, **_colours(z), rcount=MESH, ccount=MESH,
+        linewidth=0.12, edgecolor=(0, 0, 0, 0.3), zorder=1, clip_on=False,
+    )  # fmt: skip
+    over: dict[str, Any] = {"zorder": 3, "clip_on": False, "path_effects": style.halo(2.2)}
+    for k, wheel in enumerate(run.wheels):
+        at = [run[f"contact_{axis}", wheel] for axis in "xyz"]
+        ax.plot(*at, label=f"contact {style.words(wheel)}", **style.look(k), **over)
+    ax.plot(*(run[axis] for axis in "xyz"), color=PLATFORM, label="platform", **over)
+    low, high = min(z.min(), run["contact_z"].min()), max(z.max(), run["z"].max())
+    width = max(np.ptp(x), np.ptp(y))
+    drawn = float(np.clip(high - low, RELIEF[0] * width, RELIEF[1] * width))
+    ax.set_box_aspect((np.ptp(x), np.ptp(y), drawn))
+    ax.set(xlim=window[:2], ylim=window[2:], zlim=(low, high))
+    ax.view_init(elev=38, azim=-60)
+    times, starts = drawn / (high - low), (window[0], window[2], low)
+    for axis, name, start in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", starts, strict=True):
+        style.place_axis(axis, name, start)
+        axis.labelpad = 7
+    if abs(times - 1) > 0.05:
+        ax.set_zlabel(f"{ax.get_zlabel()}, {times:.2g}:1")
+    ax.zaxis.set_major_locator(style.ticks(3))
+    return ax
+
+
+def history(run: Trajectory, name: str, ax: Axes) -> Axes:
+    """Draw any quantity over time, one line a wheel where it belongs to the wheels."""
+    values = run[name]
+    unit = style.unit(run.columns[name].label.unit)
+    for k, wheel in enumerate(run.wheels if values.ndim == 2 else ()):
+        ax.plot(run.t, values[:, k], label=style.words(wheel), **style.look(k))
+    if values.ndim == 1:
+        ax.plot(run.t, values, color=PLATFORM, label=style.words(name))
+    ax.set_ylabel(f"{style.words(name)} [{unit}]")
+    return style.time_axis(run, ax)
+
+
+def tilts(run: Trajectory, ax: Axes) -> Axes:
+    """Draw the angles of the joints over time: all tilts, and what else moves."""
+    angles = [n for n in _joints(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
+    for k, name in enumerate(angles):
+        ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
+    if not angles:
+        style.remark(ax, "no joint moves")
+    ax.set_ylabel("joint angle [rad]")
+    return style.time_axis(run, style.degrees(ax))
+
+
+def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
+    """Draw where the platform's centre, the wheel centres and the contact points have been.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    ax : Axes
+        Where to draw.
+    view : tuple of two of {"x", "y", "z"}
+        Axes of the view to the right and up; ``("x", "y")`` is the plan.
+    """
+    a, b = view
+    broad, fine = {"lw": 2.6, "alpha": 0.4}, {"lw": 0.9}
+    for what, words, more in (("contact", "contact", broad), ("center", "centre", fine)):
+        for k, wheel in enumerate(run.wheels):
+            at = [run[f"{what}_{axis}", wheel] for axis in view]
+            ax.plot(*at, label=f"{words} {style.words(wheel)}", **style.look(k) | more)
+    ax.plot(run[a], run[b], color=PLATFORM, label="platform")
+    for k in (0, -1):
+        for wheel in run.wheels:
+            ends = [[run[n][k], run[f"center_{n}", wheel][k]] for n in view]
+            ax.plot(*ends, color="0.55", lw=0.6, zorder=1)
+    for axis, name in ((ax.xaxis, a), (ax.yaxis, b)):
+        style.place_axis(axis, name, float(run[name].min()))
+    if "z" not in view:
+        ax.set_aspect("equal", adjustable="datalim")
+    return ax
+
+
+def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
+    """Draw heights over the distance driven: platform, contacts, ground below the platform."""
+    s = _distance(run)
+    for k, wheel in enumerate(run.wheels):
+        ax.plot(s, run["contact_z", wheel], label=f"contact {style.words(wheel)}", **style.look(k))
+    ax.plot(s, run["z"], color=PLATFORM, label="platform")
+    below = ground.elevation(run["x"], run["y"])
+    ax.plot(s, below, **BELOW, label="ground below the platform")
+    ax.set(xlabel="distance driven [m]", ylabel="height $z$ [m]")
+    return ax
+
+
+def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
+    """Draw the slope of the ground below the platform along its heading, and the pitch.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    ground : Terrain
+        The surface that it happened on.
+    ax : Axes
+        Where to draw.
+    """
+    s, rise = _distance(run), ground_drawing.slope_along(ground, run["x"], run["y"], run["heading"])
+    ax.plot(s, rise, **BELOW, label="ground along the heading")
+    ax.plot(s, run["pitch"], color=PLATFORM, label="pitch of the platform")
+    ax.set(xlabel="distance driven [m]", ylabel="slope [rad]")
+    return style.degrees(ax)
+
+
+def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
+    """Draw the slip velocity of every wheel over time, unless it is nothing but rounding.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    direction : {"along", "across"}
+        Of the wheel.
+    ax : Axes
+        Where to draw, in mm/s.
+    """
+    values = run[f"slip_{direction}"]
+    largest = float(np.abs(values).max())
+    if largest < ROUNDING:
+        ax.plot(run.t, np.zeros(run.t.size), color="0.6", lw=0.6)
+        ax.set(ylim=(-1, 1), yticks=[0])
+        style.remark(ax, f"no slip: at most {largest:.0e} m/s, which is rounding")
+    else:
+        for k, wheel in enumerate(run.wheels):
+            ax.plot(run.t, 1e3 * values[:, k], label=style.words(wheel), **style.look(k))
+    ax.set_ylabel(f"slip {direction} the wheel [mm/s]")
+    return style.time_axis(run, ax)
+
+
+def check(run: Trajectory, name: str, ax: Axes) -> Axes:
+    """Draw one of the quantities that make a result trustworthy over time.
+
+    Residuals and steps are drawn on a logarithmic axis with the tolerance of the integrator,
+    margins with the zero that they must not reach.
+    """
+    history(run, name, ax)
+    ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
+    if name == "clearance" and (run[name] >= NONE).all():
+        style.remark(ax, "no second place\ncomes near the ground")
+    if CHECKS.get(name) == "log":
+        for line in ax.lines:
+            line.set_linewidth(0.8)
+            line.set_ydata(np.maximum(np.asarray(line.get_ydata(), dtype=float), TINY))
+        ax.relim()
+        ax.set_yscale("log")
+        if "tolerance" in run.statistics:
+            ax.axhline(run.statistics["tolerance"], color="0.4", lw=0.8, ls="--", label="tolerance")
+    else:
+        ax.axhline(0, color="0.4", lw=0.6)
+    return ax
+
+
+def figures(run: Trajectory, grid: Grid, surface: Terrain | None = None) -> dict[str, Figure]:
+    """Return the usual figures of a motion, by name.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    grid : Grid
+        The ground it happened on.
+    surface : Terrain, optional
+        The same ground as the model has it; the bicubic spline through the grid by default.
+
+    Returns
+    -------
+    dict of str to Figure
+        ``map, terrain, tilts, loci, elevation, slip, checks``, 120 or 180 mm wide; if the vehicle
+        has mass, also those of `slipfree.show.force_figures.load_figures`.
+
+    Raises
+    ------
+    ModelError
+        If a quantity is missing or the motion is not on this ground.
+    """
+    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
+        return {
+            "map": _map(run, grid),
+            "terrain": _terrain(run, grid),
+            "tilts": _tilts(run),
+            "loci": _loci(run),
+            "elevation": _elevation(run, surface or Bicubic(grid)),
+            "slip": _slip(run),
+            "checks": _checks(run),
+        } | load_figures(run, grid)
+
+
+def save_figures(
+    run: Trajectory, grid: Grid, folder: str | Path, formats: Sequence[str] = ("png",)
+) -> list[Path]:
+    """Write the usual figures to a folder, which is made if needed, and return their files.
+
+    Parameters
+    ----------
+    run, grid
+        As for `figures`.
+    folder : str or Path
+        Where the files go, as ``map.png`` and so on.
+    formats : sequence of str
+        What to write: ``"png"`` (200 dpi), ``"pdf"``, ``"svg"``.
+
+    Raises
+    ------
+    ModelError
+        As for `figures`, or if a format is not known.
+    """
+    check_formats(formats)
+    return write(figures(run, grid), folder, formats)
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Refuse formats of files that are not known, before anything is drawn."""
+    known = FigureCanvasBase.get_supported_filetypes()
+    for name in formats:
+        if name not in known:
+            raise ModelError(f"formats: {name!r} is not known; known: {', '.join(sorted(known))}")
+
+
+def write(drawn: Mapping[str, Figure], folder: str | Path, formats: Sequence[str]) -> list[Path]:
+    """Write figures to a folder, which is made if needed, and return their files."""
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"{folder}: expected a folder for figures, found none that can be made "
+            f"({error.strerror}); choose another place"
+        ) from error
+    files = [(Path(folder) / f"{name}.{end}", drawn[name]) for name in drawn for end in formats]
+    with rc_context(STYLE):  # type: ignore[arg-type]
+        for file, figure in files:
+            replace_file(file, partial(figure.savefig, dpi=DPI))
+    return [file for file, _ in files]
+
+
+def _map(run: Trajectory, grid: Grid) -> Figure:
+    whole, window = ground_drawing.whole(grid), ground_drawing.around(run, grid, pad=0.15)
+    spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
+    ratio = spans[0][0] / spans[0][1]
+    twice = max(spans[1][0] / spans[0][0], spans[1][1] / spans[0][1]) < NEAR
+    rows, columns = (1, 1) if not twice else (2, 1) if ratio > 1.4 else (1, 2)
+    panel = min((85 if columns == 1 else 58) * MM / ratio, 110 * MM)
+    figure = style.figure(PAGE if columns == 2 else COLUMN, rows * (panel + 11 * MM) + 16 * MM)
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for ax, part in zip(panels, (whole, window), strict=False):
+        path(run, ground(grid, ax, part))
+    tracks(run, panels[-1])
+    if twice:
+        corner, size = (window[0], window[2]), spans[1]
+        box: dict[str, Any] = {"fill": False, "ec": "white", "lw": 1.0}
+        panels[0].add_patch(Rectangle(corner, *size, **box, zorder=4))
+        panels[0].set_title("whole ground")
+        panels[1].set_title("around the path")
+    return style.finished(figure, run, panels)
+
+
+def _terrain(run: Trajectory, grid: Grid) -> Figure:
+    figure = Figure(figsize=(COLUMN, 80 * MM))
+    ax = terrain(run, grid, figure.add_subplot(projection="3d"))
+    style.finished(figure, run, [ax])
+    return _filled(figure, ax)
+
+
+def _filled(figure: Figure, ax: Any) -> Figure:
+    """Let a view in three dimensions fill what legend and note leave; layouts do not see it."""
+    for _ in range(3):
+        figure.draw_without_rendering()
+        width, height = figure.bbox.size
+        top = min([each.get_window_extent().y0 for each in figure.legends], default=height)
+        bottom = max([each.get_window_extent().y1 for each in figure.texts], default=0.0)
+        free = np.array([0.96 * width, 0.97 * (top - bottom)])
+        now, box = _seen(ax), ax.get_window_extent()
+        scale = float((free / now.size).min())
+        size = box.size * scale
+        shift = (box.min + box.max - now.min - now.max) / 2 * scale
+        corner = np.array([width, top + bottom]) / 2 + shift - size / 2
+        ax.set_position([*(corner / figure.bbox.size), *(size / figure.bbox.size)])
+    return figure
+
+
+def _seen(ax: Any) -> Any:
+    """Return what a view in three dimensions takes up, in pixels, without its empty frame."""
+    corners = np.array(list(product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim(), (1.0,)))).T
+    u, v, _, w = ax.get_proj() @ corners
+    points = ax.transData.transform(np.column_stack([u / w, v / w]))
+    labels = [axis.get_tightbbox() for axis in (ax.xaxis, ax.yaxis, ax.zaxis)]
+    return Bbox.union([Bbox([points.min(axis=0), points.max(axis=0)]), *labels])
+
+
+def _tilts(run: Trajectory) -> Figure:
+    figure = style.figure(COLUMN, 70 * MM)
+    return style.finished(figure, run, [tilts(run, figure.subplots())])
+
+
+def _loci(run: Trajectory) -> Figure:
+    figure = style.figure(PAGE, 95 * MM)
+    plan, side = figure.subplots(1, 2, width_ratios=(1, 1))
+    wide = np.ptp(run["x"]) >= np.ptp(run["y"])
+    loci(run, plan).set_title("plan")
+    loci(run, side, ("x" if wide else "y", "z"))
+    side.set_title(f"from the {'south' if wide else 'east'}, heights not to scale")
+    return style.finished(figure, run, [plan])
+
+
+def _elevation(run: Trajectory, ground: Terrain) -> Figure:
+    figure = style.figure(PAGE, 100 * MM)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    elevation(run, ground, top).set_xlabel("")
+    slope(run, ground, bottom).legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return style.finished(figure, run, [top])
+
+
+def _slip(run: Trajectory) -> Figure:
+    figure = style.figure(PAGE, 72 * MM)
+    panels = list(figure.subplots(1, 2))
+    for ax, direction in zip(panels, ("along", "across"), strict=True):
+        slip(run, direction, ax)
+    note = "The least slip that kinematics allows; on real ground friction decides."
+    return style.finished(figure, run, panels, note)
+
+
+def _checks(run: Trajectory) -> Figure:
+    figure = style.figure(PAGE, 105 * MM)
+    panels = list(figure.subplots(2, 3).ravel())
+    for ax, name in zip(panels, CHECKS, strict=False):
+        check(run, name, ax)
+        if run[name].ndim == 1:
+            ax.lines[0].set_label("_")  # its axis says what it is
+    panels[-1].set_axis_off()
+    return style.finished(figure, run, panels[1:])
+
+
+def _colours(z: Array) -> dict[str, Any]:
+    return {"cmap": HEIGHTS, "vmin": z.min(), "vmax": max(z.max(), z.min() + FLAT)}
+
+
+def _joints(run: Trajectory) -> list[str]:
+    """Return the names of the joints' angles."""
+    angles = [n for n, c in run.columns.items() if c.label.unit == "rad" and c.values.ndim == 1]
+    stops = {f"{name}_stop" for name in angles}
+    return [name for name in angles if name not in stops and name not in POSE]
+
+
+def _distance(run: Trajectory) -> Array:
+    """Return the length of the platform's path up to every sample, in metres."""
+    steps = [np.diff(run[name]) for name in ("x", "y", "z")]
+    return np.concatenate([[0.0], np.cumsum(np.sqrt(sum(step**2 for step in steps)))])
+
+
+def _directions(x: Array, y: Array, width: float) -> list[tuple[tuple[float, float], float]]:
+    """Return places for arrows on a path in a map of a width, and angles from north, in degrees."""
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    if s[-1] < 0.1 * width:
+        return []
+    parts = np.array([0.25, 0.5, 0.75]) if s[-1] > 0.5 * width else np.array([0.55])
+    at = s[-1] * np.array([parts - 0.01, parts, parts + 0.01])
+    u, v = np.interp(at, s, x), np.interp(at, s, y)
+    ways = np.rad2deg(np.arctan2(u[0] - u[2], v[2] - v[0]))
+    return [((u[1, k], v[1, k]), float(way)) for k, way in enumerate(ways)]

@@ -1,0 +1,313 @@
+"""Figures of a plan: the map on which its route was sought, and what was planned within bounds.
+
+Functions draw on the axes they are given, name the artists that belong in a legend, and return the
+axes; legends are the caller's. ``plan_figures`` composes the figures and ``save_plan_figures``
+writes them with those of the motion.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, Normalize, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+
+from slipfree.records import Array, Mask
+from slipfree.routing.regions import Disc, Region
+from slipfree.routing.traversability import Traversability, blocked_by
+from slipfree.show import ground_drawing, motion_figures, style
+from slipfree.show.ground_drawing import Window
+from slipfree.show.style import COLUMN, MM, PAGE, PLATFORM, STYLE
+from slipfree.terrain.base import Grid
+from slipfree.trajectory import Trajectory
+
+# A scale of light blues leaves warm colours to what is blocked; all differ in lightness too.
+COSTS = ListedColormap(colormaps["Blues"](np.linspace(0.08, 0.85, 256)), name="costs")
+DEAREST = 99.0  # percentile of the costs at which the scale ends: a few nodes cost far more
+LEAST = 1.1  # end of the scale where all ground costs the same
+BLOCKED = {  # what blocks a node: its colour, and its words; of several the first one is drawn
+    "keep_out": ("0.4", "kept out of"),
+    "edge": ("0.8", "edge of the map"),
+    "friction": ("#D55E00", "too steep for friction"),
+    "slope": ("#CC79A7", "too steep"),
+    "roughness": ("#F0E442", "too rough"),
+    "hollow": ("#E69F00", "too hollow for wheels"),
+}
+FAR = 0.6  # a motion that takes up less than this of the map is drawn without the rest of it
+WRAP = 20  # characters of a line of labels and legends beside axes
+ROW = 34 * MM  # height of a row of the figure of a plan [in]
+ENTRIES = 7  # lines of a legend beside a row of that height
+Range = tuple[float, float]
+Place = tuple[str, float, float]
+
+
+def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Axes:
+    """Draw what a metre of way costs on a part of the map, and what blocks the rest.
+
+    Parameters
+    ----------
+    layers : Traversability
+        The map.
+    grid : Grid
+        The ground that it belongs to.
+    ax : Axes
+        Where to draw; its aspect becomes equal.
+    window : tuple of 4 floats
+        ``x_min, x_max, y_min, y_max`` of the part to draw. [m]
+    """
+    where = ground_drawing.extent(layers.x, layers.y) | {"interpolation": "nearest"}
+    shown = (layers.x >= window[0]) & (layers.x <= window[1])
+    part = shown[:, None] & (layers.y >= window[2]) & (layers.y <= window[3])
+    free = np.isfinite(layers.cost)
+    inside = layers.cost[free & part]
+    top = max(float(np.percentile(inside, DEAREST)), LEAST) if inside.size else LEAST
+    costs = ax.imshow(
+        np.where(free, layers.cost, np.nan).T, cmap=COSTS, norm=Normalize(1, top), **where
+    )
+    ax.imshow(_blocked(layers, part, ax).transpose(1, 0, 2), **where)
+    ground_drawing.shade(*ground_drawing.patch(grid, window, ground_drawing.HEATMAP), ax)
+    for region in layers.limits.keep_out:
+        ax.add_patch(_outline(region))
+    dearer = inside.size > 0 and inside.max() > top
+    bar = ax.figure.colorbar(
+        costs, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max" if dearer else "neither"
+    )
+    bar.set_label("cost of a metre of way [1]")
+    return ax
+
+
+def ways(found: Sequence[Array], ax: Axes) -> Axes:
+    """Draw the ways from which a plan was sought, shape (n, 2) each, with their lengths."""
+    for k, points in enumerate(found):
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        name = f"way {k + 1}" if len(found) > 1 else "way to start from"
+        ax.plot(
+            *points.T, color=PLATFORM, ls=style.DASHES[1 + k % 3], lw=1.0, zorder=3,
+            label=f"{name}, {length:.4g} m", path_effects=style.halo(2.0),
+        )  # fmt: skip
+    return ax
+
+
+def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
+    """Draw the planned motion of the platform's centre, and the places it is to pass."""
+    ax.plot(run["x"], run["y"], color=PLATFORM, lw=1.6, zorder=4, label="planned motion",
+            path_effects=style.halo(3.0))  # fmt: skip
+    marks: dict[str, Any] = {"ls": "none", "mec": "black", "zorder": 5}
+    for name, x, y in places:
+        shape, color, size = {"start": ("o", "white", 5), "goal": ("*", "white", 9)}.get(
+            name, ("D", "white", 4)
+        )
+        ax.plot(x, y, shape, mfc=color, ms=size, label=name, **marks)
+    return ax
+
+
+def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
+    """Draw what was planned, the inputs over time, and their bounds.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    bounds : mapping of str to (float, float)
+        Least and largest value of every input by name; infinite where there is no bound.
+    ax : Axes
+        Where to draw.
+    """
+    ends: dict[float, list[str]] = {}
+    for k, (name, pair) in enumerate(bounds.items()):
+        ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
+        for value in filter(np.isfinite, pair):
+            ends.setdefault(value, []).append(style.look(k)["color"])
+    for value, colors in ends.items():
+        # A bound of several inputs has the colour of none of them.
+        _bound(value, ax, colors[0] if len(colors) == 1 else "0.4", "bound")
+    units = dict.fromkeys(style.unit(run.columns[name].label.unit) for name in bounds)
+    ax.set_ylabel(f"inputs [{', '.join(units)}]")
+    return style.time_axis(run, ax)
+
+
+def limited(run: Trajectory, name: str, pair: Range, ax: Axes) -> Axes:
+    """Draw a quantity over time with its limits; its name may end in a wheel's, ``[left]``."""
+    quantity, _, wheel = name.removesuffix("]").partition("[")
+    motion_figures.history(run, quantity, ax)
+    for line in list(ax.lines) if wheel else []:
+        if line.get_label() != style.words(wheel):
+            line.remove()
+    for value in filter(np.isfinite, pair):
+        _bound(value, ax)
+    return ax
+
+
+def room(run: Trajectory, layers: Traversability, ax: Axes) -> Axes:
+    """Draw how far the circle around the wheels is from what the vehicle must keep out of."""
+    for k, region in enumerate(layers.limits.keep_out):
+        away = region.distance(run["x"], run["y"]) - layers.limits.reach
+        ax.plot(run.t, away, label=region.words, **style.look(k))
+    _bound(0.0, ax)
+    ax.set_ylabel("room to keep-outs [m]")
+    return style.time_axis(run, ax)
+
+
+def plan_figures(
+    run: Trajectory,
+    grid: Grid,
+    layers: Traversability,
+    *,
+    places: Sequence[Place] = (),
+    found: Sequence[Array] = (),
+    bounds: Mapping[str, Range] | None = None,
+    limits: Mapping[str, Range] | None = None,
+) -> dict[str, Figure]:
+    """Return the figures of a plan, by name: ``traversability`` and ``plan``.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion that was planned, as its simulation found it.
+    grid : Grid
+        The ground it happened on.
+    layers : Traversability
+        Where the vehicle can go there.
+    places : sequence of (str, float, float)
+        Name, x and y in map coordinates of start, way-points and goal. [m]
+    found : sequence of ndarray, shape (n, 2)
+        Ways from which the plan was sought. [m]
+    bounds : mapping of str to (float, float)
+        Least and largest value of every input by name; infinite where there is no bound. Inputs
+        that are not named here are not drawn.
+    limits : mapping of str to (float, float)
+        Of quantities along the way, by name, or by name and wheel as in ``slip_along[front]``.
+    """
+    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
+        return {
+            "traversability": _traversability(run, grid, layers, places, found),
+            "plan": _plan(run, layers, bounds or {}, limits or {}),
+        }
+
+
+def save_plan_figures(
+    run: Trajectory,
+    grid: Grid,
+    layers: Traversability,
+    folder: str | Path,
+    formats: Sequence[str] = ("png",),
+    **options: Any,
+) -> list[Path]:
+    """Write the figures of a plan and the usual ones of its motion to a folder.
+
+    Parameters
+    ----------
+    run, grid, layers
+        As for `plan_figures`.
+    folder, formats
+        As for `slipfree.show.motion_figures.save_figures`.
+    **options
+        Passed to `plan_figures`.
+    """
+    motion_figures.check_formats(formats)
+    drawn = plan_figures(run, grid, layers, **options) | motion_figures.figures(run, grid)
+    return motion_figures.write(drawn, folder, formats)
+
+
+def _traversability(
+    run: Trajectory,
+    grid: Grid,
+    layers: Traversability,
+    places: Sequence[Place],
+    found: Sequence[Array],
+) -> Figure:
+    points = np.concatenate([np.stack([run["x"], run["y"]], axis=1), *found])
+    window = ground_drawing.about(points[:, 0], points[:, 1], grid, pad=0.25)
+    whole = ground_drawing.whole(grid)
+    spans = [(w[1] - w[0], w[3] - w[2]) for w in (whole, window)]
+    if max(spans[1][0] / spans[0][0], spans[1][1] / spans[0][1]) >= FAR:
+        window = whole
+    ratio = (window[1] - window[0]) / (window[3] - window[2])
+    panel = min(92 * MM / ratio, 120 * MM)
+    figure = style.figure(COLUMN, panel + 32 * MM)
+    ax = cost_map(layers, grid, figure.subplots(), window)
+    motion(run, places, ways(found, ax))
+    style.finished(figure, run, [ax])
+    figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
+    return figure
+
+
+def _plan(
+    run: Trajectory,
+    layers: Traversability,
+    bounds: Mapping[str, Range],
+    limits: Mapping[str, Range],
+) -> Figure:
+    heights = [1.0] * (len(limits) + (len(layers.limits.keep_out) > 0) + 2)
+    if bounds:
+        entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
+        heights.insert(0, max(1.0, (entries + 1) / ENTRIES))
+    figure = style.figure(PAGE, sum(heights) * ROW + 10 * MM)
+    panels = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
+    free = iter(panels)
+    if bounds:
+        inputs(run, bounds, next(free))
+    for name, pair in limits.items():
+        limited(run, name, pair, next(free))
+    if layers.limits.keep_out:
+        room(run, layers, next(free))
+    for direction in ("along", "across"):
+        motion_figures.slip(run, direction, next(free))
+    for ax in panels:
+        ax.set_ylabel(textwrap.fill(ax.get_ylabel(), WRAP))
+        _beside(ax)
+    return style.finished(style.stacked(figure, panels), run, [], _promise(run))
+
+
+def _beside(ax: Axes) -> None:
+    """Put the legend beside axes: the same colours mean other things in the next ones."""
+    entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+    lines = {textwrap.fill(words, WRAP): handle for words, handle in entries.items()}
+    if lines:
+        ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(1.01, 0.5))
+
+
+def _promise(run: Trajectory) -> str:
+    """Return in words how far the simulation of a plan is from it."""
+    start = "plan_difference_"
+    missed = [
+        f"{style.words(name.removeprefix(start))} {value:.1e} {unit}"
+        for name, value in run.statistics.items()
+        if name.startswith(start)
+        and (unit := style.unit(run.columns[name.removeprefix(start)].label.unit))
+    ]
+    return f"Simulated with the planned inputs; misses the plan by {', '.join(missed)}." \
+        if missed else ""  # fmt: skip
+
+
+def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:
+    """Draw what must not be crossed."""
+    ax.axhline(value, color=color, lw=0.8, ls=(0, (6, 2)), zorder=1, label=words)
+
+
+def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
+    """Return the colours of blocked nodes, shape (n_x, n_y, 4), and name those in the part."""
+    colors, masks = np.zeros((*layers.cost.shape, 4)), blocked_by(layers)
+    left = np.isinf(layers.cost)
+    for name, (color, words) in BLOCKED.items():
+        mine = masks[name] & left
+        colors[mine] = to_rgba(color)
+        left = left & ~mine
+        if (mine & part).any():
+            ax.plot([], [], "s", color=color, ms=6, label=words)
+    return colors
+
+
+def _outline(region: Region) -> Circle | Polygon:
+    """Return the border of a place to keep out of."""
+    looks: dict[str, Any] = {"fill": False, "ec": "black", "lw": 1.0, "hatch": "////", "zorder": 2}
+    if isinstance(region, Disc):
+        return Circle((region.x, region.y), region.radius, **looks)
+    return Polygon(region.points, **looks)

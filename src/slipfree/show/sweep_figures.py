@@ -1,0 +1,178 @@
+"""Figures of a sweep: a quantity over what was varied.
+
+Functions draw on the axes they are given, name the artists that belong in a legend, and return the
+axes; legends are the caller's. ``save_sweep_figures`` writes one figure a quantity: without a
+varied key the distribution over the runs, with one a curve, with two a heat map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from slipfree.errors import ModelError
+from slipfree.records import Array
+from slipfree.show import style
+from slipfree.show.motion_figures import check_formats, write
+from slipfree.show.style import COLUMN, MM, PALETTE, STYLE
+from slipfree.show.sweep_results import Swept, Varied
+
+COLOURS = "viridis"
+NOTHING = "0.85"  # cells without a run
+MOST_WORDS = 8  # cells a side in which numbers are written
+ROOM = 7  # ticks of an axis of words that fit lengthwise
+
+
+def distribution(swept: Swept, ax: Axes) -> Axes:
+    """Draw the share of runs up to every value, and their mean."""
+    values = swept.values[np.isfinite(swept.values)]
+    ax.ecdf(values, color=PALETTE[0], label=f"{values.size} runs")
+    ax.axvline(values.mean(), color=PALETTE[1], ls="--", label=f"mean {values.mean():.4g}")
+    ax.set_xlabel(_labelled(swept.name, swept.unit))
+    ax.set_ylabel("share of runs [1]")
+    return ax
+
+
+def curve(swept: Swept, ax: Axes) -> Axes:
+    """Draw the mean over repetitions, the range that they span, and every run.
+
+    Raises
+    ------
+    ModelError
+        If not exactly one key was varied.
+    """
+    (varied,) = _axes(swept, 1)
+    x, values = _positions(varied), swept.values
+    order = np.argsort(x)
+    x, values = x[order], values[order]
+    there = np.isfinite(values).any(axis=1)
+    mean, low, high = (_over(f, values) for f in (np.nanmean, np.nanmin, np.nanmax))
+    line = "-" if varied.numbers else "none"
+    ax.plot(x, mean, "o", ls=line, ms=4, color=PALETTE[0], label="mean", zorder=3)
+    if values.shape[1] > 1:
+        if varied.numbers:
+            ax.fill_between(x, low, high, color=PALETTE[0], alpha=0.2, lw=0, label="range")
+        else:
+            ax.vlines(x[there], low[there], high[there], color=PALETTE[0], lw=3, alpha=0.3,
+                      label="range")  # fmt: skip
+        at = np.repeat(x, values.shape[1])
+        ax.plot(at, values.ravel(), ".", ms=3, mew=0, color="0.35", label="runs", zorder=2)
+    _name_axis(ax.xaxis, varied)
+    ax.set_ylabel(_labelled(swept.name, swept.unit))
+    return ax
+
+
+def heat_map(swept: Swept, ax: Axes) -> Axes:
+    """Draw the mean over repetitions as colours over two keys; grey where no run has a value.
+
+    Raises
+    ------
+    ModelError
+        If not exactly two keys were varied.
+    """
+    across, up = _axes(swept, 2)
+    mean = _over(np.nanmean, swept.values)
+    orders = [np.argsort(_positions(each)) for each in (across, up)]
+    mean = mean[np.ix_(*orders)]
+    ax.set_facecolor(NOTHING)
+    drawn = ax.imshow(mean.T, origin="lower", aspect="auto", cmap=COLOURS)
+    bar = ax.figure.colorbar(drawn, ax=ax)
+    more = ", mean" if swept.values.shape[-1] > 1 else ""
+    bar.set_label(_labelled(f"{swept.name}{more}", swept.unit))
+    for axis, varied, order in zip((ax.xaxis, ax.yaxis), (across, up), orders, strict=True):
+        _ticks(axis, [varied.values[k] for k in order])
+        axis.set_label_text(_labelled(varied.name, varied.unit))
+    if max(mean.shape) <= MOST_WORDS:
+        _write_values(mean, drawn, ax)
+    return ax
+
+
+def figure(swept: Swept) -> Figure:
+    """Return the figure of a quantity over none, one or two keys.
+
+    Raises
+    ------
+    ModelError
+        If more keys were varied, or no run has a value.
+    """
+    if not np.isfinite(swept.values).any():
+        raise ModelError(f"{swept.name}: expected a value of one run at least, found none")
+    draw = {0: distribution, 1: curve, 2: heat_map}.get(len(swept.axes))
+    if draw is None:
+        raise ModelError(
+            f"{swept.name}: expected at most two varied keys in a figure, found {len(swept.axes)}: "
+            f"{', '.join(axis.name for axis in swept.axes)}"
+        )
+    with rc_context(STYLE):  # type: ignore[arg-type]
+        made = style.figure(COLUMN, 85 * MM)
+        ax = draw(swept, made.subplots())
+        handles, labels = ax.get_legend_handles_labels()
+        if handles:
+            made.legend(handles, labels, loc="outside upper center", ncols=len(handles))
+    return made
+
+
+def save_sweep_figures(
+    quantities: Sequence[Swept], folder: str | Path, formats: Sequence[str] = ("png", "pdf")
+) -> list[Path]:
+    """Write a figure a quantity to a folder, which is made if needed, and return the files.
+
+    Raises
+    ------
+    ModelError
+        As for `figure`, or if a format is not known.
+    """
+    check_formats(formats)
+    return write({each.name: figure(each) for each in quantities}, folder, formats)
+
+
+def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:
+    if len(swept.axes) != count:
+        raise ModelError(f"{swept.name}: expected {count} varied keys, found {len(swept.axes)}")
+    return swept.axes
+
+
+def _over(reduce: Any, values: Array) -> Array:
+    """Return the reduction of repetitions that have a value; not a number where none has."""
+    there = np.isfinite(values).any(axis=-1)
+    found = np.full(there.shape, np.nan)
+    found[there] = reduce(values[there], axis=-1)
+    return found
+
+
+def _positions(varied: Varied) -> Array:
+    """Return where the values are on an axis: as numbers, or one after the other."""
+    return np.array(varied.numbers or range(len(varied.values)), dtype=float)
+
+
+def _name_axis(axis: Any, varied: Varied) -> None:
+    axis.set_label_text(_labelled(varied.name, varied.unit))
+    if not varied.numbers:
+        _ticks(axis, varied.values)
+
+
+def _ticks(axis: Any, values: Sequence[str]) -> None:
+    """Name places 0, 1, ... of an axis, as many as there is room for."""
+    every = -(-len(values) // (2 * ROOM))
+    words = [value.strip('"') for value in values[::every]]
+    crowded = axis.axis_name == "x" and sum(map(len, words)) > 6 * ROOM
+    axis.set_ticks(range(0, len(values), every), words, rotation=45 if crowded else 0,
+                   **({"ha": "right"} if crowded else {}))  # fmt: skip
+
+
+def _write_values(mean: Array, drawn: Any, ax: Axes) -> None:
+    for i, j in np.argwhere(np.isfinite(mean)).tolist():
+        light = drawn.norm(mean[i, j]) > 0.6
+        ax.text(i, j, f"{mean[i, j]:.3g}", ha="center", va="center", fontsize=6,
+                color="black" if light else "white")  # fmt: skip
+
+
+def _labelled(name: str, unit: str) -> str:
+    """Return the name as the table has it, and its unit."""
+    return f"{name} [{style.unit(unit)}]" if unit else name

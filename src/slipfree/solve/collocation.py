@@ -1,0 +1,534 @@
+"""States and inputs found from what is wanted: motions along a path, starts from a contact or pose.
+
+Along a path the steering of a vehicle is sought, not integrated. Its rate enters the equations of
+rolling with a lever that may be small and change sign, so that an initial value of the angle is
+forgotten at once or never held: the angle follows from the path. Collocation finds it. On every
+element the states that are sought are polynomials without an initial value; the others continue
+from element to element, so that the elements can be solved one after the other. What is left over
+at the ends, the jump of the sought states between elements, measures the error.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError, SlipfreeError, SolverError
+from slipfree.interrupt import heeded
+from slipfree.records import Array, Label, Mask, leaves, unpack
+from slipfree.solve.radau import Basis, basis
+from slipfree.solve.sampling import Samples, followed, table
+from slipfree.solve.settle import first_violation, settle
+from slipfree.solve.simulate import simulate, usable_times
+from slipfree.solve.system import System, with_inputs
+from slipfree.trajectory import Stop, Trajectory
+
+Model = Dae[Any, Any, Any, Any, Any]
+DEGREES = (8, 10, 12, 14)  # numbers of collocation points of an element that are tried
+MOST_ELEMENTS = 4096
+NOISY = 3.0  # growth of the difference of degrees that shows amplified noise
+PATIENCE = 2  # numbers of elements tried in vain before the best counts as the best
+NEWTON = 20  # steps at most on one element
+CONVERGED = 1e-13  # residual of an element's equations
+ROUNDING = 1e-10  # the same, if it does not become less
+WEAK = 1e-2  # relative singular value below which a rate stays out of the first guess
+
+
+class Element(NamedTuple):
+    """The motion over one element.
+
+    Attributes
+    ----------
+    begin, end : float
+        Times of its ends. [s]
+    first : ndarray, shape (n_x,)
+        States at its beginning.
+    x, z : ndarray, shape (n_x, k) and (n_z, k)
+        States and unknowns at its points.
+    """
+
+    begin: float
+    end: float
+    first: Array
+    x: Array
+    z: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Scheme:
+    """Collocation of a DAE under laws, some of whose states have no initial value.
+
+    Attributes
+    ----------
+    loop : System
+        The DAE.
+    sought : ndarray of bool, shape (n_x,)
+        Which states.
+    basis : Basis
+        The polynomials.
+    point : casadi Function
+        ``(t, x, z) -> (ode, alg, Jacobian of ode and alg in x and z)``, at all points, where
+        ``z`` are the unknowns of the motion.
+    """
+
+    loop: System
+    sought: Mask
+    basis: Basis
+    point: ca.Function
+
+    def march(self, t: Array, first: Array, z: Array) -> list[Element]:
+        """Return the motion over the elements between times, from a start and a guess of ``z``."""
+        elements: list[Element] = []
+        degree, x = len(self.basis.points), first
+        for begin, end in pairwise(t):
+            guess = Element(begin, end, first, *(np.repeat(v[:, None], degree, 1) for v in (x, z)))
+            elements.append(self._solved(guess))
+            first = x = elements[-1].x[:, -1]
+            z = elements[-1].z[:, -1]
+        return elements
+
+    def _solved(self, element: Element) -> Element:
+        """Return the element whose equations hold, from a guess of it, by Newton's method."""
+        size, n_x = np.inf, element.x.size
+        for _ in range(NEWTON):
+            residual, jacobian = self._equations(element)
+            former, size = size, float(np.abs(residual).max())
+            if not np.isfinite(size) or size < CONVERGED or former < min(2 * size, ROUNDING):
+                break
+            try:
+                step = np.linalg.solve(jacobian, residual)
+            except np.linalg.LinAlgError:
+                break
+            element = element._replace(
+                x=element.x - step[:n_x].reshape(element.x.shape),
+                z=element.z - step[n_x:].reshape(element.z.shape),
+            )
+        if not size < ROUNDING:
+            raise SolverError(
+                f"no motion from t = {element.begin:.4g} to {element.end:.4g} s follows the path "
+                f"(residual {size:.1e}): it may stand still, or be too winding there"
+            )
+        return element
+
+    def _equations(self, element: Element) -> tuple[Array, Array]:
+        """Return residual and Jacobian; unknowns are ``x``, then ``z``, point by point."""
+        (n_x, k), n = element.x.shape, len(element.x) + len(element.z)
+        h, tied, free = element.end - element.begin, self.basis.tied, self.basis.free
+        t = element.begin + h * self.basis.points
+        ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
+        slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
+        slope[self.sought] = element.x[self.sought] @ free.T
+        residual = np.concatenate([(slope - h * ode).ravel(), alg.ravel()])
+        jac = jac.reshape(n, k, n)
+        jac[:n_x] *= -h
+        matrix = np.zeros((n, k, n, k))
+        matrix[:, np.arange(k), :, np.arange(k)] = jac.transpose(1, 0, 2)
+        for i in range(n_x):
+            matrix[i, :, i, :] += free if self.sought[i] else tied[:, 1:]
+        return residual, matrix.reshape(n * k, n * k)
+
+    def samples(self, elements: Sequence[Element], t: Array) -> Samples:
+        """Return the motion at times; the quadratures begin at zero."""
+        ends = np.array([element.end for element in elements])
+        which = np.minimum(np.searchsorted(ends, t), len(elements) - 1)
+        x, z = (np.zeros((len(v), t.size)) for v in (elements[0].x, elements[0].z))
+        q = np.zeros((self.loop.dae.quad.numel(), t.size))
+        quad = self.loop.quad.map(len(self.basis.points))
+        given = np.repeat(self.loop.u[:, :1], len(self.basis.points), axis=1)
+        total = np.zeros((len(q), 1))
+        for index, element in enumerate(elements):
+            h, here = element.end - element.begin, which == index
+            at = (t[here] - element.begin) / h
+            tied, free = self.basis.values(at, tied=True), self.basis.values(at, tied=False)
+            x[:, here] = np.column_stack([element.first, element.x]) @ tied.T
+            x[np.ix_(self.sought, here)] = element.x[self.sought] @ free.T
+            z[:, here] = element.z @ free.T
+            times = element.begin + h * self.basis.points
+            rates = h * np.array(quad(times[None], element.x, element.z, given))
+            q[:, here] = total + rates @ self.basis.integrals(at).T
+            total = total + rates @ self.basis.integrals(np.ones(1)).T
+        rest = np.full((self.loop.dae.guess.numel() - len(z), t.size), np.nan)
+        return Samples(t, x, np.concatenate([z, rest]), q,
+                       np.repeat(self.loop.u[:, :1], t.size, axis=1))  # fmt: skip
+
+
+def schemes(loop: System, sought: Mask) -> list[Scheme]:
+    """Return the collocations of a DAE under laws at the numbers of points that are tried."""
+    symbols = [
+        ca.SX.sym(name, size)
+        for name, size in (("t", 1), ("x", loop.dae.ode.numel()), ("z", loop.moving))
+    ]
+    ode, alg = loop.core(*symbols, loop.u[:, 0])
+    jacobian = ca.jacobian(ca.vertcat(ode, alg), ca.vertcat(*symbols[1:]))
+    point = ca.Function("point", symbols, [ode, alg, ca.densify(jacobian)], {"cse": True})
+    return [Scheme(loop, sought, basis(degree), point.map(degree)) for degree in DEGREES]
+
+
+class Drive(NamedTuple):
+    """A motion along a path, and its proof.
+
+    Attributes
+    ----------
+    run : Trajectory
+        The motion that was found.
+    inputs : record of SX
+        Inputs of the direct model, as functions of time, that make it.
+    replay : Trajectory
+        The direct model's motion under these inputs, integrated.
+    difference : dict of str to float
+        Largest difference between the two in every state of the direct model. [m, rad]
+    """
+
+    run: Trajectory
+    inputs: Any
+    replay: Trajectory
+    difference: dict[str, float]
+
+
+def drive(
+    inverse: Model, direct: Model, start: Trajectory, inputs: Any, t: Array, *,
+    sought: Sequence[str] = ("steer",), tolerance: float = 1e-8,
+) -> Drive:  # fmt: skip
+    """Return the motion of an inverse model, some of whose states are found, and its replay.
+
+    Elements are shortened until two degrees agree on the sought states within the tolerance, or as
+    well as they ever do: on short elements of high degree, what changes fast counts as smooth, and
+    noise of the path is amplified.
+
+    Parameters
+    ----------
+    inverse, direct : Dae
+        The model whose inputs are known, and the one whose inputs are wanted; the latter's inputs
+        and states are among the former's unknowns and states.
+    start : Trajectory
+        Its last sample is where the motion starts, but for the sought states.
+    inputs : record
+        From ``inverse.inputs(...)``: constants, or expressions of time.
+    t : ndarray, shape (n,)
+        Ascending times of the samples. [s]
+    sought : sequence of str
+        States without an initial value.
+    tolerance : float
+        Of the sought states, and of the integrator in the replay. [m, rad]
+
+    Raises
+    ------
+    ModelError
+        If an argument is not usable, or the start is not valid.
+    SolverError
+        If there is no such motion, or the replay fails; then ``trajectory`` is the motion.
+    """
+    t, names = usable_times(t), [label.full for label in leaves(inverse.labels.x)]
+    if not set(sought) <= set(names):
+        raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
+    clock, loop = time.process_time(), with_inputs(inverse, inputs, 0)
+    mask = np.array([name in sought for name in names])
+    best, elements, error = _finest(loop, mask, start, t, tolerance)
+    samples, report = _standing(loop, best.samples(elements, t))
+    run = table(loop, samples, report)
+    fault = first_violation(loop, run, samples)
+    if fault is not None:
+        run = _ended(run, *fault)
+    statistics = {
+        "elements": float(len(elements)),
+        "degree": float(len(best.basis.points)),
+        "sought_error": error,
+        "cpu_seconds": time.process_time() - clock,
+    }
+    run = replace(run, statistics=statistics)
+    laws = _laws(direct, inverse, best, elements)
+    try:
+        return Drive(run, laws, *_replayed(direct, run, laws, tolerance))
+    except (SlipfreeError, np.linalg.LinAlgError) as error:
+        raise SolverError(f"the replay by the direct model failed: {error}", run) from error
+
+
+def _finest(
+    loop: System, sought: Mask, start: Trajectory, t: Array, tolerance: float
+) -> tuple[Scheme, list[Element], float]:
+    """Return the motion on the elements on which two degrees agree best, and how well."""
+    x = loop.dae.rows("x", start, -1)
+    z = _guess(loop, float(t[0]), x, loop.dae.rows("z", start, -1))[: loop.moving]
+    tried = schemes(loop, sought)
+    best: tuple[Scheme, list[Element], float] | None = None
+    failure, count, vain = SolverError("no motion was found"), 1, 0
+    while count <= MOST_ELEMENTS and vain < PATIENCE:
+        ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
+        former: tuple[Scheme, list[Element], Array] | None = None
+        least = np.inf
+        for each in tried:
+            try:
+                elements = each.march(ends, x, z)
+            except SolverError as problem:
+                failure = problem
+                break
+            values = each.samples(elements, t).x[sought]
+            if former is not None:
+                error = float(np.abs(values - former[2]).max(initial=0.0))
+                if best is None or error < best[2]:
+                    best, vain = (former[0], former[1], error), 0  # it amplifies noise less
+                if error < tolerance:
+                    return best
+                if error > NOISY * least:
+                    break
+                least = error
+            former = each, elements, values
+        count += (count + 1) // 2
+    if best is None:
+        raise failure
+    return best
+
+
+def _guess(loop: System, t: float, x: Array, z: Array) -> Array:
+    """Return a first guess of ``z``: rates that need not be large are left at zero."""
+    for block in loop.blocks:
+        if block.linear:
+            z[block.span] = 0.0
+            point = (t, x, z, loop.u[:, 0], block.stages[-1])
+            jacobian, residual = np.array(block.jacobian(*point)), np.array(block.residual(*point))
+            z[block.span] = -np.linalg.lstsq(jacobian, residual.ravel(), rcond=WEAK)[0]
+    return z
+
+
+def _standing(loop: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
+    """Return the samples after a Newton step on the first block, and what is left over."""
+    block, z = loop.blocks[0], samples.z.copy()
+    for k, t in enumerate(samples.t):
+        point = (t, samples.x[:, k], z[:, k], samples.u[:, k], block.stages[-1])
+        z[block.span, k] -= np.linalg.solve(
+            np.array(block.jacobian(*point)), np.array(block.residual(*point)).ravel()
+        )
+    step = np.abs(z - samples.z)[block.span].max(axis=0)
+    found, report = followed(loop, samples._replace(z=z))
+    return found, {"newton_step": step, **report}
+
+
+def _ended(run: Trajectory, k: int, stop: Stop) -> Trajectory:
+    """Return the samples before the one that violates a limit."""
+    if k == 0:
+        raise ModelError(f"the start is not valid: {stop.words}")
+    if k == 1:
+        raise ModelError(f"t: a motion needs two samples, and before the second {stop.words}")
+    return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))
+
+
+def _laws(direct: Model, inverse: Model, best: Scheme, elements: Sequence[Element]) -> Any:
+    """Return the direct model's inputs as splines through the values at all points."""
+    from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
+
+    names = [label.full for label in leaves(inverse.labels.z)]
+    asked = [label.full for label in leaves(direct.labels.u)]
+    missing = set(asked) - set(names)
+    if missing:
+        raise ModelError(f"the inverse model does not determine {', '.join(sorted(missing))}")
+    first, points = elements[0], best.basis.points
+    begins = best.basis.values(np.zeros(1), tied=False) @ first.z.T
+    t = np.concatenate([[first.begin], *(e.begin + (e.end - e.begin) * points for e in elements)])
+    values = np.concatenate([begins, *(e.z.T for e in elements)])
+    inside = ca.fmin(ca.fmax(direct.t, t[0]), t[-1])
+    columns = values[:, [names.index(name) for name in asked]]
+    spline = make_interp_spline(t, columns, k=5)
+    at = ca.MX.sym("t")
+    value = ca.Function.bspline(
+        "law", [spline.t.tolist()], spline.c.ravel().tolist(), [5], len(asked)
+    )
+    law = ca.Function("law", [at], [value(at)], {"never_inline": True})
+    return unpack(direct.u, ca.vertsplit(law(inside)))
+
+
+def _replayed(
+    direct: Model, run: Trajectory, laws: Any, tolerance: float
+) -> tuple[Trajectory, dict[str, float]]:
+    """Return the direct model's motion from the same start, and how far it is from the run."""
+    states = {label.full: float(run[label.name][0]) for label in leaves(direct.labels.x)}
+    replay = simulate(
+        direct, settle(direct, guess=None, **states), laws, run.t, tolerance=tolerance
+    )
+    n = replay.t.size if replay.stop is None else replay.t.size - 1
+    return replay, {name: float(np.abs(replay[name][:n] - run[name][:n]).max()) for name in states}
+
+
+def settle_contact(
+    dae: Model, wheel: str, *, contact_x: float, contact_y: float, **start: float
+) -> Trajectory:
+    """Return the vehicle standing with one wheel's contact at a given place.
+
+    The contact point of one wheel, the heading and the joints are chosen; nine closure equations
+    of a three-wheeler then determine place, height, roll and pitch of its platform and the other
+    two contact points.
+
+    Parameters
+    ----------
+    dae : Dae
+        A closure model: its states hold ``x`` and ``y``, its first unknowns the contact points.
+    wheel : str
+        Name of the wheel.
+    contact_x, contact_y : float
+        Contact point on the map. [m]
+    **start : float
+        Heading and joints by name; others are zero. [rad, m]
+
+    Raises
+    ------
+    ModelError
+        If the wheel or a name is unknown, or the vehicle cannot stand so.
+    """
+    known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
+    if wheel not in known:
+        names = ", ".join(sorted(filter(None, known))) or "none"
+        raise ModelError(
+            f"settle_contact: no contact of a wheel {wheel!r} is sought; known: {names}"
+        )
+    fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
+    if fixed:
+        raise ModelError(
+            f"settle_contact: {' and '.join(fixed)} follow from the contact; leave them out"
+        )
+    place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
+    found = settle(_exchanged(dae, list(place)), guess=None, **place, **start)
+    return _settled(dae, found)
+
+
+def _settled(dae: Model, found: Trajectory) -> Trajectory:
+    """Return the start of a model at what was found for its states and unknowns by name."""
+    states, unknowns = (
+        {label.full: _first(found, label) for label in leaves(record)}
+        for record in (dae.labels.x, dae.labels.z[0])
+    )
+    return settle(dae, guess=unknowns, **states)
+
+
+def _first(run: Trajectory, label: Label) -> float:
+    return float(run[label.name if label.wheel is None else (label.name, label.wheel)][0])
+
+
+def _exchanged(dae: Model, given: Sequence[str]) -> Model:
+    """Return the model with ``x`` and ``y`` among its unknowns, and a contact point known.
+
+    For starts only: checks and rates are those of the model as it was.
+    """
+    x, z = list(leaves(dae.x)), list(leaves(dae.z))
+    x_labels, z_labels = list(leaves(dae.labels.x)), list(leaves(dae.labels.z))
+    x_shift, z_shift = (part.copy() for part in dae.shift)
+    guess = ca.vertsplit(dae.guess)
+    contact = []
+    for axis, name in zip(("x", "y"), given, strict=True):
+        i = [label.full for label in x_labels].index(axis)
+        j = [label.full for label in z_labels].index(name)
+        x[i], z[j], x_labels[i], z_labels[j] = z[j], x[i], z_labels[j], x_labels[i]
+        x_shift[i], z_shift[j] = z_shift[j], x_shift[i]
+        contact.append((x[i], z[j], j))
+    platform = ca.vertcat(*(symbol for _, symbol, _ in contact))
+    # the first guess of a contact lies a fixed way from the platform's centre
+    offsets = ca.substitute([guess[j] for *_, j in contact], [platform], [ca.SX.zeros(2)])
+    places = [point - offset for (point, _, _), offset in zip(contact, offsets, strict=True)]
+    guess = ca.substitute(guess, [platform], [ca.vertcat(*places)])
+    for (_, _, j), place in zip(contact, places, strict=True):
+        guess[j] = place
+    return replace(
+        dae,
+        x=unpack(dae.x, x),
+        z=unpack(dae.z, z),
+        labels=dae.labels._replace(
+            x=unpack(dae.labels.x, x_labels), z=unpack(dae.labels.z, z_labels)
+        ),
+        guess=ca.vertcat(*guess),
+        shift=(x_shift, z_shift),
+        checks=(),
+    )
+
+
+@heeded
+def nearest(dae: Model, *, weights: Mapping[str, float] | None = None, **pose: float) -> Trajectory:
+    """Return the vehicle standing in the pose nearest to a given one.
+
+    The weighted sum of squared changes is least among all poses in which every wheel touches the
+    ground.
+
+    Parameters
+    ----------
+    dae : Dae
+        A closure model.
+    weights : mapping of str to float, optional
+        Weight of the change of a coordinate; one by default, so that a metre counts as a radian;
+        infinite to keep it. [1/m2, 1/rad2]
+    **pose : float
+        States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
+        ``pitch`` and joints. States that are not named count as zero; what else is not named is
+        free. [m, rad]
+
+    Returns
+    -------
+    Trajectory
+        One sample; its ``statistics`` hold ``change``, the root of the sum, and the change of
+        every coordinate that counts.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, a value is not finite, a weight negative, or the vehicle cannot
+        stand near there.
+    """
+    labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
+    names, n_x = [label.full for label in labels], dae.ode.numel()
+    weights = weights or {}
+    _check_pose(names, pose, weights)
+    asked = {**{label.full: 0.0 for label in leaves(dae.labels.x)}, **pose}
+    shift = np.concatenate(dae.shift)[: len(names)]
+    wish = np.array([asked.get(name, 0.0) for name in names]) - shift
+    weight = np.array([weights.get(name, 1.0) * (name in asked) for name in names])
+    guess = np.array(ca.Function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
+    first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
+    first[weight > 0] = wish[weight > 0]
+    found = _least_change(dae, first, wish, weight) + shift
+    values = dict(zip(names, found, strict=True))
+    run = settle(dae, guess={name: values[name] for name in names[n_x:]},
+                 **{name: values[name] for name in names[:n_x]})  # fmt: skip
+    change = {name: _first(run, label) - asked[name]
+              for name, label in zip(names, labels, strict=True) if name in asked}  # fmt: skip
+    total = sum(weights.get(name, 1.0) * size**2 for name, size in change.items()
+                if np.isfinite(weights.get(name, 1.0)))  # fmt: skip
+    statistics = {"change": float(np.sqrt(total))}
+    return replace(run, statistics=statistics | {f"change_{k}": v for k, v in change.items()})
+
+
+def _check_pose(
+    names: Sequence[str], pose: Mapping[str, float], weights: Mapping[str, float]
+) -> None:
+    for name in (*pose, *weights):
+        if name not in names:
+            raise ModelError(f"nearest: {name!r} is not known; known: {', '.join(names)}")
+    for name, value in pose.items():
+        if not np.isfinite(value):
+            raise ModelError(f"nearest: {name} must be finite, found {value}")
+    for name, weight in weights.items():
+        if not weight >= 0:
+            raise ModelError(f"nearest: the weight of {name} must not be negative, found {weight}")
+
+
+def _least_change(dae: Model, first: Array, wish: Array, weight: Array) -> Array:
+    """Return states and pose that satisfy the first equations with the least weighted change."""
+    unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
+    counts = np.isfinite(weight)
+    change = np.where(counts, weight, 0.0)
+    cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
+    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
+    problem = {"x": unknowns, "f": cost / 2, "g": dae.alg[0]}
+    options: dict[str, Any] = {"ipopt": quiet, "print_time": False, "error_on_fail": False}
+    solver = ca.nlpsol("nearest", "ipopt", problem, options)
+    bound = np.where(counts, np.inf, 0.0)
+    centre = np.where(counts, 0.0, wish)
+    found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
+    if not solver.stats()["success"]:
+        raise ModelError(
+            "nearest: the vehicle cannot stand near the given pose "
+            f"({solver.stats()['return_status']}); give one that is nearer to the ground"
+        )
+    return np.array(found["x"]).ravel()

@@ -1,0 +1,171 @@
+"""Unknowns that satisfy a model's equations at one instant, found by Newton's method."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.records import Array, leaves
+from slipfree.solve.system import Block, System
+
+LARGEST_STEP = 0.25  # of an unknown's typical size, in one Newton step
+STEPS = 100
+BETWEEN = (
+    3  # times that a stage of the continuation is divided where Newton's method does not take it
+)
+CONVERGED = 1e-13
+SINGULAR = 1e-10  # smallest singular value of a block, relative to the largest
+
+
+class UnsolvedError(ModelError):
+    """Equations were not solved; ``z`` is where Newton's method ended."""
+
+    def __init__(self, message: str, z: Array) -> None:
+        super().__init__(message)
+        self.z = z
+
+
+def consistent(
+    loop: System, t: float, x: Array, z: Array, u: Array, *, eased: bool = True
+) -> Array:
+    """Return ``z`` that satisfies all algebraic equations at ``t``, ``x`` and ``u``.
+
+    Block by block: a block that is linear in its unknowns is solved at once, another by damped
+    Newton steps of limited size, since far from the ground the closure is strongly curved.
+
+    Parameters
+    ----------
+    loop : System
+        The model under inputs.
+    t : float
+        Time. [s]
+    x, z, u : ndarray, shape (n_x,), (n_z,) and (n_u,)
+        States, first guess of the unknowns, and inputs.
+    eased : bool
+        Whether to go through all stages of the continuation, or to begin at the last, near a solution.
+
+    Raises
+    ------
+    ModelError
+        If Newton's method does not converge or a Jacobian is singular; it names the equation that
+        misses most, or the motion that no contact determines.
+    """
+    z = z.copy()
+    for block in loop.blocks:
+        if block.linear:
+            z[block.span] = 0.0
+            z[block.span] -= _solve(loop, block, (t, x, z, u, block.stages[-1]), check=True)
+            continue
+        z = _newton(loop, block, (t, x, z, u, block.stages[0 if eased else -1]))
+        for stage in pairwise(block.stages) if eased else ():
+            z = _eased(loop, block, (t, x, z, u), stage, BETWEEN)
+    return z
+
+
+def _eased(
+    loop: System, block: Block, point: tuple[float, Array, Array, Array],
+    stage: tuple[float, float], depth: int,
+) -> Array:  # fmt: skip
+    """Return the unknowns at the second continuation from those at the first, by way of others if needed.
+
+    Others lie at the geometric mean, ``depth`` times at most.
+    """
+    t, x, z, u = point
+    try:
+        return _newton(loop, block, (*point, stage[1]))
+    except UnsolvedError:
+        if not depth:
+            raise
+    between = float(np.sqrt(stage[0] * stage[1]))
+    z = _eased(loop, block, (t, x, z, u), (stage[0], between), depth - 1)
+    return _eased(loop, block, (t, x, z, u), (between, stage[1]), depth - 1)
+
+
+def _newton(loop: System, block: Block, point: tuple[float, Array, Array, Array, float]) -> Array:
+    t, x, z, u, continuation = point
+    scale = loop.dae.scale[block.span]
+
+    def size(z: Array) -> float:
+        return float(np.linalg.norm(np.array(block.residual(t, x, z, u, continuation))))
+
+    first, now = z, size(z)
+    for _ in range(STEPS):
+        if now < CONVERGED:
+            break
+        step = _solve(loop, block, (t, x, z, u, continuation), check=False)
+        damping = min(1.0, LARGEST_STEP / max(float(np.abs(step / scale).max()), 1e-300))
+        for _ in range(12):
+            trial = z.copy()
+            trial[block.span] -= damping * step
+            new = size(trial)
+            if new < now or not now > 0:
+                break
+            damping /= 2
+        else:
+            break  # no descent: rounding, or a dead end
+        z, now = trial, new
+    if not now < 1e3 * CONVERGED:
+        raise UnsolvedError(_unsettled(loop, block, (t, x, z, u, continuation), first), z)
+    _solve(loop, block, (t, x, z, u, continuation), check=True)
+    return z
+
+
+def _solve(loop: System, block: Block, point: tuple[Any, ...], *, check: bool) -> Array:
+    residual = np.array(block.residual(*point)).ravel()
+    jacobian = np.array(block.jacobian(*point))
+    if not np.isfinite(jacobian).all() or not np.isfinite(residual).all():
+        return np.full(residual.shape, np.nan)
+    if check:
+        _, values, right = np.linalg.svd(jacobian)
+        if values[-1] < SINGULAR * values[0]:
+            labels = list(leaves(loop.dae.labels.z))[block.span]
+            weakest = labels[int(np.abs(right[-1]).argmax())]
+            raise ModelError(
+                f"the model is singular here: nothing determines {weakest.full} ({weakest.words}), "
+                f"singular value {values[-1]:.1e} of {values[0]:.1e}"
+            )
+    return np.asarray(np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
+
+
+def _unsettled(loop: System, block: Block, point: tuple[Any, ...], first: Array) -> str:
+    _, x, z, u, _ = point
+    if (
+        len(block.stages) > 1
+    ):  # what took continuation may have no solution, for reasons the model knows
+        for limit in loop.dae.limits:
+            if limit.describe is not None:
+                words = limit.describe(x, z)
+                if words:
+                    return f"the vehicle cannot stand at the start: {words}"
+    residual = np.nan_to_num(np.abs(np.array(block.residual(*point)).ravel()), nan=np.inf)
+    worst = block.labels[int(residual.argmax())]
+    message = (
+        f"the vehicle cannot stand at the start: {worst.full}, the {worst.words}, misses by "
+        f"{residual.max():.2g} {worst.unit}"
+    )
+    for state in (first, z):
+        words = _violated(loop, x, state, u)
+        if words:
+            return f"{message}; {words}"
+    return message
+
+
+def _violated(loop: System, x: Array, z: Array, u: Array) -> str:
+    _, values, _ = loop.outputs(0.0, x, z, u)
+    for limit, value in zip(loop.dae.limits, np.array(values).ravel(), strict=True):
+        if not limit.lower <= value <= limit.upper:
+            return limit_words(limit.label.words, value, limit.lower, limit.upper, limit.label.unit)
+    return ""
+
+
+def limit_words(words: str, value: float, lower: float, upper: float, unit: str) -> str:
+    """Return the sentence that says which limit was left and by how much."""
+    if np.isfinite(lower) and np.isfinite(upper):
+        allowed = f"{lower:g} to {upper:g}"
+    else:
+        allowed = f"at least {lower:g}" if np.isfinite(lower) else f"at most {upper:g}"
+    unit = "" if unit == "1" else f" {unit.replace('m-1', '1/m')}"
+    return f"{words}: {round(value, 6) + 0.0:.4g}, allowed {allowed}{unit}"

@@ -1,0 +1,68 @@
+"""Polynomials of collocation at Radau's points, by their values."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from slipfree.records import Array
+
+
+class Basis(NamedTuple):
+    """Polynomials on an element, by their values at collocation points of (0, 1].
+
+    Attributes
+    ----------
+    points : ndarray, shape (k,)
+        Radau points; the last is one.
+    tied : ndarray, shape (k, k + 1)
+        Derivatives at the points from values at zero and at the points.
+    free : ndarray, shape (k, k)
+        The same, of polynomials that have no value at zero.
+    """
+
+    points: Array
+    tied: Array
+    free: Array
+
+    def values(self, at: Array, *, tied: bool) -> Array:
+        """Return what leads from the nodal values to those at places of [0, 1]."""
+        nodes = np.append(0.0, self.points) if tied else self.points
+        return _lagrange(nodes, at)
+
+    def integrals(self, at: Array) -> Array:
+        """Return what leads from the values at the points to integrals from zero to places."""
+        nodes, weights = legendre.leggauss(len(self.points))
+        inner = _lagrange(self.points, np.outer(at, (1 + nodes) / 2).ravel())
+        means = weights / 2 @ inner.reshape(len(at), len(nodes), len(self.points))
+        return np.asarray(at[:, None] * means, dtype=np.float64)
+
+
+def basis(degree: int) -> Basis:
+    """Return the polynomials of collocation at that many Radau points."""
+    difference = np.zeros(degree + 1)
+    difference[-2:] = 1.0, -1.0  # of Legendre polynomials: its roots are Radau's points
+    points = np.append((1 + legendre.legroots(difference)[:-1].real) / 2, 1.0)
+    nodes = np.append(0.0, points)
+    return Basis(points, _derivative(nodes)[1:], _derivative(points))
+
+
+def _lagrange(nodes: Array, at: Array) -> Array:
+    """Return the Lagrange polynomials of nodes at places, shape (n_places, n_nodes)."""
+    rows = np.ones((len(at), len(nodes)))
+    for j, node in enumerate(nodes):
+        for other in np.delete(nodes, j):
+            rows[:, j] *= (at - other) / (node - other)
+    return rows
+
+
+def _derivative(nodes: Array) -> Array:
+    """Return the derivatives of the Lagrange polynomials at their nodes, row by row."""
+    gaps = nodes[:, None] - nodes + np.eye(len(nodes))
+    weights = 1 / gaps.prod(axis=1)
+    matrix: Array = weights / weights[:, None] / gaps
+    np.fill_diagonal(matrix, 0.0)
+    np.fill_diagonal(matrix, -matrix.sum(axis=1))
+    return matrix

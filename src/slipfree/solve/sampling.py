@@ -1,0 +1,261 @@
+"""Samples of a motion: made exact by Newton's method, and written as a trajectory."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import SampledCheck
+from slipfree.errors import ModelError, SolverError
+from slipfree.records import Array, Label, Mask, leaves
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.system import FOLLOWING, Block, System
+from slipfree.trajectory import Column, Trajectory
+
+AXES = ("time", "wheel")  # of results: no quantity is called so
+
+CORRECTIONS = 10  # Newton steps on a sample at most
+ENOUGH = 1e-12  # residual at which a sample needs no further step
+UNSOLVED = 1e-10  # residual of a sample that is no rounding any more
+ROUNDING = 1e-13  # step, in typical sizes, that only rounding is left of
+
+
+class Samples(NamedTuple):
+    """States of a motion in local coordinates, in columns.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Times. [s]
+    x, z, q, u : ndarray, shape (n_x, n) and so on
+        States, algebraic unknowns, quadratures and given inputs.
+    """
+
+    t: Array
+    x: Array
+    z: Array
+    q: Array
+    u: Array
+
+    def head(self, count: int) -> Samples:
+        """Return the first ``count`` samples."""
+        return Samples(*(part[..., :count] for part in self))
+
+
+def corrected(loop: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
+    """Return the samples after a Newton step on the motion, and what that step says.
+
+    The integrator's interpolation leaves the algebraic equations satisfied to its tolerance only;
+    the step is as large as that error. Where it does not do, others follow. With it comes the
+    report of `followed`. A motion without algebraic unknowns needs none of this.
+    """
+    if not loop.moving:
+        return samples, {}
+    z, n = samples.z.copy(), loop.moving
+    alg, jac = _linearised(loop, samples)
+    step, size = _steps(jac, alg), _largest(alg)
+    first = _largest(step[loop.blocks[0].span])
+    rough = np.ones(samples.t.size, dtype=bool)
+    for _ in range(CORRECTIONS):
+        z[:n, rough] -= step[:, rough]
+        alg = _residuals(loop, samples._replace(z=z))
+        former, size = size, _largest(alg)
+        rough &= (size > ENOUGH) & ~((size < UNSOLVED) & (size > former / 2))
+        if not rough.any():
+            break
+        alg, jac = _linearised(loop, samples._replace(z=z))
+        step = _steps(jac, alg)
+    if (astray := ~(size < UNSOLVED)).any():
+        z = _from_neighbours(loop, samples, z, astray)
+        alg, jac = _linearised(loop, samples._replace(z=z))
+    found, report = followed(loop, samples._replace(z=z), (alg, jac))
+    return found, {"newton_step": first, **report}
+
+
+def _from_neighbours(loop: System, samples: Samples, z: Array, astray: Mask) -> Array:
+    """Return ``z`` with the samples at which Newton's method went astray solved from those around.
+
+    Full steps may cycle where the equations are curved, as friction is on the scale of its creep.
+    Where there is no solution, as where all friction is used and the states miss by the
+    tolerance, what the integrator found remains.
+    """
+    z = z.copy()
+    z[:, astray] = samples.z[:, astray]
+    for k in np.flatnonzero(astray):
+        for j in (k - 1, k + 1):
+            if not 0 <= j < astray.size or (astray[j] and j > k):
+                continue
+            point = (float(samples.t[k]), samples.x[:, k], z[:, j], samples.u[:, k])
+            try:
+                z[:, k] = consistent(loop, *point, eased=False)
+                break
+            except ModelError:  # the residual tells
+                continue
+    return z
+
+
+def _largest(rows: Array) -> Array:
+    return np.asarray(np.abs(rows).max(axis=0))
+
+
+def _linearised(loop: System, samples: Samples) -> tuple[Array, Array]:
+    """Return the residuals of the motion's equations in columns, and their Jacobians."""
+    newton, n = loop.newton.map(samples.t.size), loop.moving
+    found = newton(samples.t[None], samples.x, samples.z[:n], samples.u)
+    alg, jac = (np.array(out) for out in found)
+    return alg, _each(jac, n)
+
+
+def _residuals(loop: System, samples: Samples) -> Array:
+    """Return the residuals of the motion's equations in columns."""
+    core, n = loop.core.map(samples.t.size), loop.moving
+    return np.array(core(samples.t[None], samples.x, samples.z[:n], samples.u)[1])
+
+
+def followed(
+    loop: System, samples: Samples, known: tuple[Array, Array] | None = None
+) -> tuple[Samples, dict[str, Array]]:
+    """Return the samples with what follows from their motion, and how well all equations hold.
+
+    The report holds the smallest singular value of the Jacobian of the motion's equations, the
+    distance to a singular configuration, and the residuals block by block, NaN at samples at which
+    the equations are not finite. ``known`` are residuals and Jacobians of the samples, or of
+    samples a last Newton step away, if they are at hand.
+    """
+    count, n, z = samples.t.size, loop.moving, samples.z.copy()
+    left, jac = known or _linearised(loop, samples)
+    finite = np.isfinite(jac).all(axis=(1, 2))
+    if not finite.any():
+        raise SolverError("the motion cannot be told: its equations give no finite numbers")
+    report = {"singular_value": np.full(count, np.nan)}
+    report["singular_value"][finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]
+    for block in loop.blocks:
+        report[f"{block.labels[0].name}_residual"] = _largest(left[block.span])
+    if loop.after:
+        guess = ca.Function("guess", [loop.dae.columns()[0]], [loop.dae.guess]).map(count)
+        z[n:] = np.array(guess(samples.x))[n:]
+    for block in loop.after:
+        z, rest = _solved(block, samples._replace(z=z), loop.dae.scale[block.span, None])
+        report[f"{block.labels[0].name}_residual"] = _largest(rest)
+    return samples._replace(z=z), report
+
+
+def _solved(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
+    """Return ``z`` with a block solved by Newton's method at all samples, and its residual.
+
+    Where the equations have no solution the residual says so.
+    """
+    count, n, z = samples.t.size, len(block.labels), samples.z.copy()
+    residual, jacobian = block.residual.map(count), block.jacobian.map(count)
+
+    def at(function: ca.Function) -> Array:
+        return np.array(
+            function(
+                samples.t[None], samples.x, z, samples.u, np.full((1, count), block.stages[-1])
+            )
+        )
+
+    for _ in range(FOLLOWING):
+        step = _steps(_each(at(jacobian), n), at(residual))
+        z[block.span] -= step
+        if block.linear or not (np.abs(step) > ROUNDING * size).any():
+            break
+    return z, at(residual)
+
+
+def _each(side_by_side: Array, n: int) -> Array:
+    """Return square matrices, shape (count, n, n), from one of shape (n, count n)."""
+    return side_by_side.reshape(n, -1, n).transpose(1, 0, 2)
+
+
+def _steps(matrices: Array, right: Array) -> Array:
+    """Return the solutions of many linear systems in columns; least squares if one is singular."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right.T[..., None])[..., 0].T)
+    except np.linalg.LinAlgError:
+        finite, steps = np.isfinite(matrices).all(axis=(1, 2)), np.full(right.T.shape, np.nan)
+        inverses = np.linalg.pinv(matrices[finite])
+        steps[finite] = (inverses @ right.T[finite][..., None])[..., 0]
+        return steps.T
+
+
+def table(loop: System, samples: Samples, report: dict[str, Array]) -> Trajectory:
+    """Return the samples as a trajectory in map coordinates, with all outputs and margins."""
+    dae, labels = loop.dae, loop.dae.labels
+    y, limits, u = (
+        np.array(out)
+        for out in loop.outputs.map(samples.t.size)(samples.t[None], *samples[1:3], samples.u)
+    )
+    x, z = (part + shift[:, None] for part, shift in zip(samples[1:3], dae.shift, strict=True))
+    rows = [
+        *zip(leaves(labels.x), x, strict=True),
+        *zip(leaves(labels.z), z, strict=True),
+        *zip(leaves(labels.q), samples.q, strict=True),
+        *zip(leaves(labels.u), u, strict=True),
+        *zip(leaves(labels.y), y, strict=True),
+        *zip((limit.label for limit in dae.limits), limits, strict=True),
+        *((check.label, _margins(check, samples)) for check in dae.checks),
+        *((_report_label(loop, name), values) for name, values in report.items()),
+    ]
+    return Trajectory(samples.t, *_columns(rows))
+
+
+def _margins(check: SampledCheck, samples: Samples) -> Array:
+    """Return the margins of a check, NaN at samples at which its linear algebra fails."""
+    try:
+        return check.margin(samples.x, samples.z)
+    except np.linalg.LinAlgError:
+        if samples.t.size == 1:
+            return np.full(1, np.nan)
+        each = (Samples(*(row[..., k : k + 1] for row in samples)) for k in range(samples.t.size))
+        return np.concatenate([_margins(check, sample) for sample in each])
+
+
+def _columns(rows: list[tuple[Label, Array]]) -> tuple[dict[str, Column], tuple[str, ...]]:
+    """Gather the rows that belong to wheels into one column a wheel."""
+    groups: dict[str, list[tuple[Label, Array]]] = {}
+    for label, values in rows:
+        group = groups.setdefault(label.name, [])
+        if label.name in AXES or any(_same(label, each) for each, _ in group):
+            raise ModelError(
+                f"the name {label.name!r} stands for two things in a result: rename a coordinate"
+            )
+        group.append((label, values))
+    wheels: tuple[str, ...] = ()
+    columns = {}
+    for name, members in groups.items():
+        label = members[0][0]
+        if label.wheel is None:
+            columns[name] = Column(label, members[0][1])
+            continue
+        wheels = tuple(str(each.wheel) for each, _ in members)
+        values = np.column_stack([values for _, values in members])
+        columns[name] = Column(Label(name, label.unit, _common(members)), values)
+    return columns, wheels
+
+
+def _same(one: Label, other: Label) -> bool:
+    """Return whether two labels of one name stand for the same column."""
+    return one.wheel is None or other.wheel is None or one.wheel == other.wheel
+
+
+def _common(members: list[tuple[Label, Array]]) -> str:
+    """Return the words of a quantity with every wheel's own name taken out."""
+    label = members[0][0]
+    return label.words.replace(f"wheel {label.wheel}", "the wheel")
+
+
+def _report_label(loop: System, name: str) -> Label:
+    blocks = (*loop.blocks, *loop.after)
+    units = {f"{block.labels[0].name}_residual": block.labels[0].unit for block in blocks}
+    words = {
+        "newton_step": "largest change of a position by the Newton step on the sample",
+        "singular_value": "smallest singular value of the Jacobian of the algebraic equations",
+    }
+    return Label(
+        name,
+        units.get(name, "1" if name == "singular_value" else "m"),
+        words.get(name, "largest residual of these equations after the Newton step"),
+    )

@@ -1,0 +1,291 @@
+"""A DAE under given inputs, compiled once: what settling, integrating and sampling evaluate."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.calls import jacobians
+from slipfree.dae import Dae, PiecewiseLinear
+from slipfree.errors import ModelError
+from slipfree.records import Array, Label, leaves, pack
+from slipfree.solve.equations import equations
+
+FOLLOWING = 25  # Newton steps at most for what follows from a motion
+
+
+class Block(NamedTuple):
+    """One block of algebraic equations, as Newton's method uses it.
+
+    Attributes
+    ----------
+    span : slice
+        Its unknowns among those of ``z``.
+    residual, jacobian : casadi Function
+        Of ``t, x, z, u`` and the continuation; the Jacobian is with respect to the unknowns of the
+        block.
+    linear : bool
+        Whether the block is linear in its unknowns.
+    stages : tuple of float
+        Values of the continuation at a start; one if the block does not depend on it.
+    labels : tuple of Label
+        Names of its equations.
+    """
+
+    span: slice
+    residual: ca.Function
+    jacobian: ca.Function
+    linear: bool
+    stages: tuple[float, ...]
+    labels: tuple[Label, ...]
+
+
+class System(NamedTuple):
+    """A DAE whose inputs are numbers or have been replaced by expressions.
+
+    The unknowns of the motion, ``m``, are the first ones of ``z``; the others follow from it.
+
+    Attributes
+    ----------
+    dae : Dae
+        The model.
+    u : ndarray, shape (n_u, n) or (2 n_u, n)
+        Values of the inputs at every interval, unused where an expression rules; with slopes after
+        them if inputs are linear in time.
+    core : casadi Function
+        ``(t, x, m, u) -> (ode, alg)``, the equations of the motion.
+    quad : casadi Function
+        ``(t, x, m, u) -> quad``.
+    blocks, after : tuple of Block
+        The algebraic equations of the motion, and those of what follows from it.
+    newton : casadi Function
+        ``(t, x, m, u) -> (alg, its Jacobian in m)``.
+    outputs : casadi Function
+        ``(t, x, z, u) -> (outputs, limits, inputs)``.
+    margin : casadi Function
+        ``(t, x, m, u) ->`` least distance to a limit of the motion, negative beyond one.
+    """
+
+    dae: Dae[Any, Any, Any, Any, Any]
+    u: Array
+    core: ca.Function
+    quad: ca.Function
+    blocks: tuple[Block, ...]
+    after: tuple[Block, ...]
+    newton: ca.Function
+    outputs: ca.Function
+    margin: ca.Function
+
+    @property
+    def moving(self) -> int:
+        """Number of the unknowns of the motion."""
+        return self.blocks[-1].span.stop if self.blocks else 0
+
+
+def with_inputs(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) -> System:
+    """Return the DAE under inputs.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    inputs : record
+        Numbers, arrays of shape (intervals,) or expressions in the symbols of the model.
+    intervals : int
+        Number of intervals between samples.
+
+    Raises
+    ------
+    ModelError
+        If an array has another length, a number is not finite, or an expression contains inputs.
+    """
+    u = dae.columns()[2]
+    law, values = list(ca.vertsplit(u)) if u.numel() else [], np.zeros((u.numel(), intervals or 1))
+    slopes, slope = np.zeros_like(values), ca.SX.sym("slope", u.numel())
+    for index, (label, value) in enumerate(zip(leaves(dae.labels.u), leaves(inputs), strict=True)):
+        if isinstance(value, ca.SX):
+            law[index] = _checked(dae, label, value)
+        elif isinstance(value, PiecewiseLinear):
+            law[index] += slope[index] * dae.t
+            values[index] = _numbers(label, value.base, intervals)
+            slopes[index] = _numbers(label, value.slope, intervals)
+        else:
+            values[index] = _numbers(label, value, intervals)
+    linear = any(isinstance(value, PiecewiseLinear) for value in leaves(inputs))
+    numbers = np.concatenate([values, slopes]) if linear else values
+    if any(isinstance(value, ca.SX) for value in leaves(inputs)):
+        return _compiled(dae, law, ca.vertcat(u, slope) if linear else u)._replace(u=numbers)
+    return (_sloping if linear else _open)(dae)._replace(u=numbers)
+
+
+@lru_cache(maxsize=8)
+def _open(dae: Dae[Any, Any, Any, Any, Any]) -> System:
+    """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers."""
+    return _compiled(dae, list(leaves(dae.u)), dae.columns()[2])
+
+
+@lru_cache(maxsize=8)
+def _sloping(dae: Dae[Any, Any, Any, Any, Any]) -> System:
+    """Compile a model whose inputs are linear in time, given by values at zero and slopes."""
+    u = dae.columns()[2]
+    slopes = ca.SX.sym("slope", u.numel())
+    return _compiled(dae, ca.vertsplit(u + slopes * dae.t), ca.vertcat(u, slopes))
+
+
+def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX], u: ca.SX) -> System:
+    """Compile a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
+    x, z, inputs = dae.columns()
+    limits = [limit.expression for limit in dae.limits]
+    continuation = (
+        ca.SX.sym("continuation") if dae.continuation is None else dae.continuation.symbol
+    )
+    eased = [dae.ode, dae.quad, pack(dae.y), ca.vertcat(ca.SX(0, 1), *limits), inputs, *dae.alg]
+    eased = ca.substitute(eased, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
+    meant = ca.SX(dae.continuation.values[-1] if dae.continuation else 0.0)
+    ode, quad, y, bounds, driven, *parts = (
+        ca.substitute(eased, [continuation], [meant]) if dae.continuation else eased
+    )
+    blocks = _blocks(dae, [dae.t, x, z, u, continuation], eased[5:])
+    first = _following(ode, parts, z, blocks)
+    motion, after = blocks[:first], blocks[first:]
+    m = z[: motion[-1].span.stop] if motion else z[:0]
+    core, newton = equations(dae, m.numel(), law, u)
+    return System(
+        dae,
+        np.zeros((u.numel(), 0)),
+        core,
+        _quadratures(dae, [dae.t, x, z, u], quad, after),
+        motion,
+        after,
+        newton,
+        ca.Function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
+        ca.Function("margin", [dae.t, x, m, u], [_least(dae, bounds, z[m.numel() :])]),
+    )
+
+
+def _following(ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ...]) -> int:
+    """Return the first of the last blocks on which the motion does not depend."""
+    first = len(blocks)
+    for index in reversed(range(len(blocks))):
+        others = ca.vertcat(ode, *parts[:index])
+        if ca.depends_on(others, z[blocks[index].span]):
+            break
+        first = index
+    # A model whose states depend on no unknown is still solved for its first block.
+    return max(first, 1)
+
+
+def _quadratures(
+    dae: Dae[Any, Any, Any, Any, Any],
+    symbols: list[ca.SX],
+    quad: ca.SX,
+    after: tuple[Block, ...],
+) -> ca.Function:
+    """Return the rates of the quadratures from the motion, what follows from it solved for."""
+    t, x, z, u = symbols
+    count = after[0].span.start if after else z.numel()
+    if not after or not ca.depends_on(quad, z[count:]):
+        return ca.Function("quad", [t, x, z[:count], u], [quad])
+    sizes = [each.numel() for each in (t, x, z[:count], u)]
+    given = [ca.MX.sym(name, size) for name, size in zip("txmu", sizes, strict=True)]
+    guess = ca.Function("guess", [x], [dae.guess[count:]])
+    found = ca.vertcat(given[2], guess(given[1]))
+    for block in after:
+        found = _followed(block, [given[0], given[1], found, given[3]])
+    rates = ca.Function("rates", symbols, [quad])
+    return ca.Function("quad", given, [rates(given[0], given[1], found, given[3])])
+
+
+def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
+    """Return ``z`` with the unknowns of a block in place of their guess."""
+    t, x, z, u = point
+    before, guess, rest = ca.vertsplit(z, [0, block.span.start, block.span.stop, z.numel()])
+    if block.linear:
+        at = (t, x, z, u, block.stages[-1])
+        found = guess - ca.solve(block.jacobian(*at), block.residual(*at))
+        return ca.vertcat(before, found, rest)
+    unknown, given = ca.MX.sym("unknown", guess.numel()), ca.vertcat(t, x, before, u)
+    symbol = ca.MX.sym("given", given.numel())
+    ends = np.cumsum([0, 1, x.numel(), before.numel(), u.numel()]).tolist()
+    t_0, x_0, z_0, u_0 = ca.vertsplit(symbol, ends)
+    other = ca.vertcat(z_0, unknown, ca.MX.zeros(rest.numel()))
+    at = (t_0, x_0, other, u_0, block.stages[-1])
+    equations = block.residual(*at)
+    # Its own Jacobian would be that by everything that is given as well.
+    slopes = ca.Function("slopes", [unknown, symbol], [block.jacobian(*at), equations])
+    problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": equations}
+    options: dict[str, Any] = {
+        "error_on_fail": False, "max_iter": FOLLOWING, "show_eval_warnings": False,
+        "jacobian_function": slopes,
+    }  # fmt: skip
+    solver = ca.rootfinder("following", "newton", problem, options)
+    return ca.vertcat(before, solver(x0=guess, p=given)["x"], rest)
+
+
+def _least(dae: Dae[Any, Any, Any, Any, Any], bounds: ca.SX, following: ca.SX) -> ca.SX:
+    least = ca.SX(np.inf)
+    for limit, value in zip(dae.limits, ca.vertsplit(bounds) if dae.limits else [], strict=True):
+        if ca.depends_on(value, following):
+            continue
+        if np.isfinite(limit.lower):
+            least = ca.fmin(least, value - limit.lower)
+        if np.isfinite(limit.upper):
+            least = ca.fmin(least, limit.upper - value)
+    return least
+
+
+def _checked(dae: Dae[Any, Any, Any, Any, Any], label: Label, law: ca.SX) -> ca.SX:
+    x, z, u = dae.columns()
+    if law.shape != (1, 1):
+        raise ModelError(f"input {label.full}: expected a scalar expression, found {law.shape}")
+    if ca.depends_on(law, u):
+        raise ModelError(f"input {label.full}: a law cannot contain the inputs themselves")
+    free = ca.Function("law", [dae.t, x, z], [law], {"allow_free": True}).free_sx()
+    if free:
+        raise ModelError(f"input {label.full}: {free[0]} is not a symbol of the model")
+    return law
+
+
+def _numbers(label: Label, value: Any, intervals: int) -> Array:
+    if isinstance(value, ca.MX | str) or np.iscomplexobj(value):
+        raise ModelError(f"input {label.full}: expected real numbers or SX, found {value!r}")
+    numbers = np.asarray(value, dtype=float)
+    if numbers.ndim > 1 or (numbers.ndim == 1 and numbers.size != intervals):
+        raise ModelError(
+            f"input {label.full}: expected a number, an expression or one value for each of the "
+            f"{intervals} intervals, found shape {numbers.shape}"
+        )
+    if not np.isfinite(numbers).all():
+        raise ModelError(f"input {label.full}: must be finite, found {numbers}")
+    return numbers
+
+
+def _blocks(
+    dae: Dae[Any, Any, Any, Any, Any], symbols: list[ca.SX], parts: list[ca.SX]
+) -> tuple[Block, ...]:
+    z, continuation = symbols[2], symbols[4]
+    ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
+    spans = [slice(*ends[k : k + 2]) for k in range(len(parts))]
+    blocks = list[Block]()
+    every = zip(parts, spans, jacobians(parts, [z[span] for span in spans]), dae.labels.alg,
+                strict=True)  # fmt: skip
+    for rows, span, slopes, labels in every:
+        if not labels:
+            continue
+        if ca.depends_on(rows, z[span.stop :]):
+            raise ModelError("a block of equations depends on the unknowns of a later one")
+        eased = dae.continuation is not None and ca.depends_on(rows, continuation)
+        blocks.append(
+            Block(
+                span,
+                ca.Function("residual", symbols, [rows]),
+                ca.Function("jacobian", symbols, [ca.densify(slopes)]),
+                not ca.depends_on(slopes, z[span]),
+                dae.continuation.values if dae.continuation and eased else (0.0,),
+                labels,
+            )
+        )
+    return tuple(blocks)

@@ -1,0 +1,157 @@
+"""Motion under a sampled controller, whose outputs are held from sample to sample."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError, SolverError
+from slipfree.interrupt import InterruptGuard
+from slipfree.records import Array, leaves, unpack
+from slipfree.solve.sampling import Samples, table
+from slipfree.solve.settle import first_violation
+from slipfree.solve.simulate import COUNTS, STEPS, hushed, reason, usable_times
+from slipfree.solve.system import System, with_inputs
+from slipfree.trajectory import Stop, Trajectory
+
+EVEN = 1e-6  # relative difference between sample times that counts as none
+
+
+def simulate_sampled(
+    dae: Dae[Any, Any, Any, Any, Any],
+    start: Trajectory,
+    inputs: Any,
+    t: Array,
+    *,
+    tolerance: float = 1e-8,
+) -> Trajectory:
+    """Return the motion under inputs that are held from sample to sample.
+
+    CVODES starts anew at every sample. The first sample that violates a limit of the model is the
+    last.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model, without algebraic unknowns.
+    start : Trajectory
+        Its last sample is where the motion starts, whatever its time.
+    inputs : record
+        From ``dae.inputs(...)``. An expression, of time, states and inputs that are numbers, is
+        evaluated at every sample and held.
+    t : ndarray, shape (n,)
+        Times at which the controller samples, evenly spaced. [s]
+    tolerance : float
+        Relative and absolute tolerance of CVODES. [m, rad]
+
+    Raises
+    ------
+    ModelError
+        If the model has algebraic unknowns, or times or inputs are not usable.
+    SolverError
+        If CVODES fails; ``trajectory`` holds what was reached.
+    """
+    t = usable_times(t)
+    period = float(t[1] - t[0])
+    if np.abs(np.diff(t) - period).max() > EVEN * period:
+        raise ModelError("t: a sampled controller takes evenly spaced times in seconds")
+    if dae.guess.numel():
+        raise ModelError(
+            f"a sampled controller takes a model without algebraic unknowns, found "
+            f"{dae.guess.numel()}; use simulate with one value of the inputs for each interval"
+        )
+    loop, law = _opened(dae, inputs, t.size - 1)
+    clock = time.process_time()
+    with InterruptGuard() as heed:
+        samples, cost, failure = _marched(loop, law, start, t, tolerance, heed)
+    run = table(loop, samples, {})
+    fault = first_violation(loop, run, samples)
+    if fault is not None:
+        run = run.part(slice(fault[0] + 1), fault[1])
+    elif failure:
+        words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {failure}"
+        run = replace(run, stop=Stop("solver", float(run.t[-1]), words))
+        raise SolverError(words, run)
+    cost |= {"tolerance": tolerance, "cpu_seconds": time.process_time() - clock}
+    return replace(run, statistics=cost)
+
+
+def _opened(
+    dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int
+) -> tuple[System, ca.Function]:
+    """Return the model under the inputs that are numbers, and all inputs at a sample.
+
+    The latter is a function of ``t, x`` and the former.
+    """
+    given = list(leaves(inputs))
+    laws = [isinstance(value, ca.SX) for value in given]
+    numbers = [0.0 if is_law else value for value, is_law in zip(given, laws, strict=True)]
+    loop = with_inputs(dae, unpack(dae.u, numbers), intervals)
+    x, _, u = dae.columns()
+    if loop.u.shape[0] != u.numel():
+        raise ModelError("a sampled controller holds its inputs: linear ones are not possible")
+    symbols = ca.vertsplit(u)
+    held = ca.vertcat(*(symbols[k] for k, is_law in enumerate(laws) if is_law))
+    rules = ca.vertcat(*(given[k] for k, is_law in enumerate(laws) if is_law))
+    if ca.depends_on(ca.SX(rules), ca.SX(held)):
+        raise ModelError("inputs: the law of a held input contains a held input")
+    column = ca.vertcat(*(given[k] if is_law else symbols[k] for k, is_law in enumerate(laws)))
+    function = ca.Function("law", [dae.t, x, u], [column], {"allow_free": True})
+    if function.has_free():
+        raise ModelError(f"inputs: {function.free_sx()[0]} is not a symbol of the model")
+    return loop, function
+
+
+def _marched(
+    loop: System,
+    law: ca.Function,
+    start: Trajectory,
+    t: Array,
+    tolerance: float,
+    heed: InterruptGuard,
+) -> tuple[Samples, dict[str, float], str]:
+    """Return the samples up to the first beyond a limit, what they cost, and why they end."""
+    dae, n = loop.dae, t.size
+    integrator = _integrator(loop, float(t[1] - t[0]), tolerance)
+    x, q = np.zeros((dae.ode.numel(), n)), np.zeros((dae.quad.numel(), n))
+    x[:, 0], q[:, 0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
+    u, cost, failure, last = np.zeros((loop.u.shape[0], n)), dict.fromkeys(COUNTS, 0.0), "", 0
+    for k in range(n):
+        u[:, k] = np.array(law(t[k], x[:, k], loop.u[:, min(k, n - 2)])).ravel()
+        last = k
+        if k == n - 1 or float(loop.margin(t[k], x[:, k], [], u[:, k])) < 0:
+            break
+        try:
+            with hushed():
+                found = integrator(x0=x[:, k], p=np.append(u[:, k], t[k]))
+        except RuntimeError as error:
+            failure = reason(str(error))
+            break
+        heed.check()
+        x[:, k + 1] = np.array(found["xf"]).ravel()
+        q[:, k + 1] = q[:, k] + np.array(found["qf"]).ravel()
+        statistics = integrator.stats()
+        cost = {name: cost[name] + statistics[key] for name, key in COUNTS.items()}
+    return Samples(t, x, np.zeros((0, n)), q, u).head(last + 1), cost, failure
+
+
+def _integrator(loop: System, period: float, tolerance: float) -> ca.Function:
+    """Return the integrator over one period, of the state and of the inputs with their time."""
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", loop.dae.ode.numel())
+    p = ca.MX.sym("p", loop.u.shape[0] + 1)
+    point = (p[-1] + t, x, ca.MX(0, 1), p[:-1])
+    system = {"t": t, "x": x, "p": p, "ode": loop.core(*point)[0], "quad": loop.quad(*point)}
+    options = {
+        "reltol": tolerance,
+        "abstol": tolerance,
+        "max_num_steps": STEPS,
+        "quad_err_con": True,
+        "show_eval_warnings": False,
+        "disable_internal_warnings": True,
+    }
+    return ca.integrator("period", "cvodes", system, 0.0, period, options)

@@ -1,0 +1,71 @@
+"""One run of a sweep, in whatever process it is done."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from slipfree.errors import SlipfreeError, SolverError
+from slipfree.problem.load import Problem, read
+from slipfree.problem.schema import Climb, Motion
+from slipfree.problem.solve import run as solved
+from slipfree.sweep.log import FAILED, LOST, Row
+from slipfree.sweep.metrics import figures_of
+from slipfree.sweep.task import Done, Task, nothing, own_settings
+
+ALONE = threading.Lock()  # CasADi's objects are not made for several threads
+
+
+def work(task: Task) -> Done:
+    """Return what comes of a task; whatever goes wrong is told in its row.
+
+    A disk that is full or memory that is short are no fault of the run: it is lost.
+    """
+    begin = time.perf_counter()
+    try:
+        with ALONE:
+            return _worked(task, begin)
+    except SlipfreeError as error:
+        outcome, words = FAILED, str(error)
+    except (OSError, MemoryError) as error:
+        outcome, words = LOST, f"{type(error).__name__}: {error}"
+    except Exception as error:  # one bad run must not end hundreds of good ones
+        outcome, words = FAILED, f"{type(error).__name__}: {error}"
+    folder = str(Path(task.file).parent)
+    words = words.replace(f"{folder}{os.sep}", "")
+    return nothing(task, outcome, words, time.perf_counter() - begin)
+
+
+def _worked(task: Task, begin: float) -> Done:
+    problem = _problem(task)
+    try:
+        motion, _, arrays = solved(problem)
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        raise SolverError(f"{error} (reached t = {error.trajectory.t[-1]:.6g} s)") from error
+    stop = motion.stop
+    row = Row(
+        task.run,
+        own_settings(task),
+        f"stopped by {stop.name}" if stop else "complete",
+        stop.words if stop else motion.attributes.get("outcome", ""),
+        float(motion.t[-1]),
+        figures_of(motion, problem.spec),
+        time.perf_counter() - begin,
+    )
+    return Done(row, motion, arrays) if task.keep else Done(row)
+
+
+def _problem(task: Task) -> Problem[Motion] | Problem[Climb]:
+    """Return the problem as it was when the sweep began, wherever this is done."""
+    path = Path(task.file)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        copy.write_bytes(task.text.encode())
+        problem = read(copy, task.settings)
+    return replace(problem, source=replace(problem.source, path=path))

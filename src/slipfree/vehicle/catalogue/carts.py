@@ -1,0 +1,239 @@
+"""Carts and cars of the catalogue.
+
+The platform's axes are x right, y forward, z up. Masses are round figures; ``mass = 0`` and
+``wheel_mass = 0`` leave the kinematics alone.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Vector
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+SIDES = {"right": 1.0, "left": -1.0}
+
+
+def differential_drive(
+    *,
+    half_track: float = 0.25,
+    caster_ahead: float = 0.35,
+    trail: float = 0.08,
+    r1: float = 0.03,
+    r2: float = 0.12,
+    caster_scale: float = 2 / 3,
+    mass: float = 20.0,
+    center_of_mass: Vector = (0.0, 0.1, 0.0),
+    wheel_mass: float = 1.0,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return a cart with two driven wheels and a free caster ahead of them.
+
+    The platform's centre is the middle of the driven axle; it is level on level ground.
+
+    Parameters
+    ----------
+    half_track, caster_ahead, trail : float
+        From the centre to a driven wheel, from the axle to the caster's pivot, and from the pivot
+        back to the caster's contact. [m]
+    r1, r2 : float
+        Of the driven wheels. [m]
+    caster_scale : float
+        Size of the caster's wheel over theirs. [1]
+    mass, center_of_mass, wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If a length that must be positive is not.
+    """
+    _positive("differential_drive", half_track=half_track, caster_ahead=caster_ahead)
+    drop = -(r1 + r2) * (1 - caster_scale)
+    caster = Wheel("caster", "fork", (0.0, -trail, drop), r1 * caster_scale, r2 * caster_scale,
+                   driven=False, mass=wheel_mass, grip=grip)  # fmt: skip
+    return Vehicle(
+        "differential_drive",
+        (Coordinate("caster_angle", "passive", "angle of the caster, left positive"),),
+        (Joint("fork", "platform", "z", (0.0, caster_ahead, 0.0), "caster_angle"),),
+        (*_pair("", "platform", half_track, 0.0, r1, r2, mass=wheel_mass, grip=grip), caster),
+        Body(mass, center_of_mass),
+    )
+
+
+def ackermann(
+    *,
+    half_track: float = 0.3,
+    wheelbase: float = 0.7,
+    r1: float = 0.03,
+    r2: float = 0.12,
+    steer_stop: float = 0.7,
+    mass: float = 40.0,
+    center_of_mass: Vector = (0.0, 0.35, 0.0),
+    wheel_mass: float = 2.0,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return a car whose front axle rocks and whose rear wheels are driven.
+
+    One steering angle, that of a wheel in the middle of the front axle, turns both front wheels
+    such that their axles meet on the rear one. The platform's centre is the middle of the rear
+    axle.
+
+    Parameters
+    ----------
+    half_track, wheelbase : float
+        From the middle to a wheel, and between the axles. [m]
+    r1, r2 : float
+        Of the wheels. [m]
+    steer_stop : float
+        Largest steering angle, either way. [rad]
+    mass, center_of_mass, wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If a length that must be positive is not.
+    """
+    _positive("ackermann", half_track=half_track, wheelbase=wheelbase)
+    turned = "atan2({0}*tan(steer), {0} {2} {1}*tan(steer))"
+    knuckles = tuple(
+        Joint(f"{side}_knuckle", "axle", "z", (way * half_track, 0.0, 0.0),
+              turned.format(repr(wheelbase), repr(half_track), "+" if way > 0 else "-"))
+        for side, way in SIDES.items()
+    )  # fmt: skip
+    return Vehicle(
+        "ackermann",
+        (
+            Coordinate("rock", "suspension", "rocking of the front axle, right side down positive"),
+            Coordinate("steer", "commanded", "steering angle in the middle of the front axle, "
+                       "left positive", -steer_stop, steer_stop),
+        ),
+        (Joint("axle", "platform", "y", (0.0, wheelbase, 0.0), "rock"), *knuckles),
+        (
+            *_pair("rear_", "platform", half_track, 0.0, r1, r2, mass=wheel_mass, grip=grip),
+            *(Wheel(f"front_{side}", f"{side}_knuckle", ORIGIN, r1, r2, driven=False,
+                    mass=wheel_mass, grip=grip) for side in SIDES),
+        ),
+        Body(mass, center_of_mass),
+    )  # fmt: skip
+
+
+def skid_steer(
+    *,
+    half_track: float = 0.3,
+    wheelbase: float = 0.5,
+    r1: float = 0.03,
+    r2: float = 0.12,
+    mass: float = 30.0,
+    center_of_mass: Vector = ORIGIN,
+    wheel_mass: float = 2.0,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return a cart with four driven wheels, those of the right side on a rocker.
+
+    Parameters
+    ----------
+    half_track, wheelbase : float
+        From the middle to a wheel, and between front and rear wheels. [m]
+    r1, r2 : float
+        Of the wheels. [m]
+    mass, center_of_mass, wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If a length that must be positive is not.
+    """
+    _positive("skid_steer", half_track=half_track, wheelbase=wheelbase)
+    wheels = tuple(
+        Wheel(f"{end}_{side}", *(("rocker", (0.0, y, 0.0)) if side == "right" else
+                                 ("platform", (-half_track, y, 0.0))), r1, r2,
+              driven=True, mass=wheel_mass, grip=grip)
+        for side in SIDES for end, y in (("front", wheelbase / 2), ("rear", -wheelbase / 2))
+    )  # fmt: skip
+    return Vehicle(
+        "skid_steer",
+        (Coordinate("rock", "suspension", "rocking of the right side, front up positive"),),
+        (Joint("rocker", "platform", "x", (half_track, 0.0, 0.0), "rock"),),
+        wheels,
+        Body(mass, center_of_mass),
+    )
+
+
+def articulated(
+    *,
+    half_track: float = 0.35,
+    front: float = 0.4,
+    rear: float = 0.4,
+    r1: float = 0.04,
+    r2: float = 0.16,
+    bend_stop: float = 0.7,
+    mass: float = 60.0,
+    center_of_mass: Vector = ORIGIN,
+    wheel_mass: float = 4.0,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return a loader bent by a driven joint between its halves, which also twist freely.
+
+    All four wheels are driven. The platform is the front half, its centre the middle of the front
+    axle.
+
+    Parameters
+    ----------
+    half_track, front, rear : float
+        From the middle to a wheel, and from the joint to the front and to the rear axle. [m]
+    r1, r2 : float
+        Of the wheels. [m]
+    bend_stop : float
+        Largest angle between the halves, either way. [rad]
+    mass, center_of_mass : float, tuple of 3 floats
+        Of each half; place in the half's frame, from the middle of its axle. [kg, m]
+    wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If a length that must be positive is not.
+    """
+    _positive("articulated", half_track=half_track, front=front, rear=rear)
+    x, y, z = center_of_mass
+    return Vehicle(
+        "articulated",
+        (
+            Coordinate("bend", "commanded", "angle of the rear half, left positive",
+                       -bend_stop, bend_stop),
+            Coordinate("twist", "suspension", "twist of the rear half, right side down positive"),
+        ),
+        (
+            Joint("hinge", "platform", "z", (0.0, -front, 0.0), "bend"),
+            Joint("rear_half", "hinge", "y", ORIGIN, "twist", body=Body(mass, (x, y - rear, z))),
+        ),
+        (
+            *_pair("front_", "platform", half_track, 0.0, r1, r2, mass=wheel_mass, grip=grip),
+            *_pair("rear_", "rear_half", half_track, -rear, r1, r2, mass=wheel_mass, grip=grip),
+        ),
+        Body(mass, center_of_mass),
+    )  # fmt: skip
+
+
+def _pair(
+    prefix: str, part: str, half_track: float, ahead: float, r1: float, r2: float, *,
+    mass: float, grip: float,
+) -> tuple[Wheel, ...]:  # fmt: skip
+    """Return driven wheels right and left of a part."""
+    return tuple(
+        Wheel(f"{prefix}{side}", part, (way * half_track, ahead, 0.0), r1, r2, driven=True,
+              mass=mass, grip=grip)
+        for side, way in SIDES.items()
+    )  # fmt: skip
+
+
+def _positive(name: str, **lengths: float) -> None:
+    for key, length in lengths.items():
+        if not 0 < length < inf:
+            raise ModelError(f"{name}: {key} must be a positive length, found {length} m")

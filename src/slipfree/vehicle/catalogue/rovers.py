@@ -1,0 +1,194 @@
+"""Vehicles of the catalogue beside the three-wheeler: carts, cars and rovers.
+
+The platform's axes are x right, y forward, z up. Masses are round figures; ``mass = 0`` and
+``wheel_mass = 0`` leave the kinematics alone.
+"""
+
+from __future__ import annotations
+
+from math import cos, radians, sin
+from typing import Literal, NamedTuple
+
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Vector
+from slipfree.vehicle.catalogue.carts import SIDES
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+
+class Station(NamedTuple):
+    """Where a pair of wheels of a rocker-bogie is, at rest on level ground. [m].
+
+    Attributes
+    ----------
+    half_track, ahead, above : float
+        Of the wheels' centres, from the platform's centre.
+    on_bogie : bool
+        Whether they are on the bogies, and not on the rockers.
+    steered : bool
+        Whether they steer, about a vertical axis through their centres.
+    """
+
+    half_track: float
+    ahead: float
+    above: float
+    on_bogie: bool
+    steered: bool
+
+
+def rocker_bogie(
+    name: str,
+    stations: dict[str, Station],
+    *,
+    differential: tuple[float, float],
+    bogie: tuple[float, float],
+    radius: float,
+    r1: float,
+    mass: float,
+    center_of_mass: Vector,
+    wheel_mass: float,
+    grip: float,
+) -> Vehicle:
+    """Return a rover on two rockers that a differential couples, each with a bogie.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    stations : dict of str to Station
+        Front, middle and rear wheels.
+    differential, bogie : tuple of 2 floats
+        Axes of the rockers on the platform, and of the bogies on the rockers: ahead and above, at
+        rest on level ground. [m]
+    radius, r1 : float
+        Of the wheels, and of their tubes. [m]
+    mass, center_of_mass, wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If a radius or a place is not one.
+    """
+    coordinates = [Coordinate("rocker", "suspension", "right rocker, front up positive; the left "
+                              "one turns the other way")]  # fmt: skip
+    joints, wheels = [], []
+    side_of = stations["middle"].half_track
+    for side, way in SIDES.items():
+        coordinates.append(Coordinate(f"bogie_{side}", "suspension", f"{side} bogie on its rocker, "
+                                      "front up positive"))  # fmt: skip
+        joints.append(Joint(f"rocker_{side}", "platform", "x", (way * side_of, *differential),
+                            "rocker" if way > 0 else "-rocker"))  # fmt: skip
+        arm = (0.0, bogie[0] - differential[0], bogie[1] - differential[1])
+        joints.append(Joint(f"bogie_{side}", f"rocker_{side}", "x", arm, f"bogie_{side}"))
+    for end, place in stations.items():
+        for side, way in SIDES.items():
+            carrier, (y, z) = ("bogie", bogie) if place.on_bogie else ("rocker", differential)
+            part = f"{carrier}_{side}"
+            at = (way * (place.half_track - side_of), place.ahead - y, place.above - z)
+            if place.steered:
+                steer = f"steer_{end}_{side}"
+                words = f"steering angle of the {side} {end} wheel, left positive"
+                coordinates.append(Coordinate(steer, "commanded", words))
+                joints.append(Joint(steer, part, "z", at, steer))
+                part, at = steer, ORIGIN
+            wheels.append(Wheel(f"{end}_{side}", part, at, r1, radius - r1, driven=True,
+                                mass=wheel_mass, grip=grip))  # fmt: skip
+    body = Body(mass, center_of_mass)
+    return Vehicle(name, tuple(coordinates), tuple(joints), tuple(wheels), body)
+
+
+def rocky7(
+    *,
+    steered: Literal["front", "corners"] = "front",
+    r1: float = 0.02,
+    mass: float = 10.0,
+    center_of_mass: Vector = (0.0, 0.12, 0.0),
+    wheel_mass: float = 0.5,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return the Rocky 7 rover of JPL [1]_, with the dimensions used by [2]_.
+
+    Six driven wheels of 65 mm radius; its front pair steers. The masses are rounded from the 15 kg
+    of the whole rover, the platform's centre of mass lies on the rockers' axis.
+
+    Parameters
+    ----------
+    steered : {"front", "corners"}
+        As built, or with the rear pair steered too.
+    r1 : float
+        Radius of the wheels' tubes; zero for discs. [m]
+    mass, center_of_mass, wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If ``steered`` is not known or a number is not allowed.
+
+    References
+    ----------
+    .. [1] R. Volpe et al., "Rocky 7: a next generation Mars rover prototype", Advanced Robotics
+           11(4), 1997.
+    .. [2] M. Tarokh and G. McDermott, "Kinematics modeling and analyses of articulated rovers",
+           IEEE Transactions on Robotics 21(4), 2005; as in the vehicle file of wmrde
+           (N. Seegmiller).
+    """
+    if steered not in ("front", "corners"):
+        raise ModelError(f"rocky7: steered must be 'front' or 'corners', found {steered!r}")
+    ahead, above, down, half_track = 0.12075, 0.105, 0.125, 0.2
+    arm, angle, half, drop = 0.16, radians(49), 0.069, 0.02
+    bogie = (ahead - arm * sin(angle), above - arm * cos(angle))
+    axles = bogie[1] - drop
+    corners = steered == "corners"
+    stations = {
+        "front": Station(half_track, ahead + 0.288, above - down, on_bogie=False, steered=True),
+        "middle": Station(half_track, bogie[0] + half, axles, on_bogie=True, steered=False),
+        "rear": Station(half_track, bogie[0] - half, axles, on_bogie=True, steered=corners),
+    }
+    return rocker_bogie("rocky7", stations, differential=(ahead, above), bogie=bogie, radius=0.065,
+                        r1=r1, mass=mass, center_of_mass=center_of_mass, wheel_mass=wheel_mass,
+                        grip=grip)  # fmt: skip
+
+
+def open_source_rover(
+    *,
+    r1: float = 0.02,
+    mass: float = 7.0,
+    center_of_mass: Vector = ORIGIN,
+    wheel_mass: float = 0.8,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return the JPL Open Source Rover [1]_, whose bogies carry the front wheels.
+
+    Six driven wheels of 75 mm radius, the four at the corners steered. Wheels in plan are those of
+    its configuration file, pivots those of its simulation model, both rounded to 5 mm where they
+    differ. The platform's centre is above the middle axle, at the height of the rockers' axis.
+
+    Parameters
+    ----------
+    r1 : float
+        Radius of the wheels' tubes. [m]
+    mass, center_of_mass, wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If a number is not allowed.
+
+    References
+    ----------
+    .. [1] NASA JPL, github.com/nasa-jpl/osr-rover-code, ``physical_properties.yaml`` (d1 to d4,
+           wheel_radius) and ``osr.urdf.xacro`` (heights and pivots). Apache-2.0.
+    """
+    axles = -0.185
+    stations = {
+        "front": Station(0.184, 0.267, axles, on_bogie=True, steered=True),
+        "middle": Station(0.2556, 0.0, axles, on_bogie=True, steered=False),
+        "rear": Station(0.184, -0.267, axles, on_bogie=False, steered=True),
+    }
+    return rocker_bogie("open_source_rover", stations, differential=(-0.02, 0.0),
+                        bogie=(0.095, axles + 0.095), radius=0.075, r1=r1, mass=mass,
+                        center_of_mass=center_of_mass, wheel_mass=wheel_mass,
+                        grip=grip)  # fmt: skip

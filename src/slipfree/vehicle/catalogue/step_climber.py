@@ -1,0 +1,96 @@
+"""The seven-wheeled step climber of the catalogue, which is symmetric in its plane."""
+
+from __future__ import annotations
+
+from math import inf
+
+from slipfree.errors import ModelError
+from slipfree.geometry.frame import Axis, Vector
+from slipfree.vehicle.catalogue.carts import SIDES, _positive
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import ORIGIN, Wheel
+
+
+def seven_wheels(
+    *,
+    joint: float = 0.0,
+    half_track: float = 0.235,
+    stiffness: float = 2e3,
+    preload: float = 20.0,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return the step climber of Chugo et al. [1]_ on seven driven wheels with free rollers.
+
+    The platform is the rear body, its centre the middle wheel's. Pairs of wheels roll forward at
+    the rear and at the front, one in the middle; between each pair one rolls sideways. The front
+    body pitches and rolls on two passive joints. So there are seven contacts, but five freedoms for
+    the ground to decide: rigid, the vehicle stands only where its axles' wheels happen to find the
+    ground at one height, as where that varies forward alone. Here the wheels that roll sideways are
+    pressed down by springs, and it stands anywhere.
+
+    Radii, spacings and masses are the paper's, the masses with their wheels. What its text leaves
+    open is assumed: the track from its width, wheels between pairs on their axle, centres of mass
+    in the middle of bodies whose ends are flush with the tyres, 50 mm above the axles.
+
+    Parameters
+    ----------
+    joint : float
+        How far the joints are ahead of the middle wheel. [m]
+    half_track : float
+        From the middle to a wheel of a pair. [m]
+    stiffness, preload : float
+        Of the springs, and their force on level ground. [N/m, N]
+    grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If the springs are not, or a number is not allowed.
+
+    References
+    ----------
+    .. [1] D. Chugo et al., "Body configuration and control reference of a wheeled vehicle with
+           passive linkages", 2009: table I and figures 1 and 8.
+    """
+    _positive("seven_wheels", half_track=half_track)
+    if not 0 < stiffness < inf:
+        raise ModelError(
+            "seven_wheels: seven rigid contacts are too many for five freedoms; expected springs "
+            f"with a positive stiffness, found {stiffness} N/m"
+        )
+    radius, behind, ahead, lengths, above = 0.066, 0.215, 0.255, (0.400, 0.195), 0.05
+    pressed = [Coordinate(f"press_{end}", "suspension",
+                          f"height of the wheel between the {end} pair on its springs",
+                          stiffness=stiffness, rest=-preload / stiffness)
+               for end in ("rear", "front")]  # fmt: skip
+    middles = (-behind - radius + lengths[0] / 2, ahead - joint + radius - lengths[1] / 2)
+
+    def wheel(name: str, part: str, at: Vector, axle: Axis = "x") -> Wheel:
+        return Wheel(name, part, at, 0.0, radius, driven=True, grip=grip, axle=axle, rollers=True)
+
+    pairs = [wheel(f"{end}_{side}", part, (way * half_track, y, 0.0))
+             for end, part, y in (("rear", "platform", -behind), ("front", "twist", ahead - joint))
+             for side, way in SIDES.items()]  # fmt: skip
+    return Vehicle(
+        "seven_wheels",
+        (
+            Coordinate("pitch_joint", "suspension", "pitch of the front body, nose up positive"),
+            Coordinate("roll_joint", "suspension", "roll of the front body, right side down "
+                       "positive"),
+            *pressed,
+        ),
+        (
+            Joint("hinge", "platform", "x", (0.0, joint, 0.0), "pitch_joint"),
+            Joint("twist", "hinge", "y", ORIGIN, "roll_joint",
+                  body=Body(7.8, (0.0, middles[1], above))),
+            Joint("rear_press", "platform", "z", (0.0, -behind, 0.0), "press_rear", "slide"),
+            Joint("front_press", "twist", "z", (0.0, ahead - joint, 0.0), "press_front", "slide"),
+        ),
+        (
+            *pairs[:2], wheel("rear_across", "rear_press", ORIGIN, (0.0, -1.0, 0.0)),
+            wheel("middle", "platform", ORIGIN),
+            *pairs[2:], wheel("front_across", "front_press", ORIGIN, "y"),
+        ),
+        Body(13.8, (0.0, middles[0], above)),
+    )  # fmt: skip

@@ -1,0 +1,170 @@
+"""Vehicles that come with the package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import inf
+from typing import Literal, get_args
+
+from slipfree.errors import ModelError
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
+Ends = tuple[tuple[Coordinate, ...], tuple[Joint, ...]]
+HERE = (0.0, 0.0, 0.0)
+UPRIGHT = 1.5  # tilt beyond which a wheel lies on its side [rad]
+
+
+def three_wheeler(
+    *,
+    axle: Axle = "tilting",
+    half_track: float = 1.0,
+    wheelbase: float = 1.5,
+    r1: float = 0.05,
+    r2: float = 0.25,
+    tilt_stop: float = UPRIGHT,
+    slide_stop: float = inf,
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+    bump: float = 0.0,
+    mass: float = 30.0,
+    center_of_mass: tuple[float, float, float] = HERE,
+    wheel_mass: float = 2.0,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return the three-wheeler of Chakraborty and Ghosal [1]_, or one with another rear axle.
+
+    Two rear wheels and one free front wheel that is steered. The platform's centre lies on the
+    centre line, a third of the wheelbase ahead of the rear axle, at the height of the wheel
+    centres. The defaults are the paper's vehicle; the other axles are those it compares with.
+
+    Parameters
+    ----------
+    axle : str
+        ``"tilting"``: both rear wheels are driven and tilt freely about their forward axes;
+        ``"sliding"``: both driven, each half of the axle slides freely;
+        ``"prismatic"``: both driven, the right half slides freely;
+        ``"prismatic_undriven"``: the same, with the right wheel free;
+        ``"actuated"``: both driven, the rate of the right half's sliding is an input;
+        ``"fixed"``: both driven, rigid.
+    half_track : float
+        Half the length of the rear axle, ``l_a``. [m]
+    wheelbase : float
+        Distance from the middle of the axle to the centre of the front wheel, ``l_s``. [m]
+    r1, r2 : float
+        Radius of the wheels' tube, zero for discs, and of the circle of tube centres. [m]
+    tilt_stop, slide_stop : float
+        Largest lateral tilt, and largest sliding of half an axle, either way. [rad, m]
+    stiffness, damping, bump : float
+        Of a spring and a damper in every free joint of the axle, and of its stops (zero: rigid).
+        A tilt is an inverted pendulum: only a spring stiffer than the load on the wheel times
+        ``r2`` holds it upright; where rates force a tilt, a stiffer one needs more friction.
+        [N m/rad or N/m, and the same times s]
+    mass, center_of_mass : float, tuple of 3 floats
+        Of the platform, in its frame. The paper gives none. [kg, m]
+    wheel_mass, grip : float
+        Of every wheel: its mass [kg], and what its tread makes of the ground's friction [1].
+
+    Raises
+    ------
+    ModelError
+        If a length is not positive or the axle is not known.
+
+    References
+    ----------
+    .. [1] N. Chakraborty and A. Ghosal, "Kinematics of wheeled mobile robots on uneven terrain",
+           sections 3 and 4.
+    """
+    for key, length in (("half_track", half_track), ("wheelbase", wheelbase)):
+        if not 0 < length < inf:
+            raise ModelError(f"three_wheeler: {key} must be a positive length, found {length} m")
+    if axle not in get_args(Axle):
+        raise ModelError(
+            f"three_wheeler: axle must be one of {', '.join(get_args(Axle))}, found {axle!r}"
+        )
+    rear, front = -wheelbase / 3, 2 * wheelbase / 3
+    ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
+    coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
+    coordinates = _loaded(axle, coordinates, stiffness, damping, bump)
+    steer = Coordinate("steer", "commanded", "steering angle of the front wheel, left positive")
+    return Vehicle(
+        "three_wheeler" if axle == "tilting" else f"three_wheeler with {axle} axle",
+        coordinates=(*coordinates, steer),
+        joints=(*joints, Joint("fork", "platform", "z", (0.0, front, 0.0), "steer")),
+        wheels=tuple(
+            Wheel(name, parent, at, r1, r2, driven=drives, grip=grip, mass=wheel_mass)
+            for name, parent, at, drives in _wheels(axle, ends, joints)
+        ),
+        body=Body(mass, center_of_mass),
+    )
+
+
+def _wheels(
+    axle: Axle, ends: dict[str, tuple[float, float, float]], joints: tuple[Joint, ...]
+) -> Iterator[tuple[str, str, tuple[float, float, float], bool]]:
+    """Yield name, carrier and place of the wheels, and whether they are driven."""
+    hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
+    for side, at in ends.items():
+        drives = not (axle == "prismatic_undriven" and side == "right")
+        yield side, hubs.get(side, "platform"), HERE if side in hubs else at, drives
+    yield "front", "fork", HERE, False
+
+
+def _loaded(
+    axle: Axle, coordinates: tuple[Coordinate, ...], stiffness: float, damping: float, bump: float
+) -> tuple[Coordinate, ...]:
+    """Return the coordinates of an axle with what acts on them."""
+    if not any((stiffness, damping, bump)):
+        return coordinates
+    if not any(c.kind == "passive" for c in coordinates):
+        raise ModelError(
+            f"three_wheeler: the {axle} axle has no free joint for a spring, damper or elastic stop"
+        )
+    return tuple(replace(c, stiffness=stiffness, damping=damping, bump=bump) for c in coordinates)
+
+
+def _rear(
+    axle: Axle,
+    ends: dict[str, tuple[float, float, float]],
+    tilt_stop: float,
+    slide_stop: float,
+) -> Ends:
+    """Return the coordinates and joints of a rear axle with ends at the given places."""
+    if axle == "fixed":
+        return (), ()
+    if axle == "tilting":
+        return (
+            tuple(
+                Coordinate(
+                    f"tilt_{side}",
+                    "passive",
+                    f"lateral tilt of the {side} rear wheel",
+                    -tilt_stop,
+                    tilt_stop,
+                )
+                for side in ends
+            ),
+            tuple(
+                Joint(f"{side}_hub", "platform", "y", at, f"tilt_{side}")
+                for side, at in ends.items()
+            ),
+        )
+    sides = tuple(ends) if axle == "sliding" else ("right",)
+    return (
+        tuple(
+            Coordinate(
+                f"slide_{side}",
+                "commanded" if axle == "actuated" else "passive",
+                f"sliding of the {side} half of the axle to the right",
+                -slide_stop,
+                slide_stop,
+            )
+            for side in sides
+        ),
+        tuple(
+            Joint(f"{side}_half", "platform", "x", ends[side], f"slide_{side}", "slide")
+            for side in sides
+        ),
+    )

@@ -1,0 +1,335 @@
+"""The command line: what it prints and leaves behind, and its exit codes."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import slipfree
+from helpers.problem_files import PROBLEM
+from slipfree.cli import app
+from slipfree.errors import SolverError
+from slipfree.files import netcdf
+from slipfree.problem import solve as runner
+from slipfree.trajectory import Stop
+
+STARTERS = Path(slipfree.__file__).parent / "starters"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PROBLEM, encoding="utf-8")
+    return tmp_path
+
+
+def _invoke(*words: str) -> Any:
+    return CliRunner().invoke(app, list(words))
+
+
+def _refused(*words: str) -> str:
+    """Return what a command that must fail for bad input says on stderr."""
+    result = _invoke(*words)
+    assert result.exit_code == 2, result.output
+    assert "Traceback" not in result.output
+    return result.stderr
+
+
+def _broken(name: str, monkeypatch: pytest.MonkeyPatch, raised: BaseException) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise raised
+
+    monkeypatch.setattr(runner, name, fail)
+
+
+def test_run_writes_the_result_and_draws(folder: Path) -> None:
+    result = _invoke("run", "p.toml")
+    assert result.exit_code == 0, result.output
+    for words in (
+        "ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end place ",
+        "a lower bound, not a prediction", "wheel front", "closure residual", "x the tolerance",
+        "certificate  ", "; a sample every ", "steps, ", "reached the time asked for", "wrote p.nc",
+    ):  # fmt: skip
+        assert words in result.stdout, words
+    motion = netcdf.read("p.nc")
+    assert motion.t[-1] == 0.5
+    assert motion["y"][-1] == pytest.approx(0.5, abs=1e-6)
+    assert motion.attributes["problem"] == PROBLEM
+    assert list((folder / "p_figures").iterdir())
+
+
+def test_run_with_all_options(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(  # drawn above; here it is their place that matters
+        "matplotlib.figure.Figure.savefig", lambda _, file, **__: Path(file).touch()
+    )
+    words = ["-o", "a.nc", "--csv", "a.csv", "--figures", "deep/er", "--set", "time.duration=0.2"]
+    result = _invoke("run", "p.toml", *words)
+    assert result.exit_code == 0, result.output
+    assert {p.name for p in folder.iterdir()} == {"p.toml", "a.nc", "a.csv", "deep"}
+    assert list((folder / "deep" / "er").iterdir())
+    assert (folder / "a.csv").read_text().startswith("time (s),x (m),")
+    assert netcdf.read("a.nc").attributes["settings"] == "time.duration=0.2"
+
+
+def test_the_problem_names_the_result(folder: Path) -> None:
+    assert _invoke("run", "p.toml", "--no-draw", "--set", "output.file=b.nc").exit_code == 0
+    assert {p.name for p in folder.iterdir()} == {"p.toml", "b.nc"}
+
+
+def test_leaving_the_map_saves_the_motion_to_the_edge(folder: Path) -> None:
+    result = _invoke("run", "p.toml", "--no-draw", "--set", "time.duration=3")
+    assert result.exit_code == 1
+    assert "wheel front leaves the map" in result.stderr
+    assert "stopped early" in result.stdout
+    motion = netcdf.read(folder / "p.nc")
+    assert motion.stop is not None
+    assert motion.stop.name == "map_margin[front]"
+    assert motion.stop.t == pytest.approx(1.25, abs=1e-5)
+    assert motion.t[-1] == pytest.approx(1.25, abs=1e-5)
+
+
+def test_a_failing_integrator_saves_what_was_reached(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _invoke("run", "p.toml", "--no-draw")
+    reached = netcdf.read("p.nc").part(slice(3), Stop("solver", 0.2, "gave up"))
+    _broken("simulate", monkeypatch, SolverError("gave up", replace(reached, attributes={})))
+    result = _invoke("run", "p.toml", "--no-draw", "-o", "q.nc")
+    assert result.exit_code == 1
+    assert "stopped early at t = 0.2 s: gave up; q.nc holds the motion to there" in result.stderr
+    found = netcdf.read(folder / "q.nc")
+    assert found.t.size == 3
+    assert found.attributes["title"] == "Überfahrt"
+
+
+def test_a_failure_without_a_motion(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _broken("simulate", monkeypatch, SolverError("nothing at all"))
+    result = _invoke("run", "p.toml", "--no-draw")
+    assert (result.exit_code, result.stderr) == (1, "nothing at all\n")
+    assert not (folder / "p.nc").exists()
+
+
+@pytest.mark.usefixtures("folder")
+def test_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    _broken("simulate", monkeypatch, KeyboardInterrupt())
+    result = _invoke("run", "p.toml", "--no-draw")
+    assert (result.exit_code, result.stderr) == (130, "interrupted\n")
+
+
+@pytest.mark.usefixtures("folder")
+def test_check() -> None:
+    result = _invoke("check", "p.toml")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.endswith("ok\n")
+    assert "driver straight" in result.stdout
+    assert "z 0.3" in result.stdout
+    assert "clean: no second place where the ground comes near, relative" in result.stdout
+    assert "a sample every" not in result.stdout  # there is but one
+    assert re.search(r"^samples +6 to 0.5 s$", result.stdout, re.MULTILINE)
+
+
+def test_check_announces_no_number_of_samples_of_a_plan(folder: Path) -> None:
+    (folder / "plan.toml").write_bytes((STARTERS / "plan.toml").read_bytes())
+    result = _invoke("check", "plan.toml")
+    assert result.exit_code == 0, result.output
+    assert "0.1 s apart or less, as the intervals of the plan need" in result.stdout
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("command", ["run", "check", "compare"])
+def test_a_result_is_no_problem(command: str) -> None:
+    _invoke("run", "p.toml", "--no-draw")
+    told = _refused(command, "p.nc")
+    assert told.startswith("p.nc: expected a problem file, found a result; slipfree info and")
+
+
+@pytest.mark.usefixtures("folder")
+def test_friction_used_is_told_where_there_is_friction() -> None:
+    _invoke("run", "p.toml", "--no-draw")
+    rows = [line.split()[0] for line in _invoke("info", "p.nc").stdout.splitlines() if line]
+    assert ("friction_needed" in rows, "utilisation" in rows) == (True, False)
+    _invoke("run", "p.toml", "--no-draw", "--set", "terrain.friction=0.8")
+    rows = [line.split()[0] for line in _invoke("info", "p.nc").stdout.splitlines() if line]
+    assert ("friction_needed" in rows, "utilisation" in rows) == (True, True)
+
+
+def test_info(folder: Path) -> None:
+    _invoke("run", "p.toml", "--no-draw")
+    result = _invoke("info", "p.nc")
+    assert result.exit_code == 0, result.output
+    for words in ("Überfahrt", f"slipfree version       {slipfree.__version__}", "slip_along "):
+        assert words in result.stdout
+    assert PROBLEM not in result.stdout
+    assert _invoke("info", "p.nc", "--problem").stdout == PROBLEM
+    bare = netcdf.read("p.nc")
+    kept = {k: v for k, v in bare.attributes.items() if k != "problem"}
+    netcdf.write(folder / "bare.nc", replace(bare, attributes=kept))
+    assert "bare.nc: holds no problem file" in _refused("info", "bare.nc", "--problem")
+
+
+def test_info_of_files_that_are_no_results(folder: Path) -> None:
+    assert "no.nc: expected a result file" in _refused("info", "no.nc")
+    assert "p.toml: expected a result file of slipfree, found a file that" in _refused(
+        "info", "p.toml"
+    )
+    _invoke("run", "p.toml", "--no-draw")
+    (folder / "cut.nc").write_bytes((folder / "p.nc").read_bytes()[:-1])
+    assert "the file is truncated; run the problem again" in _refused("info", "cut.nc")
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("command", ["run", "check"])
+def test_bad_problems(command: str) -> None:
+    assert _refused(command, "no.toml").startswith("no.toml: expected a problem file")
+    settings = ["--set", "time.step=0", "--set", "solver.tol=1"]
+    assert _refused(command, "p.toml", *settings).splitlines() == [
+        "--set time.step: expected a number greater than 0, found 0",
+        "--set solver.tol: expected one of tolerance, compiled, found the unknown key 'tol'",
+    ]
+    assert "p.toml:12: start: " in _refused(command, "p.toml", "--set", "start.x=9")
+    assert "--set bad: expected key=value" in _refused(command, "p.toml", "--set", "bad")
+
+
+@pytest.mark.usefixtures("folder")
+def test_usage_errors() -> None:
+    assert _invoke().exit_code == 2
+    assert "No such option" in _refused("run", "p.toml", "--frob")
+    assert "Missing argument" in _refused("run")
+    assert "No such command" in _refused("walk")
+
+
+def test_places_are_checked_before_anything_is_computed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _broken("build", monkeypatch, AssertionError("must not be reached"))
+    assert "no/a.nc: expected a folder no" in _refused("run", "p.toml", "-o", "no/a.nc")
+    assert "expected a folder no" in _refused("run", "p.toml", "--csv", "no/a.csv")
+    assert "expected the name of a file" in _refused("run", "p.toml", "-o", str(folder))
+    assert "p.toml: expected a folder for figures" in _refused(
+        "run", "p.toml", "--figures", "p.toml"
+    )
+    monkeypatch.setattr(os, "access", lambda path, _: Path(path).suffix == ".toml")
+    assert "that may be written to" in _refused("run", "p.toml")
+
+
+def test_help_needs_no_heavy_imports() -> None:
+    code = (
+        "import sys, slipfree\n"
+        "heavy = {'pydantic', 'typer', 'rich', 'matplotlib', 'pandas', 'xarray'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+        "from slipfree.cli import main\n"
+        "sys.argv = ['slipfree', '--help']\n"
+        "try:\n    main()\n"
+        "except SystemExit as end:\n    assert end.code in (0, None)\n"
+        "heavy -= {'typer', 'rich'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    found = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
+    assert "check" in found.stdout
+
+
+def test_as_a_module(folder: Path) -> None:
+    def call(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "slipfree", *words]
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+    assert call("--version").stdout == f"slipfree {slipfree.__version__}\n"
+    result = call("run", "p.toml", "--no-draw", "--set", "time.duration=3")
+    assert result.returncode == 1
+    assert "\x1b" not in result.stdout + result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert call("run", "p.toml", "--set", "verb=plan").returncode == 2
+
+
+def test_progress_is_throttled(monkeypatch: pytest.MonkeyPatch) -> None:
+    from slipfree.cli import common
+
+    clock = iter(np.arange(1.0, 2.0, 0.04))
+    monkeypatch.setattr(common.time, "monotonic", lambda: next(clock))
+    shown: list[float] = []
+    show = common.throttled(shown.append)
+    for t in range(10):
+        show(t)
+    assert shown == [0, 3, 6, 9]
+
+
+@pytest.mark.usefixtures("folder")
+def test_vehicle_counts_unknowns_and_equations() -> None:
+    result = _invoke("vehicle", "p.toml")
+    assert result.exit_code == 0
+    assert "right_hub: turns about y by tilt_right (passive)" in result.stdout
+    assert "3: right_rate, left_rate, steer_rate" in result.stdout
+    assert "9: z, roll, pitch, contact_x[right]" in result.stdout
+    assert "it can roll without slip" in result.stdout
+    fixed = _invoke("vehicle", "p.toml", "--set", "vehicle.axle=fixed")
+    assert "too few by 2: it slips the least it can" in fixed.stdout
+    halves = _invoke("vehicle", "p.toml", "--set", "vehicle.axle=sliding")
+    assert "right_half: slides along x by slide_right (passive)" in halves.stdout
+
+
+@pytest.mark.usefixtures("folder")
+def test_formulations_agree_at_the_shell() -> None:
+    result = _invoke("run", "p.toml", "--no-draw", "--cross-check", "--set", "time.duration=0.5")
+    assert result.exit_code == 0
+    assert "largest differences from formulation = 'montana'" in result.stdout
+    montana = _invoke("run", "p.toml", "--no-draw", "--set", "formulation=montana",
+                      "--set", "time.duration=0.5")  # fmt: skip
+    assert montana.exit_code == 0
+    assert "drift of the assembly" in montana.stdout
+
+
+def test_path_from_a_file(folder: Path) -> None:
+    law = ["--set", 'driver={name="follow", speed=0.2, file="way.csv"}']
+    (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0,1.0\n")
+    result = _invoke("check", "p.toml", *law)
+    assert result.exit_code == 0, result.stderr
+    (folder / "way.csv").write_text("x,y\n0.0,0.0\n0.0;1.0\n")
+    result = _invoke("check", "p.toml", *law)
+    assert result.exit_code == 2
+    assert "way.csv:3: expected two numbers x,y, found '0.0;1.0'" in result.stderr
+    for wrong, words in (
+        ('driver={name="follow", speed=0.2}', "'follow' needs either path"),
+        ('driver={name="follow", speed=0.2, file="no.csv"}', "found that it cannot be read"),
+        ('driver={name="straight", speed=0.2, file="way.csv"}', "'straight' takes no path"),
+    ):
+        result = _invoke("check", "p.toml", "--set", wrong)
+        assert result.exit_code == 2
+        assert words in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        (["-o", "p.toml"], "p.toml: expected a file of its own, found the problem file"),
+        (["-o", "a.nc", "--csv", "a.nc"], "a.nc: expected a file of its own, found another output"),
+        (["-o", "a.nc", "--figures", "p.toml"], "p.toml: expected a folder for figures"),
+    ],
+)
+def test_outputs_do_not_replace_inputs(folder: Path, places: list[str], words: str) -> None:
+    before = (folder / "p.toml").read_text()
+    result = _invoke("run", "p.toml", *places)
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert (folder / "p.toml").read_text() == before
+
+
+def test_info_of_a_start_alone(folder: Path) -> None:
+    dae = slipfree.direct_kinematics(
+        slipfree.three_wheeler(), slipfree.Analytic(lambda x, _: 0 * x)
+    )
+    netcdf.write(folder / "start.nc", slipfree.settle(dae))
+    result = _invoke("info", "start.nc")
+    assert result.exit_code == 0
+    assert "not used" in result.stdout

@@ -1,0 +1,176 @@
+"""The axles that the paper compares: which can roll, and what the others slip."""
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from helpers.cases import hills
+from slipfree import (
+    Analytic,
+    ModelError,
+    direct_kinematics,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
+from slipfree.cli import app
+from slipfree.models.slip import measured_slip
+from slipfree.problem.compare import compare
+from slipfree.problem.load import read_as
+from slipfree.problem.schema import Compare
+
+FILE = Path(__file__).parents[2] / "problems" / "compare_axles.toml"
+CAN_ROLL = ("tilting", "sliding", "prismatic_undriven")
+FREEDOMS = {
+    "tilting": 9,
+    "sliding": 9,
+    "prismatic_undriven": 9,
+    "prismatic": 8,
+    "actuated": 7,
+    "fixed": 7,
+}
+
+
+@pytest.fixture(scope="module")
+def rows():
+    problem = read_as(Compare, FILE, ["time.duration=2.0"])
+    return {row.name: row for row in compare(problem, lambda _: None)[1]}
+
+
+def test_all_twelve_are_there(rows):
+    assert len(rows) == 12
+
+
+def test_rank_says_who_can_roll(rows):
+    for name, row in rows.items():
+        slips = [max(d.along.max(), d.across.max()) for d in (row.same, row.fitting)]
+        if row.rank == row.conditions:
+            assert max(slips) < 1e-12, name
+            assert row.same.measured.max() < 1e-7, name
+            assert row.fitting.measured.max() < 1e-7, name
+        else:
+            assert min(slips) > 1e-5, name
+
+
+def test_slip_measured_on_poses_is_that_of_the_model(rows):
+    for name, row in rows.items():
+        for drive in (row.same, row.fitting):
+            model = np.hypot(drive.along, drive.across)
+            # the largest along and across need not meet at one time
+            assert (drive.measured <= model * (1 + 1e-6) + 1e-7).all(), name
+            largest = np.maximum(drive.along, drive.across)
+            # the first two samples, where slip may be largest, cannot be measured
+            assert (drive.measured >= largest * (1 - 5e-3) - 1e-7).all(), name
+
+
+def test_rates_that_fit_slip_less(rows):
+    for row in rows.values():
+        if row.rank < row.conditions:
+            assert row.fitting.measured.max() < row.same.measured.max() / 5
+
+
+@pytest.mark.parametrize("axle", FREEDOMS)
+def test_slip_jacobian_has_the_counted_rank(axle):
+    """9 conditions; 6 rates of the platform, and the passive joints and free wheels."""
+    vehicle = three_wheeler(axle=axle)
+    free = sum(not wheel.driven for wheel in vehicle.wheels)
+    assert 6 + len(vehicle.of("passive")) + free == FREEDOMS[axle]
+    ground = Analytic(hills)
+    if axle in CAN_ROLL:
+        dae = direct_kinematics(vehicle, ground, slip="rolling")
+        start = settle(dae, heading=0.2)
+        law = straight(dae, vehicle, start, speed=0.1)
+        run = simulate(dae, start, law, np.linspace(0, 2, 5))
+        assert run["no_slip_residual"].max() < 1e-13
+    else:
+        with pytest.raises(ModelError, match="cannot be made to roll"):
+            direct_kinematics(vehicle, ground, slip="rolling")
+
+
+def test_measured_slip_needs_even_samples():
+    dae = direct_kinematics(three_wheeler(), Analytic(hills))
+    start = settle(dae)
+    rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
+    for t in ([0.0, 0.1, 0.2], [0.0, 0.1, 0.2, 0.3, 0.5]):
+        run = simulate(dae, start, rates, np.array(t))
+        with pytest.raises(ModelError, match="five or more evenly spaced"):
+            measured_slip(three_wheeler(), run)
+
+
+def axle_mismatch(run, rates):
+    """Return the least slip of the two rear wheels alone, on a rigid axle, at given rates.
+
+    A rigid axle with spinning wheels: 6 rates of the axle, 6 conditions, one of which is
+    redundant (it may turn about the line of contacts), so one condition on the rates is left.
+    """
+    heading, roll = run["heading"][0], run["roll"][0]
+    axle = np.array([
+        np.cos(heading) * np.cos(roll), np.sin(heading) * np.cos(roll), -np.sin(roll)
+    ])  # fmt: skip
+    rows, spin = [], []
+    for wheel, rate in zip(("right", "left"), rates, strict=True):
+        contact = np.array([run[f"contact_{a}", wheel][0] for a in "xyz"])
+        arm = contact - [run[f"center_{a}", wheel][0] for a in "xyz"]
+        x, y, z = contact - [run[a][0] for a in "xyz"]
+        rows.append(np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
+        spin.append(rate * np.cross(axle, arm))
+    matrix, right = np.vstack(rows), np.concatenate(spin)
+    return np.abs(matrix @ np.linalg.lstsq(matrix, right, rcond=1e-10)[0] - right).max()
+
+
+def test_no_slip_conditions_of_a_rigid_axle():
+    """Cited by the paper: equal rates, or the line of contacts coplanar with the axle."""
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    uneven = settle(dae, x=0.3, y=0.4, heading=0.5)
+    assert axle_mismatch(uneven, (0.5, 0.5)) < 1e-15  # equal rates: never any slip
+    assert axle_mismatch(uneven, (0.5, 0.4)) > 1e-5  # different rates, generic ground
+    ridge = Analytic(lambda x, y: 0.2 * ca.cos(0.8 * y) + 0.05 * x)
+    dae = direct_kinematics(three_wheeler(axle="fixed"), ridge)
+    coplanar = settle(dae, heading=0.0, y=0.7)  # both rear wheels meet the same slope
+    assert axle_mismatch(coplanar, (0.5, 0.4)) < 1e-12
+
+
+def test_unknown_axle_is_refused():
+    with pytest.raises(ModelError, match=r"axle must be one of tilting, .*, found 'bent'"):
+        three_wheeler(axle="bent")
+
+
+def test_command_prints_the_table():
+    short = ["--set", "time.duration=0.4", "--set", "time.step=0.05", "--set", "solver={}"]
+    result = CliRunner().invoke(app, ["compare", str(FILE), *short])
+    assert result.exit_code == 0, result.output
+    assert "tilting, torus                                  9/9" in result.stdout
+    assert "fixed, disc                                     7/9" in result.stdout
+
+
+def test_command_wants_a_comparison():
+    other = FILE.with_name("paper_direct.toml")
+    result = CliRunner().invoke(app, ["compare", str(other)])
+    assert result.exit_code == 2
+    assert "verb: expected 'compare' for this command, found 'direct'" in result.stderr
+
+
+def test_faults_of_a_vehicle_are_located(tmp_path):
+    text = FILE.read_text().replace('axle = "fixed"', 'axle = "stiff"', 1)
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    result = CliRunner().invoke(app, ["compare", str(path)])
+    line = text[: text.index('"stiff"')].count("\n") + 1
+    assert result.exit_code == 2
+    assert f"c.toml:{line}: vehicles[10].axle: expected" in result.stderr
+
+
+def test_rates_hold_for_every_sample_of_a_run():
+    """Measured slip of a slipping vehicle equals the model's at every sample, by components."""
+    vehicle = three_wheeler(axle="fixed")
+    dae = direct_kinematics(vehicle, Analytic(hills))
+    rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
+    run = simulate(dae, settle(dae), rates, np.linspace(0, 2, 101), tolerance=1e-11)
+    size = np.linalg.norm(measured_slip(vehicle, run), axis=2)
+    expected = np.hypot(run["slip_along"], run["slip_across"])[2:-2]
+    assert_allclose(size, expected, rtol=0, atol=1e-7)

@@ -1,0 +1,121 @@
+"""What is said about a vehicle: of its file, of a problem, and of what is no vehicle yet."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from helpers.cases import DATA
+from slipfree import Analytic, direct_kinematics, settle
+from slipfree.cli import app
+from slipfree.problem.build_vehicle import read_vehicle
+from slipfree.problem.vehicle_report import conditioning, describe, tree
+from slipfree.vehicle.catalogue.carts import ackermann, differential_drive, skid_steer
+from slipfree.vehicle.catalogue.rovers import rocky7
+
+
+def facts(found):
+    return dict(found.facts)
+
+
+def test_a_vehicle_file_by_itself():
+    found = describe(DATA / "cart.toml")
+    assert not found.faults
+    assert found.tree == [
+        "cart, in axes x right, y forward, z up",
+        "platform: 12 kg, centre of mass at (0, 0.1, 0.05) m",
+        "  bracket: rigid",
+        "    caster: turns about z by caster (passive)",
+        "      wheel caster_axle: free, r1 0.02, r2 0.08 m",
+        "  wheel left_drive: driven, r1 0.02, r2 0.13 m, 1.5 kg",
+        "  wheel right_drive: driven, r1 0.02, r2 0.13 m, 1.5 kg",
+    ]
+    assert facts(found)["inputs"] == "2: left_drive_rate, right_drive_rate"
+    assert facts(found)["suspension"] == "0 of 0 needed"
+    assert facts(found)["condition of rates"].endswith("at the start, weakest in caster_rate")
+    notes = [words for name, words in found.facts if name == "vehicle file"]
+    assert notes[0] == "left out, since they carry no wheel and no mass: lidar_mount"
+    assert notes[1].startswith("wheel right_drive: its rate is positive forward here")
+
+
+def test_a_urdf_by_itself_is_drawn_with_what_it_lacks():
+    found = describe(DATA / "cart.urdf")
+    assert "    caster: turns about z by caster (not said what decides it)" in found.tree
+    where = [fault.partition("cart.urdf:")[2].partition(": expected")[0] for fault in found.faults]
+    assert where == ["37: joint 'caster'", "41: joint 'caster_axle'"]
+    assert facts(found)["driven wheels"] == "2: left_drive, right_drive"
+
+
+@pytest.mark.parametrize(
+    ("build", "position", "rates", "weakest"),
+    [(differential_drive, 8, 1.2e3, "caster_angle_rate"), (ackermann, 8, 5e2, "front_left_rate"),
+     (skid_steer, 9, 3e1, "rock_rate"), (rocky7, 30, 8e1, "bogie_left_rate")],
+)  # fmt: skip
+def test_conditions_on_level_ground(build, position, rates, weakest):
+    """As measured with another program, to one digit."""
+    dae = direct_kinematics(build(), Analytic(lambda x, _: 0 * x))
+    found = dict(conditioning(dae, settle(dae)))
+    for name, value in (("position", position), ("rates", rates)):
+        assert_allclose(float(found[f"condition of {name}"].split()[0]), value, rtol=0.2)
+    assert weakest in found["condition of rates"]
+    assert "multiplier" not in found["condition of rates"]
+
+
+BROKEN = """\
+name = "six"
+frame = "rep103"
+coordinates = [{ name = "a", kind = "suspension" }, { name = "b", kind = "passive" }]
+joints = [
+    { name = "p", parent = "platform", axis = "y", value = "a" },
+    { name = "q", parent = "r", axis = "y", value = "b" },
+    { name = "r", parent = "q", axis = "y", value = "0" },
+]
+wheels = [
+    { name = "one", parent = "p", radius = 0.1, driven = true },
+    { name = "two", parent = "q", radius = 0.1 },
+    { name = "three", parent = "platform", at = [1, 0, 0], radius = 0.1 },
+    { name = "four", parent = "hub", radius = 0.1 },
+    { name = "five", parent = "platform", radius = 0.1 },
+]
+"""
+
+
+def test_what_can_be_said_of_what_is_no_vehicle(tmp_path):
+    (tmp_path / "v.toml").write_text(BROKEN)
+    result = CliRunner().invoke(app, ["vehicle", str(tmp_path / "v.toml")])
+    assert result.exit_code == 2
+    assert "  p: turns about -x by a (suspension)" in result.stdout
+    assert "not on the platform: q, on r" in result.stdout
+    assert "not on the platform: wheel four, on hub" in result.stdout
+    assert "1: a; 2 needed" in result.stdout
+    faults = [line.partition("v.toml:")[2] for line in result.stderr.splitlines()]
+    assert [fault.partition(": expected")[0] for fault in faults] == [
+        "3: coordinates",
+        "6: joints[1].parent (joint 'q')",
+        "13: wheels[3].parent (wheel 'four')",
+    ]
+
+
+def test_a_caster_without_trail_is_named(tmp_path):
+    text = (DATA / "cart.urdf").read_text().replace('xyz="-0.08 0 -0.07"', 'xyz="0 0 -0.07"')
+    text = text.replace('rpy="0.02 -0.03 -0.4"', 'rpy="0 0 -0.4"')
+    (tmp_path / "cart.urdf").write_text(text)
+    (tmp_path / "cart.toml").write_text((DATA / "cart.toml").read_text())
+    found = describe(tmp_path / "cart.toml")
+    (fault,) = found.faults
+    assert "on level ground: the model is singular here: nothing determines caster_rate" in fault
+    assert facts(found)["passive joints"] == "1: caster"
+
+
+def test_values_are_set_in_problems_only():
+    result = CliRunner().invoke(app, ["vehicle", str(DATA / "cart.toml"), "--set", "name=a"])
+    assert result.exit_code == 2
+    assert "--set: expected a problem file to set values in" in result.stderr
+
+
+@pytest.mark.parametrize("name", ["cart", "bogie"])
+def test_every_part_is_drawn_once(name):
+    vehicle = read_vehicle(DATA / f"{name}.toml")
+    lines = tree(vehicle)
+    assert len(lines) == 1 + len(vehicle.joints) + len(vehicle.wheels)
+    assert np.all(["not on" not in line for line in lines])

@@ -1,0 +1,86 @@
+"""The documentation leaves out no page, module or notebook, and names only what exists.
+
+Pages are built, and notebooks executed, by `sphinx-build -W` (`.ci/run`).
+"""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import slipfree
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
+NOTEBOOKS = sorted(path.stem for path in (ROOT / "notebooks").glob("*.py"))
+SOURCES = Path(slipfree.__file__).parent
+
+
+def listed(page):
+    """Return the pages that the tables of contents of a page lead to."""
+    trees = re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(), re.DOTALL)
+    names = [line for tree in trees for line in tree.split("\n") if line and line[0] != ":"]
+    return [(page.parent / name).resolve().relative_to(DOCS.resolve()).as_posix() for name in names]
+
+
+def text_of(name):
+    return (DOCS / name).read_text()
+
+
+def test_every_page_is_in_one_table_of_contents():
+    found = [name for page in PAGES for name in listed(page)]
+    pages = [page.relative_to(DOCS).with_suffix("").as_posix() for page in PAGES]
+    assert sorted(found) == sorted(
+        [name for name in pages if name != "index"] + [f"notebooks/{name}" for name in NOTEBOOKS]
+    )
+
+
+def test_every_package_is_in_the_reference():
+    text = "".join(
+        text_of(f"reference/{page.name}") for page in PAGES if page.parent.name == "reference"
+    )
+    shown = set(re.findall(r"<!-- modules: ([\w.]+) -->", text))
+    packages = {path.parent for path in SOURCES.rglob("*.py")} - {SOURCES / "cli"}
+    names = {".".join(("slipfree", *path.relative_to(SOURCES).parts)) for path in packages}
+    assert shown == names
+    assert "<!-- commands: slipfree -->" in text
+    assert "<!-- exports: slipfree -->" in text
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_is_told_about_and_compiles(name):
+    assert f"({name}.py)" in text_of("notebooks/index.md")
+    code = (ROOT / "notebooks" / f"{name}.py").read_text()
+    compile(code, name, "exec")
+    assert re.search(r"^# # \S", code, re.MULTILINE), "a title"
+
+
+@pytest.mark.parametrize("page", ["theory.md", "conventions.md"])
+def test_tests_that_a_page_names_exist(page):
+    names = re.findall(r"`(test_\w+\.py)(?:::(\w+))?`", text_of(page))
+    assert names
+    for file, test in names:
+        code = (ROOT / "tests" / file).read_text()
+        assert f"def {test}" in code, (file, test)
+
+
+def test_stops_that_are_explained_exist():
+    code = "".join(path.read_text() for path in SOURCES.rglob("*.py"))
+    rows = re.findall(r"^\| (`.*?) \|", text_of("howto/stops.md"), re.MULTILINE)
+    names = re.findall(r"`(\w+)(?:\[WHEEL\])?`", " ".join(rows))
+    assert len(names) > 15
+    composed = {"NAME_stop", "tilt_right_stop", "rear_overturned", "front_overturned"}
+    for name in set(names) - composed:
+        assert f'"{name}"' in code, name
+
+
+def test_links_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([\w./-]+)(?:#[\w-]*)?\)", page.read_text()):
+            here = (page.parent / target).resolve()
+            source = ROOT / "notebooks" / here.name
+            assert here.exists() or (here.parent.name == "notebooks" and source.exists()), (
+                page.name,
+                target,
+            )

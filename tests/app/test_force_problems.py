@@ -1,0 +1,266 @@
+"""Problems with forces: what the command line makes of them, and of what is wrong."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from helpers.friction_cases import slope
+from slipfree import best_utilisation, direct_kinematics, settle, three_wheeler
+from slipfree.cli import app
+from slipfree.errors import SolverError
+from slipfree.files import netcdf
+from slipfree.files.toml.errors import ProblemError
+from slipfree.models import friction_feasibility
+from slipfree.models.force_distribution import least_utilisation
+from slipfree.problem import solve as runner
+from slipfree.problem.load import read
+from slipfree.problem.solve import build, run
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+PROBLEM = """\
+verb = "direct"
+slip = "traction"
+
+[terrain]
+friction = 0.6
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 9]
+spacing = 0.25
+
+[terrain.synthetic.ramp]
+start = 0.0
+end = 6.0
+rise = 1.0
+
+[vehicle]
+catalog = "three_wheeler"
+axle = "fixed"
+
+[start]
+y = -1.0
+
+[inputs]
+right_rate = 0.5
+left_rate = 0.5
+steer_rate = 0.0
+
+[time]
+duration = 2
+step = 0.25
+"""
+
+
+@pytest.fixture
+def file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "p.toml"
+    path.write_text(PROBLEM)
+    return path
+
+
+def called(verb, *settings, code=0):
+    words = [word for setting in settings for word in ("--set", setting)]
+    draw = ["--no-draw"] if verb == "run" else []
+    result = CliRunner().invoke(app, [verb, "p.toml", *draw, *words])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def facts(verb, *settings, code=0):
+    lines = called(verb, *settings, code=code).stdout.splitlines()
+    return {name.strip(): words for name, _, words in (line.partition("  ") for line in lines)}
+
+
+@pytest.mark.usefixtures("file")
+def test_run_tells_what_the_motion_takes():
+    told = {name: words.strip() for name, words in facts("run").items()}
+    assert told["mass"] == "36 kg, weight 353.2 N"
+    assert told["ground friction"] == "0.6"
+    assert told["slip"].startswith("a quasi-static prediction: Coulomb friction")
+    assert told["friction"].startswith("utilisation 0.")
+    assert told["friction"].endswith(" of a coefficient of 0.6 by the law of friction")
+    written = netcdf.read(Path("p.nc"))
+    k, i = np.unravel_index(written["utilisation"].argmax(), written["utilisation"].shape)
+    assert f"wheel {written.wheels[i]}, t = {written.t[k]:.4g} s" in told["friction"]
+    assert written["utilisation_best"].max() <= written["utilisation"].max() + 1e-9
+    assert_allclose(
+        written["power"],
+        np.sum(written["drive_torque"] * written["wheel_rate"], axis=1),
+        atol=1e-12,
+    )
+    assert written.attributes["ground_friction"] == "0.6"
+
+
+@pytest.mark.usefixtures("file")
+def test_samples_that_do_not_converge_are_counted(monkeypatch):
+    def some_fail(matrix, load, friction):
+        best = least_utilisation(matrix, load, friction)
+        return best._replace(utilisation=np.where(np.arange(9) == 3, np.nan, best.utilisation))
+
+    monkeypatch.setattr(friction_feasibility, "least_utilisation", some_fail)
+    told = called("run").stdout
+    assert re.search("^not converged +utilisation_best at 1 of 9 samples$", told, re.MULTILINE)
+    assert re.search(r"^  best distribution +0\.\d+ at most", told, re.MULTILINE)
+    assert np.isnan(netcdf.read(Path("p.nc"))["utilisation_best"]).sum() == 1
+    assert "not converged" in CliRunner().invoke(app, ["info", "p.nc"]).stdout
+
+
+@pytest.mark.usefixtures("file")
+@pytest.mark.parametrize("error", [SolverError("gave up"), np.linalg.LinAlgError("gave up")])
+def test_a_diagnostic_that_fails_loses_no_motion(monkeypatch, error):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(runner, "best_utilisation", fail)
+    words = f"utilisation_best: {type(error).__name__}: gave up"
+    assert facts("run")["diagnostics failed"].strip() == words
+    assert netcdf.read(Path("p.nc")).t[-1] == 2.0
+
+
+@pytest.mark.usefixtures("file")
+def test_without_friction_the_coefficient_needed_is_told():
+    told = facts("run", "slip=least", "terrain.friction=")
+    assert told["friction"].strip().startswith("coefficient needed 0.")
+    assert told["friction"].endswith("the ground's is not given")
+    assert told["least slip"].strip().startswith("what kinematics allows")
+
+
+@pytest.mark.usefixtures("file")
+def test_a_motion_that_friction_does_not_hold_is_said_not_to_be():
+    told = facts("run", "slip=least", "terrain.friction=0.001", "vehicle.axle=tilting")
+    assert told["friction"].endswith("; friction does not hold this motion")
+    assert "distribution" not in told["friction"]  # equilibrium leaves nothing open
+
+
+@pytest.mark.usefixtures("file")
+def test_a_vehicle_without_mass_bears_nothing():
+    told = facts("run", "slip=least", "vehicle.mass=0", "vehicle.wheel_mass=0")
+    assert not {"friction", "mass", "normal forces", "drives"} & set(told)
+    assert "force_normal" not in netcdf.read(Path("p.nc")).columns
+
+
+@pytest.mark.usefixtures("file")
+def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
+    # On the level, ice bears standing; on the ramp it does not bear driving down.
+    settings = ("terrain.friction=0.1", "terrain.synthetic.ramp.rise=-2.0", "time.duration=20")
+    result = called("run", *settings, code=1)
+    assert "no quasi-static equilibrium: headed 180 degrees from uphill" in result.stderr
+    assert "the ground offers, 0.1; p.nc holds the motion to there" in result.stderr
+    assert netcdf.read(Path("p.nc")).stop.name == "no_equilibrium"
+    assert "leans" not in result.stderr  # its wheels are upright
+
+
+@pytest.mark.usefixtures("file")
+def test_no_equilibrium_tells_how_far_a_wheel_leans():
+    settings = ("vehicle.axle=tilting", "terrain.friction=0.2", "inputs.left_rate=0.4",
+                "start.y=-2.5", "time.duration=4")  # fmt: skip
+    result = called("run", *settings, code=1)
+    run = netcdf.read(Path("p.nc"))
+    assert run.stop.name == "no_equilibrium"
+    lean = max(abs(run[name][-1]) for name in ("tilt_right", "tilt_left"))
+    told = re.search(r"the ground offers 0.2; a wheel leans by ([\d.]+) rad; ", result.stderr)
+    assert told, result.stderr
+    assert float(told[1]) == pytest.approx(lean, abs=2e-3)  # it is that soon after the end
+    assert lean > 0.05
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["slip=least", "traction={ creep = 1e-3 }"],
+         "traction: expected slip = 'traction', found 'least'"),
+        (["terrain.friction="], "p.toml:2: slip: traction: the ground has no friction"),
+        (["vehicle.mass=0", "vehicle.wheel_mass=0"], "three_wheeler with fixed axle has no mass"),
+        (["traction={ creep = 0.0 }"], "traction.creep: expected a number greater than 0"),
+        (["traction={ grip = 1.0 }"], "traction.grip: expected one of creep, reserve"),
+        (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
+        (["vehicle.actuated=['tilt_right']"],
+         "expected one of the passive coordinates (there is none), found 'tilt_right'"),
+        (["vehicle.mass=-1"], "vehicle.mass: expected a number of at least 0, found -1"),
+        (["vehicle.center_of_mass=[0, 0]"],
+         "vehicle.center_of_mass[2]: expected a number, found none"),
+        (["formulation='montana'"], "takes slip = 'least' or 'rolling', found 'traction'"),
+        (["terrain.synthetic.ramp.rise=20.0", "start.y=1.5"], "no quasi-static equilibrium"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_told_with_its_place(file, settings, words):
+    with pytest.raises(ProblemError) as error:
+        build(read(file, settings))
+    assert words in str(error.value)
+
+
+def test_springs_masses_and_actuators_reach_the_vehicle(file):
+    settings = ["vehicle.axle=tilting", "vehicle.stiffness=60", "vehicle.damping=5",
+                "vehicle.bump=100", "vehicle.mass=50", "vehicle.center_of_mass=[0, 0.1, 0.2]",
+                "vehicle.wheel_mass=3", "vehicle.grip=0.9"]  # fmt: skip
+    vehicle = build(read(file, settings)).vehicle
+    tilt = vehicle.of("passive")[0]
+    assert (tilt.stiffness, tilt.damping, tilt.bump) == (60, 5, 100)
+    assert (vehicle.body.mass, vehicle.body.at) == (50, (0, 0.1, 0.2))
+    assert {(w.mass, w.grip) for w in vehicle.wheels} == {(3, 0.9)}
+    settings = ["vehicle.axle=tilting", "vehicle.actuated=['tilt_right', 'tilt_left']",
+                "inputs={ right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0, "
+                "tilt_right_rate = 0.0, tilt_left_rate = 0.0 }"]  # fmt: skip
+    motion = run(read(file, settings)).trajectory
+    assert np.abs(motion["tilt_right"]).max() < 1e-12
+    assert np.abs(motion["tilt_right_torque"]).max() > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "stop"), [("traction_hills", None), ("traction_ice", "no_equilibrium")]
+)
+def test_shipped_problems(name, stop):
+    motion = run(read(PROBLEMS / f"{name}.toml")).trajectory
+    assert (motion.stop and motion.stop.name) == stop
+
+
+def test_the_papers_direct_run_needs_more_friction_than_most_grounds_give():
+    """The figures of README."""
+    motion = run(read(PROBLEMS / "paper_direct.toml")).trajectory
+    at = [int(np.argmin(np.abs(motion.t - t))) for t in range(7)]
+    needed = motion["friction_needed"][at].max(axis=1)
+    expected = [0.070, 0.179, 0.289, 0.402, 0.523, 0.654, 0.801]
+    assert_allclose(needed, expected, rtol=0, atol=6e-4)
+
+
+@pytest.mark.parametrize(
+    ("axle", "discs", "expected"),
+    [
+        ("tilting", False, (0.529, 1.092, 0.936, 0.492, 0.613)),
+        ("sliding", True, (0.529, 1.092, 0.936, 0.492, 0.613)),
+        ("prismatic", True, (0.258, 0.509, 0.457, 0.492, 0.613)),
+        ("fixed", False, (0.177, 0.364, 0.432, 0.492, 0.613)),
+    ],
+)
+def test_least_friction_on_which_the_axles_stand(axle, discs, expected):
+    """An earlier study's table (massless wheels, best distribution), within 2 %."""
+    size = {"r1": 0.005, "r2": 0.295} if discs else {}
+    vehicle = three_wheeler(axle=axle, wheel_mass=0.0, **size)
+    for (degrees, way), mu in zip(
+        ((10, 90), (20, 90), (20, 45), (20, 0), (20, 180)), expected, strict=True
+    ):
+        ground = slope(np.radians(degrees))
+        start = settle(direct_kinematics(vehicle, ground), heading=np.radians(way))
+        found = best_utilisation(vehicle, ground, start)["utilisation_best"][0]
+        assert found == pytest.approx(mu, rel=0.02)
+
+
+@pytest.mark.usefixtures("file")
+def test_vehicle_tells_masses_springs_and_forces():
+    settings = ("vehicle.axle=tilting", "vehicle.stiffness=60", "vehicle.bump=100")
+    told = called("vehicle", *settings, "slip=least").stdout
+    assert "platform: 30 kg" in told
+    assert "spring 60" in told
+    assert "elastic stops 100" in told
+    assert "contact forces" in told
+    assert "equilibrium determines them" in told
+    assert "load-weighted" in called("vehicle", "slip=least").stdout
+    assert "law of friction" in called("vehicle").stdout

@@ -1,0 +1,369 @@
+"""Problems of inverse kinematics: what the command line makes of them, and of what is wrong."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.errors import SolverError
+from slipfree.files import netcdf
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem import inverse
+from slipfree.problem import solve as runner
+from slipfree.problem.load import read
+from slipfree.problem.solve import build, run
+from slipfree.trajectory import Stop
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+GIVEN = """\
+[given]
+velocity_x = 0.01255
+velocity_y = 0.12865
+heading_rate = 0.0159
+"""
+PATH = """\
+[path]
+t = [0, 1, 2, 3, 4, 5]
+x = [0, 0, 0, 0, 0, 0]
+y = [0, 0.135, 0.27, 0.405, 0.54, 0.675]
+heading = [0, 0, 0, 0, 0, 0]
+"""
+PROBLEM = f"""\
+verb = "inverse"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 4]
+spacing = 0.25
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+heading = 0
+
+{GIVEN}
+[time]
+duration = 0.5
+step = 0.1
+"""
+RIDGES = "terrain.synthetic.power_law={rms=0.05, hurst=0.9, longest=8.0, shortest=2.0, seed=3}"
+LOOSE = "solver.tolerance=1e-5"
+CSV = "t,x,y,heading\n" + "".join(f"{k},0.0,{0.135 * k:.3f},0\n" for k in range(6))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PROBLEM)
+    (tmp_path / "path.toml").write_text(PROBLEM.replace(GIVEN, PATH))
+    (tmp_path / "file.toml").write_text(PROBLEM.replace(GIVEN, '[path]\nfile = "way.csv"\n'))
+    (tmp_path / "way.csv").write_text(CSV)
+    return tmp_path
+
+
+def _invoke(*words: str) -> Any:
+    result = CliRunner().invoke(app, list(words))
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    return result
+
+
+def _set(*settings: str) -> list[str]:
+    return [word for setting in settings for word in ("--set", setting)]
+
+
+def _refused(*words: str) -> str:
+    """Return what a command that must fail for bad input says on stderr."""
+    result = _invoke(*words)
+    assert result.exit_code == 2, result.output
+    return result.stderr
+
+
+def test_given_rates(folder: Path) -> None:
+    result = _invoke("run", "p.toml", "--csv", "p.csv")
+    assert (result.exit_code, result.stderr) == (0, ""), result.output
+    for words in (
+        "driven by  ", "velocity_x 0.01255 m/s, velocity_y 0.12865 m/s, heading_rate 0.0159 rad/s",
+        "the steering angle is unknown", "rate of wheel right ", "rad/s at the end", "margin ",
+        "steering angle ", "steering slip ", "reached the time asked for", "drew ",
+    ):  # fmt: skip
+        assert words in result.stdout, words
+    motion = netcdf.read("p.nc")
+    assert_allclose(motion["x"][-1], 0.5 * 0.01255, atol=1e-9)
+    assert_allclose(motion["steer"][0], np.arctan2(-0.01255 + 0.0159, 0.12865), atol=1e-9)
+    assert_allclose(motion["right_rate"][0] - motion["left_rate"][0], 2 * 0.0159 / 0.3, atol=1e-9)
+    assert {"steer_rate", "steering_slip"} < set(motion)
+    assert motion.attributes["driven_by"].startswith("velocity_x 0.01255 m/s")
+    assert "steering_slip" in (folder / "p.csv").read_text().splitlines()[0]
+    info = _invoke("info", "p.nc")
+    assert info.exit_code == 0
+    assert "driven by  " in info.stdout
+    assert "rate of wheel left " in info.stdout
+
+
+@pytest.mark.usefixtures("folder")
+def test_given_rates_come_back_as_wheel_rates_and_omega_is_known_too() -> None:
+    omega = ["--set", "given={velocity_y=-0.2, velocity_x=0.0, omega_z=0.01}"]
+    result = _invoke("run", "p.toml", "--no-draw", *omega)
+    assert result.exit_code == 0, result.output
+    motion = netcdf.read("p.nc")  # backwards
+    assert_allclose(motion["right_rate"][0], (-0.2 + 0.01) / 0.3, atol=1e-9)
+    assert_allclose(motion["steer"][0], np.arctan(1.5 * 0.01 / -0.2) + 0.0, atol=0.05)
+
+
+@pytest.mark.usefixtures("folder")
+def test_check_and_vehicle() -> None:
+    for file, words in (
+        ("p.toml", "heading_rate 0.0159 rad/s; the steering angle is unknown"),
+        ("path.toml", "path of 6 way-points in 5 s; the steering angle is unknown"),
+    ):
+        result = _invoke("check", file)
+        assert result.exit_code == 0, result.output
+        assert words in result.stdout
+        assert result.stdout.endswith("ok\n")
+    result = _invoke("vehicle", "p.toml")
+    assert result.exit_code == 0, result.output
+    assert "it can roll without slip" in result.stdout
+
+
+@pytest.mark.parametrize("file", ["path.toml", "file.toml"])
+def test_along_a_path(folder: Path, file: str) -> None:
+    result = _invoke("run", file, "--no-draw", *_set("time.duration=1", LOOSE, RIDGES))
+    assert (result.exit_code, result.stderr) == (0, ""), result.output
+    for words in ("path of 6 way-points in 5 s", "collocation ", "replay by the direct model  ",
+                  "differs by at most x "):  # fmt: skip
+        assert words in result.stdout, words
+    motion = netcdf.read(folder / file.replace("toml", "nc"))
+    assert_allclose(motion["y"], 0.135 * motion.t, atol=1e-6)
+    assert 0 < motion.statistics["replay_steer"] < 1e-3
+    assert "replay by the direct model" in _invoke("info", file.replace("toml", "nc")).stdout
+
+
+@pytest.mark.usefixtures("folder")
+def test_columns_of_a_path_may_be_in_another_order() -> None:
+    rows = [line.split(",") for line in CSV.splitlines()]
+    text = "\n".join(",".join(row[k] for k in (3, 2, 0, 1)) for row in rows)
+    Path("way.csv").write_text(text + "\n\n")
+    assert _invoke("check", "file.toml").exit_code == 0
+
+
+@pytest.mark.usefixtures("folder")
+def test_headings_of_a_path_are_in_the_frame_of_the_problem() -> None:
+    quarter = f"path.heading=[{', '.join(['1.5707963267948966'] * 6)}]"
+    words = _set("frame=rep103", "start.heading=1.5707963267948966", quarter)
+    assert _invoke("check", "path.toml", *words).exit_code == 0
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_tilt_stop_ends_the_motion() -> None:
+    for file, words in (("p.toml", []), ("path.toml", _set("time.duration=3", LOOSE))):
+        result = _invoke("run", file, "--no-draw", *words, *_set("vehicle.tilt_stop=0.004", RIDGES))
+        assert result.exit_code == 1, result.output
+        assert "stopped early at t = " in result.stderr
+        assert "the stop of tilt_" in result.stderr
+        assert netcdf.read(file.replace("toml", "nc")).stop is not None
+
+
+@pytest.mark.usefixtures("folder")
+def test_steering_by_rate_warns_where_it_is_unstable() -> None:
+    settings = _set("steering=rate", "time.duration=0.03", "time.step=0.01")
+    result = _invoke("run", str(PROBLEMS / "paper_inverse.toml"), "--no-draw", *settings)
+    assert result.exit_code == 0, result.output
+    assert result.stderr.startswith("warning: steering mode unstable from t = 0 s: errors of the")
+    assert "warning  " in result.stdout
+    assert "steering rate  " in result.stdout
+    assert "warning  " in _invoke("info", "paper_inverse.nc").stdout
+    assert "steering mode" not in _invoke("run", "p.toml", "--no-draw").output
+
+
+@pytest.mark.usefixtures("folder")
+def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
+    down = "terrain.synthetic.placed_rocks=[[0.0, 0.4, 2.4, 0.15]]"
+    settings = _set("steering=rate", "time.duration=0.3", down)
+    result = _invoke("run", "p.toml", "--no-draw", *settings)
+    assert (result.exit_code, result.stderr) == (0, ""), result.output
+    assert netcdf.read("p.nc")["steering_growth"].max() < 0
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = read(PROBLEMS / "paper_inverse.toml", ["steering=rate", "time.duration=0.1"])
+    motion = run(problem).trajectory
+    assert motion.stop is not None  # it runs into the axis
+    assert motion.statistics["steps"] < 5000  # what is singular is noticed, not ground through
+    reached = replace(motion, stop=Stop("solver", float(motion.t[-1]), "gave up"), attributes={})
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise SolverError("gave up", reached)
+
+    monkeypatch.setattr(runner, "simulate", fail)
+    file = str(PROBLEMS / "paper_inverse.toml")
+    result = _invoke("run", file, "--no-draw", "-o", "q.nc", *_set("steering=rate"))
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert "gave up; steering mode unstable from t = 0 s: errors of the steering grow" in line
+    stop = netcdf.read("q.nc").stop
+    assert stop is not None
+    assert (stop.name, stop.t) == ("solver", motion.stop.t)
+
+
+@pytest.mark.usefixtures("folder")
+def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = run(read("p.toml")).trajectory
+    for raised, code, words in (
+        (SolverError("no motion follows the path"), 1, "no motion follows the path\n"),
+        (SolverError("the replay by the direct model failed: gave up", motion), 0, ""),
+    ):
+
+        def fail(*_: Any, raised: SolverError = raised, **__: Any) -> None:
+            raise raised
+
+        monkeypatch.setattr(inverse, "drive", fail)
+        result = _invoke("run", "path.toml", "--no-draw")
+        assert (result.exit_code, result.stderr) == (code, words)
+    assert re.search("replay stopped early +the replay by the direct .* gave up\n", result.stdout)
+    np.testing.assert_array_equal(netcdf.read("path.nc")["x"], motion["x"])
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["given.heading_rate="], "p.toml:14: given: expected three rates of the platform, found "
+         "2: velocity_x, velocity_y"),
+        (["given={}"], "--set given: expected three rates of the platform, found 0"),
+        (["given.velocity_x=", "given.velocity_u=1"], "--set given.velocity_u: expected one of "
+         "velocity_x, velocity_y, velocity_z, omega_x, omega_y, omega_z, heading_rate, roll_rate, "
+         "pitch_rate, forward, right, yaw_rate, found the unknown key 'velocity_u'; did you mean "
+         "'velocity_"),
+        (["given.velocity_x=", "given.omega_x=0"], "given: expected some of omega_x, omega_y, "
+         "omega_z or some of heading_rate, roll_rate, pitch_rate, not of both, found heading_rate, "
+         "omega_x"),
+        (["given.velocity_x=[[0, 1]]"], "--set given.velocity_x: expected a number, found"),
+        (["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"], "given: the "
+         "model is singular here: nothing determines steer (steering angle"),
+        (["path.file=way.csv"], "expected exactly one of given, path, found given and path"),
+        (["given="], "p.toml:1: expected exactly one of given, path, found none"),
+        (["steering=torque"], "--set steering: expected 'rate' or 'angle', found 'torque'"),
+        (["steering=rate"], "p.toml:14: given: the model is singular here: nothing determines "
+         "steer_rate"),
+        (["vehicle.axle=fixed"], "axle cannot roll without slip, as inverse"),
+        (["vehicle.axle=prismatic"], "axle cannot roll without slip, as inverse"),
+        (["start.sail=1"], "--set start.sail: expected one of x, y, heading, tilt_right"),
+        (["inputs.right_rate=1"], "--set inputs: expected one of verb, title, "),
+        (["verb=drive"], "--set verb: expected 'direct' or 'inverse' or 'plan' or 'climb' for this "
+         "command, found 'drive'\n"),
+        (["verb=compare"], "found 'compare'; use slipfree compare p.toml"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None:
+    for command in ("run", "check"):
+        assert words in _refused(command, "p.toml", *_set(*settings))
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["path.y="], "--set path.y: expected an array of 6 numbers, one for each of t, "
+         "found none"),
+        (["path.y=[0, 1]"], "--set path.y: expected an array of 6 numbers, one for each of t, "
+         "found 2"),
+        (["path.t="], "path.toml:14: path: expected exactly one of t, file, found none"),
+        (["path.t=", "path.file=way.csv"], "path.toml:16: path.x: expected no array beside a file"),
+        (["path.t=[0, 1, 1, 3, 4, 5]"], "--set path.t: expected times that ascend from 0, found "
+         "0, 1, 1, 3"),
+        (["path.t=[1, 2, 3, 4, 5, 6]"], "--set path.t: expected times that ascend from 0, found 1"),
+        (["time.duration=6"], "--set time.duration: expected at most the time of the last "
+         "way-point, 5 s, found 6"),
+        ([f"path.{name}=[0, 0, 0, 0, 0]" for name in ("t", "x", "y", "heading")], "expected 6 or "
+         "more way-points, found 5"),
+        (["start.x=0.5"], "path.toml:14: path: path: it starts elsewhere than the start: x = 0, "
+         "the vehicle stands at 0.5"),
+        (["steering=rate"], "path.toml:14: path: the model is singular here: nothing determines"),
+        (["path.bend=1"], "--set path.bend: expected one of t, x, y, heading, file, found"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
+    assert words in _refused("check", "path.toml", *_set(*settings))
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "way.csv: expected way-points as CSV, found that it cannot be read"),
+        ("", "path.file: expected 6 or more way-points, found 0"),
+        (CSV.replace("3,0.0,", "3,"), "way.csv:5: expected four numbers t,x,y,heading, found '3,"),
+        (CSV.replace("3,0.0,", "3,nan,"), "way.csv:5: expected four numbers t,x,y,heading"),
+        (CSV.replace("heading", "yaw"), "way.csv:1: expected four numbers t,x,y,heading, found "
+         "'t,x,y,yaw'"),
+        (CSV.replace("3,0.0,", "1,0.0,"), "path.file: expected times that ascend from 0"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_the_file_of_a_path(text: str | None, words: str) -> None:
+    Path("way.csv").unlink()
+    if text is not None:
+        Path("way.csv").write_text(text)
+    assert words in _refused("check", "file.toml")
+
+
+@pytest.mark.usefixtures("folder")
+def test_what_belongs_to_direct_kinematics_is_refused() -> None:
+    assert "p.toml:1: verb: expected 'direct' for --cross-check, found 'inverse'" in _refused(
+        "run", "p.toml", "--no-draw", "--cross-check"
+    )
+    assert "expected 'compare' for this command, found 'inverse'; use slipfree run p.toml" in (
+        _refused("compare", "p.toml")
+    )
+    assert "way.csv: expected a file of its own, found the input way.csv" in _refused(
+        "run", "file.toml", "-o", "way.csv"
+    )
+
+
+@pytest.mark.usefixtures("folder")
+def test_interrupted_on_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(inverse, "drive", fail)
+    result = _invoke("run", "path.toml", "--no-draw")
+    assert (result.exit_code, result.stderr) == (130, "interrupted\n")
+
+
+def test_the_shipped_problems_run() -> None:
+    given = run(read(PROBLEMS / "paper_inverse.toml", ["time.step=0.5"])).trajectory
+    assert given.stop is not None
+    assert given.stop.name == "tilt_right_stop"
+    assert_allclose(given.stop.t, 4.33, atol=0.02)
+    path = run(read(PROBLEMS / "path_inverse.toml", ["time.duration=3.0", LOOSE]))
+    motion = path.trajectory
+    assert motion.stop is None
+    assert motion.t[-1] == 3.0
+    assert motion["steering_growth"].max() > 0  # integrating it would be unstable
+    assert max(v for k, v in motion.statistics.items() if k.startswith("replay_")) < 1e-3
+
+
+def test_the_shipped_path_is_passed_whole() -> None:
+    setup = build(read(PROBLEMS / "path_inverse.toml"))
+    assert setup.t[-1] == 15.0
+    with pytest.raises(ProblemError, match="expected at most the time of the last way-point"):
+        build(read(PROBLEMS / "path_inverse.toml", ["time.duration=16"]))
+
+
+def test_a_path_may_be_sampled_more_coarsely_than_it_is_solved(tmp_path):
+    """Elements of the collocation without a sample are no trouble."""
+    result = CliRunner().invoke(
+        app,
+        ["run", str(PROBLEMS / "path_inverse.toml"), "--no-draw", "-o", str(tmp_path / "p.nc"),
+         "--set", "time.duration=6", "--set", "time.step=6"],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr

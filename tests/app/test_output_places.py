@@ -1,0 +1,169 @@
+"""Places that a problem file names: nothing else of the user is written over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from helpers.problem_files import PROBLEM
+from slipfree.cli import app
+from slipfree.files import netcdf
+
+LINE = PROBLEM.count("\n") + 2  # of the key in _problem
+OUTSIDE = "expected a place in the working folder or in the problem's folder, found "
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the working folder, with another folder of the user beside it."""
+    work = tmp_path / "work"
+    work.mkdir()
+    (tmp_path / "victim.txt").write_text("precious")
+    monkeypatch.chdir(work)
+    return work
+
+
+def _problem(file: str, name: str = "p.toml") -> str:
+    Path(name).write_text(f"{PROBLEM}[output]\nfile = '{file}'\n", encoding="utf-8")
+    return name
+
+
+def _run(*words: str) -> Any:
+    return CliRunner().invoke(app, ["run", *words, "--set", "time.duration=0.1"])
+
+
+def _refused(monkeypatch: pytest.MonkeyPatch, *words: str) -> str:
+    """Return the error of a run that must be refused before anything is computed."""
+
+    def fail(*_: Any) -> None:
+        raise AssertionError("computed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("slipfree.problem.solve.run", fail)
+        done = _run(*words)
+    assert done.exit_code == 2, (done.output, done.exception)
+    return str(done.stderr)
+
+
+@pytest.mark.parametrize("name", ["{}/victim.nc", "../victim.nc", "in/../../victim.nc", "/"])
+def test_a_problem_names_no_result_outside(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    name = name.format(folder.parent)
+    told = _refused(monkeypatch, _problem(name), "--no-draw")
+    assert told.startswith(f"p.toml:{LINE}: output.file: {OUTSIDE}{name}")
+    assert told.endswith(f"; choose another name, or give it on the command line: -o {name}\n")
+    assert {path.name for path in folder.parent.iterdir()} == {"work", "victim.txt"}
+
+
+def test_the_reproduction_of_the_audit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    victim = folder.parent / "victim.txt"
+    told = _refused(monkeypatch, _problem(str(victim)))
+    assert told == (
+        f"p.toml:{LINE}: output.file: {OUTSIDE}{victim}; choose another name, or give it on the "
+        f"command line: -o {victim}\n"
+    )
+    assert victim.read_text() == "precious"
+    done = _run("p.toml", "--no-draw", "-o", str(victim))
+    assert done.exit_code == 0, done.output
+    assert netcdf.is_result(victim)
+
+
+@pytest.mark.parametrize("link", ["file", "folder", "figures", "figure"])
+def test_links_lead_nowhere_else(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, link: str
+) -> None:  # fmt: skip
+    other = folder.parent / "other"
+    other.mkdir()
+    name, where, target = {
+        "file": ("r.nc", "r.nc", other / "r.nc"),
+        "folder": ("in/r.nc", "in", other),
+        "figures": ("r.nc", "r_figures", other),
+        "figure": ("r.nc", "r_figures/map.png", other / "map.png"),
+    }[link]
+    Path(where).parent.mkdir(exist_ok=True)
+    Path(where).symlink_to(target)
+    told = _refused(monkeypatch, _problem(name))
+    assert f"p.toml:{LINE}: output.file: {OUTSIDE}{where}" in told
+    assert f", which is {target}" in told
+    assert list(other.iterdir()) == []
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("content", ["precious", "", "CDF\2 of something else"])
+def test_what_is_no_result_is_kept(
+    monkeypatch: pytest.MonkeyPatch, named: bool, content: str
+) -> None:
+    words = [_problem("p.nc"), "--no-draw", *([] if named else ["--set", "output="])]
+    Path("p.nc").write_text(content)
+    told = _refused(monkeypatch, *words)
+    place = f"p.toml:{LINE}: output.file" if named else "p.toml"
+    assert told == (
+        f"{place}: expected no file p.nc, or a result of an earlier run, found another file; "
+        "choose another name, or give it on the command line: -o p.nc\n"
+    )
+    assert Path("p.nc").read_text() == content
+    assert _run(*words, "-o", "p.nc").exit_code == 0
+    assert _run(*words).exit_code == 0  # which replaces a result
+
+
+@pytest.mark.usefixtures("folder")
+def test_what_is_no_figure_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(  # drawn elsewhere
+        "matplotlib.figure.Figure.savefig", lambda _, file, **__: Path(file).write_bytes(b"\x89PNG")
+    )
+    for path in ("r_figures", "other"):
+        Path(path).mkdir()
+        Path(path, "map.png").write_text("precious")
+    told = _refused(monkeypatch, _problem("r.nc"))
+    assert "expected no file r_figures/map.png, or a figure of an earlier run" in told
+    assert "; choose another folder: --figures DIR" in told
+    assert Path("r_figures/map.png").read_text() == "precious"
+    assert _run("p.toml", "--figures", "other").exit_code == 0
+    Path("r_figures/map.png").unlink()
+    for _ in range(2):  # the second replaces figures
+        assert _run("p.toml").exit_code == 0
+
+
+@pytest.mark.parametrize("setting", ["output.file='{}'", "output={{file='{}'}}"])
+def test_the_command_line_names_a_result_anywhere(folder: Path, setting: str) -> None:
+    out = folder.parent / "r.nc"
+    done = _run(_problem("/nowhere/r.nc"), "--no-draw", "--set", setting.format(out))
+    assert done.exit_code == 0, done.output
+    assert netcdf.is_result(out)
+
+
+def test_a_result_beside_the_problem(folder: Path) -> None:
+    beside = folder.parent / "beside"
+    beside.mkdir()
+    Path("link").symlink_to(beside)
+    _problem(str(beside / "r.nc"), "link/p.toml")
+    done = _run("link/p.toml", "--no-draw")
+    assert done.exit_code == 0, done.output
+    assert [path.name for path in folder.iterdir()] == ["link"]
+    assert {path.name for path in beside.iterdir()} == {"p.toml", "r.nc"}
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("name", ["/", "."])
+def test_a_folder_is_no_result(name: str) -> None:
+    done = _run(_problem("r.nc"), "-o", name)
+    assert done.exit_code == 2, done.exception
+    assert done.stderr == f"{name}: expected the name of a file to write, found a folder\n"
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("name", ['"a\\u0000.nc"', f'"{"a" * 5000}.nc"', f'"{"a" * 250}.nc"'])
+def test_names_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    Path("p.toml").write_text(f"{PROBLEM}[output]\nfile = {name}\n", encoding="utf-8")
+    assert "expected the name of a file to write" in _refused(monkeypatch, "p.toml")
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_problem_names_results_by_their_ending(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = _refused(monkeypatch, _problem(".zshrc"), "--no-draw")
+    assert f"p.toml:{LINE}: output.file: expected a name that ends in .nc, found .zshrc; " in told

@@ -1,0 +1,174 @@
+"""Plans over real-sized ground: routes, places to keep out of, and what is wrong with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem.goals import regions
+from slipfree.problem.load import read
+from slipfree.problem.plan import figure_options
+from slipfree.problem.solve import build, run
+from slipfree.show.plan_figures import plan_figures
+
+FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"
+SHORT = ("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "time.duration=40.0", "costs.slip=",
+         "start.x=17.5", "goal.x=17.5", "solver.tolerance=1e-6")  # fmt: skip
+
+
+def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
+    problem = read(FIELD, SHORT)
+    motion = run(problem).trajectory
+    assert motion.stop is None
+    assert np.hypot(motion["x"][-1] - 17.5, motion["y"][-1] - 24.0) < 0.01
+    (disc,) = regions(problem, problem.spec)
+    reach = np.hypot(1.0, 0.5) + 0.3  # of the rear wheels; the front one reaches 1.3 m
+    assert (
+        disc.distance(motion["x"], motion["y"]).min() > reach - 0.02
+    )  # between the points of 12 intervals
+
+
+def test_the_start_of_the_search_ends_at_the_goal():
+    setup = build(read(FIELD, SHORT))
+    assert setup.driven == "plan to x 17.5, y 24"
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (
+            ["keep_out=[{ x = 20.0, y = 35.0, radius = 2.0 }]"],
+            "the vehicle cannot be at the goal (20, 35): inside the keep-out disc",
+        ),
+        (
+            ["keep_out=[{ x = 1.0, y = 2.0 }]"],
+            "keep_out: expected either x, y and radius, or points",
+        ),
+        (["keep_out=[{ points = [[0, 0], [1, 1]] }]"], "points"),
+        (["goal={ heading = 0.0 }"], "a route needs a goal in x and y"),
+        (["terrain.friction=0.01"], "needs a friction coefficient of 0.0563, the ground offers"),
+    ],
+)
+def test_what_keeps_a_route_from_being_found_is_told(settings, words):
+    with pytest.raises(ProblemError) as error:
+        build(read(FIELD, settings))
+    assert words in str(error.value)
+
+
+def test_a_way_point_is_passed():
+    between = "way_points=[{ at = 0.5, x = 0.35, y = [1.0, 1.6] }]"
+    outcome = run(read(HILLS, [*QUICK, between]))
+    motion = outcome.trajectory
+    assert motion.stop is None
+    halfway = motion.t[-1] / 2
+    x, y = (np.interp(halfway, motion.t, motion[name]) for name in "xy")
+    assert abs(x - 0.35) < 0.01
+    assert 1.0 - 0.01 < y < 1.6 + 0.01
+    assert [name for name, *_ in outcome.setup.places] == ["start", "way-point at 0.5", "goal"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points: expected at, a fraction of"),
+        (["way_points=[{ at = 1.0, x = 17.0 }]"], "found at = 1"),
+        (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "at 0.5 lies off the map: y is 99 m"),
+        (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
+        (['driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
+          'paths = [[[17, 14], [17, 24]]] }'], "expected one of path, paths and file"),
+        (["traction={ creep = 1e-3 }"], "traction: expected slip = 'traction', found 'least'"),
+        (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map reaches"),
+        (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
+        (["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"], "two; put them together"),
+        (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
+        (["costs.foo=1.0"], "the model has no 'foo'"),
+        (["goal={}"], "a route needs a goal in x and y"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
+    with pytest.raises(ProblemError) as error:
+        build(read(FIELD, settings))
+    assert words in str(error.value)
+
+
+def test_several_routes_start_the_search():
+    setup = build(read(FIELD, ["driver.count=2"]))
+    assert len(setup.ways) == len(setup.starts) == 2
+
+
+def test_friction_too_low_for_the_slope_is_refused_before_anything_is_solved():
+    with pytest.raises(ProblemError, match=r"slope of .* degrees .* the ground offers 0\.2"):
+        build(read(FIELD.with_name("plan_real_dem.toml"), ["terrain.friction=0.2"]))
+
+
+def test_the_law_of_friction_plans_a_gentle_ground():
+    """The motion is a prediction then, so that nothing is left to drive by friction again."""
+    hills = FIELD.with_name("plan_rigid_hills.toml")
+    settings = ['slip="traction"', "traction.creep=1e-2", "terrain.friction=0.6",
+                "costs.slip=1e3", "plan.intervals=8", "time.duration=10.0", "goal.x=0.1",
+                "goal.y=1.3"]  # fmt: skip
+    motion = run(read(hills, settings)).trajectory
+    assert motion.stop is None
+    assert "friction_used_along" in motion.columns
+    assert "by_friction" not in motion.attributes
+    assert abs(motion["y"][-1] - 1.3) < 1e-4
+
+
+def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
+    motion = run(read(FIELD.with_name("plan_tilt_limits.toml"))).trajectory
+    assert motion.stop is None
+    for wheel in ("right", "left"):
+        assert np.abs(motion[f"tilt_{wheel}"]).max() < 0.031
+    assert np.hypot(motion["slip_along"], motion["slip_across"]).max() < 1e-12
+
+
+HILLS = FIELD.with_name("plan_rigid_hills.toml")
+QUICK = ("plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3",
+         "solver.tolerance=1e-6")  # fmt: skip
+
+
+def test_of_a_range_what_lies_on_the_map_counts():
+    motion = run(read(HILLS, [*QUICK, "goal.y=[1.2, 60.0]"])).trajectory
+    assert motion.stop is None
+    assert motion["y"][-1] > 1.2 - 1e-4
+
+
+@pytest.mark.parametrize("bounds", ["", "{ left_rate = [-1.0, 1.0] }"])
+def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
+    outcome = run(read(HILLS, [*QUICK, f"bounds={bounds}"]))
+    motion, setup = outcome.trajectory, outcome.setup
+    drawn = plan_figures(motion, setup.ground.grid, setup.layers, **figure_options(setup))
+    panel = drawn["plan"].axes[0]
+    names = ["right rate", "left rate", "steer rate"]
+    assert panel.get_legend_handles_labels()[1] == names + (["bound"] * 2 if bounds else [])
+    np.testing.assert_array_equal(panel.lines[1].get_ydata(), motion["left_rate"])
+
+
+def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
+    monkeypatch.setattr("slipfree.plan.plan.REFINEMENTS", 1)
+    settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
+    stop = run(read(HILLS, settings)).trajectory.stop
+    assert stop.name == "plan_accuracy"
+    assert "the plan is solved, but its simulation misses x by" in stop.words
+    assert "where an accuracy of 1e-07 was asked for: its mesh was not refined" in stop.words
+
+
+def test_work_of_the_drives_is_planned_with():
+    motion = run(read(HILLS, [*QUICK, "costs.energy=1.0"])).trajectory
+    counts = motion.statistics
+    powers = np.maximum(motion["drive_torque"] * motion["wheel_rate"], 0.0).sum(axis=1)
+    work = np.trapezoid(powers, motion.t)
+    assert abs(counts["plan_cost_energy"] - work) < 0.1 * 2 * 10.0  # blended by 0.1 W a wheel
+    assert counts["plan_cost_energy"] > 0
+
+
+@pytest.mark.parametrize("name", ["map_margin", "tip_over_margin", "slip_across"])
+def test_limits_of_the_model_and_of_its_outputs_have_names(name):
+    lower = {"map_margin": 1.0, "tip_over_margin": 0.9, "slip_across": -1e-3}[name]
+    upper = {"map_margin": 30.0, "tip_over_margin": 3.0, "slip_across": 1e-3}[name]
+    motion = run(read(HILLS, [*QUICK, f"limits.{name}=[{lower}, {upper}]"])).trajectory
+    assert motion.stop is None
+    assert motion[name].min() > lower - 1e-3 * abs(lower)

@@ -1,0 +1,616 @@
+"""Plots draw without a warning, say what they show, and say why a motion stopped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+
+import slipfree as sf
+from slipfree.problem.load import read
+from slipfree.problem.solve import run as run_problem
+from slipfree.records import Label
+from slipfree.show import force_figures, motion_figures
+from slipfree.trajectory import Column, Trajectory
+
+FIRST_COMMAND = Path(__file__).parents[2] / "problems" / "real_dem_direct.toml"
+DOMAIN = (-5.0, 5.0, -4.0, 4.0)
+NAMES = ["map", "terrain", "tilts", "loci", "elevation", "slip", "checks"]
+LOADS = ["forces", "utilisation", "utilisation_map", "energy"]
+
+
+def hills(x, y):
+    return 2 + 0.1 * ca.sin(x) * ca.cos(0.7 * y) + 0.02 * x
+
+
+def drive(end: float, tilt_stop: float = np.inf) -> Trajectory:
+    dae = sf.direct_kinematics(sf.three_wheeler(tilt_stop=tilt_stop), sf.Analytic(hills, DOMAIN))
+    start = sf.settle(dae, x=0.0, y=0.0, heading=-0.3)
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.02)
+    return without_mass(sf.simulate(dae, start, inputs, np.arange(0.0, end, 0.1)))
+
+
+@pytest.fixture(scope="module")
+def grid() -> sf.Grid:
+    x, y = np.linspace(-5, 5, 61), np.linspace(-4, 4, 51)
+    z = sf.Analytic(hills).elevation(*np.meshgrid(x, y, indexing="ij"))
+    return sf.Grid(x, y, z)
+
+
+@pytest.fixture(scope="module")
+def run() -> Trajectory:
+    return drive(3.05)
+
+
+@pytest.fixture(scope="module")
+def stopped() -> Trajectory:
+    return drive(4.0, tilt_stop=0.1)
+
+
+@pytest.fixture(scope="module")
+def loaded(run) -> Trajectory:
+    return with_mass(run)
+
+
+@pytest.fixture
+def ax():
+    return Figure(layout="constrained").subplots()
+
+
+def changed(run: Trajectory, name: str, values: np.ndarray) -> Trajectory:
+    label = run.columns[name].label if name in run else Label(name, "rad", name)
+    return replace(run, columns={**run.columns, name: Column(label, values)})
+
+
+def made_up_loads(run: Trajectory) -> dict[str, Column]:
+    """Return columns of made-up forces: the front wheel is not driven and needs most."""
+    s, wheels = np.linspace(0, 1, run.t.size), np.arange(1, len(run.wheels) + 1)
+    shape = np.outer(1 + np.sin(3 * s), wheels)
+    along, across, normal = 3 * shape, 4 * shape, 50 + np.outer(s, wheels)
+    needed = 5 * shape / normal
+    columns = {
+        "force_along": ("N", along),
+        "force_across": ("N", across),
+        "force_normal": ("N", normal),
+        "friction_needed": ("1", needed),
+        "utilisation": ("1", needed / 0.8),
+        "utilisation_best": ("1", needed.max(axis=1)),
+        "drive_torque": ("N m", along * [0.1, 0.1, 0]),
+        "steer_torque": ("N m", np.cos(s)),
+        "tilt_left_torque": ("N m", 0 * s),
+        "power": ("W", 2 + s),
+        "dissipation": ("W", 1 + s),
+        "work": ("J", 7 + 9 * s),
+        "potential_energy": ("J", 300 + 4 * s),
+        "tip_over_margin": ("rad", 0.3 + 0.1 * s),
+    }
+    return {name: Column(Label(name, unit, name), v) for name, (unit, v) in columns.items()}
+
+
+def with_mass(run: Trajectory) -> Trajectory:
+    columns = {**run.columns, **made_up_loads(run)}
+    return replace(run, columns=columns, attributes={**run.attributes, "ground_friction": "0.8"})
+
+
+def without_mass(run: Trajectory) -> Trajectory:
+    columns = {k: c for k, c in run.columns.items() if k not in made_up_loads(run)}
+    return replace(run, columns=columns, attributes={})
+
+
+def moved(run: Trajectory, x: float, y: float) -> Trajectory:
+    by = {"x": x, "contact_x": x, "center_x": x, "y": y, "contact_y": y, "center_y": y}
+    for name, shift in by.items():
+        run = changed(run, name, run[name] + shift)
+    return run
+
+
+def drawn(figure: Figure) -> Figure:
+    """Draw, so that what warns while drawing does so here."""
+    figure.draw_without_rendering()
+    return figure
+
+
+def words(figure: Figure) -> str:
+    """Return all text of a figure outside its axes."""
+    legends = [text for legend in figure.legends for text in legend.get_texts()]
+    return " ".join(text.get_text() for text in [*figure.texts, *legends])
+
+
+def lifted(run: Trajectory, value: float = np.inf) -> Trajectory:
+    """Return a motion in which the left wheel needs so much friction for three samples."""
+    values = run["utilisation"].copy()
+    values[10:13, 1] = value
+    return changed(run, "utilisation", values)
+
+
+def labels(ax) -> list[str]:
+    return ax.get_legend_handles_labels()[1]
+
+
+def test_ground_is_a_map_of_equal_scales(grid, ax):
+    assert motion_figures.ground(grid, ax) is ax
+    drawn(ax.figure)
+    assert ax.get_aspect() == 1.0
+    assert (*ax.get_xlim(), *ax.get_ylim()) == DOMAIN
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("east $x$ [m]", "north $y$ [m]")
+    heights = ax.images[0].get_array()
+    assert heights.shape == (motion_figures.HEATMAP, motion_figures.HEATMAP)
+    assert heights.min() == pytest.approx(grid.z.min(), abs=1e-3)
+
+
+def test_heights_lie_where_they_belong(ax):
+    x, y = np.linspace(0, 10, 11), np.linspace(0, 5, 6)
+    motion_figures.ground(sf.Grid(x, y, x[:, None] + 100 * y[None, :]), ax)
+    heights = ax.images[0].get_array()
+    assert heights[0, -1] == pytest.approx(10)  # south east
+    assert heights[-1, 0] == pytest.approx(500)  # north west
+
+
+def test_large_grids_are_thinned(ax):
+    x, y = np.linspace(0, 30, 3001), np.linspace(0, 20, 2001)
+    motion_figures.ground(sf.Grid(x, y, np.sin(x)[:, None] * np.cos(y)), ax)
+    assert ax.images[0].get_array().shape == (motion_figures.HEATMAP, motion_figures.HEATMAP)
+
+
+def test_flat_ground_is_one_colour(ax):
+    x = np.linspace(0, 5, 6)
+    motion_figures.ground(sf.Grid(x, x, np.ones((6, 6))), ax)
+    drawn(ax.figure)
+    assert np.ptp(ax.images[0].get_array()) == 0
+    assert not [each for each in ax.collections if len(each.get_paths()) > 1]
+
+
+def test_path_marks_start_and_end(run, ax):
+    assert labels(motion_figures.path(run, ax)) == ["platform", "start, 0 s", "end, 3 s"]
+    line, start, end = (h for h in ax.get_legend_handles_labels()[0])
+    np.testing.assert_array_equal(line.get_xydata(), np.column_stack([run["x"], run["y"]]))
+    assert start.get_xydata()[0] == pytest.approx([run["x"][0], run["y"][0]])
+    assert end.get_xydata()[0] == pytest.approx([run["x"][-1], run["y"][-1]])
+    drawn(ax.figure)
+
+
+@pytest.mark.parametrize(("way", "angle"), [((1, 0), -90), ((0, 1), 0), ((-1, 0), 90)])
+def test_arrows_point_the_way(run, ax, way, angle):
+    s = np.linspace(0, 3, run.t.size)
+    run = changed(changed(run, "x", way[0] * s), "y", way[1] * s)
+    motion_figures.path(run, ax)
+    arrows = [line for line in ax.lines if isinstance(line.get_marker(), tuple)]
+    assert len(arrows) == 3
+    assert [arrow.get_marker()[2] for arrow in arrows] == pytest.approx([angle] * 3)
+
+
+def test_path_names_the_stop(stopped, ax):
+    assert stopped.stop is not None
+    assert labels(motion_figures.path(stopped, ax))[-1].endswith(f"s: {stopped.stop.name}")
+
+
+def test_tracks_have_a_line_a_wheel(run, ax):
+    assert labels(motion_figures.tracks(run, ax)) == [
+        "contact right",
+        "contact left",
+        "contact front",
+    ]
+    assert len(ax.lines) == 3
+
+
+def test_terrain_says_how_heights_are_enlarged(run, grid):
+    ax = Figure().add_subplot(projection="3d")
+    assert motion_figures.terrain(run, grid, ax) is ax
+    drawn(ax.figure)
+    assert len(ax.lines) == 4
+    assert ax.get_zlabel().startswith("height $z$ [m], ")
+    assert ax.get_zlabel().endswith(":1")
+
+
+def test_tilts_and_moving_joints_are_drawn_with_degrees(run, ax):
+    assert labels(motion_figures.tilts(run, ax)) == ["tilt right", "tilt left", "steer"]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time $t$ [s]", "joint angle [rad]")
+    second = ax.child_axes[0]
+    drawn(ax.figure)
+    assert second.get_ylabel() == "[deg]"
+    assert second.get_ylim() == pytest.approx(np.rad2deg(ax.get_ylim()))
+
+
+def test_a_joint_at_rest_is_not_drawn(run, ax):
+    run = changed(run, "steer", np.zeros(run.t.size))
+    assert labels(motion_figures.tilts(run, ax)) == ["tilt right", "tilt left"]
+
+
+def test_the_margin_of_tipping_over_is_no_joint(loaded, ax):
+    assert labels(motion_figures.tilts(loaded, ax)) == ["tilt right", "tilt left", "steer"]
+
+
+def test_other_joints_are_found_but_not_their_stops(stopped, ax):
+    assert "tilt_left_stop" in stopped
+    stopped = changed(stopped, "rocker", np.sin(stopped.t))
+    assert labels(motion_figures.tilts(stopped, ax)) == [
+        "tilt right",
+        "tilt left",
+        "steer",
+        "rocker",
+    ]
+
+
+def test_a_vehicle_without_joints_is_said_to_have_none(run, ax):
+    columns = {k: c for k, c in run.columns.items() if not k.startswith(("tilt_", "steer"))}
+    motion_figures.tilts(replace(run, columns=columns), ax)
+    assert not ax.lines
+    assert ax.texts[0].get_text() == "no joint moves"
+
+
+@pytest.mark.parametrize("view", [("x", "y"), ("x", "z"), ("y", "z")])
+def test_loci_show_centres_contacts_and_platform(run, ax, view):
+    motion_figures.loci(run, ax, view)
+    drawn(ax.figure)
+    assert len(labels(ax)) == 2 * len(run.wheels) + 1
+    assert "[m]" in ax.get_xlabel()
+    assert "[m]" in ax.get_ylabel()
+
+
+def test_elevation_is_over_the_distance_driven(run, ax):
+    motion_figures.elevation(run, sf.Analytic(hills), ax)
+    contact, platform, below = ax.lines[0], ax.lines[3], ax.lines[4]
+    assert platform.get_xdata()[-1] == pytest.approx(sf.trajectory.path_length(run))
+    np.testing.assert_array_equal(contact.get_ydata(), run["contact_z", "right"])
+    expected = sf.Analytic(hills).elevation(run["x"], run["y"])
+    np.testing.assert_array_equal(below.get_ydata(), expected)
+
+
+def test_slope_is_that_of_a_ramp(run, ax):
+    x, y = np.linspace(-5, 5, 21), np.linspace(-4, 4, 17)
+    ramp = sf.Bicubic(sf.Grid(x, y, 0.3 * y + 0 * x[:, None]))
+    motion_figures.slope(changed(run, "heading", np.zeros(run.t.size)), ramp, ax)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), np.arctan(0.3), atol=1e-12)
+    assert ax.get_ylabel() == "slope [rad]"
+
+
+def analytic_slope(run: Trajectory) -> np.ndarray:
+    x, y, heading = run["x"], run["y"], run["heading"]
+    east = 0.1 * np.cos(x) * np.cos(0.7 * y) + 0.02
+    north = -0.07 * np.sin(x) * np.sin(0.7 * y)
+    return np.arctan(-np.sin(heading) * east + np.cos(heading) * north)
+
+
+def test_slope_is_that_of_a_formula_to_rounding(run, grid, ax):
+    motion_figures.slope(run, sf.Analytic(hills), ax)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
+    lower = motion_figures.figures(run, grid, sf.Analytic(hills))["elevation"].axes[1]
+    np.testing.assert_allclose(lower.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
+
+
+def test_slope_differs_from_the_pitch_by_reach_times_curvature(ax):
+    """On real ground with cells of 74 by 93 m, where a difference over cells is 0.1 rad off."""
+    settings = ["time.duration=600", "time.step=8", "solver.tolerance=1e-6"]
+    outcome = run_problem(read(FIRST_COMMAND, settings))
+    run, ground = outcome.trajectory, sf.Bicubic(outcome.setup.ground.grid)
+    motion_figures.slope(run, ground, ax)
+    rise, pitch = (np.asarray(line.get_ydata()) for line in ax.lines)
+    at = ca.SX.sym("x"), ca.SX.sym("y")
+    hessian = ca.Function("hessian", at, [ca.densify(ground.jet(*at).hessian)])
+    places = zip(run["x"] - ground.origin[0], run["y"] - ground.origin[1], strict=True)
+    curvature = max(np.linalg.norm(np.array(hessian(*place)), 2) for place in places)
+    reach = np.hypot(run["contact_x"] - run["x"][:, None], run["contact_y"] - run["y"][:, None])
+    assert np.ptp(rise) > 0.3
+    np.testing.assert_allclose(rise, pitch, rtol=0, atol=reach.max() * curvature)
+    assert reach.max() * curvature < 0.007
+
+
+def test_slip_at_rounding_is_said_to_be_none(run, ax):
+    motion_figures.slip(run, "along", ax)
+    assert not labels(ax)
+    assert "rounding" in ax.texts[0].get_text()
+    assert ax.get_ylabel() == "slip along the wheel [mm/s]"
+
+
+def test_slip_is_drawn_in_millimetres_per_second(run, ax):
+    values = np.outer(np.sin(run.t), [1e-3, 2e-3, 3e-3])
+    motion_figures.slip(changed(run, "slip_across", values), "across", ax)
+    assert labels(ax) == ["right", "left", "front"]
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), 2 * np.sin(run.t))
+
+
+@pytest.mark.parametrize(
+    ("name", "lines", "unit"),
+    [("wheel_rate", 3, "[rad/s]"), ("relative_curvature", 3, "[1/m]"), ("velocity_x", 1, "[m/s]")],
+)
+def test_history_draws_any_quantity(run, ax, name, lines, unit):
+    motion_figures.history(run, name, ax)
+    assert len(ax.lines) == lines
+    assert ax.get_ylabel().endswith(unit)
+
+
+@pytest.mark.parametrize("name", motion_figures.CHECKS)
+def test_checks_have_scale_and_reference(run, ax, name):
+    motion_figures.check(run, name, ax)
+    drawn(ax.figure)
+    assert ax.get_yscale() == motion_figures.CHECKS[name]
+    reference = run.statistics["tolerance"] if motion_figures.CHECKS[name] == "log" else 0.0
+    assert ax.lines[-1].get_ydata()[0] == reference
+
+
+def test_figures_come_by_name(run, grid):
+    settings = dict(mpl.rcParams)
+    figures = motion_figures.figures(run, grid)
+    assert list(figures) == NAMES
+    assert dict(mpl.rcParams) == settings
+    for name, figure in figures.items():
+        assert "Stopped" not in words(figure)
+        assert figure.axes, name
+    assert "least slip" in words(figures["slip"])
+    assert {"whole ground", "around the path"} <= {ax.get_title() for ax in figures["map"].axes}
+    rise = figures["elevation"].axes[1].lines[0].get_ydata()  # of the spline through the grid
+    np.testing.assert_allclose(rise, analytic_slope(run), atol=1e-4)
+
+
+def test_filled_holes_are_hatched_on_the_map(run, grid):
+    assert "filled holes" not in words(motion_figures.figures(run, grid)["map"])
+    filled = np.zeros(grid.z.shape, dtype=bool)
+    filled[30:33, 20:28] = True
+    figure = drawn(motion_figures.figures(run, replace(grid, filled=filled))["map"])
+    assert words(figure).count("filled holes") == 1
+    hatched = [c for ax in figure.axes for c in ax.collections if getattr(c, "hatches", [None])[0]]
+    assert hatched
+    low, high = hatched[0].get_datalim(hatched[0].axes.transData).get_points()
+    assert low == pytest.approx([grid.x[29], grid.y[19]], abs=0.02)
+    assert high == pytest.approx([grid.x[33], grid.y[28]], abs=0.02)
+
+
+def test_every_figure_says_why_the_motion_stopped(stopped, grid):
+    assert stopped.stop is not None
+    for figure in motion_figures.figures(with_mass(stopped), grid).values():
+        text = " ".join(words(figure).split())
+        assert stopped.stop.words in text
+
+
+@pytest.mark.parametrize("half_width", [2.0])
+def test_nothing_reaches_over_the_edge(stopped, grid, half_width):
+    kept = np.abs(grid.x) <= half_width
+    grid = sf.Grid(grid.x[kept], grid.y, grid.z[kept])
+    for name, figure in motion_figures.figures(lifted(with_mass(stopped)), grid).items():
+        drawn(figure)
+        width, height = figure.bbox.size
+        places = [*figure.axes, *(child for ax in figure.axes for child in ax.child_axes)]
+        texts = [*figure.texts, *(a.xaxis.label for a in figure.axes)]
+        texts += [a.yaxis.label for a in places] + [a.title for a in figure.axes]
+        texts += [text for a in figure.axes for text in a.texts if text.get_visible()]
+        texts += [a.zaxis.label for a in figure.axes if hasattr(a, "zaxis")]
+        for box in (text.get_window_extent() for text in texts if text.get_text()):
+            assert min(box.x0, box.y0) >= -1, name
+            assert box.x1 <= width + 1, name
+            assert box.y1 <= height + 1, name
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_very_short_motions_are_drawn(run, grid, count):
+    for figure in motion_figures.figures(run.part(slice(count)), grid).values():
+        drawn(figure)
+
+
+def test_large_map_coordinates_count_from_a_round_one(run, grid):
+    x, y = 500_123.0, 4_512_340.0
+    figures = motion_figures.figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z))
+    for name in ("map", "terrain", "loci"):
+        axes = drawn(figures[name]).axes[0]
+        assert axes.get_xlabel() == "east $x$ - 500000 [m]"
+        assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
+
+
+def test_files_are_written(run, grid, tmp_path):
+    files = motion_figures.save_figures(
+        run, grid, tmp_path / "new" / "folder", formats=("png", "pdf")
+    )
+    assert [f.name for f in files] == [f"{n}.{end}" for n in NAMES for end in ("png", "pdf")]
+    assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_unknown_formats_are_refused_before_anything_is_drawn(run, grid, tmp_path):
+    with pytest.raises(sf.ModelError, match=r"formats: 'gifx' is not known; known: .*png"):
+        motion_figures.save_figures(run, grid, tmp_path / "none", formats=("gifx",))
+    assert not (tmp_path / "none").exists()
+
+
+def test_missing_quantities_are_named(run, grid):
+    columns = {k: c for k, c in run.columns.items() if k != "slip_across"}
+    with pytest.raises(sf.ModelError, match="the trajectory has no 'slip_across'"):
+        motion_figures.figures(replace(run, columns=columns), grid)
+
+
+def test_a_motion_on_another_ground_is_refused(run, grid):
+    with pytest.raises(sf.ModelError, match=r"not on this ground: x is .* reaches from -5 to 5 m"):
+        motion_figures.figures(moved(run, 100.0, 0.0), grid)
+
+
+def test_vehicles_without_mass_have_no_figures_of_loads(run, grid):
+    assert force_figures.load_figures(run, grid) == {}
+
+
+def test_loads_are_drawn_for_vehicles_with_mass(loaded, grid):
+    settings = dict(mpl.rcParams)
+    figures = motion_figures.figures(loaded, grid)
+    assert list(figures) == [*NAMES, *LOADS]
+    assert dict(mpl.rcParams) == settings
+
+
+def test_files_of_loads_are_written(loaded, grid, tmp_path):
+    files = motion_figures.save_figures(loaded, grid, tmp_path)
+    assert [file.name for file in files] == [f"{name}.png" for name in [*NAMES, *LOADS]]
+    assert all(file.stat().st_size > 1000 for file in files)
+
+
+def test_forces_have_a_line_a_wheel(loaded, ax):
+    assert labels(force_figures.normal_forces(loaded, ax)) == ["right", "left", "front"]
+    np.testing.assert_array_equal(ax.lines[2].get_ydata(), loaded["force_normal", "front"])
+    assert ax.get_ylabel() == "normal force [N]"
+
+
+def test_tangential_forces_are_magnitudes(loaded, ax):
+    force_figures.tangential_forces(loaded, ax)
+    expected = 5 / 3 * loaded["force_along", "left"]  # 3, 4, 5
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), expected)
+    assert ax.get_ylabel() == "tangential force [N]"
+
+
+def test_drives_that_give_nothing_are_not_drawn(loaded, ax):
+    assert labels(force_figures.drives(loaded, ax)) == ["right", "left", "steer torque"]
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), loaded["drive_torque", "left"])
+    assert ax.get_ylabel() == "torque [N m]"
+
+
+def test_no_drive_at_all_is_said(loaded, ax):
+    coasting = changed(loaded, "drive_torque", np.zeros((loaded.t.size, 3)))
+    force_figures.drives(changed(coasting, "steer_torque", np.zeros(loaded.t.size)), ax)
+    assert not labels(ax)
+    assert ax.texts[0].get_text() == "no torque"
+
+
+def test_forces_of_sliding_joints_have_a_panel_of_their_own(loaded, grid):
+    assert len(force_figures.load_figures(loaded, grid)["forces"].axes) == 3
+    force = Column(Label("slide_force", "N", "slide_force"), np.cos(loaded.t))
+    sliding = replace(loaded, columns={**loaded.columns, "slide_force": force})
+    figure = drawn(force_figures.load_figures(sliding, grid)["forces"])
+    assert labels(figure.axes[2]) == ["right", "left", "steer torque"]
+    assert labels(figure.axes[3]) == ["slide force"]
+    assert figure.axes[3].get_ylabel() == "joint force [N]"
+
+
+def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
+    force_figures.utilisation(loaded, ax)
+    drawn(ax.figure)
+    wheels = ["right", "left", "front"]
+    assert labels(ax) == [*wheels, "forces distributed best", "all that friction gives"]
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["utilisation", "right"])
+    np.testing.assert_array_equal(ax.lines[3].get_ydata(), loaded["utilisation_best"])
+    assert list(ax.lines[4].get_ydata()) == [1, 1]
+    assert ax.get_ylabel() == "utilisation [1]"
+    assert ax.get_ylim()[1] >= 1
+
+
+def test_the_worst_utilisation_is_named(loaded, ax):
+    force_figures.utilisation(loaded, ax)
+    front = loaded["utilisation", "front"]
+    k = int(front.argmax())
+    assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[k], front[k]])
+    assert [text.get_text() for text in ax.texts] == [
+        f"front: {front[k]:.3g} at {loaded.t[k]:.4g} s"
+    ]
+
+
+@pytest.mark.parametrize("value", [0.79, 0.9, 0.99])
+def test_words_at_the_worst_point_leave_the_line_at_one_free(loaded, ax, value):
+    force_figures.utilisation(
+        lifted(changed(loaded, "utilisation", 0 * loaded["utilisation"]), value), ax
+    )
+    drawn(ax.figure)
+    box = ax.transData.inverted().transform(ax.texts[0].get_window_extent())
+    assert not box[0, 1] <= 1 <= box[1, 1]
+
+
+@pytest.mark.parametrize("value", [47.0, np.inf])
+def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
+    force_figures.utilisation(lifted(loaded, value), ax)
+    drawn(ax.figure)
+    assert ax.get_ylim() == (0, force_figures.CEILING)
+    assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[10], force_figures.CEILING])
+    remark, worst = (text.get_text() for text in ax.texts)
+    assert remark.startswith("not drawn above 3")
+    assert remark.endswith("infinite where a wheel bears nothing") == np.isinf(value)
+    assert worst == f"left: {'infinite' if np.isinf(value) else '47'} at {loaded.t[10]:.4g} s"
+    values = ax.lines[1].get_ydata()
+    assert np.isfinite(values).all()
+    assert (values[10:13] > force_figures.CEILING).all()
+
+
+def test_without_the_friction_of_the_ground_it_is_the_friction_needed(loaded, grid, ax):
+    columns = {**loaded.columns, "utilisation": loaded.columns["friction_needed"]}
+    run = replace(loaded, attributes={}, columns=columns)
+    force_figures.utilisation(run, ax)
+    assert ax.get_ylabel() == "friction needed $|f_t|/N$ [1]"
+    assert labels(ax)[-1] == "a friction coefficient of 1"
+    bar = force_figures.utilisation_map(run, grid, ax).child_axes[-1]
+    assert bar.get_ylabel() == "friction needed $|f_t|/N$ [1]"
+
+
+def test_tip_over_margin_has_degrees(loaded, ax):
+    force_figures.tip_over(loaded, ax)
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["tip_over_margin"])
+    assert ax.get_ylabel().endswith("[rad]")
+    drawn(ax.figure)
+    assert ax.child_axes[0].get_ylim() == pytest.approx(np.rad2deg(ax.get_ylim()))
+    assert ax.get_ylim()[0] <= 0
+
+
+def test_utilisation_is_drawn_without_what_only_some_vehicles_have(loaded, grid):
+    some = ("tip_over_margin", "utilisation_best")
+    fewer = replace(loaded, columns={k: c for k, c in loaded.columns.items() if k not in some})
+    figure = drawn(force_figures.load_figures(fewer, grid)["utilisation"])
+    assert len(figure.axes) == 1
+    assert "forces distributed best" not in words(figure)
+
+
+def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):
+    loaded = lifted(loaded)
+    assert force_figures.utilisation_map(loaded, grid, ax) is ax
+    drawn(ax.figure)
+    (lines,) = (each for each in ax.collections if isinstance(each, LineCollection))
+    assert lines.get_clim() == (0, 1)
+    values, colours = lines.get_array(), lines.get_colors()
+    assert len(values) == len(lines.get_segments()) == 3 * (loaded.t.size - 1)
+    assert (np.diff(values) >= 0).all()  # the largest lie on top
+    over = values > 1
+    assert over.sum() == 4  # three samples lie between four pieces
+    np.testing.assert_allclose(colours[over], np.tile(to_rgba(force_figures.OVER), (4, 1)))
+    np.testing.assert_allclose(colours[~over], mpl.colormaps[force_figures.COLOURS](values[~over]))
+    at = np.column_stack([loaded["contact_x", "left"], loaded["contact_y", "left"]])
+    worst = [piece for piece, much in zip(lines.get_segments(), over, strict=True) if much]
+    np.testing.assert_allclose(worst, np.stack([at[9:13], at[10:14]], axis=1))
+    assert labels(ax) == ["start, 0 s", f"largest, left: infinite at {loaded.t[10]:.4g} s",
+                          "beyond friction"]  # fmt: skip
+
+
+def test_the_ground_below_coloured_tracks_is_grey(loaded, grid, ax):
+    force_figures.utilisation_map(loaded, grid, ax)
+    (shadow,) = ax.images
+    assert not shadow.get_array()[..., :3].any()
+    assert ax.get_aspect() == 1.0
+    assert "beyond friction" not in labels(ax)
+
+
+def test_energy_lost_is_what_height_does_not_hold(loaded, ax):
+    assert labels(force_figures.energy(loaded, ax)) == ["drives", "potential energy", "lost"]
+    s = np.linspace(0, 1, loaded.t.size)
+    for line, expected in zip(ax.lines, (9 * s, 4 * s, 5 * s), strict=False):
+        np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)
+    assert ax.get_ylabel() == "energy since the start [J]"
+
+
+def test_power_has_the_colours_of_energy(loaded, ax):
+    force_figures.power(loaded, ax)
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["power"])
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), loaded["dissipation"])
+    other = force_figures.energy(loaded, Figure().subplots())
+    colours = [dict(zip(labels(a), (line.get_color() for line in a.lines), strict=False))
+               for a in (ax, other)]  # fmt: skip
+    assert colours[0].items() <= colours[1].items()
+
+
+def test_a_quantity_that_is_missing_from_loads_is_named(loaded, grid):
+    columns = {k: c for k, c in loaded.columns.items() if k != "force_across"}
+    with pytest.raises(sf.ModelError, match="the trajectory has no 'force_across'"):
+        force_figures.load_figures(replace(loaded, columns=columns), grid)
+
+
+@pytest.mark.parametrize("count", [1])
+def test_loads_of_very_short_motions_are_drawn(loaded, grid, count):
+    for figure in force_figures.load_figures(loaded.part(slice(count)), grid).values():
+        drawn(figure)
+
+
+def test_loads_on_flat_ground_are_drawn(loaded, grid):
+    drawn(force_figures.load_figures(loaded, replace(grid, z=0 * grid.z))["utilisation_map"])

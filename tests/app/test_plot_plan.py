@@ -1,0 +1,193 @@
+"""Figures of plans: the map of costs, what blocks it, ways, and what was planned within bounds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import slipfree as sf
+from slipfree.routing.regions import Disc, Polygon
+from slipfree.routing.traversability import blocked_by, traversability
+from slipfree.show import ground_drawing, plan_figures
+from slipfree.terrain.synthetic import blank, craters
+from slipfree.trajectory import Trajectory
+
+START, GOAL = ("start", 6.0, 8.0), ("goal", 24.0, 20.0)
+BOUNDS = {"right_rate": (-1.0, 3.0), "left_rate": (-1.0, 3.0), "steer_rate": (-0.5, np.inf)}
+LIMITS = {"steer": (-0.8, 0.8), "slip_across[front]": (-0.1, 0.1)}
+
+
+@pytest.fixture(scope="module")
+def grid() -> sf.Grid:
+    hilly = craters(blank((0, 40), (0, 40), 0.5), count=6, diameters=(4, 8), seed=2)
+    return sf.Grid(hilly.x, hilly.y, 2 * hilly.z)
+
+
+@pytest.fixture(scope="module")
+def layers(grid):
+    keep_out = [Disc(14.0, 16.0, 1.5), Polygon(((30.0, 30.0), (34.0, 30.0), (32.0, 35.0)))]
+    vehicle = sf.three_wheeler(axle="fixed")
+    return traversability(sf.Bicubic(grid, mu=0.5), vehicle, keep_out=keep_out)
+
+
+@pytest.fixture(scope="module")
+def run(grid) -> Trajectory:
+    dae = sf.direct_kinematics(sf.three_wheeler(axle="fixed"), sf.Bicubic(grid, mu=0.5))
+    start = sf.settle(dae, x=6.0, y=8.0, heading=-0.9)
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.45, steer_rate=0.01)
+    run = sf.simulate(dae, start, inputs, np.arange(0.0, 6.05, 0.2))
+    statistics = {**run.statistics, "plan_difference_x": 1.2e-4, "plan_difference_heading": 3e-5}
+    return replace(run, statistics=statistics)
+
+
+@pytest.fixture
+def ax():
+    return Figure(layout="constrained").subplots()
+
+
+def labels(ax) -> list[str]:
+    return ax.get_legend_handles_labels()[1]
+
+
+def way() -> np.ndarray:
+    return np.array([[6.0, 8.0], [14.0, 20.0], [24.0, 20.0]])
+
+
+def test_costs_and_what_blocks_lie_where_they_belong(layers, grid, ax):
+    plan_figures.cost_map(layers, grid, ax, ground_drawing.whole(grid))
+    costs, blocked = (image.get_array() for image in ax.images[:2])
+    assert costs.T.shape == layers.cost.shape
+    free = np.isfinite(layers.cost)
+    np.testing.assert_array_equal(np.ma.getmaskarray(costs).T, ~free)
+    np.testing.assert_allclose(costs.T[free], layers.cost[free])
+    # what blocks a node has a colour, what is free has none
+    np.testing.assert_array_equal(blocked[..., 3].T > 0, ~free)
+    assert ax.get_aspect() == 1.0
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("east $x$ [m]", "north $y$ [m]")
+    assert len(ax.patches) == 2  # the outlines of what to keep out of
+
+
+def test_the_legend_names_only_what_blocks_in_the_part_that_is_drawn(layers, grid, ax):
+    plan_figures.cost_map(layers, grid, ax, ground_drawing.whole(grid))
+    masks = blocked_by(layers)
+    assert "too steep for friction" in labels(ax)
+    assert labels(ax)[:2] == ["kept out of", "edge of the map"]
+    assert "too hollow for wheels" not in labels(ax)
+    assert not masks["hollow"].any()
+    away = Figure().subplots()
+    plan_figures.cost_map(layers, grid, away, (20.0, 24.0, 4.0, 8.0))
+    assert labels(away) == []
+
+
+def test_every_reason_has_words_and_a_colour_of_its_own(layers):
+    assert set(plan_figures.BLOCKED) == set(blocked_by(layers))
+    assert len({color for color, _ in plan_figures.BLOCKED.values()}) == len(plan_figures.BLOCKED)
+
+
+def test_a_map_that_is_blocked_everywhere_is_drawn(layers, grid, ax):
+    full = layers._replace(cost=np.full_like(layers.cost, np.inf))
+    plan_figures.cost_map(full, grid, ax, ground_drawing.whole(grid))
+    ax.figure.draw_without_rendering()
+
+
+def test_ways_have_their_lengths(ax):
+    plan_figures.ways([way()], ax)
+    length = np.hypot(8, 12) + 10
+    assert labels(ax) == [f"way to start from, {length:.4g} m"]
+    two = Figure().subplots()
+    plan_figures.ways([way(), way()], two)
+    assert [words.split(",")[0] for words in labels(two)] == ["way 1", "way 2"]
+
+
+def test_places_are_marked_by_name(run, ax):
+    plan_figures.motion(run, (START, ("way-point 1", 14.0, 20.0), GOAL), ax)
+    assert labels(ax) == ["planned motion", "start", "way-point 1", "goal"]
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), run["x"])
+    assert ax.lines[-1].get_xydata()[0] == pytest.approx(GOAL[1:])
+
+
+def test_inputs_are_drawn_with_their_bounds(run, ax):
+    plan_figures.inputs(run, BOUNDS, ax)
+    assert labels(ax) == ["right rate", "left rate", "steer rate", *["bound"] * 3]
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), run["right_rate"])
+    bounds = {line.get_ydata()[0]: line.get_color() for line in ax.lines[3:]}
+    # -1 and 3 are common to two inputs; no bound is drawn at infinity
+    assert set(bounds) == {-1.0, 3.0, -0.5}
+    assert bounds[-0.5] == ax.lines[2].get_color()
+    assert bounds[3.0] not in {line.get_color() for line in ax.lines[:3]}
+    assert ax.get_ylabel() == "inputs [rad/s]"
+
+
+def test_a_limited_quantity_of_one_wheel_is_drawn_with_its_limits(run, ax):
+    plan_figures.limited(run, "slip_across[front]", (-0.1, 0.1), ax)
+    line, *limits = ax.lines
+    np.testing.assert_array_equal(line.get_ydata(), run["slip_across", "front"])
+    assert [each.get_ydata()[0] for each in limits] == [-0.1, 0.1]
+    of_all = Figure().subplots()
+    plan_figures.limited(run, "slip_across", (-np.inf, 0.1), of_all)
+    assert labels(of_all) == ["right", "left", "front", "limit"]
+
+
+def test_room_is_the_distance_less_what_the_wheels_reach(run, layers, ax):
+    plan_figures.room(run, layers, ax)
+    expected = np.hypot(run["x"] - 14, run["y"] - 16) - 1.5 - layers.limits.reach
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), expected)
+    assert labels(ax)[0] == "disc at (14, 16) of 1.5 m radius"
+
+
+def test_figures_of_a_plan_are_complete_and_fit(run, grid, layers):
+    drawn = plan_figures.plan_figures(
+        run, grid, layers, places=(START, GOAL), found=[way()], bounds=BOUNDS, limits=LIMITS
+    )
+    assert list(drawn) == ["traversability", "plan"]
+    assert len(drawn["plan"].axes) == 1 + 2 + 1 + 2
+    note = " ".join(text.get_text() for text in drawn["plan"].texts).replace("\n", " ")
+    assert "misses the plan by x 1.2e-04 m, heading 3.0e-05 rad." in note
+    for figure in drawn.values():
+        figure.draw_without_rendering()
+        width, height = figure.bbox.size
+        labelled = [*figure.texts, *(a.xaxis.label for a in figure.axes)]
+        labelled += [a.yaxis.label for a in figure.axes]
+        for box in (text.get_window_extent() for text in labelled if text.get_text()):
+            assert min(box.x0, box.y0) >= -1
+            assert box.x1 <= width + 1
+            assert box.y1 <= height + 1
+
+
+@pytest.mark.parametrize(("count", "limits"), [(0, LIMITS), (9, {})])
+def test_labels_of_the_panels_do_not_meet(run, grid, layers, count, limits):
+    columns = {f"steer_rear_right_{k}_rate": run.columns["steer_rate"] for k in range(count)}
+    many = replace(run, columns={**run.columns, **columns})
+    bounds = BOUNDS | dict.fromkeys(columns, (-np.inf, np.inf))
+    figure = plan_figures.plan_figures(many, grid, layers, bounds=bounds, limits=limits)["plan"]
+    figure.draw_without_rendering()
+    boxes = [ax.yaxis.label.get_window_extent() for ax in figure.axes]
+    assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))
+
+
+def test_a_plan_without_bounds_limits_or_keep_outs_is_drawn(run, grid, layers):
+    bare = layers._replace(limits=layers.limits._replace(keep_out=()))
+    figure = plan_figures.plan_figures(run, grid, bare)["plan"]
+    assert len(figure.axes) == 2
+
+
+def test_a_short_way_is_drawn_without_the_rest_of_the_map(run, grid, layers):
+    figure = plan_figures.plan_figures(run, grid, layers)["traversability"]
+    assert np.ptp(figure.axes[0].get_xlim()) < 0.6 * 40
+    whole = plan_figures.plan_figures(
+        run, grid, layers, found=[np.array([[2.0, 2.0], [38.0, 38.0]])]
+    )
+    assert np.ptp(whole["traversability"].axes[0].get_xlim()) == pytest.approx(40)
+
+
+def test_files_are_written_with_those_of_the_motion(run, grid, layers, tmp_path):
+    files = plan_figures.save_plan_figures(run, grid, layers, tmp_path, bounds=BOUNDS)
+    names = [file.name for file in files]
+    assert names[:3] == ["traversability.png", "plan.png", "map.png"]
+    assert all(file.stat().st_size > 1000 for file in files)
+    with pytest.raises(sf.ModelError, match="formats: 'gifx' is not known"):
+        plan_figures.save_plan_figures(run, grid, layers, tmp_path, formats=("gifx",))

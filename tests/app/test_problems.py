@@ -1,0 +1,68 @@
+"""Every problem file that is shipped runs, and does what it says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from slipfree.problem.load import read
+from slipfree.problem.solve import run
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+HALF_RADIUS = 0.15
+
+
+def motion(name, *settings):
+    return run(read(PROBLEMS / f"{name}.toml", settings)).trajectory
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*sorted(PROBLEMS.glob("*_direct.toml")), PROBLEMS / "real_dem_rough.toml"],
+    ids=lambda path: path.stem,
+)
+def test_shortened(path):
+    trajectory = run(read(path, ["time.duration=2.0", "time.step=0.5"])).trajectory
+    assert trajectory.stop is None
+    assert trajectory.t[-1] == 2.0
+    assert trajectory["closure_residual"].max() < 1e-12
+    assert trajectory["newton_step"].max() < 100 * 1e-8
+
+
+def test_the_papers_rates_lay_the_wheels_down():
+    trajectory = motion("paper_direct")
+    assert trajectory.t[-1] == 6.0
+    assert_allclose(trajectory["tilt_right"][-1], 0.075 * 6, atol=0.1)
+    assert np.abs(trajectory["slip_across"]).max() < 1e-12
+
+
+def test_kilometres_over_a_real_map():
+    trajectory = motion("real_dem_direct", "time.step=10.0")
+    x, y, z = (trajectory[name] for name in "xyz")
+    assert trajectory.stop is None
+    assert np.hypot(x[-1] - x[0], y[-1] - y[0]) > 3000
+    assert np.ptp(x) / 74.4 + np.ptp(y) / 92.7 > 30  # cells of the map
+    assert np.ptp(z) > 200
+    assert trajectory["closure_residual"].max() < 1e-12
+
+
+def rocks_on_tracks(trajectory, rocks):
+    """Count the rocks higher than half a wheel radius that a contact passes over."""
+    return sum(
+        height > HALF_RADIUS
+        and np.hypot(trajectory["contact_x"] - x, trajectory["contact_y"] - y).min() < diameter / 4
+        for x, y, diameter, height in rocks
+    )
+
+
+def test_rocks_stop_a_rigid_wheel_and_are_crossed_as_it_feels_them():
+    problem = read(PROBLEMS / "rover_rocks_direct.toml")
+    crossed = run(problem).trajectory
+    assert rocks_on_tracks(crossed, problem.spec.terrain.synthetic.placed_rocks) >= 5
+    assert crossed.stop is None
+    assert crossed["clearance"].min() >= 0
+    assert crossed["relative_curvature"].min() > 0
+    bare = motion("rover_rocks_direct", "terrain.rolled=")
+    assert bare.stop.name == "clearance[right]"
+    assert "wheel right touches a second time at (1.0" in bare.stop.words

@@ -1,0 +1,253 @@
+"""The report of a result: one page that holds everything, for all kinds of results."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from base64 import b64decode
+from dataclasses import replace
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.files import netcdf
+from slipfree.problem.load import read
+from slipfree.problem.report import report
+from slipfree.problem.solve import run
+from slipfree.problem.summary import has_friction
+from slipfree.show.html_report import MOST, Report, image, page
+
+ROOT = Path(__file__).parents[2]
+STARTERS = ROOT / "src" / "slipfree" / "starters"
+SETTINGS = {
+    "direct": ["time.duration=1", "time.step=0.1", 'title="Über <Stock> & Stein"'],
+    "inverse": ["time.duration=1", "time.step=0.1"],
+    "plan": ["plan.intervals=8", "time.step=0.5"],
+    "climb": ["time.duration=0.3", "time.step=0.01"],
+}
+FIGURES = {"direct": 0, "inverse": 11, "plan": 13, "climb": 4}
+VOID = {"meta", "link", "img"}
+
+
+def _result(kind: str, folder: Path, *settings: str) -> Path:
+    """Return the result file of a shortened starter."""
+    outcome = run(read(STARTERS / f"{kind}.toml", [*SETTINGS[kind], *settings]))
+    file = folder / f"{kind}.nc"
+    netcdf.write(file, outcome.trajectory, outcome.arrays)
+    return file
+
+
+class _Page(HTMLParser):
+    """The tags of a page, that are properly nested, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+def _invoke(*words: str) -> Any:
+    return CliRunner().invoke(app, ["report", *words])
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out what takes long."""
+    monkeypatch.setattr("slipfree.problem.report._figures", lambda *_: {})
+
+
+@pytest.mark.parametrize("kind", SETTINGS)
+def test_a_page_holds_all_of_a_result(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not FIGURES[kind]:  # they are drawn as those of an inverse motion
+        monkeypatch.setattr("slipfree.problem.report._figures", lambda *_: {})
+    file = _result(kind, tmp_path)
+    result = _invoke(str(file))
+    assert result.exit_code == 0, result.output
+    text = file.with_suffix(".html").read_text(encoding="utf-8")
+    seen, words = _Page(text), unescape(re.sub(r"<[^>]*>", "", text))
+    motion = netcdf.read(file)
+    assert motion.attributes["title"] in words
+    for setting in motion.attributes["settings"].splitlines():
+        assert shlex.quote(setting) in words
+    assert (STARTERS / f"{kind}.toml").read_text() in words
+    for name, column in motion.columns.items():
+        told = name != "utilisation" or has_friction(motion)
+        assert name in words or not told
+        assert (column.label.words in words) == told
+    for name in ("slipfree", "python", "casadi", "numpy", "scipy"):
+        assert motion.attributes[f"{name}_version"] in words
+    assert f"slipfree info {file.name} --problem > {kind}_again.toml" in words
+    checks = {"direct": "closure residual", "inverse": "contact certificate",
+              "plan": "differs from the plan by at most", "climb": "balance within"}  # fmt: skip
+    assert checks[kind] in words
+    _check_alone(seen, text)
+    _check_pictures(seen, FIGURES[kind])
+    assert len(text) < 4e6
+    if kind == "climb":
+        assert page(report(file)) == text
+
+
+def _check_alone(seen: _Page, text: str) -> None:
+    """Assert that a page asks for nothing outside of it, and runs nothing."""
+    assert not {"script", "iframe", "object", "embed", "form"} & {name for name, _ in seen.tags}
+    for _, attributes in seen.tags:
+        assert not any(name.startswith("on") for name in attributes)
+        for name in ("src", "href"):
+            assert (attributes.get(name) or "data:").startswith(("data:", "#"))
+    assert "url(" not in text
+    assert "@import" not in text
+    (policy,) = [each["content"] for each in seen.of("meta") if "http-equiv" in each]
+    assert policy.startswith("default-src 'none'")
+    assert {link["href"] for link in seen.of("a")} == {f"#{s['id']}" for s in seen.of("section")}
+
+
+def _check_pictures(seen: _Page, count: int) -> None:
+    """Assert that pictures are whole, bounded and have words."""
+    pictures = seen.of("img")
+    assert len(pictures) == count
+    for each in pictures:
+        assert each["alt"]
+        kind, _, data = each["src"].partition(";base64,")
+        raw = b64decode(data, validate=True)
+        if kind == "data:image/png":
+            assert raw.startswith(b"\x89PNG")
+            continue
+        assert kind == "data:image/svg+xml"
+        assert ElementTree.fromstring(raw).tag.endswith("svg")
+        assert len(raw) <= MOST
+        assert b"<script" not in raw
+
+
+def test_a_large_drawing_becomes_pixels(rng: np.random.Generator) -> None:
+    figure = Figure()
+    figure.subplots().plot(*rng.random((2, 30_000)), "o")
+    assert image(figure).startswith("data:image/png;base64,")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_an_early_end_comes_first(tmp_path: Path) -> None:
+    found = report(_result("direct", tmp_path, "time.duration=30", "time.step=1"))
+    assert not found.good
+    assert found.lead.startswith("Stopped early at t = ")
+    assert "leaves the map" in found.lead
+    assert 'class="lead bad"' in page(found)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_running_again_replaces_nothing(tmp_path: Path) -> None:
+    again = report(_result("direct", tmp_path)).texts["To run it again"]
+    name = re.search(r"--problem > (\S+)", again)
+    assert name
+    assert name[1] == "direct_again.toml"
+    assert f"slipfree run {name[1]}" in again
+
+
+def test_a_planned_climb_shows_its_plan(tmp_path: Path) -> None:
+    settings = "plan.cost=time", "plan.nodes=20", "time.duration=4", "control.law="
+    found = report(_result("climb", tmp_path, *settings))
+    assert set(found.figures) == {"strobe", "references", "slip", "forces", "plan"}
+    assert "least friction" in {name.strip() for name, _ in found.tables["What came of it"]}
+
+
+def test_a_result_without_a_problem_has_no_figures(tmp_path: Path) -> None:
+    file = _result("direct", tmp_path)
+    motion = netcdf.read(file)
+    kept = {k: v for k, v in motion.attributes.items() if k not in ("problem", "settings")}
+    netcdf.write(file, replace(motion, attributes=kept))
+    result = _invoke(str(file), "-o", str(tmp_path / "bare.html"))
+    assert result.exit_code == 0
+    assert "warning: figures: None: the result holds no problem file" in result.stderr
+    text = (tmp_path / "bare.html").read_text()
+    assert "<img" not in text
+    assert "its ground is not known" in text
+    assert "To run it again" not in text
+
+
+def test_a_problem_of_another_version_has_no_figures(tmp_path: Path) -> None:
+    file = _result("direct", tmp_path)
+    motion = netcdf.read(file)
+    changed = motion.attributes | {"problem": 'verb = "direct"\nfuture = 1\n'}
+    netcdf.write(file, replace(motion, attributes=changed))
+    found = report(file)
+    assert found.note.startswith("None: ")
+    assert "future" in found.note
+    assert not found.figures
+    assert found.tables["Checks"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_files_that_a_problem_names_are_sought(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = tmp_path / "there"
+    shutil.copytree(ROOT / "problems" / "vehicles", there / "vehicles")
+    shutil.copy(ROOT / "problems" / "your_vehicle.toml", there)
+    monkeypatch.chdir(tmp_path)
+    outcome = run(read(Path("there/your_vehicle.toml"), ["time.duration=0.5"]))
+    assert outcome.trajectory.attributes["problem_folder"] == "there"
+    netcdf.write(Path("out.nc"), outcome.trajectory)
+    assert _invoke("out.nc").exit_code == 0
+    there.rename(tmp_path / "elsewhere")
+    result = _invoke("out.nc")
+    assert result.exit_code == 2
+    assert "needs vehicles/trailer.toml" in result.stderr
+    assert "--folder" in result.stderr
+    result = _invoke("out.nc", "--folder", str(ROOT / "problems"))
+    assert result.exit_code == 0, result.output
+    assert Path("out.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["no.nc"], "no.nc: expected a result file of slipfree"),
+        (["a.nc"], "a.nc: expected a result file of slipfree, found a file that begins with"),
+        (["a.html"], "a.html: expected a file of its own, found the result file"),
+        (["a.nc", "-o", "b.pdf"], "b.pdf: expected a name that ends in .html"),
+        (["a.nc", "-o", "no/b.html"], "no/b.html: expected a folder no to write to"),
+        (["a.nc", "-o", "d.html"], "d.html: expected the name of a file"),
+    ],
+)
+def test_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], told: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("d.html").mkdir()
+    for name in ("a.nc", "a.html"):
+        Path(name).write_text("nothing")
+    result = _invoke(*words)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert told in result.stderr
+    assert "Traceback" not in result.stderr
+    assert Path("a.html").read_text() == "nothing"
+
+
+def test_empty_tables_and_notes_leave_nothing_behind() -> None:
+    text = page(Report("T", "L.", True, {"A": [("x", "1"), ("  y", "<2>")], "B": []}, {}, "", {}))
+    seen = _Page(text)
+    assert [each["id"] for each in seen.of("section")] == ["a"]
+    assert '<th scope="row" class="below">y</th><td>&lt;2&gt;</td>' in text

@@ -1,0 +1,616 @@
+"""What there is to draw of a motion is where the motion was."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.animation import FFMpegWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.testing import assert_allclose
+from PIL import Image
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.errors import DataError, ModelError
+from slipfree.files import netcdf
+from slipfree.models.poses import part_poses, wheel_poses
+from slipfree.models.slip import measured_slip
+from slipfree.plan.transcription import Mesh, positions
+from slipfree.plan.warm_start import Saved
+from slipfree.problem.reload import shown
+from slipfree.show.climb_scene import climb_scene
+from slipfree.show.drive_film import _Film
+from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
+from slipfree.show.film import film_writer
+from slipfree.show.html_page import with_legend
+from slipfree.show.mesh_refinement import MOST, refined
+from slipfree.show.meshes import clipped, extruded, plate, rod, spokes, tyre
+from slipfree.show.scene import ARROWS, BLOCKED, TYRE, framed, rgb, scale_words
+from slipfree.show.style import PALETTE
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import Stop, Trajectory
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+PROBLEM = """\
+verb = "direct"
+slip = "traction"
+
+[terrain]
+friction = 0.6
+
+[terrain.synthetic]
+x = [-6, 6]
+y = [-6, 6]
+spacing = 0.25
+power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
+
+[vehicle]
+catalog = "three_wheeler"
+stiffness = 60.0
+
+[traction]
+creep = 1e-3
+
+[start]
+x = 0.0
+y = -2.0
+heading = 0.4
+
+[driver]
+name = "straight"
+speed = 0.3
+
+[time]
+duration = 1.0
+step = 0.02
+"""
+NAMED = (
+    'verb = "direct"\n[terrain]\nfile = "hills.npz"\n[vehicle]\nfile = "trike.toml"\n'
+    '[start]\nheading = 0.2\n[driver]\nname = "straight"\nspeed = 0.3\n'
+    "[time]\nduration = 0.4\nstep = 0.1\n"
+)
+CLIMB = """\
+verb = "climb"
+
+[profile.step]
+height = 0.09
+
+[friction]
+static = 0.8
+kinetic = 0.6
+
+[vehicle]
+catalog = "seven_wheels"
+
+[control]
+speed = 0.25
+
+[start]
+distance = 0.05
+
+[time]
+duration = 0.1
+step = 0.01
+"""
+
+
+def solved(folder: Path, name: str, text: str, *settings: str) -> Path:
+    """Return the result file of a problem."""
+    (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    out = folder / f"{name}.nc"
+    words = ["run", str(folder / f"{name}.toml"), "-o", str(out), "--no-draw"]
+    words += [word for each in settings for word in ("--set", each)]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    return out
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return solved(tmp_path_factory.mktemp("scene"), "hills", PROBLEM)
+
+
+@pytest.fixture(scope="module")
+def drive(file: Path) -> Driven:
+    found = shown(file, "hills")
+    assert isinstance(found, Driven)
+    return found
+
+
+@pytest.fixture(scope="module")
+def climb_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return solved(tmp_path_factory.mktemp("scene"), "step", CLIMB)
+
+
+def volume(mesh: Any) -> float:
+    """Return the volume in a closed surface, negative if its faces look inwards."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces.astype(int)], 1, 0)
+    return float((a * np.cross(b, c)).sum() / 6)
+
+
+def test_shapes_are_closed_and_look_outwards() -> None:
+    assert_allclose(volume(tyre(0.05, 0.25)), 2 * np.pi**2 * 0.25 * 0.05**2, rtol=0.06)
+    assert_allclose(np.linalg.norm(tyre(0.0, 0.3).vertices[:, 1:], axis=1).max(), 0.3)
+    octagon = 2 * np.sqrt(2) * 0.1**2
+    assert_allclose(volume(rod((1, 2, 3), (1, 2, 5), 0.1)), 2 * octagon)
+    assert_allclose(volume(plate(1.0, -1.0, 3.0, 0.1)), 0.1 * (2 * 3 + 1))
+    square = np.array([(0.0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    assert_allclose(volume(extruded(square, (0, 0, 2))), 2)
+    assert volume(spokes(0.3)) > 0
+    assert_allclose(clipped([(0, 0), (4, 0), (0, 4)], (1, 1), (9, 9)), [(1, 1), (3, 1), (1, 3)])
+    assert clipped([(0, 0), (1, 0), (0, 1)], (2, 2), (3, 3)).shape == (0, 2)
+
+
+def test_poses_are_those_of_the_motion(drive: Driven) -> None:
+    run, vehicle = drive.run, drive.vehicle
+    parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
+    assert_allclose(parts.origins[:, 0], np.stack([run[name] for name in "xyz"], axis=1))
+    centers = np.stack([run[f"center_{axis}"] for axis in "xyz"], axis=-1)
+    assert_allclose(wheels.origins, centers, atol=1e-12)
+    bodies = {body.name: body for body in drive_scene([drive]).actors[0].bodies}
+    x, y, z, w = (run[f"quaternion_{name}"] for name in "xyzw")
+    forward = np.stack([1 - 2 * (y**2 + z**2), 2 * (x * y + z * w), 2 * (x * z - y * w)], axis=1)
+    assert_allclose(bodies["platform"].rotations[:, :, 1], forward, atol=1e-12)
+    w, x, y, z = bodies["platform"].quaternions.T  # takes the y axis forward
+    turned = np.stack([2 * (x * y - z * w), 1 - 2 * (x**2 + z**2), 2 * (y * z + x * w)], axis=1)
+    assert_allclose(turned, forward, atol=1e-12)
+    assert {"left", "right", "front"} <= {*bodies}
+
+
+def test_arrows_are_slip_and_forces(drive: Driven) -> None:
+    scene = drive_scene([drive])
+    slip, force = scene.actors[0].arrows
+    assert (slip.name, force.name) == ("slip", "force")
+    assert np.abs(slip.vectors).max() > 1e-4
+    assert_allclose(slip.vectors[2:-2], measured_slip(drive.vehicle, drive.run), atol=2e-6)
+    weight = np.broadcast_to([0, 0, drive.vehicle.weight], (drive.run.t.size, 3))
+    assert_allclose(force.vectors.sum(axis=1), weight, atol=2e-3)
+    longest = np.linalg.norm(force.vectors, axis=-1).max() * scene.scales["force"]
+    assert 0.5 * scene.reach < longest < 1.3 * scene.reach
+    assert scale_words(scene, "force") == "an arrow of 1 m is 100 N"
+
+
+def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
+    scene = drive_scene([drive])
+    points = scene.ground.mesh.vertices + scene.origin
+    heights = drive.terrain.elevation(points[:, 0], points[:, 1])
+    assert_allclose(points[:, 2], heights, atol=1e-4)  # the spline of nodes near by
+    assert len(scene.ground.mesh.faces) <= 2 * SIDE**2
+    by_name = {layer.name: layer for layer in scene.ground.layers}
+    assert list(by_name) == ["height", "slope", "traversability"]
+    order = np.argsort(points[:, 2])
+    lightness = by_name["height"].colors[order].astype(float) @ (0.3, 0.6, 0.1)
+    assert (np.diff(lightness) > -2).all()  # viridis grows lighter, for every eye
+    assert scene.notes[0].startswith("Ground drawn: ")
+    assert (
+        f"{np.ptp(points[:, 0]):.4g} x {np.ptp(points[:, 1]):.4g} m of 12 x 12 m" in scene.notes[0]
+    )
+    contacts = scene.actors[0].contacts + scene.origin
+    normals = ground_normals(drive.terrain, contacts)
+    assert_allclose(np.linalg.norm(normals, axis=-1), 1)
+    assert (normals[..., 2] > 0.8).all()
+
+
+def test_blocked_ground_is_gray(drive: Driven) -> None:
+    from slipfree.routing.regions import Disc
+
+    at = (1.5, 0.0)
+    scene = drive_scene([drive._replace(keep_out=(Disc(*at, 0.5),))])
+    away = np.hypot(*(scene.ground.mesh.vertices + scene.origin)[:, :2].T - np.array(at)[:, None])
+    gray = (scene.ground.layers[2].colors == BLOCKED).all(axis=1)
+    assert gray[away < 1.5].all()
+    assert not gray.all()
+
+
+def test_a_small_part_of_a_large_map_is_drawn(drive: Driven) -> None:
+    x = np.linspace(-500, 500, 1001)
+    large = Bicubic(Grid(x, x, 0.05 * x[:, None] + 0 * x))
+    run = drive.run
+    columns = {**run.columns, "contact_z": run.columns["contact_z"]._replace(
+        values=0.05 * run["contact_x"])}  # fmt: skip
+    scene = drive_scene([drive._replace(terrain=large, run=replace(run, columns=columns))])
+    assert len(scene.ground.mesh.faces) <= 2 * SIDE**2
+    assert np.ptp(scene.ground.mesh.vertices[:, 0]) < 12
+    assert scene.ground.layers[1].legend == "0 to 2.86 degrees"
+    assert "Drawn ground and contact points are" in scene.notes[1]
+    assert float(scene.notes[1].split()[6]) < 1e-9
+
+
+def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
+    scene = drive_scene([drive, lifted(drive, 0.01)])
+    assert [actor.name for actor in scene.actors] == ["hills", "other"]
+    assert scene.actors[0].color != scene.actors[1].color
+    said = "The ground is that of hills; that of other differs by up to 0.01 m where it went."
+    assert scene.warnings == (said,)
+    assert said in with_legend("<body></body>", scene, "title", "height", [])
+    radius = drive.vehicle.wheels[0].radius
+    with pytest.raises(ModelError, match=r"on other ground than hills, up to .* m higher or lower"):
+        drive_scene([drive, lifted(drive, 1.01 * radius)])
+    grid = drive.terrain.grid
+    far = Bicubic(Grid(grid.x + 100, grid.y, grid.z))
+    with pytest.raises(ModelError, match="hills is on other ground than other, partly beside it"):
+        drive_scene([drive._replace(name="other", terrain=far, run=moved(drive.run, x=100)), drive])
+
+
+def lifted(drive: Driven, by: float) -> Driven:
+    """Return a motion as it would have been on ground that is higher throughout. [m]."""
+    grid = drive.terrain.grid
+    higher = Bicubic(Grid(grid.x, grid.y, grid.z + by), drive.terrain.center)
+    return drive._replace(name="other", terrain=higher, run=moved(drive.run, z=by))
+
+
+def moved(run: Trajectory, **by: float) -> Trajectory:
+    """Return a motion at another place."""
+    columns = {
+        name: column._replace(values=column.values + by.get(name.removeprefix("contact_"), 0.0))
+        for name, column in run.columns.items()
+    }
+    return replace(run, columns=columns)
+
+
+def test_a_long_way_is_drawn_finely_and_followed(drive: Driven) -> None:
+    """A vehicle of one metre on a map of kilometres stands on the ground that is drawn."""
+    x = np.linspace(-3000, 3000, 601)
+    waves = 5 * np.sin(x / 20)[:, None] * np.cos(x / 25)
+    large = Bicubic(Grid(x, x, waves))
+    way = np.linspace(-2000, 2000, drive.run.t.size)
+    run = moved(drive.run, x=0.0)
+    columns = dict(run.columns)
+    for name, shift in (("x", way), ("y", 0.7 * way)):
+        for each in (name, f"contact_{name}"):
+            values = run[each] - run[each][:1]
+            values = values + (shift if values.ndim == 1 else shift[:, None])
+            columns[each] = run.columns[each]._replace(values=values)
+    height = large.elevation(columns["contact_x"].values, columns["contact_y"].values)
+    columns["contact_z"] = run.columns["contact_z"]._replace(values=height)
+    far = drive._replace(terrain=large, run=replace(run, columns=columns))
+    scene = drive_scene([far])
+    assert scene.is_far
+    assert not drive_scene([drive]).is_far
+    points = scene.ground.mesh.vertices + scene.origin
+    fine = points[SIDE**2 :]
+    assert 10_000 < len(fine) <= MOST
+    assert all(len(layer.colors) == len(points) for layer in scene.ground.layers)
+    x, y = fine[:, 0], fine[:, 1]
+    beside = fine[(np.abs(0.7 * x - y) < 3) & (np.abs(x) < 1990)]
+    assert len(beside) > 1000
+    assert_allclose(beside[:, 2], large.elevation(beside[:, 0], beside[:, 1]), atol=1e-9)
+    first = [part[0] for part in (columns["x"].values, columns["y"].values)]
+    assert np.hypot(*(fine[:, :2] - first).T).min() < 5
+    corners = scene.ground.mesh.vertices[scene.ground.mesh.faces.astype(int)][:, :, :2]
+    (a, b), (c, d) = corners[:, 1].T - corners[:, 0].T, corners[:, 2].T - corners[:, 0].T
+    covered = 0.5 * (a * d - b * c).sum()  # once, without holes
+    assert_allclose(covered, np.prod(np.ptp(points[:, :2], axis=0)), rtol=1e-9)
+    off = float(next(note for note in scene.notes if "apart" in note).split()[6])
+    assert off < 0.1
+    assert scene.warnings == () or off > 0.1 * 0.3
+
+
+def test_a_refined_ground_is_that_of_its_mesh() -> None:
+    x = np.linspace(0, 100, 11)
+    grid, true = Grid(x, x, np.zeros((11, 11))), Bicubic(Grid(x, x, 0.02 * x[:, None] * x))
+    fine = refined(grid, true, [np.array([[15.0, 15], [45, 15]])], 1.0, 2.5)
+    assert fine.parts == 4
+    np.testing.assert_array_equal(np.argwhere(fine.near), [[1, 1], [2, 1], [3, 1], [4, 1]])
+    points = fine.mesh(np.zeros(3)).vertices[121:]
+    cell = points[:25].reshape(5, 5, 3)
+    assert_allclose([cell[0, :, 2], cell[:, 0, 2], cell[:, -1, 2]], 0)  # no gap to coarse cells
+    inside = cell[1:4, 1:4].reshape(-1, 3)
+    assert_allclose(inside[:, 2], true.elevation(inside[:, 0], inside[:, 1]), atol=1e-9)
+    assert_allclose(fine.height(inside[:, 0], inside[:, 1]), inside[:, 2], atol=1e-9)
+    assert_allclose(fine.height(np.array([95.0]), np.array([95.0])), 0)
+    shades = np.zeros((121, 3), np.uint8)
+    shades[:, 0] = (2 * np.repeat(x, 11)).astype(np.uint8)
+    assert_allclose(fine.spread(shades)[121:, 0], np.rint(2 * points[:, 0]), atol=1)
+    assert refined(grid, true, [], 1.0, 10.0).parts == 1
+
+
+def test_a_motion_that_stopped_says_so(drive: Driven) -> None:
+    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip"))
+    scene = drive_scene([drive._replace(run=run)])
+    assert scene.actors[0].stop == "stopped at t = 1 s: a wheel has no grip"
+    assert scene.actors[0].stop in with_legend("<body></body>", scene, "title", "height", [])
+    assert drive_scene([drive]).actors[0].stop == ""
+
+
+def test_arrows_have_colors_of_their_own(drive: Driven) -> None:
+    others = np.array([*map(rgb, PALETTE), TYRE, BLOCKED])
+    for color in ARROWS.values():
+        assert np.linalg.norm(others - color, axis=1).min() > 100
+    scene = drive_scene([drive])
+    page = with_legend("<body></body>", scene, "title", "height", [])
+    for name, color in ARROWS.items():
+        assert "background:rgb({},{},{})".format(*color) in page
+        assert f"</span>{name}: an arrow of 1 m is" in page
+
+
+def test_the_origin_has_no_minus_zero(drive: Driven) -> None:
+    scene = drive_scene([drive])
+    again = framed(scene.ground, scene.actors, np.array([-0.0, 0.0, -0.0]), 1.0, [])
+    assert "The scene's origin is (0, 0, 0) m on the map." in again.notes
+
+
+def test_a_plan_is_drawn_beside_its_simulation(file: Path, tmp_path: Path) -> None:
+    """The unknowns of a plan, laid out as a plan saves them, lead back to its poses."""
+    run = netcdf.read(file)
+    states = ["x", "y", "heading", "tilt_right", "tilt_left", "steer"]
+    unknowns = ["z", "roll", "pitch"]
+    mesh = Mesh(np.linspace(0, 1, 11), 3)
+    layout = positions(mesh, (6, 9, 1), continuous=False)
+    values = np.zeros(layout.duration + 1)
+    values[layout.duration] = 1.0
+    at = mesh.nodes[1:].reshape(10, 3)
+
+    def sampled(names: list[str], t: Any) -> np.ndarray:
+        columns = [column for name in names for column in np.atleast_2d(run[name].T)]
+        return np.stack([np.interp(t, run.t, column) for column in columns], axis=-1)
+
+    shift = np.zeros(15)
+    shift[0] = 0.25  # the plan's own coordinates begin elsewhere
+    values[layout.first] = sampled(states, 0.0) - shift[:6]
+    values[layout.states] = sampled(states, at) - shift[:6]
+    contacts = [sampled([f"contact_{axis}"], at) for axis in "xy"]
+    by_wheel = np.stack(contacts, axis=-1).reshape(10, 3, 6)  # x and y of a wheel side by side
+    values[layout.unknowns] = np.concatenate([sampled(unknowns, at), by_wheel], axis=-1)
+    sizes = np.array([3.0, 6, 9, 1, 0])
+    saved = Saved(mesh.ends, sizes, values, values, values, shift, np.zeros(1))
+    out = tmp_path / "planned.nc"
+    netcdf.write(out, run, saved.arrays)
+    found = shown(out, "planned")
+    assert found.plan is not None
+    for name in ("x", "heading", "pitch", "contact_y", "contact_z", "wheel_angle"):
+        for column, wanted in zip(found.plan[name].T.reshape(-1, found.plan.t.size),
+                                  run[name].T.reshape(-1, run.t.size), strict=True):  # fmt: skip
+            assert_allclose(column, np.interp(found.plan.t, run.t, wanted), atol=2e-4)
+    motion, plan = drive_scene([found]).actors
+    assert (plan.name, plan.ghost, motion.ghost) == ("planned: plan", True, False)
+    assert plan.arrows == ()
+
+
+def test_a_solved_plan_is_where_its_simulation_is(tmp_path: Path) -> None:
+    """Every quantity, of every wheel, by the layout that the planner itself saves."""
+    text = (PROBLEMS / "plan_rigid_hills.toml").read_text()
+    small = ["plan.intervals=4", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip="]
+    found = shown(solved(tmp_path, "plan", text, *small), "plan")
+    assert found.plan is not None
+    run = found.run
+    for name in ("x", "y", "z", "heading", "pitch", "contact_x", "contact_y", "contact_z"):
+        for planned, motion in zip(np.atleast_2d(found.plan[name].T), np.atleast_2d(run[name].T),
+                                   strict=True):  # fmt: skip
+            assert_allclose(planned, np.interp(found.plan.t, run.t, motion), atol=2e-3)
+    motion, plan = drive_scene([found]).actors
+    for actor in (motion, plan):  # no wheel touches the ground far from itself
+        wheels = np.stack([body.origins for body in actor.bodies[-3:]], axis=1)
+        assert np.linalg.norm(actor.contacts - wheels, axis=-1).max() < 0.31
+
+
+def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
+    found = shown(climb_file, "step")
+    scene = climb_scene([found])
+    (actor,), run = scene.actors, found.run
+    bodies = {body.name: body for body in actor.bodies}
+    assert len(bodies) == 2 + sum(axle.wheels for axle in found.climber.axles)
+    assert_allclose(bodies["front 1"].origins[:, 0] + scene.origin[0], run["axle_x", "front"])
+    tilt = run["tilt_rear"]
+    assert_allclose(bodies["rear body"].rotations[:, 2, 1], np.sin(tilt), atol=1e-12)
+    contacts = actor.contacts + scene.origin
+    touching = np.isfinite(contacts).all(axis=-1)
+    assert touching.any(axis=1).all()
+    assert_allclose(contacts[touching][:, 2], 0, atol=1e-3)  # on the floor, sunk in a little
+    forces = np.nansum(actor.arrows[1].vectors, axis=1)
+    assert_allclose(forces[0, 2], 9.81 * found.climber.mass, rtol=1e-2)
+    top = scene.ground.mesh.vertices[:, 2] + scene.origin[2]
+    assert_allclose(top.max(), 0.09)
+    assert volume(scene.ground.mesh) > 0
+    other = replace(found.profile, solids=found.profile.solids[:1])
+    with pytest.raises(ModelError, match="other climbs another profile than step"):
+        climb_scene([found, found._replace(name="other", profile=other)])
+
+
+def test_a_planned_climb_starts_when_the_motion_is_there(climb_file: Path, tmp_path: Path) -> None:
+    run = netcdf.read(climb_file)
+    come = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    arrays = {f"plan_{name}": run[name][4:] for name in ("x", "z", "tilt_rear", "tilt_front")}
+    arrays |= {"plan_time": run.t[4:] - run.t[4], "plan_progress": come[4:] - 1e-9}
+    out = tmp_path / "planned.nc"
+    netcdf.write(out, run, arrays)
+    found = shown(out, "planned")
+    assert found.plan is not None
+    assert_allclose(found.plan.t, run.t[4:], atol=1e-12)
+    for name in ("axle_x", "axle_z", "wheel_angle"):
+        assert_allclose(found.plan[name], run[name][4:], atol=1e-9)
+    ghost = climb_scene([found]).actors[1]
+    assert ghost.ghost
+    assert not np.isfinite(ghost.contacts).any()
+
+
+def refused(*words: str) -> str:
+    done = CliRunner().invoke(app, ["show", *words, "--no-browser"])
+    assert done.exit_code == 2
+    return str(done.stderr)
+
+
+def test_what_cannot_be_shown_is_refused(
+    file: Path, climb_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "motions over terrain or climbs alone, found both" in refused(str(file), str(climb_file))
+    run = netcdf.read(file)
+    bare = tmp_path / "bare.nc"
+    attributes = {name: words for name, words in run.attributes.items() if name != "problem"}
+    netcdf.write(bare, replace(run, attributes=attributes))
+    assert "expected a result with its problem in it, found none" in refused(str(bare))
+    text = PROBLEM.replace("[terrain]\n", '[terrain]\nfile = "hills.npz"\n')
+    text = text[: text.index("[terrain.synthetic]")] + text[text.index("[vehicle]") :]
+    named = tmp_path / "named.nc"
+    netcdf.write(named, replace(run, attributes={**run.attributes, "problem": text}))
+    monkeypatch.chdir(tmp_path)
+    words = refused(str(named))
+    assert "its problem needs hills.npz" in words
+    assert "--folder DIR" in words
+    data = file.parent / "data"
+    data.mkdir()
+    grid = shown(file, "hills").terrain.grid
+    np.savez(data / "hills.npz", x=grid.x, y=grid.y, z=grid.z)
+    assert_allclose(shown(named, "named", data).terrain.grid.z, grid.z)
+    old = {**run.attributes, "problem": PROBLEM.replace("speed", "pace")}
+    netcdf.write(bare, replace(run, attributes=old))
+    assert "its problem is not one of this version:\nhills.toml:" in refused(str(bare))
+    assert "expected a file of its own, found the result file" in refused(
+        str(file), "--html", str(file)
+    )
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a result, in a folder of its own, of a problem that names its ground and vehicle."""
+    folder = tmp_path_factory.mktemp("named")
+    x = np.linspace(-4, 4, 33)
+    np.savez(folder / "hills.npz", x=x, y=x, z=0.1 * np.sin(x)[:, None] * np.cos(x))
+    shutil.copy(PROBLEMS / "vehicles" / "trike.toml", folder)
+    (folder / "out").mkdir()
+    out = solved(folder, "drive", NAMED)
+    return out.replace(folder / "out" / "drive.nc")
+
+
+def test_files_are_looked_for_where_the_problem_was(
+    named: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(named.parent)
+    run = netcdf.read(named)
+    lost = tmp_path / "lost.nc"
+    kept = {name: words for name, words in run.attributes.items() if name != "problem_folder"}
+    netcdf.write(lost, replace(run, attributes=kept))
+    words = refused(str(lost))
+    assert f"needs hills.npz, found none in {tmp_path} or {named.parent}; name" in words
+    monkeypatch.chdir(tmp_path)
+    assert f"found none in {tmp_path}; name" in refused("lost.nc")
+    told = {**kept, "problem_folder": str(named.parent.parent)}
+    netcdf.write(lost, replace(run, attributes=told))
+    assert isinstance(shown(lost, "lost"), Driven)
+
+
+def test_a_changed_ground_is_refused(named: Path, tmp_path: Path) -> None:
+    folder = named.parent.parent
+    shutil.copy(folder / "trike.toml", tmp_path)
+    with np.load(folder / "hills.npz") as grid:
+        np.savez(tmp_path / "hills.npz", x=grid["x"], y=grid["y"], z=grid["z"] + 0.01)
+    words = refused(str(named), "--folder", str(tmp_path))
+    assert "expected the ground that it was run with, found another one (hills.npz)" in words
+    assert "up to 0.01 m from the contact points" in words
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "radius = 0.25, tube = 0.02 }]",
+            "radius = 0.26, tube = 0.02 }]",
+            "its wheels are 0.01 m from the motion's",
+        ),
+        ("[1.0", "[1.1", "its wheels are 0.1 m from the motion's"),
+        ('name = "rear"', 'name = "back"', "its wheels or joints have other names"),
+    ],
+)
+def test_a_changed_vehicle_is_refused(
+    named: Path, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    folder = named.parent.parent
+    shutil.copy(folder / "hills.npz", tmp_path)
+    text = (folder / "trike.toml").read_text()
+    assert old in text
+    (tmp_path / "trike.toml").write_text(text.replace(old, new))
+    words = refused(str(named), "--folder", str(tmp_path))
+    assert f"another one (trike.toml): {said}" in words
+
+
+def test_films(file: Path, climb_file: Path, tmp_path: Path) -> None:
+    for each, count in ((file, 21), (climb_file, 3)):
+        out = tmp_path / f"{each.stem}.gif"
+        done = CliRunner().invoke(app, ["show", str(each), "--animation", str(out)])
+        assert done.exit_code == 0, done.output
+        with Image.open(out) as film:
+            assert film.n_frames == count
+            first = np.asarray(film.convert("RGB"), dtype=int)
+            film.seek(count - 1)
+            last = np.asarray(film.convert("RGB"), dtype=int)
+        assert (np.abs(first - last).max(axis=2) > 30).sum() > 20
+
+
+def test_places_are_checked_before_anything_is_drawn(
+    file: Path, climb_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "d.gif").mkdir()
+    (tmp_path / "d.html").mkdir()
+    for option, name, said in (
+        ("--animation", "a.avi", "expected a name that ends in .gif or .mp4"),
+        ("--animation", "gone/a.gif", "expected a folder gone to write to, found none"),
+        ("--animation", "d.gif", "expected the name of a file to write, found a folder"),
+        ("--animation", str(file), "expected a file of its own, found the result file"),
+        ("--html", "a.gif", "expected a name that ends in .html"),
+        ("--html", "-", "expected a name that ends in .html"),
+        ("--html", "d.html", "expected the name of a file to write, found a folder"),
+    ):
+        monkeypatch.setattr("slipfree.problem.reload.read_result", lambda _: pytest.fail("read"))
+        for each in (file, climb_file):
+            if str(each) == name or name != str(file):
+                words = refused(str(each), option, name)
+                assert said in words, (option, name)
+    assert {path.name for path in tmp_path.iterdir()} == {"d.gif", "d.html"}
+
+
+def test_an_interrupted_film_leaves_nothing(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "film.gif"
+    out.write_bytes(b"the film before")
+    seen = []
+
+    def show(_: Any, t: float) -> None:
+        seen.append(t)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("slipfree.show.drive_film._Film.show", show)
+    done = CliRunner().invoke(app, ["show", str(file), "--animation", str(out)])
+    assert done.exit_code == 130
+    assert out.read_bytes() == b"the film before"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_the_time_of_a_film_lies_beside_its_legend(drive: Driven) -> None:
+    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip"))
+    drives = [drive._replace(run=run)]
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    film = _Film(figure, drive_scene(drives), drives, 1.0)
+    film.show(0.5)
+    figure.draw_without_rendering()
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert not film.title.get_window_extent().overlaps(legend.get_window_extent())
+    told = {handle.get_label(): handle.get_color() for handle in legend.legend_handles}
+    for name, color in ARROWS.items():
+        assert_allclose(np.array(told[f"{name} (arrows)"]) * 255, color)
+    assert "hills stopped at t = 1 s: a wheel has no grip" in figure.get_supxlabel()
+
+
+@pytest.mark.skipif(not FFMpegWriter.isAvailable(), reason="needs the program ffmpeg")
+def test_a_film_in_mp4(climb_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "step.mp4"
+    done = CliRunner().invoke(app, ["show", str(climb_file), "--animation", str(out)])
+    assert done.exit_code == 0, done.output
+    assert out.read_bytes()[4:8] == b"ftyp"
+
+
+def test_without_ffmpeg_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda _: False))
+    with pytest.raises(DataError, match=r"need the program ffmpeg, found none; install it"):
+        film_writer(Path("film.mp4"), 20)

@@ -1,0 +1,341 @@
+"""Habits of the shell: new problems, shipped ones, how much is told, JSON, completion, colours."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import slipfree
+from helpers.problem_files import PROBLEM
+from slipfree import threads
+from slipfree.cli import app, messages
+from slipfree.files import netcdf
+
+ROOT = Path(__file__).parents[2]
+KINDS = ("direct", "inverse", "plan", "climb")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PROBLEM, encoding="utf-8")
+    return tmp_path
+
+
+def _invoke(*words: str) -> Any:
+    return CliRunner().invoke(app, list(words))
+
+
+def _json(*words: str, code: int = 0) -> dict[str, Any]:
+    """Return the one object on stdout of a command that must end with a code."""
+    result = _invoke(*words, "--json")
+    assert result.exit_code == code, result.output
+    found = json.loads(result.stdout, parse_constant=lambda word: pytest.fail(word))
+    assert (found["command"], found["exit_code"]) == (words[0], code)
+    assert found["meaning"] == messages.MEANINGS[code]
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_new_problem_runs_as_it_is(kind: str) -> None:
+    result = _invoke("new", kind, "mine")
+    assert result.exit_code == 0, result.output
+    assert "wrote mine.toml" in result.stdout
+    text = Path("mine.toml").read_text()
+    assert "slipfree run mine.toml" in text
+    assert "FILE" not in text
+    result = _invoke("check", "mine.toml")
+    assert (result.exit_code, result.stdout[-3:]) == (0, "ok\n"), result.output
+    assert f'verb = "{kind}"' in text
+    result = _invoke("run", "mine.toml", "--no-draw", "--verbose")
+    assert result.exit_code == 0, result.output
+    iterates = re.findall(r"iteration \d+, cost ", result.stderr)
+    assert (len(iterates) > 3) == (kind == "plan")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_comments_of_a_starter_explain_its_values(kind: str) -> None:
+    text = (ROOT / "src" / "slipfree" / "starters" / f"{kind}.toml").read_text()
+    told = False  # in a table; the second of two alike needs no comment
+    for line in text.splitlines():
+        told = "#" in line or (told and bool(line))
+        assert told or not re.search(r"= .*\d", line), line
+
+
+def test_new_replaces_nothing_unasked() -> None:
+    Path("a.toml").write_text("mine")
+    result = _invoke("new", "plan", "a.toml")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        "a.toml: expected no file of that name, found one; replace it by --force\n"
+    )
+    assert Path("a.toml").read_text() == "mine"
+    assert _invoke("new", "plan", "a", "--force").exit_code == 0
+    assert 'verb = "plan"' in Path("a.toml").read_text()
+    assert "expected a folder no to write to" in _invoke("new", "plan", "no/a").stderr
+    Path("b.toml").mkdir()
+    assert "found a folder" in _invoke("new", "plan", "b", "--force").stderr
+    for name in ("", ".", "a\nb"):
+        assert "expected a name for the problem" in _invoke("new", "plan", name).stderr
+    assert "slipfree run 'a b.toml'" in _invoke("new", "plan", "a b").stdout
+    result = _invoke("new", "walk", "a")
+    assert result.exit_code == 2
+    assert "'direct', 'inverse', 'plan', 'climb'" in result.stderr
+
+
+def test_examples_are_the_shipped_problems() -> None:
+    lines = _invoke("examples").stdout.splitlines()
+    shipped = {path.relative_to(ROOT / "problems").with_suffix("").as_posix(): path
+               for path in (ROOT / "problems").rglob("*.toml")}  # fmt: skip
+    listed = {line.split()[0]: line for line in lines if line and "slipfree" not in line}
+    assert listed.keys() == shipped.keys()
+    for name, path in shipped.items():
+        data = tomllib.loads(path.read_text())
+        assert data.get("title", data.get("name")) in listed[name]
+        assert data.get("verb", "vehicle") in listed[name]
+    found = _json("examples")["examples"]
+    assert {each["name"] for each in found} == shipped.keys()
+
+
+def test_an_example_is_copied_with_what_it_needs(folder: Path) -> None:
+    result = _invoke("examples", "your_vehicle.toml", "--to", "deep/er")
+    assert result.exit_code == 0, result.output
+    copied = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("deep/**/*.toml"))
+    assert copied == ["deep/er/vehicles/trailer.toml", "deep/er/your_vehicle.toml"]
+    assert _invoke("check", "deep/er/your_vehicle.toml").exit_code == 0
+    again = _invoke("examples", "your_vehicle", "--to", "deep/er")
+    assert again.exit_code == 2
+    assert "replace them by --force" in again.stderr
+    assert _invoke("examples", "your_vehicle", "--to", "deep/er", "--force").exit_code == 0
+
+
+def test_all_examples_at_once_make_the_commands_of_the_readme_work() -> None:
+    assert _invoke("examples", "--to", "problems").exit_code == 0
+    for path in (ROOT / "problems").rglob("*.toml"):
+        copy = Path("problems") / path.relative_to(ROOT / "problems")
+        assert copy.read_bytes() == path.read_bytes()
+
+
+def test_examples_that_are_none() -> None:
+    result = _invoke("examples", "paper_dirct")
+    assert result.exit_code == 2
+    assert "did you mean 'paper_direct'?" in result.stderr
+    assert "slipfree examples lists them" in _invoke("examples", "xyz").stderr
+    assert "expected a folder to write to" in _invoke("examples", "--to", "p.toml").stderr
+
+
+def test_quiet_prints_errors_alone() -> None:
+    result = _invoke("run", "p.toml", "--no-draw", "-q")
+    assert (result.exit_code, result.output) == (0, "")
+    assert netcdf.read("p.nc").t[-1] == 0.5
+    assert _invoke("-q", "check", "p.toml").output == ""
+    result = _invoke("run", "p.toml", "--no-draw", "--quiet", "--set", "time.duration=3")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "stopped early at t = 1.25 s" in result.stderr
+    assert _invoke("check", "no.toml", "-q").stderr.startswith("no.toml: expected a problem file")
+    assert _invoke("check", "p.toml").stdout.endswith("ok\n")  # it is not remembered
+
+
+def test_verbose_says_what_is_done_and_when() -> None:
+    plain = _invoke("run", "p.toml", "--no-draw")
+    result = _invoke("run", "p.toml", "--no-draw", "-v")
+    assert result.exit_code == 0
+    lines = result.stderr.splitlines()
+    times = [float(re.match(r"\[ *([\d.]+) s\] ", line)[1]) for line in lines]
+    assert times == sorted(times)
+    for words in ("read p.toml", "stood the vehicle on its start", "solved: steps ", "wrote p.nc"):
+        assert words in result.stderr
+    assert "integrated to" not in result.stderr  # it took no second
+    names = [[line.split("  ")[0] for line in each.stdout.splitlines()] for each in (plain, result)]
+    assert names[0] == names[1]
+    both = _invoke("run", "p.toml", "-v", "-q")
+    assert both.exit_code == 2
+    assert both.stderr == "expected --quiet or --verbose, found both\n"
+
+
+def test_run_in_json() -> None:
+    found = _json("run", "p.toml", "--no-draw", "--csv", "p.csv")
+    assert found["files"] == ["p.nc", "p.csv"]
+    assert found["facts"]["vehicle"].startswith("three_wheeler")
+    assert "largest along" in found["facts"]["least slip: wheel front"]
+    result, motion = found["result"], netcdf.read("p.nc")
+    assert result["stop"] is None
+    assert result["wheels"] == ["right", "left", "front"]
+    assert result["time"] == {"unit": "s", "first": 0.0, "last": 0.5}
+    assert set(result["quantities"]) == set(motion)
+    y, slip = (result["quantities"][name] for name in ("y", "slip_along"))
+    assert (y["unit"], y["last"]) == ("m", motion["y"][-1])
+    assert (slip["unit"], slip["last"]) == ("m s-1", motion["slip_along"][-1].tolist())
+    assert slip["max"] == motion["slip_along"].max()
+    assert result["statistics"]["steps"] > 10
+
+
+def test_early_ends_and_bad_input_in_json() -> None:
+    found = _json("run", "p.toml", "--no-draw", "--set", "time.duration=3", code=1)
+    assert found["result"]["stop"]["name"] == "map_margin[front]"
+    assert found["result"]["stop"]["time"] == pytest.approx(1.25, abs=1e-5)
+    assert "leaves the map" in found["errors"][0]
+    found = _json("check", "p.toml", "--set", "time.step=0", "--set", "solver.tol=1", code=2)
+    assert [each.split(":")[0] for each in found["errors"]] == [
+        "--set time.step",
+        "--set solver.tol",
+    ]
+    assert _json("info", "no.nc", code=2)["errors"][0].startswith("no.nc: expected a result file")
+
+
+@pytest.mark.parametrize(
+    ("words", "command", "told"),
+    [
+        (["new", "foo", "q"], "new", "'foo' is not one of"),
+        (["run", "p.toml", "--bogus"], "run", "No such option: --bogus"),
+        (["run"], "run", "Missing argument 'FILE'"),
+        (["bogus"], "bogus", "No such command 'bogus'"),
+        (["--frob", "check", "p.toml"], "check", "No such option: --frob"),
+        ([], "", "Missing command"),
+        (["check", "p.toml", "-q", "-v"], "check", "expected --quiet or --verbose, found both"),
+    ],
+)
+def test_words_that_are_no_command_in_json(words: list[str], command: str, told: str) -> None:
+    result = _invoke(*words, "--json")
+    assert result.exit_code == 2
+    found = json.loads(result.stdout)
+    assert (found["command"], found["exit_code"]) == (command, 2)
+    assert found["meaning"] == messages.MEANINGS[2]
+    assert len(found["errors"]) == 1
+    assert told in found["errors"][0]
+    assert told in result.stderr
+    assert _invoke(*words).stdout == ""
+
+
+@pytest.mark.parametrize("words", [("--version", "--json"), ("--json", "--version")])
+def test_the_version_in_json(words: tuple[str, str]) -> None:
+    result = _invoke(*words)
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["version"] == slipfree.__version__
+
+
+def test_interruption_in_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("slipfree.problem.solve.build", interrupted)
+    assert _json("check", "p.toml", code=130)["errors"] == ["interrupted"]
+
+
+def test_check_vehicle_info_and_export_in_json() -> None:
+    found = _json("check", "p.toml")
+    assert found["start"]["z"]["unit"] == "m"
+    assert found["start"]["z"]["last"] == pytest.approx(0.3)
+    found = _json("vehicle", "p.toml")
+    assert found["tree"][0].startswith("three_wheeler")
+    assert found["facts"]["inputs"].startswith("3: right_rate")
+    assert found["facts"]["rates: equations"]
+    assert _invoke("run", "p.toml", "--no-draw").exit_code == 0
+    found = _json("info", "p.nc")
+    assert found["attributes"]["title"] == "Überfahrt"
+    assert found["result"]["quantities"]["heading"]["unit"] == "rad"
+    assert _json("info", "p.nc", "--problem")["problem"] == PROBLEM
+    assert _json("export", "p.nc", "--path", "way.csv")["files"] == ["way.csv"]
+    assert _json("new", "climb", "c")["files"] == ["c.toml"]
+
+
+def test_compare_in_json() -> None:
+    assert _invoke("examples", "compare_axles").exit_code == 0
+    two = '[{name="a", catalog="three_wheeler"}, {name="b", catalog="three_wheeler", axle="fixed"}]'
+    words = f"vehicles={two}", "time.duration=0.1", "solver.tolerance=1e-8"
+    settings = [part for each in words for part in ("--set", each)]
+    found = _json("compare", "compare_axles.toml", *settings)
+    first, second = found["vehicles"]
+    assert (first["name"], second["name"], second["rank"]) == ("a", "b", 7)
+    assert (first["rank"], first["conditions"]) == (9, 9)
+    assert first["same_rates"]["slip_across"]["unit"] == "m s-1"
+    assert len(first["same_rates"]["slip_across"]["max"]) == len(first["wheels"])
+
+
+def test_numbers_that_json_does_not_have_become_null() -> None:
+    found = messages.plain({"a": [1.0, float("nan")], "b": float("inf"), "c": ("x", None, True, 3)})
+    assert found == {"a": [1.0, None], "b": None, "c": ["x", None, True, 3]}
+
+
+def test_facts_below_others_are_named_with_them() -> None:
+    with messages._speaking("test", messages.Voice(quiet=True)):
+        messages.put_facts([("a", "1"), ("  b", "2"), ("c", "3"), ("c", "4")])
+        assert messages._said().content["facts"] == {"a": "1", "a: b": "2", "c": "3\n4"}
+
+
+def test_every_command_can_be_quiet_verbose_and_json() -> None:
+    for name in [each.callback.__name__ for each in app.registered_commands]:
+        words = _invoke(name, "--help").stdout
+        for option in ("--quiet", "--verbose", "--json"):
+            assert option in words, (name, option)
+
+
+def _shell(command: str, **more: str) -> str:
+    """Return what bash prints for a command line that calls slipfree."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    found = subprocess.run(
+        ["bash", "--norc", "-c", command], env={**os.environ, "PATH": path, **more},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return found.stdout
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_completion() -> None:
+    script = _shell("slipfree --show-completion; true")
+    assert "complete -o default -F _slipfree_completion slipfree" in script
+
+    def completed(line: str) -> list[str]:
+        count = str(len(line.split(" ")) - 1)
+        variables = {"_SLIPFREE_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": count}
+        return _shell("slipfree", **variables).split()
+
+    assert set(completed("slipfree r")) == {"run", "report"}
+    assert completed("slipfree new pl") == ["plan"]
+    assert completed("slipfree examples plan_cr") == ["plan_crater_field"]
+    assert "--verbose" in completed("slipfree run --ver")
+
+
+def _printed(stdout: Any, **more: str) -> bytes:
+    """Return what ``slipfree check`` prints to a pipe or a terminal."""
+    command = [sys.executable, "-m", "slipfree", "check", "p.toml"]
+    names = ("NO_COLOR", "FORCE_COLOR", "TERM")
+    environment = {name: value for name, value in os.environ.items() if name not in names}
+    return subprocess.run(
+        command, stdout=stdout, env=environment | {"TERM": "xterm-256color", **more}, check=True
+    ).stdout  # fmt: skip
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX terminal")
+def test_colours_are_for_terminals_that_want_them() -> None:
+    assert b"\x1b" not in _printed(subprocess.PIPE)
+    master, slave = os.openpty()
+    _printed(slave, NO_COLOR="1")
+    os.close(slave)
+    seen = os.read(master, 100_000)
+    os.close(master)
+    assert b"ok" in seen
+    assert not re.search(rb"\x1b\[(?:\d+;)*[349]\dm", seen)
+
+
+def test_linear_algebra_keeps_to_one_thread_unless_told_otherwise(monkeypatch):
+    """It is asked for before numpy is there."""
+    code = "import sys, slipfree.__main__ as m; print('numpy' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "False"
+    for name in threads.NAMES:
+        monkeypatch.setenv(name, "2")
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    threads.single()
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "2"
+    assert os.environ["OMP_NUM_THREADS"] == "1"

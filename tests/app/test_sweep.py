@@ -1,0 +1,787 @@
+"""Sweeps: what they run, what they keep when they are killed, what they tell and draw."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from multiprocessing import active_children
+from pathlib import Path
+from typing import Any
+
+import distributed
+import numpy as np
+import psutil
+import pytest
+from matplotlib.figure import Figure
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.files import netcdf
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem.units import unit_of
+from slipfree.show import sweep_figures as show
+from slipfree.show.sweep_results import Swept, Varied
+from slipfree.sweep import pools
+from slipfree.sweep.grid import axis_of, sweep_of
+from slipfree.sweep.log import Log, Row
+from slipfree.sweep.pools import cluster, processes
+from slipfree.sweep.table import drawn, facts, write_table
+from slipfree.sweep.task import Task
+from slipfree.sweep.worker import work
+from slipfree.version import __version__
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+PROBLEM = """\
+verb = "direct"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 2.25]
+spacing = 0.25
+
+[terrain.synthetic.power_law]
+rms = 0.02
+hurst = 0.9
+longest = 4.0
+shortest = 2.0
+seed = 1
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+heading = 0
+
+[driver]
+name = "straight"
+speed = 1.0
+
+[time]
+duration = 0.3
+step = 0.1
+"""
+SPEED, ROUGH = "driver.speed", "terrain.synthetic.power_law.rms"
+GRID = ["--vary", f"{SPEED}=0.5,1.0", "--vary", f"{ROUGH}=0.01,0.02", "--repeat", "3"]
+SLOW = [*GRID, "--set", "time.step=0.003"]  # so long that many are left when it is killed
+RUNS = 12  # of the grid
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PROBLEM)
+    return tmp_path / "p.toml"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """A sweep that nothing interrupts, and what it printed."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "p.toml").write_text(PROBLEM)
+    return folder, _sweep(folder, *GRID, "--processes", "2", "--keep")
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a sweep of longer runs that nothing interrupts."""
+    folder = tmp_path_factory.mktemp("slow")
+    (folder / "p.toml").write_text(PROBLEM)
+    assert _sweep(folder, *SLOW, "--processes", "2", "--no-draw").exit_code == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def dask() -> Iterator[str]:
+    """The address of a cluster of two processes."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+    ) as local:  # fmt: skip
+        yield local.scheduler_address
+
+
+def _invoke(*words: str) -> Any:
+    return CliRunner().invoke(app, ["sweep", *words])
+
+
+def _sweep(folder: Path, *words: str) -> Any:
+    return _invoke(str(folder / "p.toml"), "-o", str(folder / "out"), *words)
+
+
+def _begun(folder: Path, *words: str) -> subprocess.Popen[str]:
+    """Begin a sweep in a process of its own, and return it when some runs are finished."""
+    command = [sys.executable, "-m", "slipfree", "sweep", str(folder / "p.toml"), "-o",
+               str(folder / "out"), *words]  # fmt: skip
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    log, end = folder / "out" / "runs.jsonl", time.monotonic() + 60
+    while not log.exists() or log.read_bytes().count(b"\n") < 3:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    return process
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    """End a sweep at once; its processes end by themselves."""
+    children = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.communicate()
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+
+
+def _lines(folder: Path) -> list[bytes]:
+    return (folder / "out" / "runs.jsonl").read_bytes().splitlines(keepends=True)
+
+
+def _table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "out" / "table.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "values"),
+    [
+        ("a.b=0:1:5", "a.b", ("0.0", "0.25", "0.5", "0.75", "1.0")),
+        ("a.b=0.1:0.5:5", "a.b", ("0.1", "0.2", "0.3", "0.4", "0.5")),
+        ("a=4:1:4", "a", ("4", "3", "2", "1")),
+        ("a=1:4:3", "a", ("1.0", "2.5", "4.0")),
+        ("a=1e-9,1e-8", "a", ("1e-09", "1e-08")),
+        ("a = fixed,tilting", "a", ("fixed", "tilting")),
+        ('a="x,y",z', "a", ('"x', 'y"', "z")),
+        ('a="x,y","z"', "a", ('"x,y"', '"z"')),
+        ("a=[-0.1, 0.1],[-0.2, 0.2]", "a", ("[-0.1, 0.1]", "[-0.2, 0.2]")),
+        ("a=true,false", "a", ("true", "false")),
+    ],
+)
+def test_values_of_a_key(text: str, key: str, values: tuple[str, ...]) -> None:
+    assert axis_of(text) == (key, values)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a", "expected key=a:b:n for n numbers from a to b, or key=v1,v2"),
+        ("=1,2", "expected key=a:b:n"),
+        ("a=", "expected key=a:b:n"),
+        ("a=1:2:1", "expected two different ends and 2 to"),
+        ("a=1:1:3", "expected two different ends"),
+        ("a=1,1", "found 1 twice"),
+        ("a=1,2,1.0", "found 1 and 1.0, which is the same"),
+        ('a=x,"x"', 'found x and "x", which is the same'),
+        ("a=1e999:2:3", "all finite, found 1e999:2:3"),
+        ("a=0:1e999:3", "all finite, found 0:1e999:3"),
+        ("a=x,,y", "found an empty one"),
+    ],
+)
+def test_values_that_are_none(text: str, words: str) -> None:
+    with pytest.raises(DataError) as error:
+        axis_of(text)
+    assert words in str(error.value)
+
+
+def test_a_grid_with_seeds(file: Path) -> None:
+    error = ["terrain.error={ rms = 0.01, correlation = 0.5, seed = 0 }"]
+    sweep = sweep_of(file, [f"{SPEED}=1,2"], error, repeat=3, seed=10)
+    runs = list(sweep.runs())
+    assert sweep.count == len(runs) == 6
+    assert sweep.seeds == ("terrain.synthetic.power_law.seed", "terrain.error.seed")
+    assert [run.values for run in runs] == [("1",)] * 3 + [("2",)] * 3
+    assert [run.seeds for run in runs] == [(10, 13), (11, 14), (12, 15)] * 2
+    assert runs[4].number == 5
+    assert runs[4].settings == (
+        *error, f"{SPEED}=2", "terrain.synthetic.power_law.seed=11", "terrain.error.seed=14",
+    )  # fmt: skip
+
+
+def test_a_seed_that_the_file_leaves_out_is_found() -> None:
+    sweep = sweep_of(PROBLEMS / "climb_step.toml", [], ["control.noise.tilt=0.01"], repeat=2)
+    assert sweep.seeds == ("control.noise.seed",)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--repeat", "2", "--set", "terrain.synthetic.power_law="], "add a random table such as"),
+        (["--repeat", "2", "--vary", "terrain.synthetic.power_law.seed=1,2"], "which is varied"),
+        (["--vary", f"{SPEED}=1,2", "--vary", f"{SPEED}=3,4"], "found driver.speed twice"),
+        (["--vary", f"{SPEED}=1,2", "--set", f"{SPEED}=3"], "leave out one of the two"),
+        (["--vary", f"{SPEED}=1,2", "--set", "driver . 'speed'=3"], "leave out one of the two"),
+        (
+            ["--vary", f"{ROUGH}=1,2", "--vary", "terrain.synthetic.power_law=1,2"],
+            "expected keys of which none holds another",
+        ),
+        (
+            ["--vary", "terrain.synthetic.power_law=1,2", "--set", f"{ROUGH}=3"],
+            "found --set terrain.synthetic.power_law.rms=3",
+        ),
+        (["--vary", f"{SPEED}=1,0"], "expected a speed other than zero, found 0"),
+        (["--vary", "driver.sped=1,2"], "did you mean 'speed'?"),
+        (["--vary", f"{SPEED}=1:2:1000", "--repeat", "1000"], "at most 100000 runs, found 1000000"),
+        (["--scheduler", "tcp://x:1", "--processes", "2"], "without --processes"),
+        (["-o", "p.toml"], "expected a folder for the sweep, found a file"),
+    ],
+)
+def test_bad_input_is_refused_before_anything_runs(file: Path, words: list[str], said: str) -> None:
+    result = _invoke("p.toml", *words)
+    assert result.exit_code == 2, result.output
+    assert said in result.stderr
+    assert {path.name for path in file.parent.iterdir()} == {"p.toml"}
+
+
+def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
+    folder, result = whole
+    assert result.exit_code == 0, result.output
+    for words in (
+        "12 of 12: 12 complete", "power_law.seed  ", "1 to 3", "slip_rms ", "m s-1 (12 runs)",
+        "driver.speed = 0.5 ", f"{ROUGH} = 0.02 ", "(6 runs)", "drew 6 files",
+    ):  # fmt: skip
+        assert words in result.stdout, words
+    table = _table(folder)
+    assert [row["run"] for row in table] == [str(k) for k in range(1, RUNS + 1)]
+    assert [row[SPEED] for row in table] == ["0.5"] * 6 + ["1.0"] * 6
+    assert [row["terrain.synthetic.power_law.seed"] for row in table] == ["1", "2", "3"] * 4
+    assert {row["outcome"] for row in table} == {"complete"}
+    assert {float(row["time reached (s)"]) for row in table} == {0.3}
+    assert not any("seconds" in name for name in table[0])
+    names = {path.name for path in (folder / "out" / "figures").iterdir()}
+    assert names == {f"{name}.{end}" for name in ("slip_rms", "tilt_largest", "utilisation_largest")
+                     for end in ("png", "pdf")}  # fmt: skip
+
+
+def test_the_table_holds_what_the_results_hold(whole: tuple[Path, Any]) -> None:
+    folder, _ = whole
+    files = sorted((folder / "out").glob("run_*.nc"))
+    assert [path.name for path in files] == [f"run_{k:04d}.nc" for k in range(1, RUNS + 1)]
+    for path, row in zip(files, _table(folder), strict=True):
+        run = netcdf.read(path)
+        assert run.attributes["problem"] == PROBLEM
+        assert f"{ROUGH}={row[ROUGH]}" in run.attributes["settings"].splitlines()
+        assert run.t[-1] == float(row["time reached (s)"])
+        assert run["x"][-1] == float(row["end_x (m)"])
+        assert np.abs(run["pitch"]).max() == float(row["pitch_largest (rad)"])
+        slip = run["slip_along"] ** 2 + run["slip_across"] ** 2
+        mean = np.trapezoid(slip, run.t, axis=0).mean() / (run.t[-1] - run.t[0])
+        assert float(row["slip_rms (m s-1)"]) == pytest.approx(np.sqrt(mean), rel=1e-12)
+
+
+def test_the_same_run_by_itself_is_the_same(whole: tuple[Path, Any], tmp_path: Path) -> None:
+    folder, _ = whole
+    line = json.loads(next(line for line in _lines(folder) if b'{"run": 3,' in line))
+    words = [word for setting in line["settings"] for word in ("--set", setting)]
+    command = ["run", str(folder / "p.toml"), "--no-draw", "-o", str(tmp_path / "a.nc"), *words]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    alone, swept = (netcdf.read(p) for p in (tmp_path / "a.nc", folder / "out/run_0003.nc"))
+    assert list(alone) == list(swept)
+    for name in ("x", "y", "heading", "tilt_right", "utilisation"):
+        # Sums of linear algebra round by the number of threads, which is not always one here.
+        np.testing.assert_allclose(alone[name], swept[name], rtol=1e-9, atol=1e-12)
+
+
+def test_a_killed_sweep_goes_on(slow: Path, file: Path) -> None:
+    process = _begun(file.parent, *SLOW, "--processes", "2")
+    _kill(process)
+    kept = [line for line in _lines(file.parent) if line.endswith(b"\n")]
+    assert 3 <= len(kept) < RUNS + 1
+    with (file.parent / "out" / "runs.jsonl").open("ab") as log:
+        log.write(b'{"run": 11, "settings": ["dri')  # as if it had been killed while it wrote
+    result = _sweep(file.parent, *SLOW, "--processes", "2", "--no-draw")
+    assert result.exit_code == 0, result.output
+    _check_resumed(file.parent, kept, slow)
+
+
+def test_a_killed_sweep_goes_on_through_a_cluster(slow: Path, file: Path, dask: str) -> None:
+    process = _begun(file.parent, *SLOW, "--scheduler", dask)
+    process.kill()
+    process.communicate()
+    kept = [line for line in _lines(file.parent) if line.endswith(b"\n")]
+    assert 3 <= len(kept) < RUNS + 1
+    result = _sweep(file.parent, *SLOW, "--scheduler", dask, "--no-draw")
+    assert result.exit_code == 0, result.output
+    _check_resumed(file.parent, kept, slow)
+
+
+def _check_resumed(folder: Path, kept: list[bytes], whole: Path) -> None:
+    """Check that finished runs are as they were, none is there twice, and the table is the same."""
+    lines = _lines(folder)
+    assert lines[: len(kept)] == kept
+    numbers = [json.loads(line)["run"] for line in lines[1:]]
+    assert sorted(numbers) == list(range(1, RUNS + 1))
+    table = "out/table.csv"
+    assert (folder / table).read_bytes() == (whole / table).read_bytes()
+
+
+def test_a_finished_sweep_runs_nothing(whole: tuple[Path, Any]) -> None:
+    folder, first = whole
+    before, table = _lines(folder), _table(folder)
+    result = _sweep(folder, *GRID, "--scheduler", "tcp://127.0.0.1:1", "--figure", "end_y", "-v")
+    assert result.exit_code == 0, result.output
+    assert "12 of 12 runs, the last: " in result.stderr
+    assert _lines(folder) == before
+    assert _table(folder) == table
+    assert "end_y " in result.stdout
+    assert "slip_rms" in first.stdout
+    assert "slip_rms" not in result.stdout
+
+
+def test_an_unknown_figure_is_refused_with_those_there_are(whole: tuple[Path, Any]) -> None:
+    result = _sweep(whole[0], *GRID, "--figure", "slip_mean")
+    assert result.exit_code == 2
+    assert "--figure slip_mean: expected a figure of these runs, one of " in result.stderr
+    assert "slip_rms" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (["--repeat", "2"], "those of another --repeat: 3, now 2"),
+        (["--seed", "7"], "those of another --seed"),
+        (["--set", "time.step=0.05"], 'those of another --set: [], now ["time.step=0.05"]'),
+        (["--vary", "time.step=0.05,0.1"], "those of another --vary"),
+    ],
+)
+def test_results_of_another_sweep_are_not_mixed(
+    whole: tuple[Path, Any], change: list[str], said: str
+) -> None:
+    before = _lines(whole[0])
+    result = _sweep(whole[0], *GRID, *change)
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert "choose another folder with -o, or remove this one" in result.stderr
+    assert _lines(whole[0]) == before
+
+
+def test_results_of_another_problem_are_not_mixed(file: Path) -> None:
+    head = sweep_of(file, []).head
+    file.write_bytes(PROBLEM.replace("\n", "\r\n").encode())
+    assert sweep_of(file, []).head == head  # the same text on another machine
+    with Log(file.parent / "runs.jsonl", head):
+        pass
+    file.write_text(PROBLEM.replace("hurst = 0.9", "hurst = 0.8"))
+    with pytest.raises(DataError, match="those of another problem file; choose another folder"):
+        Log(file.parent / "runs.jsonl", sweep_of(file, []).head)
+
+
+@pytest.mark.parametrize(
+    ("settings", "vary", "name"),
+    [
+        (["terrain.file=map.npz", "terrain.synthetic="], [], "map.npz"),
+        (["terrain.synthetic="], ["terrain.file=other.npz,map.npz"], "map.npz"),
+        (["terrain.friction=grip.npz"], [], "grip.npz"),
+        (["vehicle.file=rover.toml", "vehicle.catalog="], [], "rover.toml"),
+        (["vehicle.file=parts/of.toml", "vehicle.catalog="], [], "parts/rover.urdf"),
+        (["driver.file=way.csv", "driver.name=follow"], [], "way.csv"),
+    ],
+)
+def test_results_of_other_input_files_are_not_mixed(
+    file: Path, settings: list[str], vary: list[str], name: str
+) -> None:
+    folder = file.parent
+    (folder / "parts").mkdir()
+    (folder / "parts/of.toml").write_text('urdf = "rover.urdf"')
+    changed = folder / name
+    changed.write_text("one")
+    log, head = folder / "runs.jsonl", sweep_of(file, vary, settings).head
+    with Log(log, head):
+        pass
+    with Log(log, sweep_of(file, vary, settings).head):
+        pass
+    changed.write_text("other")
+    with pytest.raises(DataError, match=f"those of another input file: {name}; choose another"):
+        Log(log, sweep_of(file, vary, settings).head)
+    changed.unlink()
+    assert sweep_of(file, vary, settings).files[name] == "missing"
+
+
+def test_the_urdf_of_any_vehicle_file_is_an_input(file: Path) -> None:
+    """Behind a byte order mark as well; of a vehicle file nested beyond reason there is none."""
+    folder, settings = file.parent, ["vehicle.file=of.toml", "vehicle.catalog="]
+    (folder / "rover.urdf").write_text("one")
+    (folder / "of.toml").write_text('urdf = "rover.urdf"', encoding="utf-8-sig")
+    assert set(sweep_of(file, [], settings).files) == {"of.toml", "rover.urdf"}
+    (folder / "of.toml").write_text("a = " + "[" * 100_000)
+    assert set(sweep_of(file, [], settings).files) == {"of.toml"}
+
+
+ROW = Row(1, ("a=1",), "complete", "", 0.5, {"end_x": (1.25, "m")}, 0.1)
+HEAD: dict[str, Any] = {"slipfree": "0", "problem": "", "files": {}, "settings": [], "vary": {},
+                        "repeat": 1, "seeds": {}}  # fmt: skip
+
+
+def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "runs.jsonl"
+    with Log(path, HEAD) as log:
+        assert log.rows == []
+        log.append(ROW)
+        with pytest.raises(DataError, match="another process writes to it"):
+            Log(path, HEAD)
+    whole = path.read_bytes()
+    path.write_bytes(whole + b'{"run": 2, "sett')
+    with Log(path, HEAD) as log:
+        assert log.rows == [ROW]
+    assert path.read_bytes() == whole
+    path.write_bytes(whole[:20])  # not even the first line
+    with Log(path, HEAD) as log:
+        assert log.rows == []
+
+
+def test_runs_that_were_lost_are_done_again(tmp_path: Path) -> None:
+    path, rows = tmp_path / "runs.jsonl", []
+    for number, outcome in enumerate(("complete", "lost", "failed"), 1):
+        rows.append(ROW._replace(run=number, outcome=outcome))
+    with Log(path, HEAD) as log:
+        for row in rows:
+            log.append(row)
+    with Log(path, HEAD) as log:
+        assert log.rows == [rows[0], rows[2]]
+    with Log(path, HEAD, again=True) as log:
+        assert log.rows == [rows[0]]
+        for row in rows[1:]:
+            log.append(row._replace(outcome="complete"))
+    with Log(path, HEAD) as log:
+        assert [(row.run, row.outcome) for row in log.rows] == [(k, "complete") for k in (1, 2, 3)]
+
+
+def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("slipfree.sweep.worker.solved", fail)
+        (task,) = _tasks(file, "time.step=0.1")
+        done = work(task)
+    assert (done.row.outcome, done.row.t) == ("lost", None)
+    assert done.row.words == "OSError: [Errno 28] No space left on device"
+    sweep = sweep_of(file, ["time.step=0.1,0.05"])
+    failed = done.row._replace(run=2, outcome="failed", words="by chance")
+    with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
+        log.append(done.row)
+        log.append(failed)
+    told = dict(facts(sweep, [done.row, failed], ()))
+    assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
+    assert told["  run 2 failed"] == "by chance (time.step=0.1)"
+    assert told["  ..."] == "the same command does runs that were lost again"
+    words = ["--vary", "time.step=0.1,0.05", "--processes", "1", "--no-draw"]
+    result = _sweep(file.parent, *words)
+    assert result.exit_code == 1
+    assert "2 of 2: 1 failed, 1 complete" in result.stdout
+    assert "--again repeats runs that failed" in result.stdout
+    result = _sweep(file.parent, *words, "--again")
+    assert result.exit_code == 0
+    assert "2 of 2: 2 complete" in result.stdout
+    assert [row["outcome"] for row in _table(file.parent)] == ["complete", "complete"]
+
+
+def test_results_that_were_not_kept_are_told(file: Path) -> None:
+    words = ["--set", "time.step=0.15", "--no-draw", "--processes", "1"]
+    assert _sweep(file.parent, *words).exit_code == 0
+    result = _sweep(file.parent, *words, "--keep")
+    assert result.exit_code == 0
+    assert "--keep: 1 runs were finished without it and have no result file" in result.stderr
+    command = result.stderr[result.stderr.index("slipfree run") :].split()
+    assert CliRunner().invoke(app, [*command[1:], "--no-draw"]).exit_code == 0
+    assert "no result file" not in _sweep(file.parent, *words, "--keep").stderr
+
+
+def test_long_words_are_one_line_in_table_and_summary(file: Path) -> None:
+    sweep = sweep_of(file, [])
+    row = Row(1, (), "failed", "one\n  two\n" + "x" * 1000, None, {}, 0.1)
+    write_table(file.parent / "out.csv", sweep, [row])
+    with (file.parent / "out.csv").open(newline="") as lines:
+        (found,) = csv.DictReader(lines)
+    assert found["words"].startswith("one two xxx")
+    assert len(found["words"]) == 300
+    assert dict(facts(sweep, [row], ()))["  run 1 failed"] == found["words"]
+
+
+def test_a_summary_tells_of_ten_values_a_key(file: Path) -> None:
+    sweep = sweep_of(file, ["time.step=0.01:0.3:30"])
+    rows = [ROW._replace(run=k, figures={"end_x": (float(k), "m")}) for k in range(1, 31)]
+    told = facts(sweep, rows, ["end_x"])
+    assert len(told) == 13
+    assert told[-1] == ("  ...", "20 more values; table.csv has all")
+
+
+def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:
+    (file.parent / "out").mkdir()
+    (file.parent / "out" / "figures").write_text("")
+    result = _sweep(file.parent, "--repeat", "2")
+    assert result.exit_code == 2
+    assert "figures: expected a folder for figures, found a file" in result.stderr
+    assert [path.name for path in (file.parent / "out").iterdir()] == ["figures"]
+
+
+def test_figures_that_cannot_be_written_are_told(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
+    result = _sweep(file.parent, "--vary", "time.step=0.1,0.15", "--processes", "1")
+    assert result.exit_code == 2
+    assert "cannot be written (No space left on device)" in result.stderr
+
+
+@pytest.mark.parametrize("line", [b"{\n", b"[1]\n", b'{"run": 2}\n', b"\0\0\n"])
+def test_a_damaged_log_is_refused_by_line(tmp_path: Path, line: bytes) -> None:
+    path = tmp_path / "runs.jsonl"
+    with Log(path, HEAD) as log:
+        log.append(ROW)
+    path.write_bytes(path.read_bytes() + line)
+    with pytest.raises(DataError, match=r"runs.jsonl:3: expected one line of JSON .* take out"):
+        Log(path, HEAD)
+
+
+def test_runs_that_fail_are_rows_and_counted_in_the_bar(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rich.console.Console.is_terminal", True)
+    words = ["--vary", "start.x=0,40", "--vary", "terrain.file=gone.npz"]
+    words += ["--set", "terrain.synthetic=", "--processes", "1"]
+    result = _sweep(file.parent, *words)
+    assert result.exit_code == 1
+    assert "2 of 2: 2 failed" in result.stdout
+    assert "run 2 failed" in result.stdout
+    assert "(start.x=40, terrain.file=gone.npz)" in result.stdout
+    assert "runs, 2 failed" in result.stderr
+    assert "2/2" in result.stderr
+    for row in _table(file.parent):
+        assert row["outcome"] == "failed"
+        assert "gone.npz" in row["words"]
+        assert str(file.parent) not in row["words"]
+        assert row["time reached (s)"] == ""
+        assert row["complete (1)"] == "0.0"
+
+
+def _tasks(file: Path, *settings: str) -> list[Task]:
+    return [Task(k, str(file), PROBLEM, (setting,), 1, False) for k, setting in
+            enumerate(settings, 1)]  # fmt: skip
+
+
+def test_a_process_that_dies_costs_one_run(file: Path) -> None:
+    before, aims = {each.pid for each in active_children()}, [False]
+
+    def poll() -> None:
+        if aims[0]:
+            aims[0] = False
+            (child,) = (each for each in active_children() if each.pid not in before)
+            child.kill()
+
+    slow = "time.step=0.00003"
+    found = processes(1)(_tasks(file, "time.step=0.1", slow, "time.step=0.05"), poll)
+    assert next(found).row.outcome == "complete"
+    aims[0] = True
+    row = next(found).row
+    assert (row.run, row.outcome) == (2, "lost")
+    assert row.words == "its process died (signal SIGKILL; was memory short?)"
+    row = next(found).row
+    assert (row.run, row.outcome) == (3, "complete")
+    assert list(found) == []
+    assert {each.pid for each in active_children()} <= before
+
+
+def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path) -> None:
+    command = [sys.executable, "-m", "slipfree", "sweep", str(file), "-o", str(file.parent / "out"),
+               "--set", "time.step=0.000001", "--processes", "1"]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        seen, end = psutil.Process(process.pid), time.monotonic() + 60
+        while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        children = seen.children(recursive=True)
+        process.kill()
+    _, alive = psutil.wait_procs(children, timeout=3)
+    for each in alive:
+        each.kill()
+    assert not alive
+
+
+def test_processes_that_cannot_start_are_no_fault_of_the_runs(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pools, "serve", sys.exit)  # ends at once
+    with pytest.raises(SlipfreeError, match=r"could not start \(exit code 1\): see what"):
+        list(processes(1)(_tasks(file, "time.step=0.1"), lambda: None))
+
+
+def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise ZeroDivisionError("by chance")
+
+    monkeypatch.setattr("slipfree.sweep.worker.solved", fail)
+    (task,) = _tasks(file, "time.step=0.1")
+    assert work(task).row.words == "ZeroDivisionError: by chance"
+
+
+def test_ctrl_c_keeps_what_is_finished(file: Path) -> None:
+    process = _begun(file.parent, *GRID, "--processes", "1")
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert stderr == "interrupted\n"
+    assert 2 <= len(_table(file.parent)) < RUNS
+    assert len(_table(file.parent)) == len(_lines(file.parent)) - 1
+
+
+@pytest.mark.parametrize(
+    ("file", "settings", "figures"),
+    [
+        (
+            "climb_ramp.toml",
+            ("time.duration=0.3",),
+            {"climb_true_slip", "climb_up", "end_tilt_front", "work", "torque_largest"},
+        ),
+        (
+            "paper_inverse.toml",
+            ("time.duration=0.3",),
+            {"inverse_margin_least", "slip_rms", "steering_slip_largest", "tilt_largest"},
+        ),
+        (
+            "plan_rigid_hills.toml",
+            ("plan.intervals=4", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip="),
+            {"within_limits", "plan_violation", "plan_cost_effort", "plan_difference_x"},
+        ),
+    ],
+)
+def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: set[str]) -> None:
+    path = PROBLEMS / file
+    row = work(Task(1, str(path), path.read_text(), settings, 0, False)).row
+    assert row.outcome == "complete", row.words
+    assert figures <= set(row.figures)
+    if "within_limits" in figures:
+        violations = [value for name, (value, _) in row.figures.items()
+                      if name.startswith("plan_violation_")]  # fmt: skip
+        assert row.figures["plan_violation"][0] == max(violations)
+        assert row.figures["within_limits"][0] == float(max(violations) <= 1e-3)
+
+
+def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
+    sweep = sweep_of(file, [f"{SPEED}=1.0,6.0"])
+    rows = [work(Task(run.number, str(file), PROBLEM, run.settings, 1, False)).row
+            for run in sweep.runs()]  # fmt: skip
+    assert [row.outcome for row in rows] == ["complete", "stopped by map_margin[front]"]
+    assert "leaves the map" in rows[1].words
+    assert rows[1].t == pytest.approx(1.25 / 6.0, abs=1e-3)
+    assert rows[1].settings == (f"{SPEED}=6.0",)
+    share = drawn(sweep, rows, ["end_y"])[-1]
+    assert share.name == "complete"
+    np.testing.assert_array_equal(share.values, [[1.0], [0.0]])
+
+
+def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
+    sets = [f"{SPEED}=1", "traction.creep=1e-3", "slip=traction", "terrain.friction=0.6",
+            "terrain.synthetic.ramp={start=0, end=1, rise=0.1, smooth=true}",
+            "vehicle.stiffness=9.0"]  # fmt: skip
+    spec = sweep_of(file, [], sets).problem.spec
+    ramp = "terrain.synthetic.ramp."
+    for key, unit in {
+        SPEED: "m/s", ROUGH: "m", f"{ramp}start": "m", f"{ramp}end": "m", f"{ramp}smooth": "",
+        "traction.creep": "m/s", "time.duration": "s", "start.heading": "", "nothing.at.all": "",
+        "terrain.synthetic.power_law.seed": "",
+    }.items():  # fmt: skip
+        assert unit_of(spec, key) == unit, key
+
+
+def test_a_cluster_that_does_not_fit_is_refused(
+    file: Path, dask: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pools, "__version__", "9.9")
+    with pytest.raises(DataError, match=f"that have slipfree 9.9, found {__version__};"):
+        next(cluster(dask)(_tasks(file, "time.step=0.1"), lambda: None))
+
+
+def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pools, "CONNECT", 0.3)
+    result = _sweep(file.parent, "--scheduler", "tcp://127.0.0.1:1")
+    assert result.exit_code == 2
+    assert "expected the address of a running Dask scheduler" in result.stderr
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    result = _sweep(file.parent, "--scheduler", "tcp://127.0.0.1:1")
+    assert result.exit_code == 2
+    assert "pip install 'slipfree[cluster]'" in result.stderr
+
+
+SPEEDS = Varied("driver.speed", "m/s", ("2.0", "0.5", "1.0"), (2.0, 0.5, 1.0))
+AXLES = Varied("vehicle.axle", "", ('"fixed"', '"tilting"'), None)
+
+
+def _swept(axes: Sequence[Varied], values: Any) -> Swept:
+    return Swept("slip_rms", "m s-1", tuple(axes), np.array(values, dtype=float))
+
+
+def test_a_curve_with_its_spread() -> None:
+    ax = Figure().subplots()
+    show.curve(_swept([SPEEDS], [[5.0, 7.0], [1.0, 3.0], [np.nan, 4.0]]), ax)
+    mean = ax.lines[0]
+    np.testing.assert_array_equal(mean.get_xdata(), [0.5, 1.0, 2.0])
+    np.testing.assert_array_equal(mean.get_ydata(), [2.0, 4.0, 6.0])
+    (band,) = ax.collections
+    assert {tuple(v) for v in band.get_paths()[0].vertices} >= {(0.5, 1.0), (0.5, 3.0), (2.0, 7.0)}
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("driver.speed [m/s]", "slip_rms [m/s]")
+    assert ax.get_legend_handles_labels()[1] == ["mean", "range", "runs"]
+
+
+def test_a_curve_over_words() -> None:
+    ax = Figure().subplots()
+    show.curve(_swept([AXLES], [[5.0, 7.0], [np.nan, np.nan]]), ax)
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["fixed", "tilting"]
+    assert ax.lines[0].get_linestyle() == "None"
+    assert ax.get_xlabel() == "vehicle.axle"
+
+
+def test_a_heat_map() -> None:
+    ax = Figure().subplots()
+    values = [[[1.0, 3.0], [5.0, 5.0]], [[0.0, 0.0], [np.nan, 1.0]], [[7.0, 7.0], [np.nan] * 2]]
+    show.heat_map(_swept([SPEEDS, AXLES], values), ax)
+    shown = ax.images[0].get_array().filled(np.nan)
+    np.testing.assert_array_equal(shown, [[0.0, 7.0, 2.0], [1.0, np.nan, 5.0]])
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["0.5", "1.0", "2.0"]
+    assert sorted(words.get_text() for words in ax.texts) == ["0", "1", "2", "5", "7"]
+    assert ax.figure.axes[1].get_ylabel() == "slip_rms, mean [m/s]"
+
+
+def test_a_distribution() -> None:
+    ax = Figure().subplots()
+    show.distribution(_swept([], [3.0, 1.0, np.nan, 2.0]), ax)
+    np.testing.assert_array_equal(ax.lines[0].get_xdata()[1:], [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), [0, 1 / 3, 2 / 3, 1])
+
+
+def test_figures_that_cannot_be_drawn() -> None:
+    with pytest.raises(ModelError, match="at most two varied keys"):
+        show.figure(_swept([SPEEDS, AXLES, AXLES], np.ones((3, 2, 2, 1))))
+    with pytest.raises(ModelError, match="a value of one run at least"):
+        show.figure(_swept([AXLES], [[np.nan], [np.nan]]))
+    with pytest.raises(ModelError, match="expected 1 varied keys, found 2"):
+        show.curve(_swept([SPEEDS, AXLES], np.ones((3, 2, 1))), Figure().subplots())
+
+
+def test_a_bad_grid_names_the_value(file: Path) -> None:
+    with pytest.raises(ProblemError, match=r"--set time.step: expected a number greater than 0"):
+        sweep_of(file, ["time.step=0.1,-0.1"])
+
+
+def test_a_scheduler_that_goes_away(file: Path) -> None:
+    local = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
+        host="127.0.0.1", protocol="tcp://",
+    )  # fmt: skip
+    looked = []
+
+    def poll() -> None:
+        looked.append(1)
+        if len(looked) == 1:
+            local.close()
+
+    tasks = _tasks(file, "time.step=0.1", "time.step=0.05")
+    with pytest.raises(SlipfreeError, match="the scheduler went away; what is finished is kept"):
+        list(cluster(local.scheduler_address)(tasks, poll))

@@ -1,0 +1,429 @@
+"""The page in a real browser: what it shows, that it moves, and that it asks nobody for anything.
+
+Without a graphics card a picture takes long, so there is one browser and one motion for all.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import binary_erosion
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+
+if TYPE_CHECKING:
+    from slipfree.show.scene import Scene
+
+PATIENCE = 240.0  # for one picture, where many tests share few processors [s]
+SIZE = (1000, 480)
+PROBLEM = """\
+verb = "direct"
+title = "Over <hills> & back"
+
+[terrain.synthetic]
+x = [-5, 5]
+y = [-5, 5]
+spacing = 0.25
+power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+x = 0.0
+y = -2.0
+heading = 0.0
+
+[driver]
+name = "straight"
+speed = 0.5
+
+[time]
+duration = 4.0
+step = 0.05
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return results of a vehicle that tilts, and of a rigid one beside it."""
+    pytest.importorskip("viser")
+    folder = tmp_path_factory.mktemp("seen")
+    (folder / "p.toml").write_text(PROBLEM, encoding="utf-8")
+    found = []
+    for axle, x in (("tilting", 0), ("fixed", 3)):  # apart: faces in one place flicker
+        found.append(folder / f"{axle}.nc")
+        words = ["run", str(folder / "p.toml"), "-o", str(found[-1]), "--no-draw", "--set",
+                 f"vehicle.axle={axle}", "--set", f"start.x={x}"]  # fmt: skip
+        assert CliRunner().invoke(app, words).exit_code == 0
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a headless Chromium that reaches no host but this one."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    places = [shutil.which(name) for name in ("chromium", "chromedriver")]
+    if None in places:
+        words = "needs chromium and chromedriver (Debian: apt install chromium chromium-driver)"
+        if os.environ.get("CI"):
+            pytest.fail(words)
+        pytest.skip(words)
+    options = webdriver.ChromeOptions()
+    options.binary_location = places[0]
+    for word in (
+        "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
+        "--window-size={},{}".format(*SIZE), "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+        "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
+    ):  # fmt: skip
+        options.add_argument(word)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    service = webdriver.ChromeService(places[1])
+    driver = webdriver.Chrome(options, service)
+    driver.set_page_load_timeout(PATIENCE)
+    driver.set_script_timeout(PATIENCE)
+    yield driver
+    driver.quit()
+
+
+def patiently(ask: Callable[[], Any]) -> Any:
+    """Return the first answer that is one: the page answers late while it draws."""
+    from selenium.common.exceptions import WebDriverException
+
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        try:
+            if answer := ask():
+                return answer
+        except WebDriverException as error:
+            last: Any = error
+        else:
+            last = "nothing"
+        time.sleep(0.3)
+    raise TimeoutError(f"the page did not answer within {PATIENCE} s: {last}")
+
+
+def picture(driver: Any) -> np.ndarray:
+    """Return the scene as it is when it no longer changes, without what lies on top of it."""
+
+    def shot() -> Image.Image:
+        return Image.open(io.BytesIO(patiently(driver.get_screenshot_as_png))).convert("RGB")
+
+    before = np.asarray(shot())
+    for _ in range(60):
+        time.sleep(0.3)
+        after = np.asarray(shot())
+        if np.array_equal(before, after) and colors(part(after)) > 60:
+            return part(after)
+        before = after
+    raise AssertionError("the scene does not come to rest")
+
+
+def part(whole: np.ndarray) -> np.ndarray:
+    """Return the middle of a picture: controls lie around it."""
+    height, width, _ = whole.shape
+    return whole[int(0.1 * height) : int(0.8 * height), int(0.3 * width) : int(0.66 * width)]
+
+
+def colors(seen: np.ndarray) -> int:
+    return len(np.unique(seen.reshape(-1, 3), axis=0))
+
+
+def orange(seen: np.ndarray) -> np.ndarray:
+    """Return where the second run's platform is seen; no ground by height has its color."""
+    red, green, blue = np.moveaxis(seen.astype(int), -1, 0)
+    return np.asarray((red > 90) & (red - green > 60) & (green - blue > 20) & (blue < 90))
+
+
+def gray(seen: np.ndarray) -> np.ndarray:
+    """Return where tyres are seen, and edges of letters."""
+    red, green, blue = np.moveaxis(seen.astype(int), -1, 0)
+    even = (abs(red - green) < 10) & (abs(green - blue) < 10)
+    return np.asarray(even & (red > 20) & (red < 130))
+
+
+def missing(seen: list[np.ndarray]) -> list[str]:
+    """Return what pictures at a time, another and the first again lack of vehicles that move.
+
+    Labels and tracks are there without a vehicle, thin ones.
+    """
+    faults = []
+    for mask, least in ((orange, 1000), (gray, 100)):
+        # Letters of a label are thinner than two points.
+        places = [np.argwhere(binary_erosion(mask(each), np.ones((2, 2)))) for each in seen]
+        if min(map(len, places)) < least:
+            faults.append(f"{mask.__name__}: {[len(each) for each in places]} points")
+            continue
+        before, after, again = (each.mean(axis=0) for each in places)
+        if np.linalg.norm(after - before) < 20 or np.linalg.norm(again - before) > 2:
+            faults.append(f"{mask.__name__} is at {before}, {after}, {again}")
+    return faults
+
+
+def slide(driver: Any, share: float) -> None:
+    """Press the slider of time at a place, as a hand would."""
+    from selenium.webdriver import ActionChains
+
+    slider = driver.find_element("css selector", ".mantine-Slider-track")
+    width = slider.rect["width"]
+    aside = round((share - 0.5) * width)
+    ActionChains(driver).move_to_element_with_offset(slider, aside, 0).click().perform()
+
+
+def faded_in(driver: Any) -> None:
+    """Move the slider, once it is there, until the scene, which fades in, is all there."""
+    patiently(lambda: driver.find_elements("css selector", ".mantine-Slider-track"))
+    script = "return [...document.querySelectorAll('canvas')].map(c => getComputedStyle(c).opacity)"
+    shares = itertools.cycle((0.3, 0.6))
+
+    def shown() -> bool:
+        slide(driver, next(shares))
+        return set(driver.execute_script(script)) == {"1"}
+
+    patiently(shown)
+
+
+def fineness(driver: Any) -> list[int]:
+    """Return how many points wide the scene is drawn: a slow page makes them fewer as it goes."""
+    return list(
+        patiently(
+            lambda: driver.execute_script(
+                "return [...document.querySelectorAll('canvas')].map(c => c.width)"
+            )
+        )
+    )
+
+
+def watched(driver: Any) -> list[np.ndarray]:
+    """Return pictures of a page at a time, another and the first again, by its slider."""
+    faded_in(driver)
+    for _ in range(6):
+        fine, seen = fineness(driver), []
+        for share in (0.05, 0.95, 0.05):
+            patiently(lambda share=share: slide(driver, share) or True)
+            seen.append(picture(driver))
+        if fineness(driver) == fine:
+            break
+    assert min(map(colors, seen)) > 60
+    return seen
+
+
+def asked(driver: Any) -> set[str]:
+    """Return the addresses that the page asked for since the last call."""
+    found = set()
+    for entry in driver.get_log("performance"):
+        event = json.loads(entry["message"])["message"]
+        if event["method"] in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+            found.add(event["params"].get("request", event["params"])["url"])
+    return found
+
+
+def complaints(driver: Any) -> list[str]:
+    return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
+    command = [sys.executable, "-m", "slipfree", "show", *map(str, files), "--no-browser"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            line = process.stderr.readline() if process.stderr else ""
+            address = line.split()[0]
+            assert address.startswith("http://127.0.0.1:")
+            browser.get(address)
+            assert missing(watched(browser)) == []
+            text = browser.find_element("tag name", "body").text
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 0
+        finally:
+            process.kill()
+    assert "Over <hills> & back" in text
+    for words in ("height: ", "slip (an arrow of 1 m is", "tilting", "fixed"):
+        assert words in text
+    addresses = {each.split("://")[1].split("/")[0] for each in asked(browser)
+                 if not each.startswith(("data:", "blob:"))}  # fmt: skip
+    assert addresses == {address.removeprefix("http://")}
+    assert [each for each in complaints(browser) if "WebSocket" not in each] == []
+
+
+def test_a_saved_page_plays_from_disk(
+    files: list[Path], browser: Any, tmp_path: Path
+) -> None:  # fmt: skip
+    out = tmp_path / "page.html"
+    words = ["show", *map(str, files), "--html", str(out)]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert done.stdout == f"wrote {out}, {len(out.read_text(encoding='utf-8')) / 1e6:.1f} MB\n"
+    asked(browser), complaints(browser)  # those of the other page
+    browser.get(out.as_uri())
+    assert missing(watched(browser)) == []
+    text = browser.find_element("id", "slipfree").text
+    assert "Over <hills> & back" in text
+    assert "height: " in text
+    kinds = {each.split(":")[0] for each in asked(browser)}
+    assert kinds <= {"file", "data", "blob"}
+    assert complaints(browser) == []
+
+
+def test_a_page_without_vehicles_is_told_from_one_with_them(
+    files: list[Path], browser: Any, tmp_path: Path
+) -> None:
+    from slipfree.show.viewer import page
+
+    scene = scene_of(files)
+    actors = [actor._replace(bodies=tuple(each._replace(meshes=()) for each in actor.bodies))
+              for actor in scene.actors]  # fmt: skip
+    out = tmp_path / "page.html"
+    out.write_text(page(scene._replace(actors=tuple(actors)), "title", "height"), encoding="utf-8")
+    browser.get(out.as_uri())
+    faded_in(browser)
+    faults = missing([picture(browser)] * 3)
+    assert [fault.split()[0] for fault in faults] == ["orange:", "gray:"]  # too few points
+
+
+def scene_of(files: list[Path]) -> Scene:
+    from slipfree.problem.reload import shown
+    from slipfree.show.drive_scene import Driven, drive_scene
+
+    found = [shown(file, file.stem) for file in files]
+    return drive_scene([each for each in found if isinstance(each, Driven)])
+
+
+@pytest.mark.parametrize("option", ["--quiet", "--json"])
+def test_a_quiet_page_says_where_it_is(
+    files: list[Path], monkeypatch: pytest.MonkeyPatch, option: str
+) -> None:
+    from slipfree.show import viewer
+
+    def serve(*words: Any) -> None:
+        words[-1]("http://127.0.0.1:1")
+
+    monkeypatch.setattr(viewer, "serve", serve)
+    done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser", option])
+    assert done.exit_code == 0
+    assert done.stderr == "http://127.0.0.1:1 shows it; Ctrl-C ends it\n"
+
+
+def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    words = ["show", str(files[0]), "--html", str(out), "--color", "slope"]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    assert "slope: 0 to" in out.read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    pytest.importorskip("viser")
+    from slipfree.show import viewer
+
+    found = viewer._server(0)
+    yield found
+    viewer._stop(found)
+
+
+def test_parts_may_be_called_like_nodes_of_the_page(files: list[Path], server: Any) -> None:
+    from slipfree.show.viewer import Stage
+
+    scene = scene_of(files[:1])
+    (actor,) = scene.actors
+    names = ("tracks", "name", "here", "here/force", "here/contacts")
+    bodies = tuple(body._replace(name=name) for body, name in
+                   zip(actor.bodies, (*names, *"abcdefgh"), strict=False))  # fmt: skip
+    stage = Stage(server, scene._replace(actors=(actor._replace(bodies=bodies),)), "height")
+    kinds = {name: type(server.scene.get_handle_by_name(f"/world/run 1/{name}")).__name__
+             for name in names[:3]}  # fmt: skip
+    assert kinds == {"tracks": "LineSegmentsHandle", "name": "LabelHandle", "here": "FrameHandle"}
+    assert len({node.name for node, _, _ in stage.actors[0].frames}) == len(bodies)
+
+
+def test_what_follows_keeps_the_vehicle_where_it_is_seen(files: list[Path], server: Any) -> None:
+    from slipfree.show import viewer
+
+    scene = scene_of(files)
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title")
+    world = server.scene.get_handle_by_name("/world")
+    origins = scene.actors[0].bodies[0].origins
+    panel.stage.show(4.0)
+    assert np.allclose(world.position, 0)
+    panel.stage.follow(True)
+    assert np.allclose(world.position, 0)  # nothing jumps
+    panel.stage.show(0.0)
+    assert np.allclose(world.position, origins[-1] - origins[0])
+    panel.stage.follow(False)
+    assert np.allclose(world.position, 0)
+    assert not panel.following.value
+    far = viewer.Stage(server, scene._replace(reach=0.05), "height")
+    assert scene._replace(reach=0.05).is_far
+    camera = server.initial_camera
+    assert np.allclose(camera.look_at, origins[0])
+    assert np.linalg.norm(camera.position - camera.look_at) < 10 * 0.05
+    far.show(4.0)
+    assert np.allclose(far.world.position, origins[0] - origins[-1])
+
+
+def test_a_label_says_that_a_motion_stopped(files: list[Path], server: Any) -> None:
+    from slipfree.show.viewer import Stage
+
+    scene = scene_of(files[:1])
+    actor = scene.actors[0]._replace(stop="stopped at t = 4 s: too steep")
+    stage = Stage(server, scene._replace(actors=(actor,)), "height")
+    stage.show(3.9)
+    assert stage.actors[0].label.text == "tilting, t = 3.90 s"
+    stage.show(4.0)
+    assert stage.actors[0].label.text == "tilting, stopped at t = 4 s"
+
+
+def test_without_viser_it_says_what_to_install(
+    files: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser"])
+    assert done.exit_code == 2
+    assert done.stderr == "show needs viser: pip install 'slipfree[view]'\n"
+
+
+def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:
+    import socket
+
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        words = ["show", str(files[0]), "--no-browser", "--port", str(port)]
+        done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2
+    assert f"--port: expected a free port, found {port} taken" in done.stderr
+
+
+def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) -> None:
+    from slipfree.show import viewer
+
+    scene = scene_of(files[:1])
+    panel = viewer._Panel(server, viewer.Stage(server, scene, "height"), scene, "title")
+    panel.advance(0.5)
+    assert panel.time.value == 0
+    panel.playing.value = True
+    panel.speed.value = "2x"
+    panel.advance(0.5)
+    assert panel.time.value == pytest.approx(1)
+    panel.advance(2)
+    assert panel.time.value == 0
+    panel.stage.show(2.0)
+    moved = server.scene.get_handle_by_name("/world/run 1/body 1")
+    middle = scene.actors[0].t.size // 2
+    assert np.allclose(moved.position, scene.actors[0].bodies[0].origins[middle])

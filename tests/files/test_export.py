@@ -1,0 +1,182 @@
+"""Results for other programs: paths in the coordinates of their map, rates that a robot plays."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.testing import assert_allclose
+from rasterio.transform import Affine
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.errors import DataError
+from slipfree.files import netcdf
+from slipfree.files.export import export_path, export_rates
+from slipfree.problem.load import read
+from slipfree.problem.solve import run
+from slipfree.trajectory import Trajectory
+
+PROBLEM = """\
+verb = "direct"
+[terrain]
+file = "map.tif"
+{terrain}
+[vehicle]
+catalog = "three_wheeler"
+[start]
+x = {x}
+y = {y}
+heading = 0.3
+[inputs]
+right_rate = [[0, 0.5], [0.5, 0.4]]
+left_rate = 0.4
+steer_rate = 0.01
+[time]
+duration = 1
+step = 0.25
+"""
+
+
+def _solved(folder: Path, crs: str, transform: Affine, **asked: object) -> Trajectory:
+    """Solve a problem on a GeoTIFF of a plane, write its result, and return it."""
+    rows = 100 + 0.1 * np.arange(40.0)[:, None] + np.zeros(40)
+    with rasterio.open(
+        folder / "map.tif", "w", driver="GTiff", width=40, height=40, count=1, dtype="float64",
+        crs=crs, transform=transform,
+    ) as file:  # fmt: skip
+        file.write(rows, 1)
+    (folder / "p.toml").write_text(PROBLEM.format(**asked))
+    found = run(read(folder / "p.toml")).trajectory
+    netcdf.write(folder / "out.nc", found)
+    return found
+
+
+def _rows(path: Path) -> tuple[list[str], np.ndarray]:
+    with path.open() as file:
+        head, *rows = csv.reader(file)
+    return head, np.array(rows, dtype=float)
+
+
+def _utm(folder: Path, terrain: str = "", x: float = 500010.0, y: float = 4499990.0) -> Trajectory:
+    transform = Affine(0.5, 0, 500000, 0, -0.5, 4.5e6)
+    return _solved(folder, "EPSG:32633", transform, terrain=terrain, x=x, y=y)
+
+
+def test_a_path_on_a_projected_map(tmp_path: Path) -> None:
+    found = _utm(tmp_path)
+    assert found.attributes["map_crs"] == "EPSG:32633"
+    assert "pixel is area" in found.attributes["ground_map"]
+    export_path(tmp_path / "out.nc", tmp_path / "path.csv")
+    head, rows = _rows(tmp_path / "path.csv")
+    assert head == ["time (s)", "x (m)", "y (m)", "z (m)", "heading (rad)", "pitch (rad)",
+                    "roll (rad)", "yaw (rad)"]  # fmt: skip
+    names = ("x", "y", "z", "heading", "pitch", "roll", "yaw")
+    assert_allclose(rows, np.column_stack([found.t, *(found[name] for name in names)]), rtol=1e-15)
+
+    export_path(tmp_path / "out.nc", tmp_path / "path.geojson")
+    content = json.loads((tmp_path / "path.geojson").read_text())
+    assert content["crs"] == {
+        "type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32633"}
+    }  # fmt: skip
+    (feature,) = content["features"]
+    assert feature["geometry"]["type"] == "LineString"
+    assert_allclose(feature["geometry"]["coordinates"], rows[:, 1:4], rtol=1e-15)
+    assert feature["properties"]["time_s"] == found.t.tolist()
+
+
+def test_a_path_on_a_scaled_map_is_where_the_file_says(tmp_path: Path) -> None:
+    terrain = "scale = 0.5\nvertical_scale = 1.5"
+    small = _utm(tmp_path, terrain, 250005.0, 2249995.0)
+    export_path(tmp_path / "out.nc", tmp_path / "path.csv")
+    _, rows = _rows(tmp_path / "path.csv")
+    assert_allclose(rows[:, 1], 2 * small["x"], rtol=1e-14)
+    assert_allclose(rows[:, 3], small["z"] / 0.75, rtol=1e-14)
+    assert_allclose(rows[0, 1:3], [500010, 4499990], rtol=1e-14)
+
+
+def test_a_path_on_a_map_in_degrees(tmp_path: Path) -> None:
+    step = 1 / 3600 / 64  # half a metre
+    transform = Affine(step, 0, 15, 0, -step, 47)
+    found = _solved(tmp_path, "EPSG:4326", transform, terrain='geographic = "local"', x=5.0, y=10.0)
+    assert "taken for a sphere" in found.attributes["ground_degrees"]
+    export_path(tmp_path / "out.nc", tmp_path / "path.csv")
+    head, rows = _rows(tmp_path / "path.csv")
+    assert head[1:4] == ["longitude (degree)", "latitude (degree)", "z (m)"]
+    # The origin is the middle of the south-western cell; a degree of the sphere is 111195.08 m.
+    assert_allclose(rows[:, 2], 47 - 39.5 * step + found["y"] / 111195.08, rtol=0, atol=1e-11)
+    east = found["x"] / (111195.08 * np.cos(np.deg2rad(47 - 20 * step)))
+    assert_allclose(rows[:, 1], 15 + 0.5 * step + east, rtol=0, atol=1e-11)
+    export_path(tmp_path / "out.nc", tmp_path / "path.geojson")
+    content = json.loads((tmp_path / "path.geojson").read_text())
+    assert "crs" not in content  # GeoJSON means WGS 84 then
+    assert_allclose(content["features"][0]["geometry"]["coordinates"], rows[:, 1:4], rtol=1e-15)
+
+
+def test_rates_that_a_robot_plays(tmp_path: Path) -> None:
+    found = _utm(tmp_path)
+    export_rates(tmp_path / "out.nc", tmp_path / "rates.csv")
+    head, rows = _rows(tmp_path / "rates.csv")
+    assert head == ["time (s)", "right_rate (rad s-1)", "left_rate (rad s-1)",
+                    "steer_rate (rad s-1)"]  # fmt: skip
+    assert_allclose(rows[:, 0], found.t)
+    assert set(rows[:, 1]) == {0.5, 0.4}
+    assert set(rows[:, 3]) == {0.01}
+
+
+def test_what_cannot_be_exported(tmp_path: Path) -> None:
+    found = _utm(tmp_path)
+    out = tmp_path / "out.nc"
+    for name, words in (
+        ("path.kml", r"path.kml: expected a name that ends in .csv or .geojson, found '.kml'"),
+        ("path", "found 'no ending'"),
+        ("none/path.csv", r"path.csv: cannot be written \(No such file"),
+    ):
+        with pytest.raises(DataError, match=words):
+            export_path(out, tmp_path / name)
+    with pytest.raises(DataError, match=r"ends in .csv, found '.geojson'"):
+        export_rates(out, tmp_path / "rates.geojson")
+    assert {each.name for each in tmp_path.iterdir()} == {"map.tif", "p.toml", "out.nc"}
+    taken = tmp_path / "out.csv"
+    out.rename(taken)
+    with pytest.raises(DataError, match="expected a file of its own, found the result file"):
+        export_path(taken, taken)
+
+    netcdf.write(out, replace(found, columns={"x": found.columns["x"]}))
+    with pytest.raises(DataError, match="expected rates of driven wheels, found none"):
+        export_rates(out, tmp_path / "rates.csv")
+    with pytest.raises(DataError, match="expected a path with x, y, z, found no y"):
+        export_path(out, tmp_path / "path.csv")
+    netcdf.write(out, found.part(slice(1)))
+    with pytest.raises(DataError, match="two samples or more for a line, found one"):
+        export_path(out, tmp_path / "path.geojson")
+
+
+def test_without_a_reference_system_geojson_says_so(tmp_path: Path) -> None:
+    found = _utm(tmp_path)
+    attributes = {k: v for k, v in found.attributes.items() if k != "map_crs"}
+    netcdf.write(tmp_path / "out.nc", replace(found, attributes=attributes))
+    export_path(tmp_path / "out.nc", tmp_path / "path.geojson")
+    content = json.loads((tmp_path / "path.geojson").read_text())
+    assert "crs" not in content
+    assert content["features"][0]["properties"]["reference_system"].startswith("not given")
+
+
+def test_the_command(tmp_path: Path) -> None:
+    _utm(tmp_path)
+    out, path, rates = (str(tmp_path / name) for name in ("out.nc", "path.csv", "rates.csv"))
+    done = CliRunner().invoke(app, ["export", out, "--path", path, "--rates", rates])
+    assert done.exit_code == 0, done.output
+    assert done.stdout == f"wrote {path}\nwrote {rates}\n"
+    for words in ([], ["--path", str(tmp_path / "path.shp")], ["--rates", out]):
+        refused = CliRunner().invoke(app, ["export", out, *words])
+        assert refused.exit_code == 2
+        assert "expected" in refused.stderr
+    checked = CliRunner().invoke(app, ["check", str(tmp_path / "p.toml")])
+    assert "ground map" in checked.stdout
+    assert "GeoTIFF of float64, EPSG:32633, heights at the middles of cells" in checked.stdout

@@ -1,0 +1,199 @@
+"""Names of files: only regular files are read, and every other name is an error in words."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+from collections.abc import Iterator
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from helpers.fuzz_files import bases, document
+from slipfree import regular_files
+from slipfree.cli import app
+from slipfree.errors import DataError
+from slipfree.files import netcdf
+from slipfree.files.maps.elevation import read_map
+from slipfree.problem.load import read as read_problem
+from slipfree.sweep.grid import sweep_of
+
+LIMIT = 100  # time after which a command counts as hanging [s]
+KINDS = {
+    "pipe": "found a pipe, not a regular file; write the contents to a file first",
+    "device": "found a device or a terminal, not a regular file",
+    "loop": "found that it cannot be read (Too many levels of symbolic links)",
+    "folder": "found a folder, not a regular file; check the name",
+    "long": "found that it cannot be read (File name too long)",
+}
+
+
+@pytest.fixture(autouse=True)
+def limited() -> Iterator[None]:
+    """End a test that waits for a pipe."""
+
+    def end(*_: Any) -> None:
+        pytest.fail(f"no answer within {LIMIT} s")
+
+    before = signal.signal(signal.SIGALRM, end)
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(document(bases("direct")[0]))
+    return tmp_path
+
+
+def _spoiled(kind: str, ending: str) -> str:
+    """Return the name of a file that cannot be read."""
+    path = Path(f"bad{ending}")
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "loop":
+        path.symlink_to(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path = Path(f"{'n' * 5000}{ending}")
+    return str(path)
+
+
+def _refused(*words: str) -> str:
+    """Return the message of a command that must refuse its input."""
+    found = CliRunner().invoke(app, list(words))
+    assert found.exit_code == 2, (found.output, found.exception)
+    assert isinstance(found.exception, SystemExit)
+    return found.stderr
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("command", "ending"),
+    [
+        ("run", ".toml"), ("check", ".toml"), ("compare", ".toml"), ("sweep", ".toml"),
+        ("vehicle", ".toml"), ("vehicle", ".urdf"), ("info", ".nc"), ("report", ".nc"),
+        ("show", ".nc"), ("export", ".nc"), ("run p.toml --resume", ".nc"),
+    ],
+)  # fmt: skip
+def test_a_file_on_the_command_line_that_is_none(command: str, ending: str, kind: str) -> None:
+    more = {"export": ["--path", "o.csv"], "sweep": ["--vary", "time.duration=1,2"]}
+    name = _spoiled(kind, ending)
+    if "--resume" in command:
+        Path("p.toml").write_text(document(bases("plan")[0]))
+    told = _refused(*command.split(), name, *more.get(command, []))
+    assert KINDS[kind] in told
+    assert name in told
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("kind", [*KINDS, "null"])
+@pytest.mark.parametrize(
+    ("table", "key", "ending"),
+    [
+        ("terrain", "file", ".npz"), ("terrain", "file", ".asc"), ("terrain", "file", ".tif"),
+        ("terrain", "file", ".png"), ("terrain", "file", ".xyz"), ("terrain", "friction", ".asc"),
+        ("vehicle", "file", ".toml"), ("vehicle", "file", ".urdf"), ("driver", "file", ".csv"),
+    ],
+)  # fmt: skip
+def test_a_file_named_in_a_problem_that_is_none(
+    table: str, key: str, ending: str, kind: str
+) -> None:
+    problem: dict[str, Any] = deepcopy(bases("direct")[0])
+    name = "n\0" + ending if kind == "null" else _spoiled(kind, ending)
+    if table == "driver":
+        problem["driver"] = {"name": "follow", "speed": 0.2, "file": name}
+        problem.pop("inputs", None)
+    elif key == "friction":
+        problem["terrain"] = {**problem["terrain"], "friction": name}
+    else:
+        problem[table] = {"file": name}
+    Path("p.toml").write_text(document(problem))
+    told = _refused("check", "p.toml")
+    assert KINDS.get(kind, "found that it cannot be read (embedded null") in told
+    assert sweep_of(Path("p.toml"), ["time.duration=1,2"]).files == {name: "missing"}
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind: str) -> None:
+    Path("v.toml").write_text(f'urdf = "{_spoiled(kind, ".urdf")}"\n')
+    told = _refused("vehicle", "v.toml")
+    assert "expected a URDF (urdf of v.toml), found" in told
+    assert KINDS[kind] in told
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_link_to_a_regular_file_is_followed() -> None:
+    Path("link.toml").symlink_to("p.toml")
+    assert CliRunner().invoke(app, ["check", "link.toml"]).exit_code == 0
+
+
+def test_a_medium_that_fails_while_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    for name in ("a.toml", "a.asc", "a.nc"):
+        (tmp_path / name).write_text("")
+    monkeypatch.setattr(Path, "open", fail)
+    for read in (read_problem, read_map, netcdf.read):
+        name = {read_problem: "a.toml", read_map: "a.asc"}.get(read, "a.nc")
+        with pytest.raises(DataError, match=r"cannot be read \(Input/output error\)"):
+            read(tmp_path / name)
+
+
+def test_a_file_without_end_is_read_to_its_size() -> None:
+    assert regular_files.read_bytes(Path("/proc/self/maps"), "a file") == b""
+
+
+@pytest.mark.usefixtures("folder")
+def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slipfree.problem.report._figures", lambda *_: {})  # which take long
+    problem = {**bases("direct")[0], "terrain": {"file": "g.npz"}}
+    problem.pop("title", None)
+    place = Path(os.fsdecode(b"d\xfe"))
+    place.mkdir()
+    stem = os.fsdecode(b"n\xff")
+    file, out = place / f"{stem}.toml", f"{stem}.nc"
+    file.write_text(document(problem))
+    x = np.linspace(-9, 9, 40)
+    np.savez(place / "g.npz", x=x, y=x, z=np.zeros((40, 40)))
+    page, table = f"{stem}.html", f"{stem}.csv"
+    for words in (
+        ("run", str(file), "-o", out, "--csv", table, "--no-draw"),
+        ("info", out),
+        ("report", out, "-o", page),
+        ("show", out, "--html", page),
+        ("export", out, "--path", table),
+        ("sweep", str(file), "--vary", "time.duration=0.1,0.2", "--processes", "1", "--no-draw"),
+    ):
+        found = CliRunner().invoke(app, [*words, "--json"])
+        assert found.exit_code == 0, (words, found.output, found.exception)
+        json.loads(found.stdout)
+    attributes = netcdf.read(out).attributes
+    assert attributes["title"] == r"n\udcff"
+    assert attributes["problem_file"] == r"n\udcff.toml"
+    assert regular_files.unescape_name(attributes["problem_folder"]) == str(place)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("command", ["run", "sweep"])
+def test_a_setting_that_is_not_utf_8_is_refused_before_anything_is_computed(command: str) -> None:
+    setting = os.fsdecode(b"title=\xff")
+    told = _refused(command, "p.toml", "--vary" if command == "sweep" else "--set", setting)
+    assert "--set title: expected text in UTF-8, as in a problem file, found title=" in told

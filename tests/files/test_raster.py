@@ -1,0 +1,485 @@
+"""GeoTIFF, TIFF and PNG: one ground from every kind of file, and what each bad one is told."""
+
+from __future__ import annotations
+
+import builtins
+import http.server
+import importlib.util
+import struct
+import threading
+import zlib
+
+import numpy as np
+import pytest
+import rasterio
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+from rasterio.control import GroundControlPoint
+from rasterio.transform import Affine
+
+from helpers.cases import drive
+from slipfree import Bicubic, DataError, Grid
+from slipfree.files.maps import raster
+from slipfree.files.maps.elevation import read_grid, read_map
+
+UTM = "EPSG:32633"
+WEST, NORTH, CELL = 500000.0, 4.5e6, 0.25
+SIZE = 40, 32  # columns, rows
+ROWS = np.round(  # heights that a float32 holds exactly; rows from the north
+    1024 * (0.3 + 0.15 * np.sin(0.5 * np.arange(32.0))[:, None] * np.cos(0.4 * np.arange(40.0)))
+) / 1024  # fmt: skip
+
+
+def from_origin(west, north, cell):
+    return Affine(cell, 0, west, 0, -cell, north)
+
+
+def geotiff(path, rows=ROWS, *, transform=None, crs=UTM, dtype="float32", tags=None, **options):
+    transform = transform or from_origin(WEST, NORTH, CELL)
+    bands = np.atleast_3d(np.asarray(rows, dtype).T).T
+    with rasterio.open(
+        path, "w", driver="GTiff", width=bands.shape[2], height=bands.shape[1],
+        count=len(bands), dtype=dtype, crs=crs, transform=transform, **options,
+    ) as file:  # fmt: skip
+        file.write(bands)
+        file.update_tags(**(tags or {}))
+    return path
+
+
+def plain(path, rows=ROWS, mode="F"):
+    Image.fromarray(np.asarray(rows, np.float32 if mode == "F" else np.uint16)).save(path)
+    return path
+
+
+@pytest.fixture
+def without_rasterio(monkeypatch):
+    """Make rasterio impossible to find or import."""
+    find, load = importlib.util.find_spec, builtins.__import__
+
+    def hidden(name, *rest):
+        return None if name == "rasterio" else find(name, *rest)
+
+    def refused(name, scope=None, *rest, **others):
+        ours = scope is not None and scope.get("__name__", "").startswith("slipfree")
+        if ours and name.partition(".")[0] == "rasterio":
+            raise ImportError(name)
+        return load(name, scope, *rest, **others)
+
+    monkeypatch.setattr(raster, "find_spec", hidden)
+    monkeypatch.setattr(builtins, "__import__", refused)
+
+
+def test_nodes_are_the_middles_of_pixels_whatever_their_registration(tmp_path):
+    for registration in ("Area", "Point"):
+        path = geotiff(tmp_path / "map.tif", tags={"AREA_OR_POINT": registration})
+        found = read_map(path)
+        assert_array_equal(found.grid.x, WEST + CELL * (np.arange(40) + 0.5))
+        assert_array_equal(found.grid.y, NORTH - CELL * (np.arange(32) + 0.5)[::-1])
+        assert_array_equal(found.grid.z, ROWS[::-1].T)
+        assert found.crs == UTM
+        words = dict(found.told)["ground map"]
+        assert f"pixel is {registration.lower()}" in words
+        assert UTM in words
+
+
+@pytest.mark.usefixtures("without_rasterio")
+def test_pillow_reads_what_rasterio_reads(tmp_path):
+    """Expected values are those of the file, since rasterio is hidden here."""
+    for registration in ("Area", "Point"):
+        for options in ({}, {"compress": "lzw"}, {"compress": "deflate", "predictor": 3},
+                        {"dtype": "int16"}, {"dtype": "uint16"}, {"dtype": "int32"},
+                        {"dtype": "uint16", "ENDIANNESS": "BIG"}, {"ENDIANNESS": "BIG"},
+                        {"tiled": True, "blockxsize": 16, "blockysize": 16}):  # fmt: skip
+            rows = np.round(1000 * ROWS) if "int" in options.get("dtype", "") else ROWS
+            path = geotiff(
+                tmp_path / "map.tif", rows, tags={"AREA_OR_POINT": registration}, **options
+            )
+            found = read_map(path)
+            assert_array_equal(found.grid.x, WEST + CELL * (np.arange(40) + 0.5))
+            assert_array_equal(found.grid.y, NORTH - CELL * (np.arange(32) + 0.5)[::-1])
+            assert_array_equal(found.grid.z, rows[::-1].T)
+            assert found.crs == UTM
+            assert f"by Pillow, {UTM}, " in dict(found.told)["ground map"]
+            assert f"pixel is {registration.lower()}" in dict(found.told)["ground map"]
+
+
+@pytest.mark.usefixtures("without_rasterio")
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"dtype": "float64"}, r"Pillow can read, found none .*pip install 'slipfree\[geo\]'"),
+        ({"dtype": "int8"}, r"samples of 8 bits and format 2; .*pip install 'slipfree\[geo\]'"),
+        ({"dtype": "uint32"}, r"samples of 32 bits and format 1; .*'slipfree\[geo\]'"),
+        ({"crs": "EPSG:2263"}, r"code 2263, unit 9003, .*'slipfree\[geo\]'"),
+        ({"crs": "+proj=tmerc +lon_0=11 +ellps=bessel"}, r"code 32767, .*'slipfree\[geo\]'"),
+        ({"photometric": "miniswhite", "dtype": "uint8"}, r"white as zero; .*'slipfree\[geo\]'"),
+        ({"transform": Affine(0.2, 0.1, 5, 0.1, -0.2, 7)}, r"a transformation; .*slipfree\[geo"),
+        ({"rows": [50 * ROWS] * 3, "dtype": "uint8"}, "one band of heights, found 3 bands"),
+        ({"crs": "EPSG:4326"}, r"found degrees \(EPSG:4326\)"),
+        ({"crs": "EPSG:3857"}, r"code 3857, unit 9001, .*'slipfree\[geo\]'"),
+    ],
+)  # fmt: skip
+def test_pillow_refuses_what_it_does_not_read_exactly(tmp_path, options, words):
+    path = geotiff(tmp_path / "map.tif", **options)
+    with pytest.raises(DataError, match=f"map.tif: .*{words}"):
+        read_grid(path)
+
+
+@pytest.mark.usefixtures("without_rasterio")
+def test_pillow_refuses_scaled_heights_and_several_pictures(tmp_path):
+    path = geotiff(tmp_path / "map.tif")
+    with rasterio.open(path, "r+") as file:
+        file.scales = (0.5,)
+    with pytest.raises(DataError, match="heights with a scale or an offset"):
+        read_grid(path)
+    path = geotiff(tmp_path / "more.tif")
+    with rasterio.open(path, "r+") as file:
+        file.build_overviews([2])
+    with pytest.raises(DataError, match="several pictures"):
+        read_grid(path)
+
+
+def test_one_ground_from_every_file_is_one_motion(tmp_path, monkeypatch):
+    """Registered by corner and by centre, compressed in three ways, by two readers: one motion."""
+    asc = [
+        f"ncols 40\nnrows 32\nxll{where} {WEST + shift}\nyll{where} {NORTH - 8 + shift}\n"
+        f"cellsize {CELL}\n" + "\n".join(" ".join(map(repr, row)) for row in ROWS.tolist())
+        for where, shift in (("corner", 0.0), ("center", CELL / 2))
+    ]
+    files = [tmp_path / "corner.asc", tmp_path / "centre.asc", tmp_path / "nodes.npz"]
+    for file, text in zip(files, asc, strict=False):
+        file.write_text(text)
+    x, y = WEST + CELL * (np.arange(40) + 0.5), NORTH - 8 + CELL * (np.arange(32) + 0.5)
+    np.savez(files[2], x=x, y=y, z=ROWS[::-1].T)
+    files += [
+        geotiff(tmp_path / "lzw.tif", compress="lzw"),
+        geotiff(tmp_path / "deflate.tif", compress="deflate", tags={"AREA_OR_POINT": "Point"}),
+        geotiff(tmp_path / "double.tif", dtype="float64", compress="lzw"),
+        geotiff(
+            tmp_path / "up.tif", ROWS[::-1], transform=Affine(CELL, 0, WEST, 0, CELL, NORTH - 8)
+        ),
+    ]
+    grids = [read_grid(file) for file in files]
+    monkeypatch.setattr(raster, "find_spec", lambda _: None)
+    grids.append(read_grid(tmp_path / "lzw.tif"))
+    runs = [
+        drive(Bicubic(grid, (WEST + 5, NORTH - 5)), np.linspace(0, 6, 4), x=WEST + 5, y=NORTH - 5)
+        for grid in grids
+    ]
+    assert np.ptp(runs[0]["z"]) > 0.005  # it goes up and down
+    for run in runs[1:]:
+        for name in ("x", "y", "z", "heading", "pitch", "roll"):
+            assert_allclose(run[name], runs[0][name], rtol=0, atol=1e-9)
+
+
+def test_a_map_at_utm_coordinates_gives_the_motion_of_the_shifted_one(tmp_path):
+    far = read_grid(geotiff(tmp_path / "map.tif"))
+    near = Grid(far.x - WEST, far.y - NORTH, far.z)
+    runs = [
+        drive(Bicubic(grid), np.linspace(0, 3, 4), x=x + 5, y=y - 5)
+        for grid, x, y in ((far, WEST, NORTH), (near, 0.0, 0.0))
+    ]
+    assert_allclose(runs[0]["x"] - WEST, runs[1]["x"], rtol=0, atol=1e-9)
+    assert_allclose(runs[0]["y"] - NORTH, runs[1]["y"], rtol=0, atol=1e-9)
+    for name in ("z", "heading", "pitch", "roll", "slip_along"):
+        assert_allclose(runs[0][name], runs[1][name], rtol=0, atol=1e-9)
+
+
+def test_only_the_window_is_read(tmp_path, monkeypatch):
+    rows = np.add.outer(np.arange(512.0), np.arange(512.0)) / 8
+    path = geotiff(tmp_path / "map.tif", rows, tiled=True, blockxsize=64, blockysize=64,
+                   transform=from_origin(0, 512, 1))  # fmt: skip
+    asked = []
+    read = rasterio.io.DatasetReader.read
+
+    def spied(self, *given, window, **options):
+        asked.append(window)
+        return read(self, *given, window=window, **options)
+
+    monkeypatch.setattr(rasterio.io.DatasetReader, "read", spied)
+    found = read_map(path, window=(100, 120.5, 40.5, 60))  # borders among them
+    assert asked == [((452, 472), (100, 121))]  # rows from the top, columns
+    assert found.grid.z.shape == (21, 20) == (120 - 100 + 1, 60 - 40)
+    assert_array_equal(found.grid.x, np.arange(100, 121) + 0.5)
+    assert_array_equal(found.grid.z[0, -1], rows[452, 100])
+
+
+def _serve(hits):
+    """Return a server on this machine that records what is fetched from it."""
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            hits.append(self.path)
+            self.send_error(404)
+
+        do_HEAD = do_GET  # noqa: N815
+
+        def log_message(self, *_):
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server
+
+
+def test_a_virtual_mask_beside_a_raster_fetches_nothing(tmp_path):
+    hits = []
+    with _serve(hits) as server:
+        url = f"/vsicurl/http://127.0.0.1:{server.server_port}/mask.tif"
+        virtual = (
+            '<VRTDataset rasterXSize="40" rasterYSize="32"><Metadata>'
+            '<MDI key="INTERNAL_MASK_FLAGS_1">2</MDI></Metadata><VRTRasterBand dataType="Byte" '
+            f'band="1"><SimpleSource><SourceFilename relativeToVRT="0">{url}</SourceFilename>'
+            "<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+        )
+        path = geotiff(tmp_path / "map.tif")
+        for ending in (".msk", ".ovr", ".aux.xml"):
+            (tmp_path / f"map.tif{ending}").write_text(virtual)
+        assert_array_equal(read_grid(path).z, ROWS[::-1].T)
+        path = geotiff(tmp_path / "inside.tif")
+        with rasterio.open(path, "r+") as file:
+            file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=url)
+        assert_array_equal(read_grid(path).z, ROWS[::-1].T)
+        server.shutdown()
+    assert hits == []
+
+
+def test_files_beside_a_raster_do_not_change_it(tmp_path):
+    """Scales, places, systems and masks of other files; world files of an unplaced raster."""
+    path = geotiff(tmp_path / "map.tif")
+    alone = read_map(path)
+    (tmp_path / "map.tif.aux.xml").write_text(
+        "<PAMDataset><SRS>EPSG:3857</SRS><GeoTransform>0,9,0,0,0,-9</GeoTransform>"
+        '<Metadata><MDI key="AREA_OR_POINT">Point</MDI></Metadata><PAMRasterBand band="1">'
+        "<Scale>1000</Scale><Offset>7</Offset><NoDataValue>0.5</NoDataValue></PAMRasterBand>"
+        "</PAMDataset>"
+    )
+    mask = geotiff(
+        tmp_path / "mask.tif", 0 * ROWS, dtype="uint8", tags={"INTERNAL_MASK_FLAGS_1": 2}
+    )
+    mask.rename(tmp_path / "map.tif.msk")
+    found = read_map(path)
+    assert_array_equal(found.grid.x, alone.grid.x)
+    assert_array_equal(found.grid.z, alone.grid.z)
+    assert (found.crs, found.told) == (alone.crs, alone.told)
+    path = plain(tmp_path / "bare.tif")
+    (tmp_path / "bare.tfw").write_text("0.5\n0\n0\n-0.5\n1000\n2000\n")
+    with pytest.raises(DataError, match=r"expected cell and registration .* world file .*not read"):
+        read_grid(path)
+
+
+def test_a_mask_inside_a_raster_makes_holes(tmp_path):
+    path, mask = geotiff(tmp_path / "map.tif"), np.ones(ROWS.shape, bool)
+    mask[10:13, 10:14] = False
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as file:
+        file.write_mask(mask)
+    assert [each.name for each in tmp_path.iterdir()] == ["map.tif"]
+    with pytest.raises(DataError, match="found 12 of 1280 nodes without one"):
+        read_grid(path)
+
+
+def test_damage_outside_the_window_does_not_matter(tmp_path):
+    """So no other block is read at all."""
+    rows = np.random.default_rng(0).normal(size=(256, 256))
+    path = geotiff(
+        tmp_path / "map.tif", rows, dtype="float64", tiled=True, blockxsize=64, blockysize=64,
+        compress="deflate", transform=from_origin(0, 256, 1),
+    )  # fmt: skip
+    data = bytearray(path.read_bytes())
+    data[-32000:-2000] = bytes(30000)  # of a block in the south: these come last
+    path.write_bytes(data)
+    north = read_map(path, window=(0, 60, 200, 256)).grid
+    assert_array_equal(north.z[:, -1], rows[0, :60])
+    with pytest.raises(DataError, match=r"map.tif: expected a TIFF file, found one that cannot be"):
+        read_map(path, window=(0, 256, 0, 60))
+
+
+def test_a_large_sparse_map_needs_a_window(tmp_path):
+    path = tmp_path / "map.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=20000, height=20000, count=1, crs=UTM,
+                       dtype="float32", tiled=True, blockxsize=256, blockysize=256,
+                       transform=from_origin(0, 20000, 1), SPARSE_OK=True) as file:  # fmt: skip
+        file.write(np.ones((256, 256), "float32"), 1, window=((0, 256), (0, 256)))
+    with pytest.raises(DataError, match=r"found 4e\+08 \(20000 by 20000 .*window = \[x_min"):
+        read_grid(path)
+    assert read_map(path, window=(10, 20, 19900, 19910)).grid.z.min() == 1
+
+
+def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
+    rows = np.round(100 * ROWS).astype("int16")
+    rows[5, 7] = -32768
+    path = geotiff(tmp_path / "map.tif", rows, dtype="int16", nodata=-32768)
+    with rasterio.open(path, "r+") as file:
+        file.scales, file.offsets = (0.01,), (3.0,)
+    x, y = WEST + 7.5 * CELL, NORTH - 5.5 * CELL
+    with pytest.raises(
+        DataError, match=f"found 1 of 1280 .*x = {x:.9g}, y = {y:.9g}; ask for fill"
+    ):
+        read_grid(path)
+    found = read_map(path, fill="linear")
+    assert (
+        "1 nodes in 1 holes, the largest 0.25 x 0.25 m" in dict(found.told)["ground holes filled"]
+    )
+    assert_allclose(found.grid.z[0], 3 + 0.01 * rows[::-1, 0], rtol=1e-15)
+    assert dict(found.told)["ground map heights"] == "values of the file x 0.01 + 3 m"
+    # By Pillow, without a scale.
+    path = geotiff(tmp_path / "float.tif", np.where(rows == -32768, -1e30, ROWS), nodata=-1e30)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(raster, "find_spec", lambda _: None)
+        with pytest.raises(DataError, match=f"found 1 of 1280 .*x = {x:.9g}"):
+            read_grid(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"rows": [ROWS, ROWS, ROWS]}, "one band of heights, found 3 bands; .*gdal_translate -b 1"),
+        ({"dtype": "complex64"}, "heights that are numbers, found complex64"),
+        ({"crs": "EPSG:4326", "transform": from_origin(15, 47, 1e-4)},
+         r"found degrees \(EPSG:4326\): x from 15.0+5.*geographic = \"local\""),
+        ({"crs": "EPSG:2263"}, "found the unit 'US survey foot' of EPSG:2263; .*gdalwarp"),
+        ({"crs": "EPSG:4978"}, "a projected or a geographic reference system, found EPSG:4978"),
+        ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "metres, found the unit 'foot'"),
+        ({"crs": "EPSG:4807"}, "in degrees, found the unit 'grad' of EPSG:4807"),
+        ({"crs": "+proj=longlat +a=1737400 +b=1737400 +no_defs"},
+         "degrees on the earth, found a body of radius 1737400 m .*gdalwarp"),
+        ({"transform": from_origin(1e9, 1e9, 0.5)}, "one metre is nan m along x"),
+        ({"transform": Affine(0.2, 0.1, 5, 0.1, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
+        ({"transform": Affine(-0.2, 0, 5, 0, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
+        ({"crs": None, "transform": from_origin(15, 47, 1e-4)}, "seems to be in degrees"),
+    ],
+)  # fmt: skip
+def test_geotiffs_refused(tmp_path, options, words):
+    path = geotiff(tmp_path / "map.tif", **options)
+    with pytest.raises(DataError, match=f"map.tif: expected .*{words}"):
+        read_grid(path)
+
+
+def test_a_metre_of_the_map_is_one_on_the_ground(tmp_path):
+    """UTM shrinks its central meridian by 0.9996; Mercator stretches by 1 / cos(latitude)."""
+    told = dict(read_map(geotiff(tmp_path / "map.tif")).told)["ground map scale"]
+    assert told.startswith(f"1 m of the map is {1 / 0.9996:.5f} m along x and {1 / 0.9996:.5f} m")
+    north = 6378137 * np.arctanh(np.sin(np.pi / 3))  # of 60 degrees
+    path = geotiff(tmp_path / "map.tif", crs="EPSG:3857", transform=from_origin(0, north, 0.25))
+    east = 0.5 / np.sqrt(1 - 6.69437999e-3 * 0.75)  # N cos(60 degrees) / a on the ellipsoid
+    with pytest.raises(DataError, match=rf"one metre is {east:.4g} m along x and .*EPSG:3857"):
+        read_grid(path)
+
+
+def test_a_compound_system_is_named_by_its_horizontal_part(tmp_path):
+    assert read_map(geotiff(tmp_path / "map.tif", crs="EPSG:32633+5703")).crs == UTM
+    with pytest.raises(DataError, match="heights in metres, found the unit 'US survey foot'"):
+        read_map(geotiff(tmp_path / "map.tif", crs="EPSG:32633+6360"))
+
+
+def test_more_geotiffs_refused(tmp_path):
+    path = geotiff(tmp_path / "feet.tif")
+    with rasterio.open(path, "r+") as file:
+        file.units = ("ft",)
+    with pytest.raises(DataError, match=r"heights in metres, found the unit 'ft'; .*gdal_calc"):
+        read_grid(path)
+    path = geotiff(tmp_path / "palette.tif", 40 * ROWS, dtype="uint8", photometric="palette")
+    with rasterio.open(path, "r+") as file:
+        file.write_colormap(1, {0: (1, 2, 3, 255)})
+    with pytest.raises(DataError, match="colours in a palette"):
+        read_grid(path)
+    points = [GroundControlPoint(r, c, 10 + c, 20 - r) for r, c in ((0, 0), (0, 9), (9, 0))]
+    path = tmp_path / "gcp.tif"
+    with rasterio.open(path, "w", driver="GTiff", width=40, height=32, count=1, dtype="float32",
+                       gcps=points, crs=UTM) as file:  # fmt: skip
+        file.write(ROWS.astype("float32"), 1)
+    with pytest.raises(DataError, match="3 ground control points; resample it: gdalwarp"):
+        read_grid(path)
+    with pytest.raises(DataError, match=r"expected no cell for a file that says it itself, found"):
+        read_map(geotiff(tmp_path / "map.tif"), cell=0.25)
+    with pytest.raises(DataError, match="expected a map in degrees, found EPSG:32633"):
+        read_map(geotiff(tmp_path / "map.tif"), geographic="local")
+
+
+@pytest.mark.parametrize("reader", ["rasterio", "pillow"])
+def test_damaged_tiffs_lead_to_one_error(tmp_path, monkeypatch, reader):
+    path = geotiff(tmp_path / "map.tif", compress="deflate")
+    whole = path.read_bytes()
+    if reader == "pillow":
+        monkeypatch.setattr(raster, "find_spec", lambda _: None)
+    refused = 0
+    for content in (b"", b"no TIFF", whole[:100], whole[:-900]):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=r"map.tif: expected a TIFF .*damaged"):
+            read_grid(path)
+    for at in range(0, 500, 3):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
+        try:
+            read_grid(path)
+        except DataError:
+            refused += 1
+    assert refused > 20  # some bytes do not matter; no damage leads to another error
+
+
+def test_a_picture_needs_cell_and_registration(tmp_path):
+    heights = np.arange(20).reshape(4, 5) * 300
+    path = plain(tmp_path / "map.png", heights, "I;16")
+    for keys, lacking in (({}, "cell and registration"), ({"cell": 2.0}, "registration"),
+                          ({"registration": "area"}, "cell")):  # fmt: skip
+        with pytest.raises(
+            DataError, match=f"map.png: expected {lacking} for a raster .*give cell"
+        ):
+            read_map(path, **keys)
+    area, point = (read_map(path, cell=2.0, registration=each).grid for each in ("area", "point"))
+    assert_array_equal(area.x, [1, 3, 5, 7, 9])
+    assert_array_equal(point.x, [0, 2, 4, 6, 8])
+    assert_array_equal(point.y, [0, 2, 4, 6])
+    assert_array_equal(point.z, heights[::-1].T)  # the first row is the northernmost
+    assert_array_equal(read_map(path, cell=1.0, registration="point", window=(1, 4, 0, 3)).grid.z,
+                       heights[::-1].T[1:])  # fmt: skip
+    for patched in (False, True):
+        path = plain(tmp_path / "map.tif", ROWS)
+        with pytest.MonkeyPatch.context() as patch:
+            if patched:
+                patch.setattr(raster, "find_spec", lambda _: None)
+            with pytest.raises(DataError, match="expected cell and registration"):
+                read_grid(path)
+            found = read_map(path, cell=0.5, registration="area")
+        assert_array_equal(found.grid.z, ROWS[::-1].T)
+        assert found.grid.x[0] == 0.25
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"),
+    [
+        ("RGB", "found colours; .*gdal_translate -b 1"),
+        ("RGBA", "found colours and transparency"),
+        ("LA", "found grey and transparency"),
+        ("P", "found a palette of colours"),
+        ("1", "found grey of 1 bits"),
+    ],
+)
+def test_pictures_refused(tmp_path, mode, words):
+    Image.new(mode, (6, 6)).save(tmp_path / "map.png")
+    with pytest.raises(DataError, match=f"map.png: expected a PNG of grey values .*{words}"):
+        read_map(tmp_path / "map.png", cell=1.0, registration="area")
+
+
+def test_damaged_pictures_refused(tmp_path):
+    path = plain(tmp_path / "map.png", np.arange(400).reshape(20, 20), "I;16")
+    whole = path.read_bytes()
+    for content in (b"", whole[:20], whole[:-60], b"GIF89a" + whole[6:]):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=r"map.png: expected a PNG"):
+            read_map(path, cell=1.0, registration="area")
+    Image.new("L", (6, 6)).save(path, transparency=0)
+    with pytest.raises(DataError, match="expected grey values alone, found a transparent one"):
+        read_map(path, cell=1.0, registration="area")
+
+
+def test_a_picture_larger_than_memory_is_refused_unread(tmp_path):
+    def chunk(kind, data):
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", 30000, 30000, 16, 0, 0, 0, 0))
+    path = tmp_path / "map.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
+    with pytest.raises(DataError, match="fits into memory, found a larger one"):
+        read_map(path, cell=1.0, registration="area")

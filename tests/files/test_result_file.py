@@ -1,0 +1,266 @@
+"""Result files: exact round trip, what other programs see, and every way a file can be bad."""
+
+from __future__ import annotations
+
+import csv
+import struct
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from scipy.io import netcdf_file
+
+from helpers.cases import DATA
+from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.files import netcdf
+from slipfree.problem.load import read
+from slipfree.problem.solve import run
+from slipfree.records import Label
+from slipfree.trajectory import Column, Stop, Trajectory
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+N = 7
+
+
+@pytest.fixture
+def motion(rng: np.random.Generator) -> Trajectory:
+    columns = {
+        "x": Column(Label("x", "m", "easting of the platform's centre"), rng.normal(size=N)),
+        "slip": Column(Label("slip", "m s-1", "slip of the wheel"), rng.normal(size=(N, 3))),
+        "pitch": Column(Label("pitch", "rad", "Nickwinkel, größer = höher"), rng.normal(size=N)),
+    }
+    columns["pitch"].values[3] = np.nan
+    return Trajectory(
+        np.linspace(0.0, 1.0 / 3.0, N),
+        columns,
+        ("right", "left", "front"),
+        Stop("map_margin[front]", 1.0 / 3.0, "wheel front leaves the map — das Ende"),
+        {"steps": 12.0, "tolerance": 1e-8},
+        {"title": "Übung", "problem": 'verb = "direct"\n# 中文 ü\n', "remark": ""},
+    )
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(2)
+
+
+def _assert_same(found: Trajectory, motion: Trajectory) -> None:
+    np.testing.assert_array_equal(found.t, motion.t)
+    assert list(found.columns) == list(motion.columns)
+    for name, column in motion.columns.items():
+        assert found.columns[name].label == column.label
+        np.testing.assert_array_equal(found[name], column.values)
+        assert found[name].dtype == np.float64
+    assert found.wheels == motion.wheels
+    assert found.stop == motion.stop
+    assert found.statistics == motion.statistics
+
+
+def test_round_trip_is_exact(motion: Trajectory, tmp_path: Path) -> None:
+    netcdf.write(tmp_path / "a.nc", motion)
+    found = netcdf.read(tmp_path / "a.nc")
+    _assert_same(found, motion)
+    assert found.attributes.items() >= motion.attributes.items()
+    netcdf.write(tmp_path / "b.nc", found)
+    again = netcdf.read(tmp_path / "b.nc")
+    _assert_same(again, motion)
+    assert again.attributes == found.attributes
+    assert [p.name for p in sorted(tmp_path.iterdir())] == ["a.nc", "b.nc"]
+
+
+def test_round_trip_without_wheels_and_stop(motion: Trajectory, tmp_path: Path) -> None:
+    columns = {"x": motion.columns["x"]}
+    plain = replace(motion, columns=columns, wheels=(), stop=None, statistics={}, attributes={})
+    netcdf.write(tmp_path / "a.nc", plain)
+    _assert_same(netcdf.read(tmp_path / "a.nc"), plain)
+
+
+def test_provenance(motion: Trajectory, tmp_path: Path) -> None:
+    netcdf.write(tmp_path / "a.nc", motion)
+    found = netcdf.read(tmp_path / "a.nc").attributes
+    assert found["numpy_version"] == np.__version__
+    assert found["python_version"] == "{}.{}.{}".format(*sys.version_info)
+    assert {"slipfree_version", "casadi_version", "scipy_version", "history"} <= set(found)
+    assert found["date_created"].endswith("Z")
+
+
+def test_xarray_opens_it(motion: Trajectory, tmp_path: Path) -> None:
+    netcdf.write(tmp_path / "a.nc", motion)
+    with xarray.open_dataset(tmp_path / "a.nc", engine="scipy") as data:
+        data.load()
+    assert data.sizes == {"time": N, "wheel": 3}
+    assert data.time.dtype == np.float64
+    assert data.time.attrs == {
+        "units": "s", "long_name": "time", "standard_name": "time", "axis": "T"
+    }  # fmt: skip
+    assert data.slip.dims == ("time", "wheel")
+    assert data.slip.attrs == {"units": "m s-1", "long_name": "slip of the wheel"}
+    assert list(data.wheel.values) == ["right", "left", "front"]
+    assert data.attrs["Conventions"] == "CF-1.11"
+    assert data.attrs["problem"] == motion.attributes["problem"]
+    assert data.attrs["statistics_tolerance"] == 1e-8
+    assert data.attrs["stop_name"] == "map_margin[front]"
+    np.testing.assert_array_equal(data.slip.sel(wheel="left"), motion["slip", "left"])
+    same = netcdf.to_xarray(motion)
+    xarray.testing.assert_equal(same, data)
+    assert same.time.attrs == data.time.attrs
+
+
+def test_scipy_reads_it(motion: Trajectory, tmp_path: Path) -> None:
+    netcdf.write(tmp_path / "a.nc", motion)
+    with netcdf_file(str(tmp_path / "a.nc"), mmap=False) as file:
+        assert file.version_byte == 2
+        assert file.title == motion.attributes["title"].encode()
+        assert file.variables["slip"].units == b"m s-1"
+        np.testing.assert_array_equal(file.variables["slip"][:], motion["slip"])
+
+
+def test_csv(motion: Trajectory, tmp_path: Path) -> None:
+    netcdf.write_csv(tmp_path / "a.csv", motion)
+    with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    assert head[:3] == ["time (s)", "x (m)", "slip[right] (m s-1)"]
+    table = np.array(rows, dtype=float)
+    expected = np.column_stack([motion.t, motion["x"], motion["slip"], motion["pitch"]])
+    np.testing.assert_array_equal(table, expected)
+
+
+def test_to_xarray_without_xarray(motion: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(SlipfreeError, match="pip install xarray"):
+        netcdf.to_xarray(motion)
+
+
+def test_import_needs_no_xarray() -> None:
+    code = "import sys, slipfree.files.netcdf; assert not {'xarray', 'pandas'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_an_old_file_survives_a_failure(
+    motion: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    netcdf.write(tmp_path / "a.nc", motion)
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(netcdf, "_fill", fail)
+    with pytest.raises(DataError, match=r"a\.nc: cannot be written \(No space left"):
+        netcdf.write(tmp_path / "a.nc", motion.part(slice(2)))
+    _assert_same(netcdf.read(tmp_path / "a.nc"), motion)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
+
+
+def test_names_that_cannot_be_used(motion: Trajectory, tmp_path: Path) -> None:
+    path = tmp_path / "a.nc"
+    with pytest.raises(ModelError, match="no samples"):
+        netcdf.write(path, motion.part(slice(0)))
+    column = {"time": Column(Label("time", "s", "another time"), motion.t)}
+    with pytest.raises(ModelError, match="'time' has a meaning of its own"):
+        netcdf.write(path, replace(motion, columns=column))
+    with pytest.raises(ModelError, match="'statistics_a' has a meaning of its own"):
+        netcdf.write(path, replace(motion, attributes={"statistics_a": "1"}))
+    with pytest.raises(ModelError, match="'variables' has another meaning"):
+        netcdf.write(path, replace(motion, attributes={"variables": "1"}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_folder(motion: Trajectory, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no[\\/]a\.nc: cannot be written"):
+        netcdf.write(tmp_path / "no" / "a.nc", motion)
+
+
+def test_every_truncation_is_found(motion: Trajectory, tmp_path: Path) -> None:
+    netcdf.write(tmp_path / "a.nc", motion)
+    data, cut = (tmp_path / "a.nc").read_bytes(), tmp_path / "cut.nc"
+    for size in range(len(data)):
+        cut.write_bytes(data[:size])
+        with pytest.raises(DataError, match=rf"cut\.nc: .* first {size} of at least .* truncated"):
+            netcdf.read(cut)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no\.nc: expected a result file.*No such file"):
+        netcdf.read(tmp_path / "no.nc")
+    with pytest.raises(DataError, match=r"expected a result file.*found a folder"):
+        netcdf.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        (b"verb = 1", "begins with b'verb', not netCDF"),
+        (b"\x89HDF\r\n\x1a\n", "another kind of netCDF; convert it: nccopy"),
+        (b"CDF\x05" + bytes(40), "another kind of netCDF; convert it: nccopy"),
+    ],
+)
+def test_other_files(head: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "a.nc").write_bytes(head)
+    with pytest.raises(DataError, match=words):
+        netcdf.read(tmp_path / "a.nc")
+
+
+def _foreign(path: Path, **attributes: bytes) -> Path:
+    with netcdf_file(str(path), "w") as file:
+        for name, value in attributes.items():
+            setattr(file, name, value)
+        file.createDimension("time", None)
+        file.createVariable("time", "f8", ("time",))[:] = np.arange(3.0)
+        file.createDimension("level", 2)
+        file.createVariable("level", "i4", ("level",))[:] = [1, 2]
+    return path
+
+
+def test_a_foreign_netcdf_file(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="a netCDF file of something else; give a file that"):
+        netcdf.read(_foreign(tmp_path / "a.nc"))
+
+
+def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
+    path = _foreign(tmp_path / "a.nc", slipfree_version=b"0.1.0")
+    with pytest.raises(DataError, match="an empty or unlimited dimension"):
+        netcdf.read(path)
+    netcdf.write(path, motion)
+    data = path.read_bytes()
+    for old, new, words in [
+        (b"units", b"unite", "without units or long_name"),
+        (b"\0\0\0\4time\0\0", b"\0\0\0\4tine\0\0", "found no variable time"),
+        (b"x slip pitch", b"x slip patch", "found no variable patch"),
+        (struct.pack(">II", 11, 5), struct.pack(">II", 13, 5), "a damaged header at byte"),
+    ]:
+        assert old in data
+        path.write_bytes(data.replace(old, new))
+        with pytest.raises(DataError, match=words):
+            netcdf.read(path)
+
+
+def test_any_damaged_byte_of_the_header_gives_no_other_error(
+    motion: Trajectory, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.nc"
+    netcdf.write(path, motion)
+    data = path.read_bytes()
+    for at in range(len(data) - 8 * N * 6):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x5A]) + data[at + 1 :])
+        try:
+            netcdf.read(path)
+        except DataError:
+            continue
+
+
+def test_results_of_earlier_versions_are_read() -> None:
+    """``slipfree run problems/paper_direct.toml --set time.duration=0.5 --set time.step=0.1``."""
+    old = netcdf.read(DATA / "result-0.1.0.nc")
+    assert old.attributes["problem"].startswith("# ")
+    assert old.wheels == ("right", "left", "front")
+    np.testing.assert_allclose(old.t, 0.1 * np.arange(6), atol=1e-15)
+    assert old.columns["force_normal"].label.unit == "N"
+    problem = read(PROBLEMS / "paper_direct.toml", ["time.duration=0.5", "time.step=0.1"])
+    new = run(problem).trajectory
+    for name in ("x", "y", "z", "heading", "tilt_right", "contact_x", "wheel_angle", "work"):
+        np.testing.assert_allclose(new[name], old[name], atol=1e-6, err_msg=name)

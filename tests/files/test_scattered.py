@@ -1,0 +1,131 @@
+"""Scattered points on a grid: exact where the surface is linear, and what each bad file is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from slipfree.errors import DataError
+from slipfree.files.maps.elevation import read_grid, read_map
+
+
+def scattered(count=400, size=10.0, offset=(500000.0, 4.5e6)):
+    """Return points of a plane, the corners of a square among them."""
+    places = np.random.default_rng(1).uniform(0, size, (count, 2))
+    places = np.vstack([places, [[0, 0], [0, size], [size, 0], [size, size]]])
+    z = 3 + 0.2 * places[:, 0] - 0.1 * places[:, 1]
+    return np.column_stack([places + offset, z])
+
+
+def written(path, points, delimiter=" ", header=""):
+    np.savetxt(path, points, delimiter=delimiter, header=header, comments="", fmt="%.17g")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "delimiter", "header"),
+    [("p.xyz", " ", ""), ("p.txt", "\t", "# measured today"), ("p.csv", ",", "X, Y, Z"),
+     ("p.csv", ";", "easting;northing;height")],
+)  # fmt: skip
+def test_a_plane_is_exact(tmp_path, name, delimiter, header):
+    found = read_map(written(tmp_path / name, scattered(), delimiter, header), spacing=0.5)
+    x, y = found.grid.x - 500000, found.grid.y - 4.5e6
+    assert_allclose(x, np.arange(0, 10.1, 0.5), atol=1e-9)
+    assert_allclose(y, np.arange(0, 10.1, 0.5), atol=1e-9)
+    assert_allclose(found.grid.z, 3 + 0.2 * x[:, None] - 0.1 * y, atol=1e-8)
+    told = dict(found.told)["ground points"]
+    assert told.startswith("404, a median of 0.2")
+    assert told.endswith("for 441 nodes 0.5 m apart")
+
+
+def test_names_in_another_order(tmp_path):
+    path = written(tmp_path / "p.csv", scattered()[:, [2, 0, 1]], ",", "z,x,y")
+    assert_array_equal(
+        read_grid_spaced(path).z, read_grid_spaced(written(tmp_path / "q.csv", scattered(), ",")).z
+    )
+
+
+def read_grid_spaced(path):
+    return read_map(path, spacing=1.0).grid
+
+
+def test_points_on_a_grid_keep_their_values(tmp_path):
+    """At coordinates whose steps are not exact, no node is lost at the border."""
+    x, y = 500000.3 + 0.1 * np.arange(30), 4.5e6 + 0.1 * np.arange(20)
+    z = np.random.default_rng(2).normal(size=(30, 20))
+    points = np.column_stack([*(each.reshape(-1) for each in np.meshgrid(x, y, indexing="ij")),
+                              z.reshape(-1)])  # fmt: skip
+    np.random.default_rng(3).shuffle(points)
+    found = read_map(written(tmp_path / "p.xyz", points), spacing=0.1).grid
+    assert_allclose(found.x, x, atol=1e-8)
+    assert_allclose(found.z, z, atol=1e-12)
+    part = read_map(tmp_path / "p.xyz", spacing=0.1, window=(500001.25, 500002, 4.5e6, 4.5e6 + 0.5))
+    assert_allclose(part.grid.z, z[10:18, :6], atol=1e-12)
+
+
+def test_repeated_points_are_averaged_and_told(tmp_path):
+    points = np.vstack([scattered(), scattered()[:5] + np.array([0, 0, 0.04])])
+    found = read_map(written(tmp_path / "p.xyz", points), spacing=1.0)
+    assert "404, a median" in dict(found.told)["ground points"]
+    assert (
+        "5 in the same places averaged, at most 0.04 m apart" in dict(found.told)["ground points"]
+    )
+
+
+def test_outside_the_hull_are_holes_and_the_message_names_a_window(tmp_path):
+    angle = np.random.default_rng(4).uniform(0, 2 * np.pi, 3000)
+    radius = 5 * np.sqrt(np.random.default_rng(5).random(3000))
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), 0.1 * radius])
+    path = written(tmp_path / "p.xyz", points)
+    with pytest.raises(DataError, match="all heights must be finite, found"):
+        read_map(path, spacing=0.5)
+    with pytest.raises(DataError, match="reach the border of the map") as caught:
+        read_map(path, spacing=0.5, fill="linear")
+    window = [float(each) for each in str(caught.value).split("window = [")[1][:-1].split(",")]
+    found = read_map(path, spacing=0.5, window=tuple(window))
+    assert found.grid.z.size > 150  # of the 441 nodes of the square around
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "found no line; is the file empty"),
+        ("# nothing\n\n", "found no line"),
+        ("x y z\n", "line 2: expected three numbers x y z, found 'no points'"),
+        ("0 0 1\n1 0 x\n0 1 1\n", "line 2: expected three numbers x y z, found '1 0 x'; "),
+        ("# x\n\n0 0 1\n1 0\n0 1 1\n", "line 4: expected three numbers x y z, found '1 0'; "),
+        ("0 0 1 5\n1 0 1 5\n", "line 1: expected three numbers x y z, found '0 0 1 5'; .*awk"),
+        ("x y z\n0 0 1\n1 0 nan\n", "line 3: expected three numbers x y z, found '1 0 nan'; "),
+        ("0 0 1\n1 0 1\n", "at least 3 points in different places, found 2"),
+        ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points in different places, found 2"),
+        ("\n".join(f"{k} {k} 1" for k in range(9)), "found that they lie on a line"),
+        ("0 0 1\n1 0 1\n0 1 1\n", "at least 4 nodes each way, found 2 by 2 at spacing = 1 m"),
+    ],
+)
+def test_files_refused(tmp_path, text, words):
+    path = tmp_path / "p.xyz"
+    path.write_text(text)
+    with pytest.raises(DataError, match=rf"p.xyz: .*{words}"):
+        read_map(path, spacing=1.0)
+
+
+def test_binary_files_refused(tmp_path):
+    (tmp_path / "p.xyz").write_bytes(bytes(range(256)) * 4)
+    with pytest.raises(DataError, match=r"p.xyz: line \d+: expected "):
+        read_map(tmp_path / "p.xyz", spacing=1.0)
+
+
+def test_a_missing_spacing_is_suggested(tmp_path):
+    with pytest.raises(
+        DataError, match=r"expected spacing, .* neighbours is 0.2\d+ m: give spacing"
+    ):
+        read_grid(written(tmp_path / "p.xyz", scattered()))
+
+
+def test_too_many_nodes_need_a_window(tmp_path):
+    path = written(tmp_path / "p.xyz", scattered(offset=(0, 0)))
+    with pytest.raises(DataError, match=r"at most 5e\+07 nodes, found 1e\+10 .*window = \[x_min"):
+        read_map(path, spacing=1e-4)
+    part = read_map(path, spacing=1e-4, window=(5, 5.01, 5, 5.01))
+    assert part.grid.z.shape == (101, 101)

@@ -1,0 +1,259 @@
+"""Reading elevation models: layout, orientation, and what each bad file is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.cbook import get_sample_data
+from numpy.testing import assert_allclose
+
+from slipfree.errors import DataError
+from slipfree.files.maps.elevation import geographic_to_metric, jacksboro, read_grid, read_map
+
+HEADER = "ncols 5\nNROWS 4\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
+ROWS = "\n".join(" ".join(str(10 * row + column) for column in range(5)) for row in range(4))
+
+
+def written(tmp_path, text, name="map.asc"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_asc_orientation_and_corner_registration(tmp_path):
+    grid = read_grid(written(tmp_path, HEADER + ROWS + "\n"))
+    assert_allclose(grid.x, [105, 115, 125, 135, 145])
+    assert_allclose(grid.y, [205, 215, 225, 235])
+    # Row 0 of the file is the northernmost: heights fall by 10 to the north, rise by 1 to the east.
+    assert_allclose(grid.z, np.add.outer(np.arange(5.0), [30, 20, 10, 0]))
+
+
+def test_asc_centre_registration_and_case(tmp_path):
+    text = (HEADER + ROWS).replace("corner", "center").upper()
+    grid = read_grid(str(written(tmp_path, text, "MAP.ASC")))
+    assert_allclose(grid.x, [100, 110, 120, 130, 140])
+    assert_allclose(grid.y, [200, 210, 220, 230])
+
+
+def test_asc_without_nodata(tmp_path):
+    text = HEADER.replace("NODATA_value -9999\n", "") + ROWS.replace("23", "-9999")
+    assert read_grid(written(tmp_path, text)).z[3, 1] == -9999
+
+
+def test_asc_of_cells_that_are_not_square(tmp_path):
+    header = HEADER.replace("cellsize 10", "dx 10\ndy 2.5")
+    grid = read_grid(written(tmp_path, header + ROWS))
+    assert_allclose(grid.spacing, (10, 2.5))
+    assert (grid.x[0], grid.y[0]) == (105, 201.25)
+
+
+def test_asc_window_reads_no_other_rows(tmp_path):
+    rows = ["# no numbers here"] * 6 + [
+        " ".join(str(10 * r + c) for c in range(9)) for r in range(4)
+    ]
+    text = "ncols 9\nnrows 10\nxllcenter 0\nyllcenter 0\ncellsize 1\n" + "\n".join(rows)
+    path = written(tmp_path, text.replace("# no numbers here", "1 no numbers here"))
+    found = read_map(path, window=(2, 6.5, -5, 3))
+    assert_allclose(found.grid.x, [2, 3, 4, 5, 6])
+    assert_allclose(found.grid.y, [0, 1, 2, 3])
+    assert_allclose(found.grid.z[:, -1], [2, 3, 4, 5, 6])
+    with pytest.raises(DataError, match=r"line 6: expected 9 heights .* found 4"):
+        read_map(path)
+
+
+def test_maps_too_large_without_a_window(tmp_path):
+    text = HEADER.replace("ncols 5", "ncols 100000").replace("NROWS 4", "nrows 100000") + ROWS
+    path = written(tmp_path, text)
+    with pytest.raises(DataError, match=r"at most 5e\+07 nodes, found 1e\+10 .* window = \[x_min"):
+        read_grid(path)
+
+
+@pytest.mark.parametrize(
+    ("window", "words"),
+    [
+        ((0, 5, 5, 0), r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; the map reaches"),
+        ((500, 600, 0, 100), r"at least 4 nodes .* found 0 by 0 .* from 105 to 145 in x"),
+        ((105, 125, 205, 235), "at least 4 nodes along x and along y, found 3 by 4"),
+        ((106, 144, 0, 1e9), "found 3 by 4"),
+    ],
+)
+def test_windows_refused(tmp_path, window, words):
+    with pytest.raises(DataError, match=words):
+        read_map(written(tmp_path, HEADER + ROWS), window=window)
+
+
+def test_degrees_taken_for_metres_are_refused(tmp_path):
+    step = 1 / 3600
+    x, y = 15 + step * np.arange(20), 47 + step * np.arange(20)
+    z = 500 + np.add.outer(np.arange(20.0), np.arange(20.0))  # 5 %
+    np.savez(tmp_path / "map.npz", x=x, y=y, z=z)
+    with pytest.raises(DataError, match=r"seems to be in degrees: x from 15 to 15.0.*gdalwarp"):
+        read_grid(tmp_path / "map.npz")
+    found = read_map(tmp_path / "map.npz", geographic="local")
+    assert_allclose(found.grid.x, geographic_to_metric(x, y, z).x)
+    assert "wrong by up to" in dict(found.told)["ground degrees"]
+    np.savez(tmp_path / "map.npz", x=1e3 * x, y=1e3 * y, z=z)
+    with pytest.raises(DataError, match="expected a map in degrees, found one in metres"):
+        read_map(tmp_path / "map.npz", geographic="local")
+
+
+def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
+    """Lengths of a degree on the WGS 84 ellipsoid at 45 degrees: 111132 m and 78847 m."""
+    step = 1 / 3600
+    x, y = 10 + step * np.arange(5), 45 + step * (np.arange(5) - 2)
+    np.savez(tmp_path / "map.npz", x=x, y=y, z=np.add.outer(np.arange(5.0), np.arange(5.0)))
+    found = read_map(tmp_path / "map.npz", geographic="local")
+    lengths = np.array(found.grid.spacing) * 3600
+    wrong = np.abs(lengths / [78847, 111132] - 1).max()
+    assert 0.002 < wrong < 0.0028
+    assert "all by up to 0.28 %" in dict(found.told)["ground degrees"]
+
+
+def test_keys_that_a_file_has_no_use_for(tmp_path):
+    path = written(tmp_path, HEADER + ROWS)
+    for key, value in (("cell", 1.0), ("registration", "area"), ("spacing", 1.0)):
+        with pytest.raises(DataError, match=f"map.asc: expected no {key} for a .asc file"):
+            read_map(path, **{key: value})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", r"line 1: expected ncols in the header, found no header"),
+        (HEADER.replace("cellsize 10\n", "") + ROWS, r"expected cellsize in the header, found \['"),
+        (HEADER.replace("xllcorner", "x") + ROWS, "expected xllcenter or xllcorner"),
+        (HEADER.replace("ncols 5", "ncols"), "line 1: expected a key and a number .* 'ncols'"),
+        (
+            HEADER.replace("ncols 5", "ncols 5.5") + ROWS,
+            "line 1: expected ncols to be a positive whole number",
+        ),
+        (
+            HEADER.replace("cellsize 10", "cellsize -1") + ROWS,
+            "line 5: expected cellsize to be a positive number",
+        ),
+        (HEADER, r"line 6: expected 4 rows as nrows says, found 0 .*cut off"),
+        (HEADER + ROWS[:-15], "line 9: expected 4 rows as nrows says, found 3"),
+        (HEADER + ROWS[:-3], "line 10: expected 5 heights as ncols says, found 4"),
+        (HEADER + ROWS + "\n1 2 3 4 5", "line 11: expected 4 rows .* found 5"),
+        (HEADER + ROWS.replace("12", "1,2"), "line 8: expected numbers, found '1,2'"),
+        (
+            HEADER + ROWS.replace("22", "nan"),
+            "map.asc: all heights must be finite, found 1 of 20 .* x = 125, y = 215; ask for fill",
+        ),
+        (HEADER + ROWS.replace("22", "inf"), r"map.asc: grid: .* z\[2, 1\] = inf"),
+        (
+            HEADER + ROWS.replace("12", "-9999").replace("24", "-9999"),
+            "found 2 of 20 nodes without one, the first at x = 125, y = 225; ask for fill",
+        ),
+    ],
+)
+def test_asc_refuses(tmp_path, text, words):
+    with pytest.raises(DataError, match=words):
+        read_grid(written(tmp_path, text))
+
+
+def test_asc_that_is_binary(tmp_path):
+    path = tmp_path / "map.asc"
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(DataError, match="line 1: expected a key and a number"):
+        read_grid(path)
+
+
+def test_npz(tmp_path):
+    x, y = np.arange(5), np.arange(4.0, dtype=np.float32)
+    z = np.arange(20, dtype=np.int16).reshape(5, 4)
+    np.savez(tmp_path / "map.npz", x=x, y=y, z=z)
+    grid = read_grid(tmp_path / "map.npz")
+    assert grid.z.dtype == np.float64
+    assert_allclose(grid.z, z)
+
+
+def test_npz_refuses(tmp_path):
+    path = tmp_path / "map.npz"
+    x = np.arange(5.0)
+    np.savez(path, x=x, height=x)
+    with pytest.raises(DataError, match=r"found \['height', 'x'\] without \['y', 'z'\]; write"):
+        read_grid(path)
+    np.savez(path, x=x, y=x, z=np.zeros((5, 4)))
+    with pytest.raises(DataError, match=r"map.npz: grid: z must have .* \(5, 5\), found \(5, 4\)"):
+        read_grid(path)
+    np.savez(path, x=x, y=x, z=np.full((5, 5), "a"))
+    with pytest.raises(DataError, match="expected numbers in z, found <U1"):
+        read_grid(path)
+    np.savez(path, x=x, y=x, z=np.full((5, 5), None))
+    with pytest.raises(DataError, match="expected a numpy archive, found none that can be read"):
+        read_grid(path)
+    for content in (b"", b"no archive", path.read_bytes()[:200]):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match="expected a numpy archive, found none that can be"):
+            read_grid(path)
+    with path.open("wb") as file:
+        np.save(file, x)
+    with pytest.raises(DataError, match="expected an archive, found one array"):
+        read_grid(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("map.jp2", r"ending in .npz, .asc, .tif, .* found '.jp2'; convert it"),
+        ("map.tif", "map.tif: expected a map, found that it cannot be read"),
+        ("map", "found 'no ending'"),
+        ("none.asc", "none.asc: expected a map, found that it cannot be read"),
+    ],
+)
+def test_other_files(tmp_path, name, words):
+    with pytest.raises(DataError, match=words):
+        read_grid(tmp_path / name)
+
+
+def test_geographic_to_metric_against_great_circles():
+    longitude, latitude = -84 + 0.01 * np.arange(9), 36 + 0.01 * np.arange(7)
+    z = np.add.outer(np.arange(9.0), 10 * np.arange(7.0))
+    grid = geographic_to_metric(longitude, latitude, z)
+    assert (grid.x[0], grid.y[0]) == (0, 0)
+    np.testing.assert_array_equal(grid.z, z)
+    # Haversine along the middle parallel, and along a meridian.
+    half = np.deg2rad(0.08) / 2
+    east = 2 * 6371008.8 * np.arcsin(np.cos(np.deg2rad(36.03)) * np.sin(half))
+    assert_allclose(grid.x[-1], east, rtol=1e-6)
+    assert_allclose(grid.y[-1], 6371008.8 * np.deg2rad(0.06), rtol=1e-9)
+
+
+def test_jacksboro():
+    grid = jacksboro()
+    assert_allclose(grid.spacing, (74.4, 92.7), rtol=1e-3)
+    assert grid.z.shape == (403, 344)
+    assert (grid.x[0], grid.y[0]) == (0, 0)
+    assert (grid.z.min(), grid.z.max()) == (236, 1076)
+    # As drawn with the first row on top: the north-west is high, the south-east low.
+    corners = {"sw": grid.z[0, 0], "se": grid.z[-1, 0], "nw": grid.z[0, -1], "ne": grid.z[-1, -1]}
+    assert corners == {"sw": 545, "se": 272, "nw": 483, "ne": 444}
+    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as file:
+        for i, j in np.random.default_rng(0).integers(0, 344, (50, 2)):
+            assert grid.z[i, j] == file["elevation"][343 - j, i]
+
+
+def test_jacksboro_scaled_keeps_slopes():
+    whole, small = jacksboro(), jacksboro(0.01)
+    assert_allclose(small.spacing, np.multiply(whole.spacing, 0.01))
+    assert_allclose(
+        np.diff(small.z, axis=0) / small.spacing[0],
+        np.diff(whole.z, axis=0) / whole.spacing[0],
+        atol=1e-12,
+    )
+
+
+def test_damaged_archives_are_refused(tmp_path):
+    path = tmp_path / "g.npz"
+    axis = np.arange(6.0)
+    np.savez_compressed(path, x=axis, y=axis, z=np.random.default_rng(0).normal(size=(6, 6)))
+    whole = path.read_bytes()
+    refused = 0
+    for at in range(40, len(whole), 7):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        try:
+            read_grid(path)
+        except DataError:
+            refused += 1
+    assert refused > 10  # some bytes do not matter; no damage leads to another error

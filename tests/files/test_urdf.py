@@ -1,0 +1,504 @@
+"""URDF becomes the vehicle that another program sees in it; what cannot become one is refused."""
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import adam.numpy
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.cases import DATA, hills
+from slipfree import Analytic, DataError, direct_kinematics, settle, simulate
+from slipfree.geometry.frame import Pose
+from slipfree.problem.build_vehicle import VehicleError, is_vehicle_file, read_vehicle
+from slipfree.vehicle.catalogue.carts import differential_drive
+from slipfree.vehicle.tree import Body
+
+RIGHT_FORWARD = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # from x forward, y left
+FILES = {
+    "cart": {"caster": "caster"},
+    "bogie": {
+        "rocker_left": "rocker-left", "bogie_left": "bogie_left", "bogie_right": "bogie_right",
+        "steer_left": "steer_left", "steer_right": "steer_right",
+    },
+}  # fmt: skip
+MIMICS = {"bogie": {"rocker_right": ("rocker-left", -1.0)}}
+LINK_OF = re.compile(r'<joint name="([^"]+)".*?<child link="([^"]+)"', re.DOTALL)
+
+
+def adams(name, joints):
+    """Return adam's model; it insists on all that URDF leaves out."""
+    robot = ElementTree.parse(DATA / f"{name}.urdf").getroot()
+    for each in [*robot.findall("transmission"), *robot.findall("ros2_control")]:
+        robot.remove(each)
+    inertials = robot.findall("link/inertial")
+    for each in [*robot.findall("joint"), *inertials]:
+        if each.find("origin") is None:
+            ElementTree.SubElement(each, "origin")
+    for each in robot.findall("joint"):
+        if each.find("axis") is None:
+            ElementTree.SubElement(each, "axis", xyz="1 0 0")
+    for each in robot.iter("origin"):
+        each.attrib = {"xyz": "0 0 0", "rpy": "0 0 0"} | each.attrib
+    for each in inertials:
+        moments = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
+        ElementTree.SubElement(each, "inertia", moments)
+    return adam.numpy.KinDynComputations(ElementTree.tostring(robot, encoding="unicode"), joints)
+
+
+def ours(vehicle, values, rates):
+    """Return pose, velocity and angular velocity of every part, in axes x forward, y left."""
+    names = list(values)
+    q, dq = ca.SX.sym("q", len(names)), ca.SX.sym("dq", len(names))
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    parts = vehicle.parts(rest, dict(zip(names, ca.vertsplit(q), strict=True)))
+    wheels = {w.name: parts[w.parent] @ w.mount for w in vehicle.wheels}
+    found = {}
+    for name, pose in (parts | wheels).items():
+        twist = pose.twist(q, dq)
+        f = ca.Function("f", [q, dq], [pose.rotation, pose.origin, twist.v, twist.omega])
+        now = f(ca.DM(list(values.values())), ca.DM(list(rates.values())))
+        rotation, *vectors = (np.array(out) for out in now)
+        turned = RIGHT_FORWARD.T @ rotation @ RIGHT_FORWARD
+        found[name] = turned, *(RIGHT_FORWARD.T @ vector.ravel() for vector in vectors)
+    return found
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_poses_and_jacobians_are_those_of_adam(name, rng):
+    text = (DATA / f"{name}.urdf").read_text()
+    vehicle, links = read_vehicle(DATA / f"{name}.toml"), dict(LINK_OF.findall(text))
+    joints = [*FILES[name].values(), *MIMICS.get(name, {})]
+    oracle = adams(name, joints)
+    assert sorted(c.name for c in vehicle.coordinates) == sorted(FILES[name])
+    for _ in range(10):
+        values, rates = (dict(zip(FILES[name], rng.uniform(-0.8, 0.8, len(FILES[name])),
+                                  strict=True)) for _ in range(2))  # fmt: skip
+        given = {FILES[name][key]: (values[key], rates[key]) for key in values}
+        for follower, (leader, factor) in MIMICS.get(name, {}).items():
+            given[follower] = tuple(factor * each for each in given[leader])
+        q, dq = np.array([given[joint] for joint in joints]).T
+        for part, (rotation, origin, v, omega) in ours(vehicle, values, rates).items():
+            if part == "platform":
+                continue
+            pose = oracle.forward_kinematics(links[part], np.eye(4), q)
+            assert_allclose(origin, pose[:3, 3], atol=1e-12)
+            if part in {joint.name for joint in vehicle.joints}:
+                assert_allclose(rotation, pose[:3, :3], atol=1e-12)
+            twist = oracle.jacobian(links[part], np.eye(4), q)[:, 6:] @ dq
+            assert_allclose(v, twist[:3], atol=1e-12)
+            assert_allclose(omega, twist[3:], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_centres_of_mass_are_those_of_adam(name, rng):
+    vehicle = read_vehicle(DATA / f"{name}.toml")
+    joints = [*FILES[name].values(), *MIMICS.get(name, {})]
+    oracle = adams(name, joints)
+    values = dict(zip(FILES[name], rng.uniform(-0.8, 0.8, len(FILES[name])), strict=True))
+    given = {FILES[name][key]: value for key, value in values.items()}
+    for follower, (leader, factor) in MIMICS.get(name, {}).items():
+        given[follower] = factor * given[leader]
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    masses = vehicle.masses(rest, {key: ca.SX(value) for key, value in values.items()})
+    moments = [np.array([1, *np.array(ca.evalf(place)).ravel()]) * m for _, m, place in masses]
+    mass, *moment = np.sum(moments, axis=0)
+    assert_allclose(mass, oracle.get_total_mass(), rtol=1e-12)
+    center = oracle.CoM_position(np.eye(4), np.array([given[joint] for joint in joints]))
+    assert_allclose(RIGHT_FORWARD.T @ moment / mass, center, atol=1e-12)
+
+
+TWIN = """\
+<robot name="twin">
+  <link name="base"><inertial><origin xyz="0.1 0 0"/><mass value="20"/></inertial></link>
+  <link name="l">{wheel}</link> <link name="r">{wheel}</link> <link name="c">{small}</link>
+  <link name="fork"/>
+  <joint name="right" type="continuous"><parent link="base"/><child link="r"/>
+    <origin xyz="0 -0.25 0"/><axis xyz="0 {way} 0"/></joint>
+  <joint name="left" type="continuous"><parent link="base"/><child link="l"/>
+    <origin xyz="0 0.25 0"/><axis xyz="0 {way} 0"/></joint>
+  <joint name="caster_angle" type="continuous"><parent link="base"/><child link="fork"/>
+    <origin xyz="0.35 0 0"/><axis xyz="0 0 1"/></joint>
+  <joint name="caster" type="continuous"><parent link="fork"/><child link="c"/>
+    <origin xyz="-0.08 0 {drop}"/><axis xyz="0 {way} 0"/></joint>
+</robot>
+"""
+WHEEL = """<inertial><mass value="1"/></inertial><collision><origin rpy="{quarter} 0 0"/>
+  <geometry><cylinder radius="{radius}" length="0.05"/></geometry></collision>"""
+ROLES = """\
+urdf = "twin.urdf"
+joints.caster_angle = "passive"
+[wheels]
+right = { driven = true, tube = 0.03 }
+left = { driven = true, tube = 0.03 }
+caster = { driven = false, tube = 0.015 }
+"""
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_the_twin_of_a_catalogue_vehicle_moves_like_it(way, tmp_path):
+    """A wheel's rate is positive forward, whichever way its axis points in the file."""
+    wheel, small = (WHEEL.format(quarter=np.pi / 2, radius=radius) for radius in (0.15, 0.075))
+    text = TWIN.format(wheel=wheel, small=small, way=way, drop=-0.075)
+    (tmp_path / "twin.urdf").write_text(text)
+    (tmp_path / "twin.toml").write_text(ROLES)
+    twin = read_vehicle(tmp_path / "twin.toml")
+    assert ("opposite" in "".join(twin.notes)) == (way < 0)
+    assert twin.body == Body(20.0, (0.0, 0.1, 0.0))
+    runs = []
+    for vehicle in (differential_drive(caster_scale=0.5), twin):
+        dae = direct_kinematics(vehicle, Analytic(hills))
+        rates = dae.inputs(right_rate=2.0, left_rate=1.6)
+        runs.append(simulate(dae, settle(dae, heading=0.3), rates, np.linspace(0, 2, 11)))
+    first, second = runs
+    for name in ("x", "y", "z", "heading", "caster_angle", "slip_along", "force_normal"):
+        assert_allclose(second[name], first[name], atol=1e-12, rtol=1e-12)
+    assert np.ptp(first["y"]) > 0.2
+
+
+def changed(folder: Path, name: str, *changes: tuple[str, str], roles: str | None = None) -> Path:
+    """Return a vehicle file whose URDF, or whose own text, is changed."""
+    text = (DATA / f"{name}.urdf").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    (folder / f"{name}.urdf").write_text(text)
+    file = folder / f"{name}.toml"
+    file.write_text((DATA / f"{name}.toml").read_text() if roles is None else roles)
+    return file
+
+
+def faults(path: Path) -> str:
+    with pytest.raises(VehicleError) as caught:
+        read_vehicle(path)
+    return str(caught.value).replace(f"{path.parent}/", "")
+
+
+CASTER = '<joint name="caster" type="continuous">'
+REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "cart.urdf:27: joint 'left_drive': expected "
+         "an axis other than zero, found 0 0 0; write"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1"/>', "cart.urdf:27: joint 'left_drive': axis: "
+         "expected three numbers in xyz, found '0 1'"),
+        ('<mass value="12"/>', '<mass value="many"/>', "link 'base_link': mass: expected a number"),
+        ('<mass value="12"/>', '<mass value="-1"/>', "expected a mass of zero or more kilograms"),
+        ('xyz="0 0.25 0"', 'xyz="0 250 0"', "expected xyz in metres, at most 100 (did you mean mi"),
+        ('rpy="0.0 0.0 0.4"', 'rpy="0 0 23"', "cart.urdf:35: joint 'bracket': expected rpy "
+         "in radians (did you mean 23 degrees? write 0.401426), found 23"),
+        (CASTER, REVOLUTE.format(-90, 90), "joint 'caster': expected "
+         "lower in radians (did you mean -90 degrees? write -1.5708), found -90"),
+        (CASTER, REVOLUTE.format(1, 1), "joint 'caster': expected limits of caster that ascend, "
+         'found 1 to 1; write caster = "fixed" in "joints" if it does not move, else its "lower" '
+         'and "upper" there'),
+        (CASTER, CASTER.replace("continuous", "prismatic") + '<limit lower="-150" upper="1"/>',
+         "joint 'caster': expected lower in metres, at most 100 (did you mean millimetres?)"),
+        ('<joint name="lidar_mount" type="revolute">', '<joint name="caster" type="revolute">',
+         "cart.urdf:45: joint 'caster': expected a name of its own, found two"),
+        ('<child link="caster_wheel"/>', '<child link="castor"/>', "cart.urdf:41: joint "
+         "'caster_axle': expected a link of this file as child, found 'castor'"),
+        ('<parent link="base_link"/><child link="lidar"/>', '<parent link="fork"/>'
+         '<child link="left_wheel"/>', "joint 'lidar_mount': expected a tree, found a closed loop: "
+         "link 'left_wheel' hangs on joint 'left_drive' as well; cut"),
+        ('<parent link="base_link"/><child link="swivel"/>', '<parent link="fork"/>'
+         '<child link="swivel"/>', "expected a tree of links, found links in a loop: 'swivel', "),
+        ('<link name="swivel"/>', '<link name="swivel"/><link name="lost"/>', "expected one link "
+         "that carries all others, found 'base_link', 'lost'"),
+        (CASTER, CASTER.replace("continuous", "planar"), "joint 'caster': expected fixed, "
+         "revolute, continuous or prismatic, found planar"),
+        (CASTER, CASTER.replace("continuous", "hinge"), "joint 'caster': expected a type (fixed"),
+        ('<geometry><cylinder radius="0.15" length="0.04"/>', '<geometry><mesh filename="a.stl"/>',
+         "joint 'left_drive': expected a cylinder or a sphere as its wheel, found a mesh, whose "
+         "radius is not known; write wheels = { left_drive = { radius = ... } }"),
+        ('radius="0.15"', 'radius="150"', "expected the radius of a cylinder in metres, found 150"),
+        ('<robot name="cart">', '<!DOCTYPE robot [<!ENTITY a "a">]><robot name="&a;">',
+         "cart.urdf:3: expected XML without a document type, found <!DOCTYPE"),
+        ('<robot name="cart">', '<robot name="cart" xmlns:xacro="x"><xacro:include filename="b"/>',
+         "cart.urdf:3: expected plain URDF, found xacro; expand it first: xacro cart.urdf > "),
+        ('xyz="0 0.25 0"', 'xyz="0 ${a} 0"', "expected plain URDF, found xacro"),
+        ('<?xml version="1.0"?>', '<?xml version="1.0" encoding="klingon"?>', "cart.urdf: "
+         "expected XML in an encoding that is known"),
+        ('<robot name="cart">', "<sdf>", "cart.urdf:54: expected XML, found mismatched tag"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(old, new, words, tmp_path):
+    assert words in faults(changed(tmp_path, "cart", (old, new)))
+
+
+@pytest.mark.parametrize(
+    ("roles", "words"),
+    [
+        ('urdf = "cart.urdf"', "cart.urdf:37: joint 'caster': expected what moves it, found no "
+         'transmission, command interface or mimic; write joints = { caster = "passive" }'),
+        ('urdf = "cart.urdf"', "joint 'caster_axle': expected what moves it, found no "
+         "transmission, command interface or mimic; write wheels = { caster_axle = { driven = "),
+        ('urdf = "cart.urdf"\n[joints]\ncastor = "passive"', "cart.toml:3: joints.castor: expected "
+         "one of left_drive, right_drive, bracket, lidar_mount, caster, caster_axle, found the "
+         "unknown key 'castor'; did you mean 'caster'?"),
+        ('urdf = "cart.urdf"\njoints = { caster = "free" }', "cart.toml:2: joints.caster.kind: "
+         "expected 'commanded', 'passive', 'suspension' or 'fixed', found 'free'"),
+        ('urdf = "cart.urdf"\n[wheels]\nlidar_mount = { driven = false }', "joint 'lidar_mount': "
+         "expected a cylinder or a sphere as its wheel, found none; write wheels = { lidar_mount"),
+        ('urdf = "cart.urdf"\n[wheels]\nleft_drive = { tubes = 1 }', "cart.toml:3: "
+         "wheels.left_drive.tubes: expected one of driven, radius, tube, grip, rollers, found the "
+         "unknown key 'tubes'; did you mean 'tube'?"),
+        ('urdf = "cart.urdf"\ntube = 1.0', "expected a tube of at most the radius, 0.15 m, f"),
+        ('urdf = "cart.urdf"\n[wheels]\nleft_drive = { radius = 150.0 }', "cart.toml:3: "
+         "wheels.left_drive.radius: expected metres, at most 100 (did you mean millimetres?"),
+        ('urdf = "cart.urdf"\njoints = { caster = { kind = "passive", upper = 30 } }\n'
+         "wheels = { caster_axle = { driven = false } }", "cart.urdf:37: joint 'caster': upper: "
+         "expected radians (did you mean 30 degrees? write 0.523599), found 30"),
+        (r'urdf = "a\u0000b.urdf"', "expected a URDF (urdf of cart.toml), found that it cannot be "
+         "read (embedded null byte)"),
+        ('urdf = "cat.urdf"', "cat.urdf: expected a URDF (urdf of cart.toml), "
+         "found that it cannot be read"),
+        ('urdf = "cart.urdf"\njoints = { caster = "suspension" }\nwheels = { caster_axle = '
+         "{ driven = false } }", "cart.urdf:1: expected 0 suspension coordinates for 3 wheels, one "
+         "for each beyond three, found 1, 1 too many: caster; remove 1"),
+        ('urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster_axle = '
+         "{ driven = false }, lidar_mount = { radius = 0.1, driven = false } }",
+         "expected 1 suspension coordinates for 4 wheels, one for each beyond three, found 0, 1 "
+         "too few: none; a wheel would hang in the air"),
+        ('urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
+         "wheels = { caster_axle = { driven = false } }", "cart.toml:1: coordinate caster: its "
+         "rate is commanded, so that it takes no spring"),
+        ('urdf = "cart.urdf"\njoints = { caster = "passive", bracket = "suspension" }',
+         "cart.urdf:33: joint 'bracket': expected a joint that can be suspension, found one of "
+         "type 'fixed' without an axis; write its axis in the URDF, as in <axis"),
+        ('urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }', "joint 'caster': expected a "
+         "wheel that carries nothing that moves, found joints below it"),
+        ('urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }', "joint 'caster_axle': "
+         "expected a wheel on a part of the vehicle, found it on another wheel"),
+        ('urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster = {} }',
+         "cart.toml:2: joints.caster: expected a joint that is no wheel, found the same name in"),
+    ],
+)  # fmt: skip
+def test_what_the_file_cannot_say_is_asked(roles, words, tmp_path):
+    assert words in faults(changed(tmp_path, "cart", roles=roles))
+
+
+def test_roles_complete_and_override(tmp_path):
+    roles = """urdf = "cart.urdf"
+name = "my cart"
+joints = { caster = { kind = "passive", words = "swivel", upper = 0.5, stiffness = 2 } }
+[wheels]
+caster_axle = { driven = false, radius = 0.12, tube = 0.03, grip = 0.5, rollers = true }
+left_drive = { driven = false }
+"""
+    vehicle = read_vehicle(changed(tmp_path, "cart", roles=roles))
+    (caster,) = vehicle.coordinates
+    assert (vehicle.name, caster.words, caster.kind) == ("my cart", "swivel", "passive")
+    assert (caster.lower, caster.upper, caster.stiffness) == (-np.inf, 0.5, 2.0)
+    wheels = {wheel.name: wheel for wheel in vehicle.wheels}
+    axle = wheels["caster_axle"]
+    assert (axle.r1, axle.radius, axle.grip, axle.rollers) == (0.03, 0.12, 0.5, True)
+    driven = [wheel.driven for wheel in vehicle.wheels]
+    assert driven == [False, True, False]
+    assert list(wheels) == ["left_drive", "right_drive", "caster_axle"]
+
+
+@pytest.mark.parametrize(
+    ("mimic", "words"),
+    [
+        ("rear_left", "expected to mimic a joint that moves by itself, found 'rear_left', a wheel"),
+        ("rocker", "found 'rocker', no joint of that name"),
+        ("rocker_right", "found 'rocker_right', one that follows it"),
+    ],
+)
+def test_mimics_that_lead_nowhere(mimic, words, tmp_path):
+    old = '<mimic joint="rocker-left"'
+    assert words in faults(changed(tmp_path, "bogie", (old, f'<mimic joint="{mimic}"')))
+
+
+FREE_CASTER = """urdf = "cart.urdf"
+joints = {{ caster = {{ kind = "passive"{} }} }}
+wheels = {{ caster_axle = {{ driven = false }} }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("in_urdf", "in_roles", "stops"),
+    [
+        ((0, 0), ", lower = -0.5, upper = 0.5", (-0.5, 0.5)),
+        ((0, 0), ", upper = 0.5", (0, 0.5)),
+        ((-0.3, 0.2), "", (-0.3, 0.2)),
+        ((-0.3, 0.2), ", lower = -0.5", (-0.5, 0.2)),
+        ((-0.3, 0.2), ", upper = 0.5", (-0.3, 0.5)),
+        ((-90, 90), ", lower = -0.5, upper = 0.5", (-0.5, 0.5)),
+    ],
+)
+def test_limits_of_the_vehicle_file_override_those_of_the_urdf(in_urdf, in_roles, stops, tmp_path):
+    change = (CASTER, REVOLUTE.format(*in_urdf))
+    file = changed(tmp_path, "cart", change, roles=FREE_CASTER.format(in_roles))
+    (caster,) = read_vehicle(file).coordinates
+    assert (caster.lower, caster.upper) == stops
+
+
+@pytest.mark.parametrize(
+    ("in_roles", "words"),
+    [
+        (
+            ", lower = 0.5",
+            "joint 'caster': expected limits of caster that ascend, found 0.5 to 0.2; write",
+        ),
+        (", lower = 0, upper = 0", "cart.toml:1: coordinate caster: stops must ascend, found 0"),
+    ],
+)
+def test_limits_that_contradict_are_refused(in_roles, words, tmp_path):
+    change = (CASTER, REVOLUTE.format(-0.3, 0.2))
+    assert words in faults(changed(tmp_path, "cart", change, roles=FREE_CASTER.format(in_roles)))
+
+
+def test_limits_of_the_vehicle_file_override_those_of_followers(tmp_path):
+    text = (DATA / "bogie.toml").read_text()
+    role = 'rocker-left = { kind = "suspension", lower = -0.7 }'
+    new = re.sub(r'rocker-left = "suspension"', role, text)
+    assert new != text
+    vehicle = read_vehicle(changed(tmp_path, "bogie", roles=new))
+    rocker = next(c for c in vehicle.coordinates if c.name == "rocker_left")
+    assert (rocker.lower, rocker.upper) == (-0.7, 0.5)
+
+
+def fixed(name):
+    """Return the change that makes a joint of the bogie fixed."""
+    text = (DATA / "bogie.urdf").read_text()
+    head, old, tail = re.search(
+        rf'(<joint name="{name}" type=")(revolute|continuous)(".*?</joint>)', text, re.DOTALL
+    ).groups()
+    return head + old + tail, head + "fixed" + tail
+
+
+def test_roles_of_fixed_joints_are_honoured(tmp_path):
+    """A differential that a program fixed turns again, as the same URDF that never was."""
+    free = read_vehicle(DATA / "bogie.toml")
+    vehicle = read_vehicle(changed(tmp_path, "bogie", fixed("rocker-left"), fixed("rocker_right")))
+    assert (vehicle.coordinates, vehicle.joints) == (free.coordinates, free.joints)
+    (note,) = [note for note in vehicle.notes if note.startswith("of type fixed")]
+    assert note.endswith('in "joints": rocker-left, rocker_right')
+
+
+def test_fixed_joints_that_mimic_a_free_one_stay(tmp_path):
+    roles = (DATA / "bogie.toml").read_text()
+    file = changed(tmp_path, "bogie", fixed("rocker_right"), roles=roles)
+    values = {joint.name: joint.value for joint in read_vehicle(file).joints}
+    assert (values["rocker-left"], values["rocker_right"]) == ("rocker_left", "0.0")
+
+
+def test_a_wheel_has_the_radius_of_the_shape_that_touches_first(tmp_path):
+    """Of two coaxial cylinders the larger, wherever it stands; lugs off the axis do not count."""
+    rim = (
+        '<collision><origin rpy="1.5707963267948966 0 0"/><geometry>'
+        '<cylinder radius="{}" length="0.07"/></geometry></collision>'
+    )
+    lug = (
+        '<collision><origin xyz="0.16 0 0"/><geometry><sphere radius="0.02"/></geometry>'
+        "</collision>"
+    )
+    link = '<link name="left_wheel">'
+    for smaller, radius in ((0.12, 0.15), (0.17, 0.17)):
+        file = changed(tmp_path, "cart", (link, link + lug + rim.format(smaller)))
+        vehicle = read_vehicle(file)
+        assert vehicle.wheels[0].radius == radius
+        (note,) = [note for note in vehicle.notes if note.startswith("several shapes")]
+        assert note == (
+            f"several shapes (1 sphere of 0.02 m, 1 cylinder of {smaller} m, 1 cylinder of "
+            f"0.15 m), radius {radius} m of the one about the axle that touches level ground "
+            "first; override by wheels = { left_drive = { radius = ... } }: left_drive"
+        )
+    roles = (
+        'urdf = "cart.urdf"\njoints = { caster = "passive" }\n[wheels]\n'
+        "caster_axle.driven = false\nleft_drive.radius = 0.11\n"
+    )
+    vehicle = read_vehicle(changed(tmp_path, "cart", roles=roles))
+    assert vehicle.wheels[0].radius == 0.11
+    assert not any("several shapes" in note for note in vehicle.notes)
+
+
+def test_the_lowest_of_two_balls_on_a_fixed_joint_is_the_wheel(tmp_path):
+    mesh = '<geometry><mesh filename="lidar.stl"/></geometry>'
+    balls = (
+        '<geometry><sphere radius="0.1"/></geometry></visual>'
+        '<visual><origin xyz="0 0 -0.09"/><geometry><sphere radius="0.05"/></geometry>'
+    )
+    joint = '<joint name="lidar_mount" type="revolute">'
+    roles = (
+        'urdf = "cart.urdf"\njoints = { caster = "fixed", caster_axle = "fixed" }\n'
+        "wheels.lidar_mount = { driven = false, rollers = true }\n"
+    )
+    fix = (joint, joint.replace("revolute", "fixed"))
+    vehicle = read_vehicle(changed(tmp_path, "cart", (mesh, balls), fix, roles=roles))
+    wheel = next(w for w in vehicle.wheels if w.name == "lidar_mount")
+    assert (wheel.radius, wheel.at) == (0.05, (0.0, 0.0, -0.09))
+
+
+def test_endings_count_in_any_case(tmp_path):
+    """Of a URDF, of the file that completes it, and of xacro, which is refused by name."""
+    (tmp_path / "CART.URDF").write_text((DATA / "cart.urdf").read_text())
+    text = (DATA / "cart.toml").read_text().replace("cart.urdf", "CART.URDF")
+    (tmp_path / "CART.TOML").write_text(text)
+    (tmp_path / "CART.XACRO").write_text("<robot/>")
+    assert len(read_vehicle(tmp_path / "CART.TOML").wheels) == 3
+    assert "CART.URDF:37: joint 'caster': expected what moves it" in faults(tmp_path / "CART.URDF")
+    assert is_vehicle_file(tmp_path / "CART.URDF")
+    assert "expand it first: xacro" in faults(tmp_path / "CART.XACRO")
+
+
+def test_limits_become_stops_of_the_one_that_is_mimicked():
+    rocker = next(c for c in read_vehicle(DATA / "bogie.toml").coordinates if c.name[0] == "r")
+    assert (rocker.lower, rocker.upper) == (-0.6, 0.5)
+    assert (rocker.name, rocker.kind) == ("rocker_left", "suspension")
+
+
+def test_mimics_of_mimics_multiply(tmp_path):
+    old = '<axis xyz="0 1 0"/><limit effort="1" velocity="1"/>\n  </joint>\n  <joint name="steer'
+    new = old.replace("<limit", '<mimic joint="rocker_right" multiplier="0.5" offset="0.1"/><limit')
+    roles = 'urdf = "bogie.urdf"\njoints = { rocker-left = "suspension", bogie_left = "passive" }'
+    found = faults(changed(tmp_path, "bogie", (old, new), roles=roles))
+    assert "found 1, 2 too few: rocker_left" in found
+    with pytest.raises(VehicleError) as caught:
+        read_vehicle(tmp_path / "bogie.toml")
+    values = {joint.name: joint.value for joint in caught.value.draft.joints}
+    assert values["bogie_right"] == "-0.5*rocker_left + 0.1"
+
+
+def test_inertials_and_origins_may_be_missing(tmp_path):
+    text = (DATA / "cart.urdf").read_text()
+    bare = re.sub(r"<inertial>.*?</inertial>", "", text)
+    bare = bare.replace('<origin xyz="0 0.25 0"/>', "")
+    (tmp_path / "cart.urdf").write_text(bare)
+    (tmp_path / "cart.toml").write_text((DATA / "cart.toml").read_text())
+    vehicle = read_vehicle(tmp_path / "cart.toml")
+    assert vehicle.mass == 0
+    assert vehicle.wheels[0].at == (0.0, 0.0, 0.0)
+    assert any(note.startswith("no inertial, so no mass: base_link") for note in vehicle.notes)
+
+
+def test_a_ball_on_a_fixed_joint_is_a_caster(tmp_path):
+    """A ball that slides freely: it turns with the ground, and costs no slip across."""
+    ball = '<geometry><sphere radius="0.1"/></geometry>'
+    roles = 'urdf = "cart.urdf"\nwheels.lidar_mount = { driven = false, rollers = true }\n' \
+            'joints.caster = "fixed"\nwheels.caster_axle = { driven = false }'  # fmt: skip
+    file = changed(
+        tmp_path, "cart", ('<geometry><mesh filename="lidar.stl"/></geometry>', ball),
+        ('<joint name="lidar_mount" type="revolute">', '<joint name="lidar_mount" type="fixed">'),
+        roles=roles,
+    )  # fmt: skip
+    with pytest.raises(VehicleError) as caught:
+        read_vehicle(file)
+    wheel = next(w for w in caught.value.draft.wheels if w.name == "lidar_mount")
+    assert (wheel.r1, wheel.r2, wheel.rollers, wheel.axle) == (0.1, 0.0, True, (1.0, 0.0, 0.0))
+    assert [c.name for c in caught.value.draft.coordinates] == []
+
+
+def test_only_files_of_a_kind_are_read(tmp_path):
+    (tmp_path / "cart.urdf.xacro").write_text("<robot/>")
+    assert "expand it first: xacro" in faults(tmp_path / "cart.urdf.xacro")
+    with pytest.raises(DataError, match="found that it cannot be read"):
+        read_vehicle(tmp_path / "no.urdf")

@@ -1,0 +1,42 @@
+"""Grounds, vehicles and runs that several tests use."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, three_wheeler
+
+DATA = Path(__file__).parents[1] / "data"
+PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
+# What was compiled of a model serves every motion of it.
+closure_model = lru_cache(maxsize=8)(direct_kinematics)
+
+
+def hills(x, y):
+    """Smooth hills, relief 0.4 m, about 2 m high."""
+    rolling = 0.15 * ca.sin(0.9 * x + 0.3) * ca.cos(0.7 * y)
+    return 2 + rolling + 0.05 * ca.sin(1.7 * y + 0.2 * x)
+
+
+def case1():
+    """The reference motion: ground, and samples by name."""
+    grid = np.load(DATA / "case1.npz")
+    reference = json.loads((DATA / "case1.json").read_text())
+    samples = {name: np.array(values) for name, values in reference["state"].items()}
+    samples |= {"z": reference["z"], "roll": reference["beta"], "pitch": reference["alpha"]}
+    samples["t"] = np.array(reference["t"])
+    contacts = np.array(reference["contacts"])  # (right x, right y, left x, ...) by sample
+    samples["contact_x"], samples["contact_y"] = contacts[0::2].T, contacts[1::2].T
+    return Bicubic(Grid(grid["x"], grid["y"], grid["z"])), samples
+
+
+def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
+    """Drive a vehicle, the paper's by default, at constant rates, the paper's by default."""
+    dae = closure_model(vehicle or three_wheeler(), terrain)
+    inputs = dae.inputs(**(rates or PAPER_RATES))
+    return simulate(dae, settle(dae, **start), inputs, t, tolerance=tolerance)

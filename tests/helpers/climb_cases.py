@@ -1,0 +1,100 @@
+"""Climbs that tests and benchmarks use: the lab's ramp and step, its controllers, its friction."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.climb.contact import CompliantContact
+from slipfree.climb.contact_path import legs
+from slipfree.climb.control import Control
+from slipfree.climb.dynamics import climbing, standing
+from slipfree.climb.metrics import Metrics, metrics
+from slipfree.climb.plan_tracking import Course, Tracking, course
+from slipfree.climb.profile import Profile, ramp, step
+from slipfree.climb.time_scaling import climb as program
+from slipfree.climb.vehicle import Climber, seven_wheels
+from slipfree.plan.external_nlp import solve_nlp
+from slipfree.solve.settle import settle
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import Trajectory
+
+AMPLE = 8.0  # torque of the lab's motors that "never" limits; on the step it does, 1 % of the time
+SPEED, HEIGHT, EVERY, AHEAD = 0.25, 0.09, 2e-3, 0.05
+CLIMBER = seven_wheels(torque=AMPLE)
+MARGIN = 0.96  # part of the friction that a plan may use
+RAMP, STEP = ramp(np.pi / 4, HEIGHT), step(HEIGHT)
+TABLE_I, TWICE = (
+    CompliantContact(static=0.4, dynamic=0.3),
+    CompliantContact(static=0.9, dynamic=0.675),
+)
+FIXED = Control("fixed")
+EXACT, EXACT_95 = Control(directions="contact"), Control(directions="contact", share=0.95)
+SENSED = Control()
+PRINTED_6_8 = Control("printed_6_8", directions="contact")
+PRINTED_14 = Control("printed_14", directions="contact")
+PRINTED_16 = Control("printed_16", directions="contact")
+
+
+class Climb(NamedTuple):
+    """A motion and what it is of."""
+
+    climber: Climber
+    profile: Profile
+    run: Trajectory
+
+    @property
+    def metrics(self) -> Metrics:
+        """Averages over the climb."""
+        return metrics(self.run, self.climber, self.profile)
+
+    @property
+    def imbalance(self) -> float:
+        """Largest error of the energy's balance [J]."""
+        run = self.run
+        given = run["work"] - run["rubbed"] - run["damped"]
+        return float(np.abs(run["energy"] - run["energy"][0] - given).max())
+
+
+def foot(profile):
+    """Place of the front axle just before the ramp or step. [m]."""
+    radius = seven_wheels().radius
+    edge, top = profile.summit
+    angle = np.arctan2(top, edge)
+    return -AHEAD - radius * np.tan(angle / 2)
+
+
+def begin(climber, profile, control, contact, speed=SPEED, **options):
+    """The model, and its start rolling towards the climb."""
+    dae = climbing(climber, profile, control, contact, **options)
+    return dae, settle(dae, **standing(climber, contact, foot(profile), speed))
+
+
+@lru_cache(maxsize=32)
+def climb(
+    profile, control, contact, *, torque=AMPLE, until=3.6, tolerance=1e-6, speed=SPEED, every=EVERY,
+    climber=None,
+) -> Climb:  # fmt: skip
+    climber = climber or seven_wheels(torque=torque)
+    dae, start = begin(climber, profile, control, contact, speed)
+    t = np.arange(round(until / every) + 1) * every
+    run = simulate(dae, start, dae.inputs(speed=speed), t, tolerance=tolerance)
+    return Climb(climber, profile, run)
+
+
+@lru_cache(maxsize=32)
+def planned(profile, mu=None, speed=SPEED, climber=CLIMBER) -> Course:
+    """The climb of least slip within a friction, or that of least friction, all legs in one."""
+    cost = "friction" if mu is None else "slip"
+    ways, found = legs(climber, profile), []
+    for leg in ways:
+        plan = program(climber, profile, leg, cost, mu=mu, speed=speed, halt=leg is not ways[-1])
+        found.append((plan, solve_nlp(plan.nlp).unknowns))
+    return course(found)
+
+
+def tracking(profile, mu, speed=SPEED) -> Tracking:
+    """A plan for a little less friction than there is."""
+    return Tracking(planned(profile, round(MARGIN * mu, 6), speed))

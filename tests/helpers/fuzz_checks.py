@@ -1,0 +1,145 @@
+"""What becomes of drawn files: they are read and used as commands do, and that is judged."""
+
+from __future__ import annotations
+
+import re
+import traceback
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from typer.testing import CliRunner
+
+from helpers.fuzz_damage import Case
+from slipfree.cli import app
+from slipfree.errors import SlipfreeError
+from slipfree.files.maps.elevation import read_map
+from slipfree.files.netcdf import read_arrays
+from slipfree.problem.climb import build_climb
+from slipfree.problem.load import climbs, read
+from slipfree.problem.schema import Plan, Time
+from slipfree.problem.solve import build, run
+from slipfree.problem.vehicle_report import describe
+from slipfree.terrain.bicubic import Bicubic
+
+READ, REFUSED = "read", "refused"
+LONGEST = 20_000  # characters that somebody may read as a message
+SHORT = Time(duration=0.02, step=0.01)
+ADDRESS = re.compile(r" at 0x[0-9a-f]{6}|Traceback \(most")
+
+
+class Verdict(NamedTuple):
+    """What became of a case.
+
+    Attributes
+    ----------
+    name : str
+        ``"read"``, ``"refused"`` by a clear error, or what is wrong: ``"traceback"``,
+        ``"warning"``, ``"unclear"``.
+    words : str
+        The error, or where it came from.
+    """
+
+    name: str
+    words: str = ""
+
+
+def judged(case: Case, folder: Path, *, deep: bool = False) -> Verdict:
+    """Return what becomes of a case whose files are written to a folder; deep: solved as well."""
+    case.write(folder)
+    main = folder / case.main
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            USES.get(case.kind, _use_map)(main, deep)
+            found = Verdict(READ)
+        except SlipfreeError as error:
+            found = _of_message(str(error), [str(folder), *case.files, "/dev/null"])
+        except Exception as error:  # what is to be found
+            place = traceback.extract_tb(error.__traceback__)
+            where = " < ".join(
+                f"{Path(each.filename).name}:{each.lineno}" for each in place[:-7:-1]
+            )
+            return Verdict("traceback", f"{type(error).__name__}: {str(error)[:120]!r} {where}")
+    if told:
+        first = told[0]
+        return Verdict(
+            "warning",
+            f"{first.category.__name__}: {str(first.message)[:100]} "
+            f"{Path(first.filename).name}:{first.lineno}",
+        )
+    return found
+
+
+def _of_message(words: str, names: list[str]) -> Verdict:
+    """Return whether a message names a file and can be read."""
+    if not any(name in words for name in names):
+        return Verdict("unclear", f"names no file: {words[:200]!r}")
+    if len(words) > LONGEST or ADDRESS.search(words):
+        return Verdict("unclear", f"{len(words)} characters: {words[:200]!r}")
+    return Verdict(REFUSED, words)
+
+
+def _use_problem(file: Path, deep: bool) -> None:
+    problem = read(file)
+    if climbs(problem):
+        build_climb(problem)
+    else:
+        build(problem)
+    if deep and not isinstance(problem.spec, Plan) and getattr(problem.spec, "path", None) is None:
+        run(replace(problem, spec=problem.spec.model_copy(update={"time": SHORT})))  # type: ignore[arg-type]
+
+
+def _use_vehicle(file: Path, _: bool) -> None:
+    found = describe(file)
+    if found.faults:
+        raise SlipfreeError("\n".join(found.faults))
+
+
+def _use_map(file: Path, _: bool) -> None:
+    asked: list[dict[str, Any]] = [{}, {"cell": 0.5, "registration": "point"}]
+    if file.suffix in (".csv", ".xyz", ".txt"):
+        asked = [{"spacing": 0.5}]
+    more = {"fill": "linear", "window": (0.0, 3.0, 0.0, 3.0)}
+    asked += [{**each, **more} for each in asked] + [{"geographic": "local"}]
+    refused = []
+    for each in asked:
+        try:
+            grid = read_map(file, **each).grid
+            Bicubic(grid).elevation(grid.x[:2], grid.y[:2])
+        except SlipfreeError as error:
+            refused.append(error)
+    if len(refused) == len(asked):
+        raise refused[0]
+
+
+def _use_result(file: Path, deep: bool) -> None:
+    """Look at a result by commands; some of them ask for more than others."""
+    name, refused = str(file), []
+    commands = [["info", name], ["export", name, "--path", name.replace(".nc", ".geojson")]]
+    if deep:
+        more = [
+            ["info", name, "--problem"],
+            ["export", name, "--rates", f"{name}.csv"],
+            ["report", name],
+            ["show", name, "--html", f"{name}.html"],
+        ]
+        commands = [more[sum(file.read_bytes()) % len(more)]]
+    for command in commands:
+        result = CliRunner().invoke(app, command)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        if result.exit_code:
+            refused.append(result.stderr)
+    if refused:
+        raise SlipfreeError(min(refused, key=lambda words: name in words))
+    read_arrays(file)
+
+
+USES: dict[str, Callable[[Path, bool], None]] = {
+    **dict.fromkeys(("direct", "inverse", "plan", "climb"), _use_problem),
+    **dict.fromkeys(("vehicle", "urdf"), _use_vehicle),
+    "result": _use_result,
+}

@@ -1,0 +1,230 @@
+"""Maps of heights, drawn at random: valid ones, nearly valid ones, and damaged ones."""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+import zipfile
+from functools import cache
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from helpers.fuzz_damage import NUMBERS, ODD, Case, damaged
+
+
+def ascii_grid(kind: str, rng: Random) -> Case:
+    """Return an ESRI ASCII grid by its grammar, or a damaged one."""
+    columns, rows = rng.choice([1, 3, 4, 5, 7, 9]), rng.choice([1, 3, 4, 5, 7, 9])
+    heads = [
+        ("ncols", columns),
+        ("nrows", rows),
+        (rng.choice(["xllcorner", "xllcenter"]), 3.5),
+        (rng.choice(["yllcorner", "yllcenter"]), 4),
+        ("cellsize", 0.5),
+        ("NODATA_value", -9999),
+        ("dx", 0.5),
+        ("dy", 0.25),
+    ]
+    heads = heads[: rng.choice([5, 6, 6, 6, 8])]
+    if rng.random() < 0.3:
+        k = rng.randrange(len(heads))
+        heads[k] = heads[k][0], rng.choice([*NUMBERS, 10**9, "1e9", "x"])
+    values = (0, 1.5, -2, -9999, "nan", "inf", "1e308", "1e999", "x", "")
+    odd = rng.random() < 0.4
+    lines = [
+        " ".join(
+            str(rng.choice(values if odd and rng.random() < 0.05 else values[:3]))
+            for _ in range(columns)
+        )
+        for _ in range(rows)
+    ]
+    raw = ("\n".join([*(f"{k} {v}" for k, v in heads), *lines]) + "\n").encode()
+    return Case(
+        kind, {"ground.asc": damaged(raw, rng) if rng.random() < 0.3 else raw}, "ground.asc"
+    )
+
+
+def points(kind: str, rng: Random) -> Case:
+    sign, count = rng.choice([" ", ",", ";", "\t"]), rng.randint(0, 30)
+    odd = (*NUMBERS, "x", "", "#", '"1"')
+    rows = [[rng.uniform(0, 5), rng.uniform(0, 5), rng.random()] for _ in range(count)]
+    if rng.random() < 0.6:
+        rows = [[i / 2, j / 2, rng.random()] for i in range(5) for j in range(6)]
+        count = len(rows)
+    if count and rng.random() < 0.5:
+        rows[rng.randrange(count)][rng.randrange(3)] = rng.choice(odd)
+    lines = [sign.join(map(str, row)) for row in rows]
+    if rng.random() < 0.3:
+        lines.insert(0, sign.join(rng.sample(["x", "y", "z", "X", "h"], 3)))
+    raw = "\n".join(lines).encode()
+    name = rng.choice(["ground.csv", "ground.xyz", "ground.txt"])
+    return Case(kind, {name: damaged(raw, rng) if rng.random() < 0.4 else raw}, name)
+
+
+def archive(kind: str, rng: Random) -> Case:
+    """Return a numpy archive of odd arrays, of lying headers, or a damaged one."""
+    how, stream = rng.random(), io.BytesIO()
+    x, y = np.linspace(0, 3, rng.randint(2, 8)), np.linspace(0, 4, rng.randint(2, 8))
+    arrays: dict[str, Any] = {"x": x, "y": y, "z": np.zeros((x.size, y.size))}
+    if how < 0.4:
+        odd = (
+            x[::-1],
+            x.astype(complex),
+            x.astype("S3"),
+            np.array(3.0),
+            np.zeros((2, 2, 2)),
+            x * np.nan,
+            x > 1,
+            x.astype("f2"),
+            x.astype("M8[s]"),
+            np.array([{}], object),
+            x**3,
+            x * 1e300,
+            np.zeros(0),
+            np.zeros((0, 5)),
+            np.array([("a", 1)], "U1,i4"),
+            x.astype(">i8"),
+        )
+        arrays[rng.choice("xyzw")] = rng.choice(odd)
+        if rng.random() < 0.3:
+            del arrays[rng.choice([*arrays])]
+    np.savez(stream, **arrays) if rng.random() < 0.5 else np.savez_compressed(stream, **arrays)
+    raw = stream.getvalue()
+    if how > 0.75:
+        raw = damaged(raw, rng)
+    elif how > 0.5:
+        raw = _lying(rng)
+    if how > 0.98:
+        np.save(stream := io.BytesIO(), x)
+        raw = stream.getvalue()
+    return Case(kind, {"ground.npz": raw}, "ground.npz")
+
+
+def _lying(rng: Random) -> bytes:
+    """Return an archive whose headers claim more than it holds, or are no headers."""
+    head = rng.choice(
+        [
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 1000000000), }",
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (3000000000,), }",
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (-4,), }",
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (4L,), }",
+            "{'descr': '|O', 'fortran_order': False, 'shape': (4,), }",
+            "{'descr': 'x', 'fortran_order': 1, 'shape': 4, }",
+            "(" * 300,
+            "{" * 90,
+            "",
+            "\0",
+            "__import__('os')",
+            "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (4,), }",
+        ]
+    )
+    stream, version = io.BytesIO(), rng.choice([1, 2, 3, 9])
+    size = struct.pack("<H" if version == 1 else "<I", len(head))
+    with zipfile.ZipFile(
+        stream, "w", rng.choice([zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+    ) as file:
+        for name in ("x.npy", "y.npy", "z.npy"):
+            file.writestr(
+                name, b"\x93NUMPY" + bytes([version, 0]) + size + head.encode() + b"\0" * 64
+            )
+    return stream.getvalue()
+
+
+@cache
+def pictures(kind: str) -> tuple[bytes, ...]:
+    """Return rasters: with and without a place, of several samples."""
+    from PIL import Image
+
+    found = []
+    for mode, values in (("F", np.float32), ("I;16", np.uint16), ("L", np.uint8)):
+        stream = io.BytesIO()
+        if mode == "F" and kind == "png":
+            continue
+        Image.fromarray((40 * np.random.default_rng(1).random((6, 5))).astype(values)).save(
+            stream, kind
+        )
+        found.append(stream.getvalue())
+    if kind == "tiff":
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what rasterio is made of
+            found += _placed_pictures()
+    return tuple(found)
+
+
+def _placed_pictures() -> list[bytes]:
+    """Return GeoTIFFs in metres, in degrees and sparse ones of a giant size."""
+    rasterio = __import__("rasterio")
+    from rasterio.transform import from_origin
+
+    found = []
+    for crs, cell, size, sparse in (
+        ("EPSG:32633", 2.0, 8, False),
+        ("EPSG:4326", 1e-4, 8, False),
+        ("EPSG:32633", 1.0, 200_000, True),
+    ):
+        with rasterio.MemoryFile() as memory:
+            with memory.open(
+                driver="GTiff",
+                width=size,
+                height=size,
+                count=1,
+                dtype="float32",
+                crs=crs,
+                tiled=sparse,
+                sparse_ok=sparse,
+                transform=from_origin(
+                    500000 if cell > 0.1 else 15, 5e6 if cell > 0.1 else 45, cell, cell
+                ),
+                nodata=-9.0,
+                **({"blockxsize": 8192, "blockysize": 8192, "bigtiff": "YES"} if sparse else {}),
+            ) as file:
+                if not sparse:
+                    file.write(np.random.default_rng(2).random((1, size, size)).astype("f4"))
+            found.append(bytes(memory.getbuffer()))
+    return found
+
+
+def picture(kind: str, rng: Random) -> Case:
+    raw = rng.choice(pictures(kind))
+    name = "ground.tif" if kind == "tiff" else "ground.png"
+    return Case(kind, {name: damaged(raw, rng) if rng.random() < 0.9 else raw}, name)
+
+
+SIDECARS = {
+    ".tif.aux.xml": b"<PAMDataset><SRS>EPSG:3857</SRS><GeoTransform>0,9,0,0,0,-9</GeoTransform>"
+    b'<Metadata><MDI key="AREA_OR_POINT">Point</MDI></Metadata><PAMRasterBand band="1">'
+    b"<Scale>1000</Scale><Offset>7</Offset><NoDataValue>0.5</NoDataValue></PAMRasterBand>"
+    b"</PAMDataset>",
+    ".tif.msk": b'<VRTDataset rasterXSize="8" rasterYSize="8"><Metadata><MDI key="'
+    b'INTERNAL_MASK_FLAGS_1">2</MDI></Metadata><VRTRasterBand dataType="Byte" band="1">'
+    b'<SimpleSource><SourceFilename relativeToVRT="1">ground.tif</SourceFilename>'
+    b"<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>",
+    ".tif.ovr": b"II*\0\x08\0\0\0\0\0",
+    ".tfw": b"0.5\n0\n0\n-0.5\n1000\n2000\n",
+    ".wld": b"0.5\n0\n0\n-0.5\n1000\n2000\n",
+    ".tab": b'!table\n!version 300\nDefinition Table\n  File "ground.tif"\n  Type "RASTER"\n'
+    b'  (9,9) (0,0) Label "1",\n  (20,9) (8,0) Label "2",\n  (20,2) (8,8) Label "3"\n',
+    ".prj": b"EPSG:3857",
+    ".hdr": b"BYTEORDER I\nLAYOUT BIL\nNROWS 8\nNCOLS 8\n",
+    ".RPB": b'satId = "x";\nbandId = "P";\n',
+    "_RPC.TXT": b"LINE_OFF: 1\nSAMP_OFF: 2\n",
+    ".aux": b"EHFA_HEADER_TAG\0" + bytes(40),
+    ".xml": b"<metadata><idinfo/></metadata>",
+}
+
+
+def beside(kind: str, rng: Random) -> Case:
+    """Return a raster of any kind, and what other programs write beside it, damaged or not."""
+    case = picture("tiff" if kind == "sidecar" else kind, rng)
+    names = rng.sample([*SIDECARS], rng.choice([1, 2, 4]))
+    files = {f"ground{name}": SIDECARS[name] for name in names}
+    for name in files:
+        if rng.random() < 0.2:
+            files[name] = rng.choice(pictures("tiff"))
+        if rng.random() < 0.6:
+            files[name] = damaged(files[name], rng)
+    odd = {name: rng.choice(ODD) for name in files if rng.random() < 0.1}
+    return case._replace(files={**case.files, **files}, odd=odd)

@@ -1,0 +1,68 @@
+"""Problem files that several tests read."""
+
+from pathlib import Path
+
+from slipfree.problem.load import read
+
+VALID = """\
+verb = "direct"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3.0, 4.0]
+spacing = 0.5
+base = 2.0
+
+[vehicle]
+catalog = "three_wheeler"
+r1 = 0.05
+
+[start]
+x = 0.1
+heading = 0.2
+
+[inputs]
+right_rate = 0.5
+left_rate = 0.5
+steer_rate = 0
+
+[time]
+duration = 1
+step = 0.25
+"""
+
+
+def _read(folder: Path, text: str, *settings: str) -> object:
+    path = folder / "p.toml"
+    path.write_text(text, encoding="utf-8")
+    return read(path, settings)
+
+
+FILE = (
+    VALID[: VALID.index("[terrain")]
+    + '[terrain]\nfile = "g.npz"\n\n'
+    + VALID[VALID.index("[vehicle]") :]
+)
+PROBLEM = """\
+verb = "direct"
+title = "Überfahrt"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 2.25]
+spacing = 0.25
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+heading = 0
+
+[driver]
+name = "straight"
+speed = 1.0
+
+[time]
+duration = 0.5
+step = 0.1
+"""

@@ -1,0 +1,116 @@
+"""The certificate of one contact agrees with a brute search and with closed forms."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.cases import hills
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.terrain.base import jet_of
+
+RADIUS = 0.3
+
+
+def bump(height, width, x_0, y_0):
+    return lambda x, y: height * ca.exp(-((x - x_0) ** 2 + (y - y_0) ** 2) / (2 * width**2))
+
+
+def brute_clearance(run, wheel, terrain, r1=0.05, r2=0.25):
+    """Least vertical gap over a fine torus, away from the contact, for an untilted vehicle."""
+    center = np.array([run[f"center_{axis}", wheel][0] for axis in "xyz"])
+    yaw, roll, pitch = run["heading"][0], run["roll"][0], run["pitch"][0]
+    c, s = np.cos, np.sin
+    r_z = np.array([[c(yaw), -s(yaw), 0], [s(yaw), c(yaw), 0], [0, 0, 1]])
+    r_y = np.array([[c(roll), 0, s(roll)], [0, 1, 0], [-s(roll), 0, c(roll)]])
+    r_x = np.array([[1, 0, 0], [0, c(pitch), -s(pitch)], [0, s(pitch), c(pitch)]])
+    u, v = np.meshgrid(np.linspace(0, np.pi, 241), np.linspace(0, 2 * np.pi, 2881), indexing="ij")
+    rho = r2 + r1 * np.sin(u)
+    body = np.stack([r1 * np.cos(u), rho * np.cos(v), rho * np.sin(v)], -1)
+    points = body @ (r_z @ r_y @ r_x).T + center
+    gap = points[..., 2] - terrain.elevation(points[..., 0], points[..., 1])
+    contact = np.array([run[f"contact_{axis}", wheel][0] for axis in "xyz"])
+    return gap[np.linalg.norm(points - contact, axis=-1) > 0.12].min()
+
+
+def test_clearance_agrees_with_a_brute_search():
+    ahead = Analytic(bump(0.14, 0.06, 0.0, 1.28))  # ahead of the front wheel, which is at y = 1
+    run = settle(direct_kinematics(three_wheeler(), ahead))
+    expected = brute_clearance(run, "front", ahead)
+    assert 0 < expected < 0.02
+    assert_allclose(run["clearance", "front"][0], expected, atol=2e-4)
+
+
+def test_second_touch_is_refused_with_its_place():
+    dae = direct_kinematics(three_wheeler(), Analytic(bump(0.2, 0.06, 0.0, 1.25)))
+    with pytest.raises(
+        ModelError, match=r"wheel front touches a second time at \(.*1\.[12]\d\d\) m"
+    ):
+        settle(dae)
+
+
+@pytest.mark.parametrize(("r1", "r2"), [(0.05, 0.25), (0.0, 0.3), (0.3, 0.0)])
+def test_wheels_of_every_section_see_a_step_ahead(r1, r2):
+    """Driving at a smooth step stops where the front wheel touches it, by elementary geometry."""
+    rise, at, width = 0.2, 2.0, 0.01
+    step = Analytic(lambda _, y: rise / 2 * (1 + ca.tanh((y - at) / width)))
+    vehicle = three_wheeler(r1=r1, r2=r2)
+    dae = direct_kinematics(vehicle, step)
+    rates = dae.inputs(right_rate=1.0, left_rate=1.0, steer_rate=0.0)
+    run = simulate(dae, settle(dae), rates, np.linspace(0, 4, 41))
+    assert run.stop is not None
+    assert run.stop.name == "clearance[front]"
+    assert "wheel front touches a second time" in run.stop.words
+    # a wheel on the floor touches a sharp edge of height h at sqrt(R^2 - (R - h)^2) before it
+    reach = np.sqrt(RADIUS**2 - (RADIUS - rise) ** 2)
+    assert run["center_y", "front"][-1] == pytest.approx(at - reach, abs=3 * width)
+
+
+@pytest.mark.parametrize("beside", [0.08, 0.10, 0.12, 0.16, 0.20])
+def test_posts_beside_a_sphere_are_seen(beside):
+    """A thin post next to the contact of a fat wheel reaches into it."""
+    post = Analytic(bump(0.12, 0.014, 1.0 + beside, -0.5))
+    dae = direct_kinematics(three_wheeler(r1=0.3, r2=0.0), post)
+    with pytest.raises(ModelError, match="wheel right touches a second time"):
+        settle(dae)
+
+
+def test_relative_curvature_of_a_cylindrical_valley():
+    """A wheel across a valley of radius a: 1/R - 1/a."""
+    for radius in (0.5, 1.0, 5.0):
+        valley = Analytic(lambda _, y, a=radius: a - ca.sqrt(a**2 - (y - 1.0) ** 2) + 0.0 * y,
+                          (-2.0, 2.0, 0.8, 1.2))  # fmt: skip
+        dae = direct_kinematics(three_wheeler(), valley)
+        limit = next(x for x in dae.limits if x.label.full == "relative_curvature[front]")
+        value = ca.Function("k", list(dae.columns()[:2]), [limit.expression])
+        z = np.zeros(dae.scale.size)
+        z[8] = 1.0  # contact of the front wheel at the bottom
+        assert_allclose(float(value(dae.start(), z)), 1 / RADIUS - 1 / radius, atol=1e-12)
+
+
+def test_relative_curvature_equals_montanas_form(rng):
+    """The smaller eigenvalue of ``K_w + K~_g`` changes sign with it (Montana 1988)."""
+    wheel = three_wheeler().wheels[0]
+    a, b, c = ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("c")
+    from slipfree.contact.closure import contact_frame, relative_curvature
+
+    x, y, axle = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("axle", 3)
+    ground = Analytic(hills)
+    form = {"jet": lambda _, x, y: jet_of(a * x**2 + b * x * y + c * y**2, x, y)}
+    quadric = type("Quadric", (), form)()
+    contact = contact_frame(quadric, x, y, axle)
+    value = ca.Function("k", [x, y, axle, a, b, c], [relative_curvature(wheel, contact)])
+    assert ground.domain[0] == -np.inf
+    signs = []
+    for _ in range(400):
+        k = rng.uniform(-15, 15, 3)
+        lean = rng.uniform(-0.6, 0.6)
+        direction = np.array([np.cos(lean), 0, np.sin(lean)])
+        form = np.array([[2 * k[0], k[1]], [k[1], 2 * k[2]]])  # horizontal tangent plane at 0
+        m = np.cos(lean)
+        wheel_form = np.diag([1 / wheel.r1, m / (wheel.r2 + wheel.r1 * m)])
+        least = np.linalg.eigvalsh(wheel_form - form)[0]
+        got = float(value(0, 0, direction, *k))
+        assert np.sign(got) == np.sign(least)
+        signs.append(np.sign(least))
+    assert {-1.0, 1.0} == set(signs)

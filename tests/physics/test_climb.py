@@ -1,0 +1,185 @@
+"""Up a ramp that friction does not let the vehicle climb straight: what is refused, and the plan.
+
+The ramp, 20 degrees between two terraces, and its figures are those of an independent study, a
+search for paths alone with its own equations of contact and equilibrium: straight up, the friction
+that is needed is 1.123 times that of the ground in the best distribution; the shortest way within
+95 % that it found is 13.13 m long. Lengths are those of the way of the axle's middle.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path as FilePath
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.control.path_following import follow, straight
+from slipfree.geometry.path import Path
+from slipfree.models.friction_feasibility import best_utilisation
+from slipfree.plan.plan import Plan, plan
+from slipfree.plan.verification import rerun
+from slipfree.problem.load import read
+from slipfree.problem.solve import run as solve
+
+FILE = FilePath(__file__).parents[2] / "problems" / "plan_climb_ramp.toml"
+SLOPE, MU, MOST, CREEP = np.radians(20), 0.5, 0.95, 1e-4
+AXLE = 0.5  # from the middle of the axle to the platform's centre [m]
+STEER = np.arctan(1.5 * 0.6)  # curvature of 0.6 /m of the way of the axle's middle
+VEHICLE = three_wheeler(axle="fixed", center_of_mass=(0.0, 0.2, 0.0))
+START, GOAL = {"x": 0.0, "y": -2.0 + AXLE}, {"x": 0.0, "y": 10.0 + AXLE, "heading": 0.0}
+RATES = {"right_rate": (0.0, 4.0), "left_rate": (0.0, 4.0), "steer_rate": (-1.5, 1.5)}
+COSTS = {"effort": 1.0, "slip": 1e4}
+DURATION = 24.0
+
+
+def terraces(x, y):
+    """Two terraces, a ramp of 20 degrees between them, and small waves."""
+    edges = (ca.log(1 + ca.exp((y - edge) / 0.4)) for edge in (2.0, 6.0))
+    return (np.tan(SLOPE) * 0.4 * (next(edges) - next(edges))
+            + 0.01 * ca.sin(2.1 * x + 0.4) * ca.cos(1.9 * y))  # fmt: skip
+
+
+GROUND = Analytic(terraces, mu=MU)
+
+
+@cache
+def model(slip):
+    return direct_kinematics(VEHICLE, GROUND, slip=slip)
+
+
+def bow(aside, start=START["y"], end=GOAL["y"]):
+    """Return a way from start to goal that lies to the right in its middle."""
+    part = np.linspace(0, 1, 13)
+    return Path(np.stack([aside * np.sin(np.pi * part) ** 2, start + (end - start) * part], axis=1))
+
+
+class Task(NamedTuple):
+    """Where to go in which time, and how finely it is planned."""
+
+    start: dict
+    goal: dict
+    duration: float
+    intervals: int
+    degree: int
+
+
+def planned(task, ways, **limits) -> Plan:
+    dae = model("least")
+    start = settle(dae, **task.start)
+    t = np.linspace(0, task.duration, 61)
+    guesses = [simulate(dae, start, follow(dae, VEHICLE, way, speed=way.length / task.duration), t)
+               for way in ways]  # fmt: skip
+    return plan(
+        dae, start, guesses, goal=task.goal, costs=COSTS, duration=task.duration, smooth=0.02,
+        continuous=True, limits={"utilisation": (0.0, MOST), "steer": (-STEER, STEER), **limits},
+        inputs=RATES, intervals=task.intervals, degree=task.degree, accuracy=0.01,
+    )  # fmt: skip
+
+
+@cache
+def climbed() -> Plan:
+    """Return the better plan of those from a bow to the right and from the straight way."""
+    return planned(Task(START, GOAL, DURATION, 24, 3), (bow(2.0), bow(0.0)))
+
+
+def length(run):
+    """Return the length of the way of the axle's middle in plan. [m]."""
+    heading = run["heading"]
+    x, y = run["x"] + AXLE * np.sin(heading), run["y"] - AXLE * np.cos(heading)
+    return np.hypot(np.diff(x), np.diff(y)).sum()
+
+
+# The straight way
+
+
+def test_the_straight_way_needs_more_friction_than_there_is():
+    places = [settle(model("least"), x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
+    weighted = max(place["utilisation"].max() for place in places)
+    best = max(best_utilisation(VEHICLE, GROUND, place)["utilisation_best"][0] for place in places)
+    assert_allclose(best, 1.123, atol=2e-3)
+    assert 1.05 < best < weighted < best + 0.01
+
+
+def test_the_straight_way_ends_where_friction_does_not_hold():
+    dae = model("traction")
+    start = settle(dae, **START)
+    law = straight(dae, VEHICLE, start, speed=0.5)
+    run = simulate(dae, start, law, np.linspace(0, DURATION, 121))
+    assert run.stop.name == "no_equilibrium"
+    assert 8.0 < run.stop.t < DURATION
+    assert "uphill on a slope of 17" in run.stop.words
+    assert "the vehicle needs all the friction that the ground offers, 0.5" in run.stop.words
+    with pytest.raises(ModelError, match=r"a coefficient of friction of at least 0\.56"):
+        settle(dae, x=0.0, y=4.0)
+
+
+def test_a_plan_that_must_go_straight_is_refused_by_name():
+    task = Task({"x": 0.0, "y": 1.0}, {"x": 0.0, "y": 5.0}, 8.0, 8, 2)
+    found = planned(task, [bow(0.0, 1.0, 5.0)], x=(-0.2, 0.2))
+    assert not found.success
+    assert found.run.stop.name == "plan"
+    words = found.run.stop.words
+    given = words.partition("a motion was found that gives up")[2]
+    assert "utilisation of wheel left: 1.1" in given
+    assert "instead of 0.95 at t = " in given
+    assert "x of the vehicle: at least -0.2 m" in given
+
+
+# The plan
+
+
+def test_the_plan_keeps_within_friction_on_a_short_way():
+    found = climbed()
+    assert found.success
+    assert found.run["utilisation"].max() < MOST + 1e-6
+    assert len({stage.words.partition(",")[0] for stage in found.stages}) == 2
+    # From the bow alone it is 13.8 m.
+    assert 12.0 < length(found.replay) < 13.5
+    assert np.degrees(np.abs(found.replay["heading"]).max()) > 35
+
+
+def test_the_simulation_of_the_plan_keeps_within_friction_and_reaches_the_goal():
+    """The utilisation is taken from the forces here."""
+    run = climbed().replay
+    assert run.stop is None
+    used = np.hypot(run["force_along"], run["force_across"]) / (MU * run["force_normal"])
+    assert used.max() < MOST + 3e-3
+    assert run["force_normal"].min() > 50
+    assert_allclose([run[name][-1] for name in GOAL], list(GOAL.values()), atol=1e-3)
+    assert np.abs(run["steer"]).max() < STEER + 0.01
+
+
+def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
+    """Standing there under Coulomb friction, it creeps by ``eps U / sqrt(1 - U^2)``."""
+    run, dae = climbed().run, model("traction")
+    names = ("x", "y", "heading", "steer")
+    held = [settle(dae, **{name: run[name][k] for name in names}) for k in range(run.t.size)]
+    used = np.array([place["utilisation"][0] for place in held])
+    slip = np.array([np.hypot(place["slip_along"], place["slip_across"])[0] for place in held])
+    assert used.max() < 0.96
+    assert slip.max() < 4 * CREEP
+    assert_allclose(slip, CREEP * used / np.sqrt(1 - used**2), rtol=1e-3)
+
+
+def test_friction_carries_the_vehicle_to_the_goal():
+    """Under its inputs; a rigid axle slips by far more than the creep on its way."""
+    dae = model("traction")
+    run = rerun(dae, settle(dae, **START), climbed().course, step=0.5, tolerance=1e-7)
+    assert run.stop is None
+    assert np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]) < 0.2
+
+
+def test_the_file_plans_its_climb():
+    way = "driver.paths=[[[0.0, -1.5], [2.0, 4.5], [0.0, 10.5]]]"
+    run = solve(
+        read(FILE, [way, "plan.intervals=20", "plan.accuracy=0.05", "solver.tolerance=1e-6"])
+    ).trajectory
+    assert run.stop is None
+    assert run["utilisation"].max() < MOST + 0.02
+    assert_allclose([run["x"][-1], run["y"][-1]], [0.0, 10.5], atol=0.01)
+    assert run["x"].max() > 1.5

@@ -1,0 +1,389 @@
+"""Motion of the seven-wheeler up a ramp and a step, against the lab's figures.
+
+Those are of a prototype with its own equations; their tolerances are fixed with them. True slip and
+the paper's, (20), are means of the three axles, in percent.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers import climb_stepping as stepping
+from helpers.climb_cases import (
+    AMPLE,
+    EXACT,
+    EXACT_95,
+    FIXED,
+    PRINTED_6_8,
+    PRINTED_14,
+    PRINTED_16,
+    RAMP,
+    SENSED,
+    SPEED,
+    STEP,
+    TABLE_I,
+    TWICE,
+    begin,
+    climb,
+)
+from slipfree.climb.contact import CompliantContact, direction, pressed
+from slipfree.climb.control import Control
+from slipfree.climb.dynamics import climbing, floor_loads, standing
+from slipfree.climb.metrics import climb_window
+from slipfree.climb.profile import flat, kerb, stairs
+from slipfree.climb.vehicle import AXLES, seven_wheels
+from slipfree.errors import ModelError
+from slipfree.records import pack
+from slipfree.solve.settle import settle
+from slipfree.solve.simulate import simulate
+from slipfree.solve.zero_order_hold import simulate_sampled
+
+HELD = [f"torque_held[{axle}]" for axle in AXLES]
+
+
+def slip(*case, **options):
+    return 100 * climb(*case, **options).metrics.slip.mean()
+
+
+def true(*case, **options):
+    return 100 * climb(*case, **options).metrics.true_slip.mean()
+
+
+def disturbance(*case, **options):
+    return 100 * climb(*case, **options).metrics.disturbance.mean()
+
+
+def climbed(*case, **options):
+    return climb(*case, **options).metrics.window.climbed
+
+
+def ratio(measure, profile, control, contact, **options):
+    return measure(profile, control, contact, **options) / measure(
+        profile, FIXED, contact, **options
+    )
+
+
+# Statics, energy and accuracy
+
+
+def test_dropped_on_the_floor_it_comes_to_rest_under_its_weight():
+    climber, contact = seven_wheels(), CompliantContact()
+    dae = climbing(climber, flat(), FIXED, contact)
+    values = standing(climber, contact, 0.0)
+    start = settle(dae, **values | {"z": values["z"] + 1e-3, "tilt_front": 0.003})
+    run = simulate(dae, start, dae.inputs(speed=0.0), np.linspace(0, 1, 11))
+    assert_allclose(run["load_0"][-1, ::-1], [67.07, 93.83, 51.00], rtol=2e-3)
+    assert_allclose(floor_loads(climber)[::-1], [67.07, 93.83, 51.00], atol=5e-3)
+    names = ("velocity_x", "velocity_z", "tilt_rear_rate", "tilt_front_rate")
+    assert max(abs(run[name][-1]) for name in names) < 1e-6
+
+
+def test_standing_is_equilibrium_with_the_joint_anywhere():
+    for joint in (0.0, 0.06):
+        climber, contact = seven_wheels(joint), CompliantContact()
+        dae = climbing(climber, flat(), FIXED, contact)
+        start = settle(dae, **standing(climber, contact, 0.3))
+        run = simulate(dae, start, dae.inputs(speed=0.0), np.linspace(0, 0.2, 11))
+        # Sunk differently, its axles tilt it by a milliradian, which the loads leave out.
+        assert_allclose(run["load_0"], np.tile(floor_loads(climber), (11, 1)), rtol=2e-3)
+        assert_allclose(run["axle_x", "front"], 0.3, atol=1e-6)
+
+
+def test_energy_balances():
+    rough, fine = climb(RAMP, EXACT, TABLE_I), climb(RAMP, EXACT, TABLE_I, tolerance=1e-8)
+    assert rough.imbalance < 2e-4
+    assert fine.imbalance < 5e-6
+    assert fine.run["damped"][-1] > 0.1
+    assert fine.run["rubbed"][-1] > 1
+    assert (np.diff(fine.run["rubbed"]) > -1e-9).all()
+
+
+def test_the_motion_converges_with_the_tolerance():
+    rough, fine = (climb(RAMP, EXACT, TABLE_I, tolerance=each) for each in (1e-6, 1e-10))
+    for name in ("x", "z", "tilt_rear", "tilt_front"):
+        assert_allclose(rough.run[name], fine.run[name], atol=1e-5)
+    assert abs(rough.metrics.slip.mean() - fine.metrics.slip.mean()) < 2e-4
+    assert rough.run.statistics["steps"] < 6000
+
+
+def test_both_integrators_agree():
+    dae, start = begin(seven_wheels(), STEP, EXACT, TWICE)
+    t = np.linspace(0, 0.4, 41)
+    runs = [simulate(dae, start, dae.inputs(speed=SPEED), t, tolerance=1e-8, method=method)
+            for method in (None, "idas")]  # fmt: skip
+    for name in ("x", "z", "tilt_front", "wheel_rate"):
+        assert_allclose(runs[0][name], runs[1][name], atol=2e-5)
+
+
+def test_friction_that_creeps_less_and_stiffer_contacts_change_little():
+    sharp = replace(TABLE_I, creep=1e-4)
+    for control in (FIXED, EXACT):
+        assert abs(slip(RAMP, control, TABLE_I) - slip(RAMP, control, sharp)) < 0.15
+    for stiffness in (5e5, 2e6):
+        contact = replace(TABLE_I, stiffness=stiffness, damping=20.0)
+        assert 0.55 < ratio(slip, RAMP, EXACT, contact) < 0.60
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize(("profile", "contact"), [(RAMP, TABLE_I), (STEP, TWICE)])
+def test_stiff_contacts_give_the_motion_of_rigid_ones(profile, contact, exact):
+    """Rigid time stepping with its own equations, at 0.2 ms."""
+    control = Control("projective" if exact else "fixed", "contact", share=0.9, cap=2.0)
+    stiff = replace(contact, stiffness=1e7, damping=50.0, creep=2e-4)
+    angle = np.arctan2(*profile.summit[::-1])
+    case = stepping.Case(angle, contact.static, contact.dynamic, exact)
+    rigid, up = stepping.climb(case, 2e-4)
+    assert up
+    assert_allclose(slip(profile, control, stiff, torque=np.inf), 100 * rigid.mean(), rtol=0.05)
+
+
+def test_sensitivities_agree_with_differences():
+    """Through the first impact, to speed and to the friction at speed."""
+    x, final = sensitive_start()
+    outcome, slope = (
+        ca.Function("outcome", [x], [each]) for each in (final, ca.jacobian(final, x))
+    )
+    at, size = np.array([SPEED, 0.675]), 1e-4
+    slopes = np.array(slope(at))
+    for k, unit in enumerate(np.eye(2)):
+        difference = np.array(outcome(at + size * unit) - outcome(at - size * unit)).ravel()
+        difference /= 2 * size
+        assert_allclose(slopes[:, k], difference, rtol=1e-3, atol=1e-5 * np.abs(difference).max())
+        assert np.abs(difference).max() > 1e-3
+
+
+def sensitive_start():
+    """Speed and dynamic friction, and the configuration after the front wheel's impact."""
+    low, high = (replace(TWICE, dynamic=mu) for mu in (0.6, 0.7))
+    dae, start = begin(seven_wheels(), STEP, EXACT, low)
+    other = climbing(seven_wheels(), STEP, EXACT, high)
+    more = ca.substitute(other.ode, ca.vertcat(*other.columns()), ca.vertcat(*dae.columns()))
+    given = ca.SX.sym("given", 2)  # forces, and so the rates, are linear in the friction
+    ode = dae.ode + (given[1] - 0.6) / 0.1 * (more - dae.ode)
+    ode = ca.substitute(ode, pack(dae.u), given[0])
+    system = {"x": pack(dae.x), "p": given, "ode": ode}
+    options = {"reltol": 1e-9, "abstol": 1e-11, "max_num_steps": 100000}
+    march = ca.integrator("march", "cvodes", system, 0.0, 0.4, options)
+    p = ca.MX.sym("p", 2)
+    return p, march(x0=dae.rows("x", start, -1), p=p)["xf"][:4]
+
+
+# The ramp with the friction of Table I
+
+
+def test_ramp_with_fixed_references():
+    assert_allclose(slip(RAMP, FIXED, TABLE_I), 7.1, atol=0.4)
+    assert_allclose(true(RAMP, FIXED, TABLE_I), 6.8, atol=0.4)
+
+
+def test_ramp_with_known_directions():
+    assert_allclose(slip(RAMP, EXACT, TABLE_I), 4.1, atol=0.3)
+    assert 0.54 < ratio(slip, RAMP, EXACT, TABLE_I) < 0.62
+    assert 0.37 < ratio(true, RAMP, EXACT, TABLE_I) < 0.46
+
+
+def test_ramp_with_directions_that_sensors_see():
+    assert 0.60 < ratio(slip, RAMP, SENSED, TABLE_I) < 0.70
+    assert 0.48 < ratio(true, RAMP, SENSED, TABLE_I) < 0.58
+    run = climb(RAMP, SENSED, TABLE_I).run
+    contact = run["direction", "front"] > np.radians(44)
+    seen = run["direction_seen", "front"][contact]
+    assert np.degrees(np.median(seen)) == pytest.approx(45, abs=6)
+
+
+def test_ramp_with_laws_as_printed():
+    assert ratio(slip, RAMP, PRINTED_16, TABLE_I) > 1.7
+    assert ratio(slip, RAMP, PRINTED_6_8, TABLE_I) > 1.4
+    assert ratio(slip, RAMP, PRINTED_14, TABLE_I) > 1.4
+
+
+def test_ramp_with_weak_motors():
+    """Fixed references make the wheels fight through the ground; saturated, all slow down."""
+    assert ratio(disturbance, RAMP, SENSED, TABLE_I, torque=2.0) < 0.55
+    fixed, sensed = (climb(RAMP, each, TABLE_I, torque=2.0) for each in (FIXED, SENSED))
+    assert fixed.metrics.limited > 5 * sensed.metrics.limited > 0
+    assert np.abs(fixed.run["torque"]).max() < 2 + 1e-12
+
+
+# The step, with more friction
+
+
+def test_step_with_fixed_references():
+    assert_allclose(slip(STEP, FIXED, TWICE), 13.8, atol=0.7)
+
+
+def test_step_with_known_and_seen_directions():
+    assert 0.58 < ratio(true, STEP, SENSED, TWICE) < 0.70
+    assert 0.50 < ratio(true, STEP, EXACT, TWICE) < 0.62
+    assert ratio(true, STEP, EXACT_95, TWICE) < 0.40
+    assert all(climbed(STEP, each, TWICE) for each in (FIXED, EXACT, EXACT_95, SENSED))
+
+
+def test_step_with_weak_motors():
+    assert ratio(disturbance, STEP, SENSED, TWICE, torque=4.5) < 0.75
+
+
+@pytest.mark.parametrize("control", [PRINTED_6_8, PRINTED_14, PRINTED_16])
+def test_laws_as_printed_do_not_climb_the_step(control):
+    assert not climbed(STEP, control, TWICE, until=4.0, tolerance=1e-5)
+
+
+@pytest.mark.parametrize("control", [FIXED, EXACT, EXACT_95, SENSED, PRINTED_16])
+def test_the_friction_of_the_paper_climbs_no_step(control):
+    assert not climbed(STEP, control, TABLE_I, until=4.0, tolerance=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("profile", "most", "floor", "within"), [(RAMP, 0.3, 3.9, 0.2), (STEP, 1.5, 9.2, 0.5)]
+)
+def test_the_slip_of_the_paper_is_not_zero_without_slip(profile, most, floor, within):
+    """(20) relates all wheels to the middle axle."""
+    control = replace(EXACT, proportional=32.0)
+    contact = (
+        CompliantContact(static=1.0, dynamic=1.0)
+        if profile is RAMP
+        else CompliantContact(static=2, dynamic=2)
+    )
+    assert true(profile, control, contact, torque=np.inf) < most
+    assert_allclose(slip(profile, control, contact, torque=np.inf), floor, atol=within)
+
+
+# Sampled and other control
+
+
+def sampled(period, control, start=None, until=3.4, torque=AMPLE):
+    climber = seven_wheels(torque=torque)
+    dae, rolling = begin(climber, RAMP, control, TABLE_I, period=2e-3)
+    held = dict(zip(HELD, dae.y.torques, strict=True))
+    t = np.arange(round(until / period) + 1) * period
+    start = rolling if start is None else settle(dae, **start)
+    return simulate_sampled(dae, start, dae.inputs(speed=SPEED, **held), t, tolerance=1e-6)
+
+
+def test_a_sampled_controller_does_as_the_continuous_one():
+    continuous, run = climb(RAMP, SENSED, TABLE_I), sampled(2e-3, SENSED)
+    assert run.stop is None
+    assert_allclose(run["x"], continuous.run["x"][: run.t.size], atol=2e-3)
+    assert_allclose(run["torque_held"], run["torque"], atol=1e-12)
+    assert climb_window(run, continuous.climber, RAMP).climbed
+
+
+def test_too_slow_a_sampled_controller_is_refused_since_free_wheels_swing_up():
+    words = r"between 0 and 0\.0025 s = 2 J / \(n kp\), at which the rear axle .* found 0\.005 s"
+    with pytest.raises(ModelError, match=words):
+        climbing(seven_wheels(), RAMP, period=5e-3)
+    in_the_air = {"x": -2.0, "z": 1.0}
+    calm, wild = (sampled(period, FIXED, in_the_air, 0.12) for period in (2.3e-3, 2.7e-3))
+    assert np.abs(calm["wheel_rate"][-1] - SPEED / 0.066).max() < 0.1
+    swings = wild["torque_held"][-6:-1]
+    assert_allclose(np.abs(swings), AMPLE)
+    assert (np.sign(swings[1:]) == -np.sign(swings[:-1])).all()
+
+
+def test_too_large_an_integral_makes_free_wheels_swing_up():
+    """From T = 2 kp / ki = 2.22 ms on, where the proportional gain alone would allow 2.5 ms."""
+    control = replace(FIXED, integral=3600.0)
+    sizes = []
+    for period in (2.1e-3, 2.35e-3):
+        run = sampled(period, control, {"x": -2.0, "z": 1.0}, 0.2, np.inf)
+        error = np.abs(run["wheel_rate", "rear"] - SPEED / 0.066)
+        sizes.append((error[10:30].max(), error[-20:].max()))
+    (early, late), (before, after) = sizes
+    assert late < early / 2
+    assert after > 2 * before
+    with pytest.raises(ModelError, match=r"between 0 and 0\.00195122 s = 2 kp / ki"):
+        climbing(seven_wheels(), RAMP, replace(FIXED, integral=4100.0), period=2e-3)
+
+
+def test_held_inputs_are_checked():
+    dae, start = begin(seven_wheels(), RAMP, FIXED, TABLE_I, period=1e-3)
+    t, zeros = np.linspace(0, 0.01, 11), dict.fromkeys(HELD, 0.0)
+    with pytest.raises(ModelError, match="evenly spaced"):
+        simulate_sampled(dae, start, dae.inputs(speed=0.2, **zeros), t**2)
+    laws = zeros | {HELD[0]: dae.u.torques.rear}
+    with pytest.raises(ModelError, match="contains a held input"):
+        simulate_sampled(dae, start, dae.inputs(speed=0.2, **laws), t)
+    laws = zeros | {HELD[0]: ca.SX.sym("stranger")}
+    with pytest.raises(ModelError, match="stranger is not a symbol"):
+        simulate_sampled(dae, start, dae.inputs(speed=0.2, **laws), t)
+
+
+def test_derivative_and_unwinding_are_those_of_their_equations():
+    control = replace(FIXED, derivative=0.02, lag=0.01, unwinding=20.0)
+    run = climb(STEP, control, TWICE, torque=3.0, until=1.0).run
+    error = run["reference"] - run["wheel_rate"]
+    wanted = 4 * error + 40 * run["error_sum"] + 2 * (error - run["error_lag"])
+    scale = 3 / np.maximum(3, np.abs(wanted).max(axis=1))
+    assert_allclose(run["torque"], scale[:, None] * wanted, rtol=1e-9, atol=1e-12)
+    assert scale.min() < 0.9
+    for name, rate in (("error_lag", (error - run["error_lag"]) / 0.01),
+                       ("error_sum", error - 0.5 * (wanted - run["torque"]))):  # fmt: skip
+        whole = np.cumsum((rate[1:] + rate[:-1]) / 2 * 2e-3, axis=0)
+        assert_allclose(run[name][1:] - run[name][0], whole, atol=0.03 * np.ptp(run[name]))
+    plain = climb(STEP, FIXED, TWICE, torque=3.0, until=1.0).run
+    assert np.abs(run["error_sum"]).max() < 0.8 * np.abs(plain["error_sum"]).max()
+
+
+# Other grounds
+
+
+def test_over_a_kerb_and_up_stairs():
+    grip = CompliantContact(static=1.2, dynamic=1.0)
+    over = climb(kerb(0.05, 0.6), SENSED, grip, until=7.0).run
+    assert over["axle_x", "rear"][-1] > 0.7
+    assert_allclose(over["axle_z"][-1], 0.066, atol=1e-3)
+    assert over["direction"].min() < -0.5
+    up = climb(stairs(0.03, 0.3, 2), SENSED, grip, until=5.0)
+    assert up.metrics.window.climbed
+    assert_allclose(up.run["axle_z"][-1], 0.126, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("place", "expected"),
+    [
+        ((-0.3, 0.066), 0),  # on the floor
+        ((-0.066, 0.066), 90),  # on the floor, at the wall
+        ((0.3, 0.156), 0),  # on top
+        ((-0.066 * np.sin(0.5), 0.09 + 0.066 * np.cos(0.5)), np.degrees(0.5)),  # over its edge
+        ((0.6 + 0.066 * np.sin(0.5), 0.09 + 0.066 * np.cos(0.5)), -np.degrees(0.5)),
+        ((0.666, 0.066), 0),  # down on the floor, touching what it came from
+        ((0.3, 0.5), 0),  # in the air
+    ],
+)
+def test_directions_over_a_kerb(place, expected):
+    """Pressed in by 1 mm, at which nearness is 0.9998."""
+    center = ca.SX.sym("center", 2)
+    contacts = pressed(kerb(0.09, 0.6), CompliantContact(), 0.067, center, ca.SX.zeros(2), ca.SX(0))
+    found = ca.Function("direction", [center], [direction(contacts)])(place)
+    assert np.degrees(float(found)) == pytest.approx(expected, abs=0.05)
+
+
+def test_falling_over_is_named():
+    climber = seven_wheels()
+    dae = climbing(climber, flat(), FIXED, TABLE_I)
+    start = settle(dae, z=0.4, tilt_rear=0.3, tilt_rear_rate=-9.0)
+    run = simulate(dae, start, dae.inputs(speed=0.0), np.linspace(0, 1, 101), tolerance=1e-6)
+    assert run.stop.name == "rear_overturned"
+    assert "the rear body is overturned: its tilt: -1.4" in run.stop.words
+    assert run.stop.t < 0.3
+
+
+def test_what_touches_only_the_floor_has_no_climb():
+    with pytest.raises(ModelError, match="nothing but the floor"):
+        _ = climb(RAMP, FIXED, TABLE_I, until=0.1).metrics
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"stiffness": 0.0}, "stiffness must be positive"),
+        ({"damping": -1.0}, "damping from 0 on"),
+        ({"static": 0.2}, "not below the dynamic"),
+    ],
+)
+def test_unusable_contacts_are_refused(values, words):
+    with pytest.raises(ModelError, match=words):
+        CompliantContact(**values)

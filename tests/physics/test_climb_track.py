@@ -1,0 +1,195 @@
+"""Planned climbs driven, on the 90 mm step, and what noisy sensors change."""
+
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.climb_cases import (
+    AMPLE,
+    FIXED,
+    RAMP,
+    SENSED,
+    SPEED,
+    STEP,
+    TABLE_I,
+    climb,
+    planned,
+    tracking,
+)
+from slipfree.climb.contact import CompliantContact
+from slipfree.climb.contact_path import legs
+from slipfree.climb.dynamics import climbing
+from slipfree.climb.noise import Noise, measured
+from slipfree.climb.outcome import outcome
+from slipfree.climb.plan_tracking import Tracking, course
+from slipfree.climb.reference import PerAxle, Tilts
+from slipfree.climb.time_scaling import climb as program
+from slipfree.climb.time_scaling import history, in_sequence
+from slipfree.climb.vehicle import seven_wheels
+from slipfree.errors import ModelError, SolverError
+from slipfree.plan.external_nlp import solve_nlp
+
+CLIMBER = seven_wheels(torque=AMPLE)
+UNTIL = 13.0
+
+
+@cache
+def plans():
+    """Programs and solutions of the legs over the step, for a friction of 0.7."""
+    ways = legs(CLIMBER, STEP)
+    programs = [program(CLIMBER, STEP, leg, "slip", mu=0.7, speed=SPEED, halt=leg is not ways[-1])
+                for leg in ways]  # fmt: skip
+    return [(plan, solve_nlp(plan.nlp).unknowns) for plan in programs]
+
+
+def driven(control, mu, part=0.75, **options):
+    return climb(STEP, control, CompliantContact(static=mu, dynamic=part * mu), **options)
+
+
+def ending(control, mu, **options):
+    motion = driven(control, mu, **options)
+    return outcome(motion.run, motion.climber, motion.profile).name
+
+
+def progress(run):
+    return (run["axle_x"] + run["axle_z"]).mean(axis=1)
+
+
+# The plan over the progress
+
+
+def test_a_course_is_the_plan_over_the_progress():
+    track, told = course(plans()), in_sequence([history(*each) for each in plans()])
+    heights, places = (
+        np.stack([told[name] + axle.ahead * turn(told[f"tilt_{body}"])
+                  for axle, body in zip(CLIMBER.axles, ("rear", "rear", "front"), strict=True)])
+        for name, turn in (("z", np.sin), ("x", np.cos))
+    )  # fmt: skip
+    p = (heights + places).mean(axis=0)
+    assert (np.diff(track.p) > 0).all()
+    for k in range(3):
+        assert_allclose(np.interp(p, track.p, track.torques[:, k]), told["torque"][:, k], atol=1e-9)
+        rates = np.interp(p, track.p, track.speeds[:, k]) * told["path_speed"] / CLIMBER.radius
+        assert_allclose(rates, told["wheel_rate"][:, k], atol=1e-9)
+    # As the slope of the way says: the axles' velocities, by differences of their places.
+    slopes = np.gradient(heights, axis=1), np.gradient(places, axis=1)
+    angles = np.arctan2(*slopes)
+    inside = np.ones(p.size, dtype=bool)
+    inside[[0, 58, 59, 117, 118, -1]] = False
+    found = np.stack([np.interp(p, track.p, each) for each in track.directions.T])
+    assert_allclose(found[:, inside], angles[:, inside], atol=0.03)
+    assert_allclose(track.square[[0, -2, -1]] > 0, [False, True, True])
+
+
+def test_legs_rest_where_they_meet():
+    track = course(plans())
+    ends = np.cumsum([2 * plan.nodes.s.size - 1 for plan, _ in plans()])[:-1]
+    assert_allclose(track.square[[*ends, *(ends - 1)]], 0, atol=1e-9)
+    assert_allclose(track.p[ends] - track.p[ends - 1], 0, atol=1e-4)
+    assert (np.abs(track.torques[ends] - track.torques[ends - 1]).max(axis=1) > 0.5).all()
+
+
+def test_what_leads_down_is_refused():
+    plan, unknowns = plans()[2]
+    backwards = replace(plan, nodes=plan.nodes._replace(q=plan.nodes.q[::-1]))
+    with pytest.raises(ModelError, match=r"mean of place and height.*falls at -?0\.\d+ m"):
+        course([(backwards, unknowns)])
+
+
+def test_unusable_trackings_are_refused():
+    track = course(plans())
+    for name in ("proportional", "spare", "lead"):
+        with pytest.raises(ModelError, match=f"tracking: {name} must be positive, found 0"):
+            Tracking(track, **{name: 0.0})
+    with pytest.raises(ModelError, match=r"between 0 and 0\.0005 s = 2 J / \(n kp\)"):
+        climbing(CLIMBER, STEP, Tracking(track), period=1e-3)
+
+
+# Driven
+
+
+def test_a_tracked_plan_climbs_with_less_friction_than_references():
+    """Least friction of both, to 0.005: 0.715 and 0.785."""
+    assert ending(tracking(STEP, 0.725), 0.725, until=UNTIL) == "climbs"
+    with pytest.raises(SolverError, match="no solution"):
+        tracking(STEP, 0.70)  # 0.678 is the least of a plan
+    assert ending(Tracking(course(plans())), 0.68, until=UNTIL) == "stalls"
+    for control in (FIXED, SENSED):
+        assert ending(control, 0.76, until=6.0) != "climbs"
+
+
+def test_a_plan_of_least_friction_need_not_know_the_friction():
+    control = Tracking(planned(STEP))
+    assert ending(control, 0.74, until=UNTIL) == "climbs"
+    assert ending(control, 1.0, until=7.0) == "climbs"
+
+
+def test_motion_and_torques_are_those_planned():
+    control = Tracking(course(plans()))
+    motion = driven(control, 1.0, part=1.0, until=UNTIL)
+    run, track = motion.run, control.course
+    p = progress(run) + control.lead
+    on = (p > track.p[0]) & (p < track.p[-1])
+    speed = np.sqrt(np.interp(p, track.p, track.square))
+    moving = on & (speed > 0.05)
+    for k, axle in enumerate(("rear", "middle", "front")):
+        going = np.hypot(run["axle_velocity_x", axle], run["axle_velocity_z", axle])
+        aim = speed * np.interp(p, track.p, track.speeds[:, k])
+        assert np.sqrt(np.mean((going - aim)[moving] ** 2)) < 0.02
+        torque = np.interp(p, track.p, track.torques[:, k])
+        back = control.proportional * (run["reference", axle] - run["wheel_rate", axle])
+        assert_allclose(run["torque", axle][on], (torque + back)[on], atol=0.02)
+    assert motion.metrics.true_slip.max() < 0.02
+    slip = CLIMBER.radius * run["reference"] - np.hypot(
+        run["axle_velocity_x"], run["axle_velocity_z"]
+    )
+    assert np.quantile(slip[on], 0.99) < 1.5 * control.spare
+
+
+def test_it_is_driven_at_the_speed_before_and_behind_the_plan():
+    run = driven(Tracking(course(plans())), 0.9, until=UNTIL).run
+    assert_allclose(run["velocity_x"][-1], SPEED, atol=2e-3)
+    at_wall = np.argmax(run["gap_1", "front"] < 0)
+    assert run["velocity_x"][at_wall] < 0.08
+
+
+# Noise
+
+
+def test_noise_is_of_its_size_and_band_and_seed():
+    t = np.linspace(0, 20, 8001)
+    noise = Noise(tilt=1e-3, tilt_rate=0.02, wheel_rate=0.3, band=10.0, seed=4)
+    at = ca.SX.sym("t")
+    zero = Tilts(0.0, 0.0), Tilts(0.0, 0.0), PerAxle(0.0, 0.0, 0.0)
+
+    def series(noise):
+        parts = measured(noise, at, *zero)
+        column = ca.vertcat(*(each for record in parts for each in record))
+        return np.array(ca.Function("noise", [at], [column])(t[None]))
+
+    found = series(noise)
+    sizes = [1e-3] * 2 + [0.02] * 2 + [0.3] * 3
+    assert_allclose(np.sqrt((found**2).mean(axis=1)), sizes, rtol=0.05)
+    assert np.abs(np.corrcoef(found) - np.eye(7)).max() < 0.2
+    strength = np.abs(np.fft.rfft(found * np.hanning(t.size))) ** 2
+    above = np.fft.rfftfreq(t.size, t[1]) > 10.2
+    assert strength[:, above].sum() < 1e-4 * strength.sum()
+    assert_allclose(series(noise), found)
+    assert np.abs(series(replace(noise, seed=5)) - found).max() > 0.1
+    with pytest.raises(ModelError, match="noise: band must be finite and not negative, found 0"):
+        Noise(band=0.0)
+
+
+def test_noise_of_the_wheels_sensors_makes_them_slip():
+    plain, slight, strong = (
+        climb(RAMP, replace(SENSED, noise=noise), TABLE_I)
+        for noise in (None, Noise(tilt_rate=1e-6), Noise(tilt_rate=0.1, wheel_rate=0.3))
+    )
+    assert_allclose(slight.run["x"], plain.run["x"], atol=1e-5)
+    assert strong.metrics.window.climbed
+    slips = [each.metrics.true_slip.mean() for each in (plain, strong)]
+    assert slips[1] > 1.3 * slips[0]

@@ -1,0 +1,183 @@
+"""Driving laws keep a vehicle on its path and its wheels up."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.cases import closure_model, hills
+from helpers.vehicles import skid_steered
+from slipfree import (
+    Analytic,
+    Bicubic,
+    ModelError,
+    Path,
+    follow,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
+from slipfree.control import path_following as laws
+from slipfree.terrain.synthetic import blank, power_law
+from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+WAY = np.array([(0, 0), (25, 3), (50, 0), (75, -3), (100, 0)], dtype=float)
+FLAT = Analytic(lambda x, _: 0 * x)
+
+
+def largest_tilt(run):
+    return max(np.abs(run["tilt_right"]).max(), np.abs(run["tilt_left"]).max())
+
+
+def cross_track(run, path):
+    """Distance of every sample from the nearest point of a path."""
+    places = path.at(np.linspace(0, path.length, 20001))
+    steps = np.abs(run["x"][:, None] - places.x) ** 2 + np.abs(run["y"][:, None] - places.y) ** 2
+    return np.sqrt(steps.min(axis=1))
+
+
+def heading_at_start(path, ahead=0.5):
+    place = path.at(np.zeros(1))
+    return float(place.heading[0] - np.arctan(ahead * place.curvature[0]))
+
+
+def test_path_is_by_arc_length():
+    angle = np.linspace(0, np.pi, 25)
+    circle = Path(np.column_stack([5 * np.cos(angle), 5 * np.sin(angle)]))
+    assert_allclose(circle.length, 5 * np.pi, rtol=1e-4)
+    s = np.linspace(0, circle.length, 101)
+    place = circle.at(s)
+    assert_allclose(np.hypot(place.x, place.y), 5, atol=1e-3)
+    assert_allclose(place.curvature[10:-10], 0.2, atol=2e-3)
+    assert_allclose(place.heading, s / 5, atol=2e-3)  # north at first, turning left
+    moved = np.hypot(np.diff(place.x), np.diff(place.y))
+    assert_allclose(moved, np.diff(s), rtol=5e-4)
+
+
+def test_path_goes_straight_on_beyond_its_ends():
+    for points in ([(1.0, 2.0), (1.0, 5.0)], [(1.0, 2.0), (1.0, 3.0), (1.0, 5.0)]):
+        place = Path(np.array(points)).at(np.array([-1.0, 2.0, 4.0, 7.0]))
+        assert_allclose(place.x, 1.0, atol=1e-12)
+        assert_allclose(place.y, [1.0, 4.0, 6.0, 9.0], atol=1e-12)
+        assert_allclose(place.curvature, 0)
+
+
+def test_a_line_of_two_points_is_that_of_three():
+    ends = np.array([(4.0, 1.0), (1.0, -3.0)])
+    s = np.linspace(-1, 6, 15)
+    places = (Path(points).at(s) for points in (ends, np.insert(ends, 1, ends.mean(axis=0), 0)))
+    for one, other in zip(*places, strict=True):
+        assert one.shape == other.shape == s.shape
+        assert_allclose(one, other, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        ([(0.0, 0.0)], "two or more points"),
+        ([0.0, 1.0], "two or more points"),
+        ([(0.0, 0.0), (1.0, np.nan)], "must be finite"),
+        ([(0.0, 0.0), (0.0, 1.0), (0.0, 1e160)], r"below 1e\+12 m"),
+        ([(0.0, 0.0), (1.0, 1.0), (1.0, 1.0)], "way-points 2 and 3 coincide"),
+    ],
+)
+def test_path_is_checked(points, words):
+    with pytest.raises(ModelError, match=words):
+        Path(np.array(points))
+
+
+def test_straight_keeps_its_line_and_its_wheels_up():
+    vehicle = three_wheeler()
+    dae = closure_model(vehicle, Analytic(hills))
+    start = settle(dae, x=1.0, y=-2.0, heading=0.3)
+    for speed in (0.5, -0.5):
+        law = straight(dae, vehicle, start, speed=speed)
+        run = simulate(dae, start, law, np.linspace(0, 60, 301))
+        off = -(run["x"] - 1.0) * np.cos(0.3) - (run["y"] + 2.0) * np.sin(0.3)
+        assert np.abs(off).max() < 0.06
+        assert largest_tilt(run) < 0.03
+        assert_allclose(np.hypot(run["x"][-1] - 1.0, run["y"][-1] + 2.0), 30, atol=0.1)
+
+
+def test_100_m_of_hills_and_the_same_without_the_tilt_term(monkeypatch):
+    ground = blank((-10.0, 110.0), (-30.0, 30.0), 0.25)
+    ground = power_law(ground, rms=0.15, hurst=0.9, longest=20.0, shortest=6.0, seed=4)
+    vehicle, path = three_wheeler(), Path(WAY)
+    dae = closure_model(vehicle, Bicubic(ground))
+    start, t = settle(dae, heading=heading_at_start(path)), np.linspace(0, path.length / 0.5, 401)
+    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
+    assert run.stop is None
+    assert largest_tilt(run) <= 0.05
+    assert cross_track(run, path).max() <= 0.05
+    monkeypatch.setattr(laws, "TILT_GAIN", 0.0)
+    without = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
+    assert largest_tilt(without) > 3 * largest_tilt(run)
+
+
+def test_an_error_at_the_start_decays():
+    vehicle, path = three_wheeler(), Path(np.array([(0.0, 0.0), (0.0, 40.0)]))
+    dae = closure_model(vehicle, FLAT)
+    start = settle(dae, x=0.5, heading=-0.3)
+    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.4), np.linspace(0, 60, 61))
+    assert np.abs(run["x"][-1]) < 1e-3
+    assert np.abs(run["heading"][-1]) < 1e-3
+    assert_allclose(run["y"][-1], 24, atol=1e-2)
+
+
+def test_map_coordinates_far_from_the_origin_make_no_difference():
+    vehicle, grid = three_wheeler(), blank((4e5, 4e5 + 40), (5e6, 5e6 + 40), 1.0)
+    dae = closure_model(vehicle, Bicubic(grid))
+    path = Path(np.array([(4e5 + 10, 5e6 + 10), (4e5 + 20, 5e6 + 20), (4e5 + 20, 5e6 + 30)]))
+    start = settle(dae, x=4e5 + 10, y=5e6 + 10, heading=heading_at_start(path))
+    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), np.linspace(0, 40, 81))
+    assert cross_track(run, path).max() < 0.1
+
+
+def test_differential_drive_follows_too():
+    vehicle, path = skid_steered(), Path(WAY[:2])
+    dae = closure_model(vehicle, FLAT)
+    plan = laws._plan(vehicle, {})
+    assert plan.ahead == pytest.approx(-0.2)  # the ball is a fixed wheel: the axis lies between
+    start = settle(dae, heading=heading_at_start(path, plan.ahead))
+    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.3), np.linspace(0, 60, 61))
+    assert cross_track(run, path).max() < 0.05
+
+
+def test_all_wheels_steered_turn_about_the_centre():
+    places = {"fr": (0.4, 0.5), "fl": (-0.4, 0.5), "b": (0.0, -0.5)}
+    vehicle = Vehicle(
+        "all_steered",
+        tuple(Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
+        tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
+        tuple(Wheel(k, k, (0.0, 0.0, 0.0), 0.03, 0.12, driven=True) for k in places),
+    )
+    dae, path = closure_model(vehicle, FLAT), Path(WAY[:3])
+    start = settle(dae, heading=heading_at_start(path, 0.0))
+    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.3), np.linspace(0, 60, 61))
+    assert cross_track(run, path).max() < 0.05
+    assert np.abs(run["slip_across"][10:]).max() < 1e-2
+
+
+def test_laws_name_what_they_need():
+    vehicle = three_wheeler()
+    dae = closure_model(vehicle, FLAT)
+    for speed in (0.0, np.inf):
+        with pytest.raises(ModelError, match="speed must be finite and not zero"):
+            straight(dae, vehicle, settle(dae), speed=speed)
+    trailer = Vehicle(
+        "trailer", (), (),
+        tuple(Wheel(n, "platform", (x, y, 0.0), 0.05, 0.15, driven=False)
+              for n, x, y in (("a", 0.5, 0.0), ("b", -0.5, 0.0), ("c", 0.0, 0.5))),
+    )  # fmt: skip
+    dae = closure_model(trailer, FLAT)
+    with pytest.raises(ModelError, match="trailer has no steered wheel, nor driven wheels on both"):
+        follow(dae, trailer, Path(WAY), speed=1.0)
+
+
+def test_a_law_is_an_expression_of_the_models_symbols():
+    vehicle = three_wheeler()
+    dae = closure_model(vehicle, FLAT)
+    law = follow(dae, vehicle, Path(WAY), speed=1.0)
+    assert all(isinstance(each, ca.SX) for each in (*law.wheels, *law.joints))

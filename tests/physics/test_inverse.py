@@ -1,0 +1,493 @@
+"""Inverse kinematics against the direct model, known conditions, and what it must refuse."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.cases import case1, closure_model, hills
+from slipfree import (
+    Analytic,
+    ModelError,
+    SolverError,
+    Vehicle,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
+from slipfree.models.inverse import PLANAR, along, inverse_kinematics
+from slipfree.models.margin import (
+    EULER,
+    OMEGA,
+    VELOCITY,
+    conditions,
+    omega,
+    steering_note,
+    steering_slip,
+)
+from slipfree.solve.collocation import drive, nearest, settle_contact
+from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.sampling import Samples, followed, table
+from slipfree.solve.system import with_inputs
+from slipfree.vehicle.wheel import Wheel
+
+WHEEL_RATES = ("right_rate", "left_rate", "steer_rate")
+PAPER_MOTION = {"velocity_x": 0.01255, "velocity_y": 0.12865, "heading_rate": 0.0159}
+PAPER_STOP = 0.35  # tilt at which the paper's figures end [rad]
+
+
+def low(x, y):
+    """Hills on which the paper's inverse input has been followed before."""
+    return 0.15 * ca.sin(0.9 * x + 0.3) * ca.cos(0.7 * y) + 0.05 * ca.sin(1.7 * y + 0.2 * x)
+
+
+def rough(x, y):
+    ripples = 0.03 * ca.sin(3.1 * x + 2.3 * y + 0.7) + 0.02 * ca.cos(4.3 * x - 2.9 * y)
+    return low(x, y) + ripples
+
+
+FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
+MIRRORED = Analytic(lambda x, y: -low(x, y))
+
+
+def direct_run(terrain, t, *, tolerance=1e-10, **start):
+    """Drive with smoothly changing rates of all three inputs."""
+    dae = closure_model(three_wheeler(), terrain, slip="rolling")
+    right = 0.45 + 0.05 * ca.sin(0.5 * dae.t)
+    left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
+    rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))
+    begin = settle(dae, **start)
+    return dae, begin, simulate(dae, begin, rates, t, tolerance=tolerance)
+
+
+def with_omega(run):
+    """Return a function of name and sample that also knows the angular velocity."""
+    g, b = ca.SX.sym("g"), ca.SX.sym("b")
+    to_omega = ca.Function("omega", [g, b], [omega(g, b)])
+    euler = np.array([run[name] for name in EULER])
+    turning = [np.array(to_omega(run["heading"][k], run["roll"][k])) @ euler[:, k]
+               for k in range(run.t.size)]  # fmt: skip
+    values = dict(zip(OMEGA, np.array(turning).T, strict=True))
+    return lambda name, k: values[name][k] if name in values else run[name][k]
+
+
+@pytest.mark.parametrize("family", [OMEGA, EULER], ids=["omega", "euler"])
+def test_rates_come_back_at_recorded_states(family):
+    """Every choice of three rates, at every state where it determines the others."""
+    _, _, run = direct_run(HILLS, np.linspace(0, 6, 4), x=0.3, heading=0.2)
+    value, returned = with_omega(run), 0
+    for given in combinations((*VELOCITY, *family), 3):
+        dae = inverse_kinematics(three_wheeler(), HILLS, given=given, least_margin=0.0)
+        for k in range(run.t.size):
+            loop = with_inputs(dae, dae.inputs(**{name: value(name, k) for name in given}), 0)
+            x, z = dae.rows("x", run, k), dae.rows("z", run, k)
+            if dae.checks[-1].margin(x[:, None], z[:, None])[0] < 1e-3:
+                continue
+            z = consistent(loop, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), loop.u[:, 0])
+            expected, n = dae.rows("z", run, k), loop.moving
+            assert_allclose(z[:n], expected[:n], rtol=0, atol=1e-10, err_msg=str(given))
+            returned += 1
+    assert returned > 40
+
+
+def test_given_omega_is_that_of_the_platform():
+    given = ("velocity_x", "velocity_y", "omega_z")
+    _, begin, run = direct_run(HILLS, np.linspace(0, 1, 3))
+    value = with_omega(run)
+    dae = inverse_kinematics(three_wheeler(), HILLS, given=given)
+    inputs = dae.inputs(**{name: value(name, 0) for name in given})
+    back = simulate(dae, begin, inputs, np.array([0.0, 1e-3]))
+    assert_allclose(back["omega_x"][0], value("omega_x", 0), atol=1e-12)
+    assert_allclose(back["steer_rate"][0], run["steer_rate"][0], atol=1e-10)
+
+
+def test_integrated_rates_come_back_where_the_steering_is_stable():
+    t = np.linspace(0, 8, 161)
+    _, begin, run = direct_run(HILLS, t, tolerance=1e-11, x=0.3, heading=0.2)
+    dae = inverse_kinematics(three_wheeler(), HILLS)
+    inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
+    back = simulate(dae, begin, inputs, t, tolerance=1e-10)
+    assert back["steering_growth"].max() < 0  # lever times forward speed stays positive
+    assert back.stop is None
+    assert steering_note(back) == ""
+    for name in WHEEL_RATES:
+        assert_allclose(back[name], run[name], rtol=0, atol=1e-6, err_msg=name)
+    assert np.abs(back["slip_across"]).max() < 1e-12
+
+
+def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
+    dae = inverse_kinematics(three_wheeler(), HILLS)
+    _, _, run = direct_run(HILLS, np.linspace(0, 2, 3), x=0.3)
+    inputs = dae.inputs(**{name: run[name][-1] for name in PLANAR})
+    loop, rates = with_inputs(dae, inputs, 0), []
+    x, z = dae.rows("x", run, -1), dae.rows("z", run, -1)
+    for step in (-1e-5, 0.0, 1e-5):
+        moved = x + step * np.array([label.name == "steer" for label in (*dae.labels.x[:3],
+                                     *dae.labels.x.joints)])  # fmt: skip
+        rates.append(consistent(loop, 0.0, moved, z, loop.u[:, 0])[loop.moving - 1])
+    growth = ca.Function("growth", list(dae.columns()), list(dae.y.growth))
+    assert_allclose(float(growth(x, z, loop.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
+
+
+def test_unstable_steering_is_told():
+    """Where the contact leads the steering axis the steering runs away, and it is said so."""
+    vehicle = three_wheeler(mass=0.0, wheel_mass=0.0)  # else the front wheel lifts off before
+    dae = inverse_kinematics(vehicle, MIRRORED)
+    begin = settle(closure_model(vehicle, MIRRORED))
+    reached = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 4, 81))
+    assert reached.stop.name == "inverse_margin"
+    assert_allclose(reached.t[-1], 0.841102, atol=2e-6)  # as at a tolerance of 1e-10
+    assert abs(reached["steer"][-1]) > 0.5
+    assert_allclose(reached["steering_growth"][0], 4.75, atol=0.01)
+    assert "steering mode unstable from t = 0 s: errors of the steering grow at up to" in (
+        steering_note(reached)
+    )
+
+
+def test_crossing_stops_the_rate_form_by_name():
+    """The contact crosses the steering axis from behind."""
+    t = np.linspace(0, 8, 161)
+    _, begin, run = direct_run(HILLS, t, tolerance=1e-11, x=1.0, y=0.5)
+    dae = inverse_kinematics(three_wheeler(), HILLS)
+    margin = dae.checks[-1].margin(
+        *(np.column_stack([dae.rows(r, run, k) for k in range(t.size)]) for r in "xz")
+    )
+    assert margin.min() < 0 < margin[0]
+    k = int(np.argmin(margin))
+    words = dae.checks[-1].describe(dae.rows("x", run, k), dae.rows("z", run, k))
+    assert words.startswith(
+        "velocity_x, velocity_y and heading_rate leave steer_rate undetermined: the contact of "
+        "wheel front lies on the axis of steer; "
+    )
+    inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
+    with pytest.raises(ModelError, match=r"the start is not valid: .* undetermined: the contact"):
+        simulate(dae, run.part(slice(k, k + 1)), inputs, t)
+
+
+def test_path_passes_where_the_contact_crosses_the_steering_axis():
+    t = np.linspace(0, 8, 161)
+    direct, begin, run = direct_run(HILLS, t, tolerance=1e-13, x=1.0, y=0.5)
+    dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
+    found = drive(dae, direct, begin, along(dae, begin, run["x"], run["y"], run["heading"], t=t), t)
+    growth = found.run["steering_growth"]
+    assert growth.min() < 0 < growth.max()
+    error = found.run.statistics["sought_error"]
+    assert error < 3e-6
+    for name in WHEEL_RATES:
+        assert_allclose(found.run[name], run[name], rtol=0, atol=3 * error, err_msg=name)
+    assert_allclose(found.run["wheel_angle"], run["wheel_angle"], rtol=0, atol=1e-7)
+    assert found.run["no_slip_residual"].max() < 1e-7
+    assert found.run["closure_residual"].max() < 1e-12
+    assert found.replay.stop is None
+    assert max(found.difference.values()) < 2e-6
+
+
+def test_path_on_a_map_crosses_too():
+    """What `straight` has driven on the reference ground, again from its path alone."""
+    terrain, t = case1()[0], np.linspace(0, 5, 101)
+    direct = closure_model(three_wheeler(), terrain, slip="rolling")
+    begin = settle(direct, heading=0.2)
+    law = straight(direct, three_wheeler(), begin, speed=0.135)
+    run = simulate(direct, begin, law, t, tolerance=1e-12)
+    dae = inverse_kinematics(three_wheeler(), terrain, least_margin=0.0)
+    found = drive(dae, direct, begin, along(dae, begin, run["x"], run["y"], run["heading"], t=t), t)
+    growth = found.run["steering_growth"]
+    assert growth.min() < 0 < growth.max()
+    for name in WHEEL_RATES:
+        assert_allclose(found.run[name], run[name], rtol=0, atol=1e-6, err_msg=name)
+    assert max(found.difference.values()) < 1e-6
+
+
+def test_path_by_expressions_of_time():
+    """A curve of constant speed on hills; the steering at the start is part of the answer."""
+    direct = closure_model(three_wheeler(), HILLS)
+    dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
+    begin = settle(direct, x=-1.0, heading=1.0)
+    heading = 1.0 + 0.02 * dae.t
+    x = -1.0 + 0.135 / 0.02 * (ca.cos(heading) - np.cos(1.0))
+    y = 0.135 / 0.02 * (ca.sin(heading) - np.sin(1.0))
+    found = drive(dae, direct, begin, along(dae, begin, x, y, heading), np.linspace(0, 6, 61))
+    turned = found.run["heading"]
+    assert_allclose(turned, 1.0 + 0.02 * found.run.t, atol=1e-10)
+    assert_allclose(found.replay["y"], 6.75 * (np.sin(turned) - np.sin(1.0)), atol=2e-6)
+    assert max(found.difference.values()) < 2e-6
+    assert found.run["steering_growth"].min() > 0  # unstable all the way, if integrated
+
+
+def test_collocation_of_a_system_with_a_known_slow_solution():
+    """On flat ground the lever is zero and the steering is that of the plane: no slope, no tilt."""
+    direct = closure_model(three_wheeler(), FLAT)
+    dae = inverse_kinematics(three_wheeler(), FLAT, least_margin=0.0)
+    begin = settle(direct)
+    rate = 0.02
+    heading = rate * dae.t  # the middle of the rear axle moves along its own heading
+    x = 0.5 * (1 - ca.sin(heading)) - 0.5 - 6.75 * (1 - ca.cos(heading))
+    y = 0.5 * ca.cos(heading) - 0.5 + 6.75 * ca.sin(heading)
+    found = drive(dae, direct, begin, along(dae, begin, x, y, heading), np.linspace(0, 4, 41))
+    steer = np.arctan(1.5 * rate / 0.135)
+    assert_allclose(found.run["steer"], steer, atol=1e-10)
+    assert_allclose(found.run["tilt_left"], 0, atol=1e-10)
+    assert_allclose(found.run["right_rate"], (0.135 + rate) / 0.3, atol=1e-10)
+
+
+def moving(dae, stands):
+    """Return one sample for each start, with equal rates of the rear wheels and fixed steering."""
+    loop, x, z = (
+        with_inputs(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0),
+        [],
+        [],
+    )
+    for begin in stands:
+        x.append(dae.rows("x", begin, 0))
+        z.append(consistent(loop, 0.0, x[-1], dae.rows("z", begin, 0), loop.u[:, 0]))
+    n = len(stands)
+    u = np.repeat(loop.u[:, :1], n, axis=1)
+    samples = Samples(np.arange(float(n)), np.column_stack(x), np.column_stack(z),
+                      np.zeros((4, n)), u)  # fmt: skip
+    return table(loop, *followed(loop, samples))
+
+
+def test_conditions_on_flat_ground():
+    dae = closure_model(three_wheeler(), FLAT, slip="rolling")
+    run = moving(dae, [settle(dae, heading=0.0)])
+    by_rate = conditions(three_wheeler(), FLAT, run)
+    assert len(by_rate) == 20
+    assert all(np.isinf(value).all() for value in by_rate.values())
+    by_angle = conditions(three_wheeler(), FLAT, run, steering="angle")
+    usable = {given: value[0] for given, value in by_angle.items() if np.isfinite(value[0])}
+    assert list(usable) == [("velocity_x", "velocity_y", "omega_z")]
+    assert_allclose(usable["velocity_x", "velocity_y", "omega_z"], 5.9, atol=0.05)
+
+
+def test_conditions_on_hills(rng):
+    """Median, 90 % and maximum; (Vx, Vy, Oz) is by far the best in both forms."""
+    ground, stands = Analytic(rough), []
+    dae = closure_model(three_wheeler(), ground, slip="rolling")
+    names = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
+    while len(stands) < 150:
+        values = rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4]
+        pose = dict(zip(names, values, strict=True))
+        try:
+            stands.append(settle(dae, **pose))
+        except ModelError:
+            continue  # a second touch
+    run = moving(dae, stands)
+    best = ("velocity_x", "velocity_y", "omega_z")
+    by_rate = conditions(three_wheeler(), ground, run)
+    by_angle = conditions(three_wheeler(), ground, run, steering="angle")
+    median, most, largest = np.quantile(by_rate[best], [0.5, 0.9, 1.0])
+    assert 12 < median < 35
+    assert 60 < most < 400
+    assert largest > 500
+    assert min(by_rate, key=lambda given: np.median(by_rate[given])) == best
+    median, most, largest = np.quantile(by_angle[best], [0.5, 0.9, 1.0])
+    assert 5.8 < median < 6.2
+    assert most < 6.5
+    assert largest < 31
+    assert min(np.median(v) for given, v in by_angle.items() if given != best) > 20
+
+
+def test_rate_form_has_no_start_on_flat_ground():
+    dae = inverse_kinematics(three_wheeler(), FLAT)
+    begin = settle(closure_model(three_wheeler(), FLAT))
+    with pytest.raises(ModelError, match="singular here: nothing determines steer_rate"):
+        simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
+    x, z = dae.rows("x", begin, 0), dae.rows("z", begin, 0)
+    words = "leave steer_rate undetermined: the contact of wheel front lies on the axis of steer;"
+    assert words in dae.checks[-1].describe(x, z)
+
+
+@pytest.mark.parametrize(
+    ("ground", "steering", "when"),
+    [
+        (Analytic(low), "rate", 4.11),
+        (Analytic(low), "angle", 4.11),
+        (FLAT, "angle", 4.15),
+        (MIRRORED, "angle", 4.0),
+    ],
+    ids=["hills, rate", "hills, angle", "flat, angle", "mirrored, angle"],
+)
+def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, steering, when):
+    """The paper draws tilts up to its end and mentions no stop; here 0.35 rad come at 4.1 s."""
+    vehicle = three_wheeler(tilt_stop=PAPER_STOP)
+    dae = inverse_kinematics(vehicle, ground, steering=steering)
+    begin = settle(closure_model(vehicle, ground))
+    run = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
+    assert run.stop.name in ("tilt_left_stop", "tilt_right_stop")
+    assert_allclose(run.stop.t, when, atol=0.1)
+
+
+def test_steering_angle_on_flat_ground_is_that_of_the_plane():
+    """The slip of the steering is lever times rate; the rate follows from the samples."""
+    dae = inverse_kinematics(three_wheeler(), FLAT, steering="angle")
+    begin = settle(closure_model(three_wheeler(), FLAT))
+    t = np.linspace(0, 2, 41)
+    run = steering_slip(simulate(dae, begin, dae.inputs(**PAPER_MOTION), t))
+    heading = run["heading"]
+    forward = -PAPER_MOTION["velocity_x"] * np.sin(heading)
+    forward += PAPER_MOTION["velocity_y"] * np.cos(heading)
+    left = -PAPER_MOTION["velocity_x"] * np.cos(heading)
+    left -= PAPER_MOTION["velocity_y"] * np.sin(heading)
+    steer = np.arctan2(left + PAPER_MOTION["heading_rate"], forward)
+    assert_allclose(run["steer"][0], steer[0], atol=1e-12)
+    assert_allclose(run["steer"], steer, atol=3e-4)  # but for the roll of the platform
+    assert_allclose(run["steer_rate"], np.gradient(run["steer"], t, edge_order=2), atol=1e-5)
+    assert_allclose(run["steering_slip"], run["steering_lever"] * np.abs(run["steer_rate"]))
+
+
+def test_steering_angle_needs_motion():
+    dae = inverse_kinematics(three_wheeler(), HILLS, steering="angle")
+    begin = settle(closure_model(three_wheeler(), HILLS))
+    with pytest.raises(ModelError, match="nothing determines steer"):
+        simulate(dae, begin, dae.inputs(**dict.fromkeys(PLANAR, 0.0)), np.array([0.0, 1.0]))
+
+
+def test_start_from_one_contact(rng):
+    for terrain in (HILLS, case1()[0]):
+        dae = closure_model(three_wheeler(), terrain)
+        for wheel in ("right", "left", "front"):
+            joints = dict(zip(("heading", "tilt_right", "tilt_left", "steer"),
+                              rng.uniform(-0.2, 0.2, 4), strict=True))  # fmt: skip
+            stood = settle(dae, x=0.4, y=0.2, **joints)
+            place = {name: stood[name, wheel][0] for name in ("contact_x", "contact_y")}
+            found = settle_contact(dae, wheel, **place, **joints)
+            for name in ("x", "y", "z", "heading", "roll", "pitch"):
+                assert_allclose(found[name][0], stood[name][0], rtol=0, atol=1e-12, err_msg=name)
+
+
+def test_start_from_the_contact_of_the_paper():
+    """Left contact at (-1, 0), no tilt, no steering; the heading is ours to choose."""
+    dae = closure_model(three_wheeler(), HILLS)
+    found = settle_contact(dae, "left", contact_x=-1.0, contact_y=0.0)
+    assert found["contact_x", "left"][0] == pytest.approx(-1, abs=1e-14)
+    assert found["heading"][0] == 0
+
+
+def test_nearest_pose_changes_least(rng):
+    dae = closure_model(three_wheeler(), HILLS)
+    stood = settle(dae, x=0.4, y=0.2, heading=0.5, steer=0.1)
+    names = ("x", "y", "z", "heading", "roll", "pitch", "tilt_right", "tilt_left", "steer")
+    pose = {name: stood[name][0] for name in names}
+    assert nearest(dae, **pose).statistics["change"] < 1e-9
+    pose = {name: value + rng.uniform(-0.05, 0.05) for name, value in pose.items()}
+    found = nearest(dae, **pose)
+    change = found.statistics["change"]
+    assert_allclose(change, np.sqrt(sum((found[n][0] - pose[n]) ** 2 for n in names)), rtol=1e-12)
+    for _ in range(20):  # no neighbour on the ground is nearer
+        moved = {n: found[n][0] + rng.uniform(-1e-3, 1e-3) for n in names if n in
+                 ("x", "y", "heading", "tilt_right", "tilt_left", "steer")}  # fmt: skip
+        other = settle(dae, **moved)
+        assert np.sqrt(sum((other[n][0] - pose[n]) ** 2 for n in names)) > change
+    kept = nearest(dae, weights={"x": np.inf, "y": np.inf, "heading": np.inf}, **pose)
+    assert_allclose([kept[n][0] for n in ("x", "y", "heading")], [pose["x"], pose["y"],
+                    pose["heading"]], atol=1e-12)  # fmt: skip
+    assert kept.statistics["change"] > change
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"given": ("velocity_x", "velocity_y")}, "expected three different rates"),
+        ({"given": ("velocity_x", "velocity_y", "velocity_x")}, "expected three different rates"),
+        (
+            {"given": ("velocity_x", "velocity_y", "yaw_rate")},
+            "'yaw_rate' is not known; known: vel",
+        ),
+        ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
+        ({"steering": "torque"}, "expected 'rate' or 'angle', found 'torque'"),
+        ({"least_margin": -1.0}, "least_margin: expected zero or more"),
+    ],
+)
+def test_choices_are_checked(options, words):
+    with pytest.raises(ModelError, match=words):
+        inverse_kinematics(three_wheeler(), HILLS, **options)
+
+
+def test_vehicles_that_do_not_suit_are_refused():
+    whole = three_wheeler()
+    rear = (Wheel("right", "platform", (1.0, -0.5, 0.0), 0.05, 0.25, driven=True),
+            Wheel("left", "platform", (-1.0, -0.5, 0.0), 0.05, 0.25, driven=True))  # fmt: skip
+    rigid = Vehicle("rigid", whole.coordinates[2:], whole.joints[2:], (*rear, whole.wheels[2]))
+    with pytest.raises(ModelError, match=r"rigid cannot roll without slip.*: 3 .*, found 1"):
+        inverse_kinematics(rigid, HILLS)
+    wheels = tuple(replace(wheel, driven=True) for wheel in whole.wheels)
+    loose = tuple(replace(c, kind="passive") for c in whole.coordinates)
+    castor = Vehicle("castor", loose, whole.joints, wheels)
+    inverse_kinematics(castor, HILLS)
+    braced = Vehicle("braced", whole.coordinates, whole.joints, (*wheels[:2], wheels[2]))
+    with pytest.raises(ModelError, match="braced cannot roll"):
+        inverse_kinematics(braced, HILLS)
+    with pytest.raises(ModelError, match="castor has no commanded coordinate"):
+        inverse_kinematics(castor, HILLS, steering="angle")
+
+
+def test_paths_are_checked():
+    dae = inverse_kinematics(three_wheeler(), HILLS)
+    begin = settle(closure_model(three_wheeler(), HILLS))
+    t = np.linspace(0, 1, 11)
+    still = np.zeros(11)
+    with pytest.raises(ModelError, match=r"starts elsewhere than the start: y = 1, .* stands at 0"):
+        along(dae, begin, still, 1 + t, still, t=t)
+    along(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
+    with pytest.raises(ModelError, match="x may depend on the model's time alone"):
+        along(dae, begin, dae.x.y, dae.t, 0 * dae.t)
+    with pytest.raises(ModelError, match=r"y needs six or more values.*found shape \(5,\)"):
+        along(dae, begin, 0 * dae.t, t[:5], 0 * dae.t, t=t[:5])
+    with pytest.raises(ModelError, match=r"heading needs six or more values.* for 0 times"):
+        along(dae, begin, 0 * dae.t, dae.t, still)
+    with pytest.raises(ModelError, match="values of x must be finite and their times ascend"):
+        along(dae, begin, still * np.nan, t, still, t=t)
+    other = inverse_kinematics(three_wheeler(), HILLS, given=VELOCITY)
+    with pytest.raises(ModelError, match="the model must be given velocity_x, velocity_y, heading"):
+        along(other, begin, still, t, still, t=t)
+
+
+def test_drives_are_checked():
+    direct = closure_model(three_wheeler(), HILLS)
+    dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
+    begin, t = settle(direct), np.linspace(0, 1, 11)
+    inputs = dae.inputs(**PAPER_MOTION)
+    with pytest.raises(ModelError, match=r"sought: expected some of x, y, .*, found sail"):
+        drive(dae, direct, begin, inputs, t, sought=["sail"])
+    with pytest.raises(ModelError, match="does not determine heading_rate, velocity_x"):
+        drive(dae, dae, begin, inputs, t)
+    late = dae.inputs(velocity_x=0.0, velocity_y=ca.sqrt(dae.t - 0.5), heading_rate=0.0)
+    with pytest.raises(SolverError, match=r"no motion from t = 0 to .* s follows the path"):
+        drive(dae, direct, begin, late, t)
+
+
+def test_path_ends_at_a_limit():
+    direct = closure_model(three_wheeler(tilt_stop=0.1), HILLS)
+    dae = inverse_kinematics(three_wheeler(tilt_stop=0.1), HILLS, least_margin=0.0)
+    begin, t = settle(direct), np.linspace(0, 4, 41)
+    found = drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t)
+    assert found.run.stop.name in ("tilt_left_stop", "tilt_right_stop")
+    assert found.run.t[-1] < 4
+    with pytest.raises(ModelError, match="before the second the stop of tilt"):
+        drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t[[0, -1]])
+    leaning = settle(closure_model(three_wheeler(), HILLS), tilt_left=0.2)
+    with pytest.raises(ModelError, match="the start is not valid: the stop of tilt_left"):
+        drive(dae, direct, leaning, dae.inputs(**PAPER_MOTION), t)
+
+
+def test_starts_are_checked():
+    dae = closure_model(three_wheeler(), HILLS)
+    with pytest.raises(ModelError, match=r"no contact of a wheel 'rear' .* front, left, right"):
+        settle_contact(dae, "rear", contact_x=0.0, contact_y=0.0)
+    with pytest.raises(ModelError, match="y follow from the contact; leave them out"):
+        settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, y=1.0)
+    with pytest.raises(ModelError, match="not known: azimuth"):
+        settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, azimuth=1.0)
+    with pytest.raises(ModelError, match="nearest: 'azimuth' is not known"):
+        nearest(dae, azimuth=1.0)
+    with pytest.raises(ModelError, match="nearest: z must be finite"):
+        nearest(dae, z=np.nan)
+    with pytest.raises(ModelError, match="weight of z must not be negative"):
+        nearest(dae, z=2.0, weights={"z": -1.0})
+    names = ("x", "y", "z", "heading", "roll", "pitch")
+    with pytest.raises(ModelError, match="cannot stand near the given pose"):
+        nearest(dae, **dict.fromkeys(names, 0.0), weights=dict.fromkeys(names, np.inf))

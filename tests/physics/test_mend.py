@@ -1,0 +1,293 @@
+"""What is done to maps: holes filled, smoothing, scale, errors; each against a closed form."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+from typer.testing import CliRunner
+
+from helpers.problem_files import FILE, _read
+from slipfree import Grid
+from slipfree.cli import app
+from slipfree.errors import DataError, ModelError
+from slipfree.files import netcdf
+from slipfree.files.maps.elevation import geographic_to_metric, read_map
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem.build_ground import build_ground, ground_facts
+from slipfree.problem.schema import Terrain
+from slipfree.problem.solve import run
+from slipfree.problem.summary import motion_facts
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.terrain.grid_ops import Heights, cut, disturbed, fill_holes, scaled, smoothed
+
+
+def plane(n_x=30, n_y=25, steps=(0.5, 0.25)):
+    x, y = steps[0] * np.arange(n_x), 7 + steps[1] * np.arange(n_y)
+    return Grid(x, y, 2 + 0.3 * x[:, None] - 0.2 * y)
+
+
+def holed(grid, *holes):
+    z = grid.z.copy()
+    for i, j in holes:
+        z[i, j] = np.nan
+    return Heights(grid.x, grid.y, z)
+
+
+def test_holes_in_a_plane_are_filled_exactly_and_counted():
+    grid = plane()
+    found = fill_holes(holed(
+        grid, (slice(3, 9), slice(4, 8)), (12, 5), (13, 6), (slice(20, 22), slice(10, 20)),
+    ))  # fmt: skip
+    assert_allclose(found.z, grid.z, atol=1e-13)
+    assert (found.nodes, found.holes) == (24 + 2 + 20, 3)  # touching by a corner is one hole
+    assert found.largest == pytest.approx((6 * 0.5, 4 * 0.25))
+    whole = fill_holes(holed(grid))
+    assert (whole.nodes, whole.holes) == (0, 0)
+    assert_array_equal(whole.z, grid.z)
+
+
+def test_holes_are_filled_from_their_own_rims():
+    """Two neighbouring holes on terraces of different height."""
+    z = np.where(np.arange(30)[:, None] < 15, 1.0, 5.0) + np.zeros((30, 20))
+    grid = Grid(np.arange(30.0), np.arange(20.0), z)
+    found = fill_holes(holed(grid, (slice(5, 14), slice(5, 15)), (slice(16, 25), slice(5, 15))))
+    assert_allclose(found.z, z, rtol=1e-14)
+
+
+def test_known_nodes_are_not_touched():
+    grid = plane()
+    z = grid.z + np.random.default_rng(0).normal(size=grid.z.shape)
+    hole = np.random.default_rng(1).random(z.shape) < 0.3
+    hole[[0, -1]] = hole[:, [0, -1]] = False
+    found = fill_holes(Heights(grid.x, grid.y, np.where(hole, np.nan, z)))
+    assert_array_equal(found.z[~hole], z[~hole])
+    assert np.isfinite(found.z).all()
+    assert z[~hole].min() <= found.z.min() <= found.z.max() <= z[~hole].max()
+
+
+def test_holes_at_the_border_are_refused_with_a_window():
+    with pytest.raises(DataError, match="found 1 of 12 nodes that reach the border") as caught:
+        fill_holes(holed(plane(), (slice(0, 3), slice(5, 9)), (10, 10)))
+    assert str(caught.value).endswith("window = [1.5, 14.5, 7, 13]")
+    with pytest.raises(DataError, match="use another map"):
+        fill_holes(holed(plane(), (slice(None), slice(None))))
+
+
+@pytest.mark.parametrize(("length", "deviation"), [(4.0, 0.5), (10.0, 1.5)])
+def test_smoothing_lowers_waves_by_the_gaussian_transfer(length, deviation):
+    x, y = 0.125 * np.arange(321), 0.25 * np.arange(161)
+    wave = np.cos(2 * np.pi * x / length)[:, None] + np.zeros(y.size)
+    found = smoothed(Grid(x, y, wave), deviation)
+    kept = np.exp(-2 * (np.pi * deviation / length) ** 2)
+    inner = slice(100, -100)  # away from where the ground is continued
+    assert_allclose(found.grid.z[inner], kept * wave[inner], atol=2e-4)  # cut at four deviations
+    change = found.grid.z - wave
+    assert found.rms == pytest.approx(np.sqrt(np.mean(change**2)))
+    assert found.largest == np.abs(change).max()
+
+
+def test_smoothing_keeps_slopes_and_refuses_what_is_too_wide():
+    found = smoothed(plane(), 0.7)
+    assert_allclose(found.grid.z, plane().z, atol=1e-12)
+    with pytest.raises(ModelError, match=r"at most 0.75 m, an eighth of the ground, found 1 m"):
+        smoothed(plane(), 1.0)
+
+
+def test_scale():
+    grid = plane()
+    found = scaled(grid, 2.0, 0.5)
+    for name, factor in (("x", 2), ("y", 2), ("z", 0.5)):
+        assert_array_equal(getattr(found, name), factor * getattr(grid, name))
+
+
+def test_cut_takes_the_border_with_it():
+    part = cut(plane(), (0.5, 3.0, 8.0, 9.1))
+    assert part.domain == (0.5, 3.0, 8.0, 9.0)
+    assert_array_equal(part.z, plane().z[1:7, 4:9])
+
+
+def test_elevation_errors_have_the_asked_rms_and_correlation():
+    grid = Grid(np.arange(0.0, 60), np.arange(0.0, 50), np.zeros((60, 50)))
+    fields = np.array([disturbed(grid, 0.1, 5.0, seed).z for seed in range(60)])
+    # 60 maps of about 100 independent patches: the variance is known to 2 %, three times that here.
+    assert np.mean(fields**2) == pytest.approx(0.01, rel=0.06)
+    for lag in (3, 5, 8):
+        expected = 0.01 * np.exp(-((lag / 5) ** 2))
+        for pair in ((fields[:, lag:], fields[:, :-lag]), (fields[..., lag:], fields[..., :-lag])):
+            assert np.mean(pair[0] * pair[1]) == pytest.approx(expected, abs=6e-4)
+    assert np.mean(fields[:, 8:, 8:] * fields[:, :-8, :-8]) == pytest.approx(
+        0.01 * np.exp(-2 * (8 / 5) ** 2), abs=6e-4
+    )
+
+
+def test_elevation_errors_depend_on_place_and_seed_alone():
+    grid = plane()
+    whole = disturbed(grid, 0.1, 2.0, 3)
+    assert_array_equal(whole.z, disturbed(grid, 0.1, 2.0, 3).z)
+    assert np.abs(whole.z - disturbed(grid, 0.1, 2.0, 4).z).max() > 0.05
+    window = (2.0, 6.0, 8.0, 10.0)
+    assert_allclose(disturbed(cut(grid, window), 0.1, 2.0, 3).z, cut(whole, window).z, atol=1e-14)
+    with pytest.raises(ModelError, match="above 0 m, found 0 m and 2 m"):
+        disturbed(grid, 0.0, 2.0, 3)
+
+
+# ------------------------------------------------------------------------------------ problem files
+
+
+def _grounds(folder: Path, *settings: str, **arrays: object) -> tuple[Grid, dict[str, str]]:
+    grid = plane(40, 40, (0.25, 0.25))
+    np.savez(folder / "g.npz", **{"x": grid.x - 4, "y": grid.y - 12, "z": grid.z} | arrays)
+    found = build_ground(_read(folder, FILE, *settings))
+    return found.grid, dict(ground_facts(found))
+
+
+def test_scales_of_a_problem(tmp_path: Path) -> None:
+    plain, _ = _grounds(tmp_path)
+    grid, facts = _grounds(
+        tmp_path, "terrain.scale=2", "terrain.horizontal_scale=3", "terrain.vertical_scale=0.5"
+    )
+    assert_array_equal(grid.x, 6 * plain.x)
+    assert_array_equal(grid.z, plain.z)
+    assert facts["ground"] == "g.npz scaled by 6 in x and y, by 1 in height"
+    assert facts["map coordinates"] == (
+        f"x = 0.0 + {1 / 6!r} x, y = 0.0 + {1 / 6!r} y, z = 0.0 + 1.0 z"
+    )
+    part, _ = _grounds(tmp_path, "terrain.scale=2", "terrain.window=[-4, 2, -6, 1]")
+    assert part.domain == (-4, 2, -6, 1)
+
+
+def test_everything_that_is_changed_is_told(tmp_path: Path) -> None:
+    z = plane(40, 40, (0.25, 0.25)).z.copy()
+    z[10:12, 20] = np.nan
+    grid, facts = _grounds(
+        tmp_path, "terrain.fill=linear", "terrain.smooth=0.5",
+        "terrain.error={rms = 0.1, correlation = 1, seed = 5}", z=z,
+    )  # fmt: skip
+    assert facts["ground map"] == "numpy archive, CRS not given, heights at nodes"
+    assert facts["ground holes filled"] == "2 nodes in 1 holes, the largest 0.5 x 0.25 m, linearly"
+    assert facts["ground changed by smooth"].endswith("(Gaussian of 0.5 m)")
+    assert "rms 0.1 m (on this ground 0.0985 m)" in facts["ground error added"]
+    assert "correlated over 1 m, seed 5" in facts["ground error added"]
+    plain, told = _grounds(tmp_path, z=plane(40, 40, (0.25, 0.25)).z)
+    assert np.abs(grid.z - plain.z).max() > 0.1
+    assert not {"ground holes filled", "map coordinates", "map crs"} & set(told)
+
+
+def test_filled_nodes_are_remembered_whatever_is_changed(tmp_path: Path) -> None:
+    z = plane(40, 40, (0.25, 0.25)).z.copy()
+    z[10:12, 20] = np.nan
+    changes = [
+        "terrain.fill=linear",
+        "terrain.smooth=0.5",
+        "terrain.scale=2",
+        "terrain.error={rms = 0.1, correlation = 1, seed = 5}",
+    ]
+    grid, _ = _grounds(tmp_path, *changes, z=z)
+    assert grid.filled is not None
+    assert_array_equal(np.argwhere(grid.filled), [[10, 20], [11, 20]])
+    assert grid.spacing == pytest.approx((0.5, 0.5))
+    x, y = grid.x[0] + 0.5 * np.array([8.7, 9.1, 11.9, 12.3]), grid.y[0] + 0.5 * 19.1
+    assert_array_equal(grid.touches_filled(x, y), [False, True, True, False])
+    assert_array_equal(grid.touches_filled(x, y - 0.1), [False] * 4)
+    fine, _ = _grounds(tmp_path, *changes, "terrain.rolled=0.4", z=z)
+    assert_array_equal(fine.touches_filled(x, y), [False, True, True, False])
+    i, j = 2, 3
+    part = cut(grid, (grid.x[i], grid.x[-1], grid.y[j], grid.y[-1]))
+    assert part.filled is not None
+    assert_array_equal(part.filled, grid.filled[i:, j:])
+    whole, _ = _grounds(tmp_path, "terrain.fill=linear", z=plane(40, 40, (0.25, 0.25)).z)
+    assert whole.filled is None
+    assert not whole.touches_filled(x, y).any()
+    with pytest.raises(DataError, match="filled must have the shape of z"):
+        Grid(grid.x, grid.y, grid.z, grid.filled.T[1:])
+
+
+def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> None:
+    """On a plane the left wheel crosses 1.25 m of cells that touch a hole; the others do not."""
+    x, y = 0.25 * np.arange(-20, 21), 0.25 * np.arange(-20, 41)
+    z = np.zeros((x.size, y.size))
+    z[14:18, 22:26] = np.nan  # x from -1.5 to -0.75, y from 0.5 to 1.25
+    np.savez(tmp_path / "g.npz", x=x, y=y, z=z)
+    settings = ["terrain.fill=linear", "start={x = 0, y = 0, heading = 0}", "time.duration=20"]
+    motion = run(_read(tmp_path, FILE, *settings)).trajectory
+    words = dict(motion_facts(motion))["filled ground"]
+    assert words == motion.attributes["filled_ground"]
+    found = re.fullmatch(
+        r"(\d+) of 81 samples have a wheel on interpolated heights; along the contact points: "
+        r"right 0 of 3 m, left ([\d.]+) of 3 m, front 0 of 3 m",
+        words,
+    )
+    assert found, words
+    step = 3.0 / 80
+    assert float(found[2]) == pytest.approx(1.25, abs=step)
+    assert int(found[1]) * step == pytest.approx(1.25, abs=2 * step)
+    netcdf.write(tmp_path / "run.nc", motion)
+    told = CliRunner().invoke(app, ["info", str(tmp_path / "run.nc")]).stdout
+    assert told.count("interpolated heights") == 1
+    away = run(_read(tmp_path, FILE, *settings, "start.x=2")).trajectory
+    assert away.attributes["filled_ground"] == "no wheel on it at any of 81 samples"
+    np.savez(tmp_path / "g.npz", x=x, y=y, z=np.zeros(z.shape))
+    whole = run(_read(tmp_path, FILE, *settings)).trajectory
+    assert "filled ground" not in dict(motion_facts(whole))
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["terrain.smooth=9"], r"--set terrain.smooth: smooth: expected a standard deviation"),
+        (["terrain.error={rms=1, correlation=0, seed=1}"], r"terrain.error.correlation: expected"),
+        (["terrain.cell=1"], r"terrain.file: .*g.npz: expected no cell for a .npz file"),
+        (["terrain.cell=-1"], r"terrain.cell: expected a number greater than 0, found -1"),
+        (["terrain.registration=corner"], r"registration: expected 'area' or 'point', found"),
+        (["terrain.file=", "terrain.sample=jacksboro", "terrain.fill=linear"],
+         r"terrain.fill: expected it beside a file alone"),
+        (["terrain.window=[50, 60, 50, 60]"], r"g.npz: window: expected .* at least 4 nodes"),
+    ],
+)  # fmt: skip
+def test_faults_of_a_problem(tmp_path: Path, settings: list[str], words: str) -> None:
+    with pytest.raises(ProblemError, match=words):
+        _grounds(tmp_path, *settings)
+
+
+def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
+    """A picture of friction beside a ground in degrees, and one in degrees itself."""
+    step = 2e-5
+    x, y = 15 + step * np.arange(9), 47 + step * np.arange(9)
+    np.savez(tmp_path / "mu.npz", x=x[2:], y=y[3:], z=np.full((7, 6), 0.5))
+    _, facts = _grounds(tmp_path, "terrain.geographic=local", "terrain.friction=mu.npz",
+                        x=x, y=y, z=np.ones((9, 9)))  # fmt: skip
+    assert facts["ground friction"].startswith("mu.npz, 0.5 to 0.5; degrees made local")
+    ground = build_ground(
+        _read(tmp_path, FILE, "terrain.geographic=local", "terrain.friction=mu.npz")
+    )
+    metres = geographic_to_metric(x, y, np.ones((9, 9)))
+    assert isinstance(ground.mu, Grid)
+    assert_allclose(ground.mu.x, metres.x[2:], atol=1e-8)
+    assert_allclose(ground.mu.y, metres.y[3:], atol=1e-8)
+    Image.fromarray(np.full((8, 8), 200, np.uint8)).save(tmp_path / "mu.png")
+    settings = ["terrain.cell=2", "terrain.registration=point", "terrain.friction=mu.png",
+                "terrain.file=", "terrain.sample=jacksboro"]  # fmt: skip
+    mu = build_ground(_read(tmp_path, FILE, *settings)).mu
+    assert isinstance(mu, Grid)
+    assert mu.domain == (0, 14, 0, 14)
+
+
+def test_every_key_is_documented() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "elevation.md").read_text()
+    for key in Terrain.model_fields:
+        assert f"`{key}`" in text or key in ("sample", "synthetic"), key
+
+
+def test_a_window_in_degrees_has_its_own_origin(tmp_path: Path) -> None:
+    x = 15 + 1e-5 * np.arange(60)
+    np.savez(tmp_path / "d.npz", x=x, y=x + 30, z=Bicubic(plane()).elevation(*np.meshgrid(
+        np.linspace(1, 9, 60), np.linspace(8, 12, 60), indexing="ij")))  # fmt: skip
+    found = read_map(tmp_path / "d.npz", geographic="local", window=(15.0002, 15.0004, 45, 45.0003))
+    assert (found.grid.x[0], found.grid.y[0]) == (0, 0)
+    assert (found.frame.x0, found.frame.y0) == pytest.approx((15.0002, 45), abs=1e-12)
+    assert_allclose(found.frame.x0 + found.frame.kx * found.grid.x, x[20:41], atol=1e-12)

@@ -1,0 +1,384 @@
+"""Montana's equations for whole vehicles, against the closure model and closed forms.
+
+Angles may differ by whole turns; positions are compared in metres and angles in rad.
+"""
+
+from dataclasses import replace
+from functools import cache, lru_cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import cumulative_simpson
+from scipy.spatial.transform import Rotation
+
+from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
+from helpers.vehicles import four_wheels
+from slipfree import Analytic, Bicubic, Grid, ModelError, settle, simulate, straight, three_wheeler
+from slipfree.contact.montana import ContactCoordinates, pair
+from slipfree.geometry.frame import turn
+from slipfree.models.montana import cross_check, montana_kinematics
+
+WHEELS = ("right", "left", "front")
+T = np.linspace(0, 6, 31)
+MINUTE = np.linspace(0, 60, 121)
+EVEN = {"right_rate": 0.45, "left_rate": 0.45, "steer_rate": 0.0}
+START = {"heading": 0.3, "tilt_right": 0.1, "tilt_left": -0.05, "steer": 0.2}
+montana_model = lru_cache(maxsize=8)(montana_kinematics)
+
+
+def rough():
+    """Seeded bicubic ground: hills with 3 mm of noise on nodes 0.25 m apart."""
+    axis = np.linspace(-4, 4, 33)
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    noise = 0.003 * np.random.default_rng(11).normal(size=x.shape)
+    return Bicubic(Grid(axis, axis, np.array(ca.DM(hills(ca.DM(x), ca.DM(y)))) + noise))
+
+
+def ramp(_, y):
+    """Level, then up at 0.3, with a bend of 0.5 m between."""
+    return 0.3 * 0.5 * ca.log1p(ca.exp((y - 1.0) / 0.5))
+
+
+GROUNDS = {
+    "case1": case1()[0],
+    "hills": Analytic(hills),
+    "rough": rough(),
+    "bowl": Analytic(lambda x, y: 6 - ca.sqrt(36 - x * x - y * y)),
+    "ramp": Analytic(ramp),
+}
+
+
+def both(ground, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
+    """Drive by either formulation from the same start."""
+    vehicle = vehicle or three_wheeler()
+    closure, montana = closure_model(vehicle, ground), montana_model(vehicle, ground)
+    stand = settle(closure, **start)
+    return [
+        simulate(dae, stand, dae.inputs(**(rates or PAPER_RATES)), t, tolerance=tolerance)
+        for dae in (closure, montana)
+    ]
+
+
+def displaced(run, **by):
+    """Return a motion with quantities changed by the amounts given."""
+    columns = dict(run.columns)
+    for name, amount in by.items():
+        columns[name] = columns[name]._replace(values=columns[name].values + amount)
+    return replace(run, columns=columns)
+
+
+def gap(first, second):
+    """Return the largest difference of positions and angles."""
+    return max(d.size for d in cross_check(first, second) if d.label.unit in ("m", "rad"))
+
+
+# --- both formulations are one motion -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_formulations_agree_to_their_errors(ground):
+    start = {} if ground == "case1" else {"x": 0.2, "y": -0.5} | START
+    fine = both(GROUNDS[ground], T, tolerance=1e-12, **start)
+    runs = both(GROUNDS[ground], T, tolerance=1e-9, **start)
+    own = [gap(run, best) for run, best in zip(runs, fine, strict=True)]
+    assert all(run.stop is None for run in (*runs, *fine))
+    assert gap(*fine) < 1e-9
+    assert gap(*runs) < sum(own)
+    assert gap(*runs) < 1e-6
+    assert max(own) < 1e-6
+
+
+def test_reference_motion():
+    ground, expected = case1()
+    run = both(ground, expected["t"], tolerance=1e-10)[1]
+    for name in ("x", "y", "heading", "tilt_right", "z", "roll", "contact_x", "contact_y"):
+        assert_allclose(run[name], expected[name], rtol=0, atol=2e-8, err_msg=name)
+
+
+def test_error_follows_the_tolerance():
+    dae = montana_model(three_wheeler(), GROUNDS["hills"])
+    stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]), **START)
+    tolerances = 10.0 ** -np.arange(5, 11)
+    fine, *runs = (simulate(dae, stand, dae.inputs(**PAPER_RATES), T, tolerance=each)
+                   for each in (1e-12, *tolerances))  # fmt: skip
+    errors = [gap(run, fine) for run in runs]
+    slope = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
+    assert 0.5 < slope < 1.2
+
+
+def test_four_wheels_with_suspension_slip_alike():
+    ground = Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
+    rates = {"rear_right_rate": 2.0, "rear_left_rate": 1.7, "steer_rate": 0.02}
+    closure, montana = both(ground, T, vehicle=four_wheels(rock=True), rates=rates,
+                            tolerance=1e-10, x=0.4, heading=0.2)  # fmt: skip
+    assert np.abs(closure["slip_along"]).max() > 1e-4
+    assert np.abs(closure["rock"]).max() > 0.01
+    differences = {d.label.full.split("[")[0]: d.size for d in cross_check(closure, montana)}
+    assert {"rock", "psi", "slip_along", "slip_across", "wheel_angle"} <= set(differences)
+    assert max(differences.values()) < 1e-7
+
+
+def test_rolling_law_and_feedback_apply_here_too():
+    vehicle, ground = three_wheeler(), GROUNDS["hills"]
+    closure = closure_model(vehicle, ground)
+    stand = settle(closure, **START)
+    runs = []
+    for dae in (closure, montana_model(vehicle, ground, slip="rolling")):
+        runs.append(simulate(dae, stand, straight(dae, vehicle, stand, speed=0.4), T))
+    assert gap(*runs) < 2e-6
+    assert np.abs(runs[1]["slip_across"]).max() < 1e-12
+
+
+def test_a_motion_may_start_in_the_middle_of_another():
+    closure, montana = both(GROUNDS["case1"], T)
+    dae = montana_model(three_wheeler(), GROUNDS["case1"])
+    rest = simulate(dae, closure.part(slice(16)), dae.inputs(**PAPER_RATES), T[15:])
+    assert gap(rest, montana.part(slice(15, None))) < 1e-6
+
+
+# --- drift --------------------------------------------------------------------------------------
+
+
+@cache
+def minute(kappa=10.0, tolerance=1e-8, suppress=True):
+    closure = closure_model(three_wheeler(), GROUNDS["hills"])
+    dae = montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
+    dae = replace(dae, suppress_algebraic=suppress)
+    return simulate(dae, settle(closure), dae.inputs(**EVEN), MINUTE, tolerance=tolerance)
+
+
+@pytest.mark.parametrize(("tolerance", "allowed"), [(1e-8, 1e-6), (1e-10, 1e-8)], ids=str)
+def test_drift_of_a_minute(tolerance, allowed):
+    run = minute(tolerance=tolerance)
+    assert run.stop is None
+    assert 0 < run["drift_position"].max() < allowed
+    assert run["drift_rotation"].max() < 2 * allowed
+    assert np.abs(run["slip_along"]).max() < 1e-12
+
+
+@pytest.mark.parametrize("kappa", [1.0, 50.0])
+def test_steps_hardly_depend_on_kappa(kappa):
+    usual = minute().statistics["steps"]
+    assert abs(minute(kappa=kappa).statistics["steps"] / usual - 1) < 0.25
+
+
+def test_the_error_test_must_leave_out_the_rates():
+    """They carry the drift times kappa, which is noise to it."""
+    wasteful = minute(suppress=False)
+    assert wasteful.statistics["steps"] > 3 * minute().statistics["steps"]
+
+
+@pytest.mark.parametrize("kappa", [2.0, 10.0])
+def test_drift_decays_at_kappa(kappa):
+    """A vehicle put together a little wrong pulls itself right, in place and orientation."""
+    vehicle, ground = three_wheeler(), GROUNDS["hills"]
+    dae = montana_model(vehicle, ground, kappa=kappa)
+    stand = displaced(settle(closure_model(vehicle, ground), **START), x=3e-6, psi=1e-5)
+    t = np.linspace(0, 1, 11)
+    run = simulate(dae, stand, dae.inputs(**PAPER_RATES), t, tolerance=1e-11)
+    for name, size in (("drift_position", 1e-6), ("drift_rotation", 1e-5)):
+        assert run[name][0].min() > size / 2
+        decayed = run[name][0] * np.exp(-kappa * t[:, None])
+        assert_allclose(run[name], decayed, rtol=1e-3, atol=1e-9)
+
+
+# --- every wheel knows the platform ---------------------------------------------------------------
+
+
+def platforms(dae, vehicle, ground):
+    """Return ``(x, z, u) -> (position, rotation, velocity, turning)`` from each wheel alone."""
+    x, z, u = dae.columns()
+    first = dae.ode.numel() - 5 * len(vehicle.wheels)
+    tilts = {"right": "tilt_right", "left": "tilt_left", "front": "steer"}
+    names = [label.full for label in dae.labels.x.joints]
+    functions = []
+    for k, wheel in enumerate(vehicle.wheels):
+        span = slice(first + 5 * k, first + 5 * k + 5)
+        joint = vehicle.joints[k]
+        index = first - len(names) + names.index(tilts[wheel.name])
+        pose = pair(wheel, ground, ContactCoordinates(*ca.vertsplit(x[span]))).pose
+        rotation = pose.rotation @ turn(joint.axis, x[index]).rotation.T
+        position = pose.origin - rotation @ ca.DM(joint.at)
+        own, rates = ca.vertcat(x[span], x[index]), ca.vertcat(dae.ode[span], dae.ode[index])
+        velocity = ca.jtimes(position, own, rates)
+        turning = ca.inv_skew(ca.jtimes(rotation, own, rates) @ rotation.T)
+        functions.append(ca.Function("p", [x, z, u], [position, rotation, velocity, turning]))
+    return functions
+
+
+def test_platform_from_each_wheel():
+    vehicle, ground = three_wheeler(), GROUNDS["hills"]
+    dae = montana_model(vehicle, ground)
+    run = both(ground, T, tolerance=1e-10, **START)[1]
+    inputs = np.array(list(PAPER_RATES.values()))
+    for f in platforms(dae, vehicle, ground):
+        for k in (0, 11, 30):
+            position, rotation, velocity, turning = (
+                np.array(out) for out in f(dae.rows("x", run, k), dae.rows("z", run, k), inputs)
+            )
+            at = [run[name][k] for name in ("heading", "roll", "pitch")]
+            assert_allclose(position.ravel(), [run[a][k] for a in "xyz"], atol=1e-8)
+            assert_allclose(rotation, Rotation.from_euler("ZYX", at).as_matrix(), atol=2e-8)
+            seen = [run[f"velocity_{a}"][k] for a in "xyz"]
+            assert_allclose(velocity.ravel(), seen, atol=1e-7)  # drift times kappa
+            (ch, cr), (sh, sr) = np.cos(at[:2]), np.sin(at[:2])
+            rates = [run[f"{name}_rate"][k] for name in ("pitch", "roll", "heading")]
+            omega = np.array([[ch * cr, -sh, 0], [sh * cr, ch, 0], [-sr, 0, 1]]) @ rates  # eq. 4
+            assert_allclose(turning.ravel(), omega, atol=2e-7)
+
+
+# --- what holds the vehicle together --------------------------------------------------------------
+
+
+def test_three_distances_leave_three_rates_open():
+    """Of the platform's and the passive rates: erratum of Chakraborty and Ghosal, section 3."""
+    run = drive(GROUNDS["hills"], T[:2], **START)
+    heading, roll, pitch = (run[name][0] for name in ("heading", "roll", "pitch"))
+    base = Rotation.from_euler("ZYX", [heading, roll, pitch]).as_matrix()
+    steered = base @ Rotation.from_euler("z", run["steer"][0]).as_matrix()
+    arms, centers = ([np.array([run[f"{what}_{a}", w][0] for a in "xyz"]) for w in WHEELS]
+                     for what in ("contact", "center"))  # fmt: skip
+    arms = [c - g for g, c in zip(arms, centers, strict=True)]
+    speeds = np.zeros((3, 3, 6))  # of the centres, by Omega, tilt rates and front wheel rate
+    for k, arm in enumerate(arms):
+        speeds[k, :, :3] = np.cross(np.eye(3), arm).T
+    for k in (0, 1):
+        speeds[k, :, 3 + k] = np.cross(base[:, 1], arms[k])
+    speeds[2, :, 5] = np.cross(-steered[:, 0], arms[2])
+    distances, rigid = [], []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        span, apart = centers[i] - centers[j], speeds[i] - speeds[j]
+        distances.append(span @ apart)
+        apart[:, :3] -= np.cross(np.eye(3), span).T
+        rigid.append(apart)
+    assert np.linalg.matrix_rank(distances, tol=1e-6) == 3
+    # turning with the platform, two of the spans determine all six rates
+    assert np.linalg.svd(np.vstack(rigid[:2]))[1].min() > 0.05
+
+
+def test_twelve_invariants_hold_the_vehicle():
+    """Distances and orientations, of 18 states with 6 freedoms; the platform from the triangle."""
+    vehicle, ground = three_wheeler(), GROUNDS["hills"]
+    q = ca.SX.sym("q", 18)
+    poses = [pair(wheel, ground, ContactCoordinates(*ca.vertsplit(q[5 * k : 5 * k + 5]))).pose
+             for k, wheel in enumerate(vehicle.wheels)]  # fmt: skip
+    a, b, c = (pose.origin for pose in poses)
+    x, up = (a - b) / ca.norm_2(a - b), ca.cross(a - b, c - a)
+    up = up / ca.norm_2(up)
+    base = ca.horzcat(x, ca.cross(up, x), up)
+    hubs = [base @ turn(joint.axis, q[15 + k]).rotation for k, joint in enumerate(vehicle.joints)]
+    turned = [ca.inv_skew(0.5 * (r - r.T)) for r in (
+        pose.rotation @ hub.T for pose, hub in zip(poses, hubs, strict=True))]  # fmt: skip
+    distances = ca.vertcat(*(ca.norm_2(i - j) for i, j in ((a, b), (b, c), (c, a))))
+    invariants = ca.vertcat(distances, *turned)
+    run = drive(ground, T[:2], **START)
+    contacts = [run[name, w][0] for w in WHEELS
+                for name in ("contact_x", "contact_y", "wheel_u", "wheel_v", "psi")]  # fmt: skip
+    now = [*contacts, *(run[name][0] for name in ("tilt_right", "tilt_left", "steer"))]
+    f = ca.Function("f", [q], [invariants, ca.jacobian(invariants, q)])
+    value, jacobian = (np.array(out) for out in f(now))
+    assert_allclose(value.ravel(), [2, np.sqrt(3.25), np.sqrt(3.25), *np.zeros(9)], atol=1e-12)
+    singular = np.linalg.svd(jacobian)[1]
+    assert singular.size == 12
+    assert singular.min() > 0.5
+    assert np.linalg.matrix_rank(jacobian[:3]) == 3
+
+
+# --- closed forms -------------------------------------------------------------------------------
+
+
+def test_straight_up_a_ramp():
+    slope, rate = 0.3, 0.6
+    rates = {"right_rate": rate, "left_rate": rate, "steer_rate": 0.0}
+    run = both(Analytic(lambda _, y: np.tan(slope) * y), T, rates=rates, tolerance=1e-10)[1]
+    assert_allclose(run["pitch"], slope, atol=1e-9)
+    assert_allclose(run["y"] - run["y"][0], 0.3 * rate * T * np.cos(slope), atol=1e-8)
+    assert_allclose(run["z"] - run["z"][0], 0.3 * rate * T * np.sin(slope), atol=1e-8)
+    assert_allclose(run["wheel_u"], np.pi / 2, atol=1e-8)
+
+
+def test_straight_over_a_cylindrical_hill():
+    """A wheel's path along the ground is its radius times its turn relative to the normal."""
+    rates = {"right_rate": 1.2, "left_rate": 1.2, "steer_rate": 0.0}
+    ground = Analytic(lambda _, y: 0.4 * ca.cos(0.8 * y))
+    t = np.linspace(0, 20, 101)
+    for run in both(ground, t, rates=rates, tolerance=1e-10, y=-3.0):
+        assert run.stop is None
+        assert_allclose(run["x"], 0, atol=1e-8)
+        y = np.linspace(-6, 6, 20001)
+        path = cumulative_simpson(np.hypot(1, 0.32 * np.sin(0.8 * y)), x=y, initial=0)
+        for wheel in WHEELS:
+            at = run["contact_y", wheel]
+            slope = np.arctan(-0.32 * np.sin(0.8 * at))
+            turned = run["wheel_angle", wheel] - run["pitch"] + slope
+            travelled = np.interp(at, y, path)
+            assert_allclose(travelled - travelled[0], 0.3 * (turned - turned[0]), atol=2e-7)
+
+
+def test_the_disc_is_the_limit_of_thin_tori():
+    def end(r1):
+        vehicle = three_wheeler(r1=r1, r2=0.3 - r1)
+        run = drive(GROUNDS["hills"], T, vehicle=vehicle, tolerance=1e-11, **START)
+        return np.array([run[name][-1] for name in ("x", "y", "z", "heading", "tilt_right")])
+
+    sizes = np.array([1e-2, 1e-3, 1e-4])
+    disc = end(0.0)
+    errors = [np.abs(end(r1) - disc).max() for r1 in sizes]
+    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert order == pytest.approx(1.0, abs=0.05)
+    assert errors[-1] < 1e-4
+
+
+# --- errors and comparison ------------------------------------------------------------------------
+
+
+def test_discs_are_refused_by_name():
+    with pytest.raises(ModelError, match=r"wheel right: .* need a tube, r1 > 0, found 0.0 m"):
+        montana_model(three_wheeler(r1=0.0, r2=0.3), GROUNDS["hills"])
+
+
+@pytest.mark.parametrize("kappa", [-1.0, np.inf, np.nan])
+def test_kappa_is_a_rate(kappa):
+    with pytest.raises(ModelError, match="kappa: expected a rate of zero or more"):
+        montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
+
+
+def test_a_vehicle_in_pieces_is_refused():
+    dae = montana_model(three_wheeler(), GROUNDS["hills"])
+    stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]))
+    with pytest.raises(ModelError, match="start is not valid: wheel right is not in its place"):
+        simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
+
+
+def test_there_is_nothing_to_settle():
+    with pytest.raises(ModelError, match="not in its place on the vehicle; start from the closure"):
+        settle(montana_model(three_wheeler(), GROUNDS["hills"]))
+
+
+def test_limits_are_watched_as_in_the_closure_model():
+    vehicle = three_wheeler(tilt_stop=0.2)
+    closure, montana = both(GROUNDS["hills"], T, vehicle=vehicle)
+    assert closure.stop.name == montana.stop.name == "tilt_left_stop"
+    assert montana.stop.t == pytest.approx(closure.stop.t, abs=1e-5)
+
+
+def test_cross_check_finds_the_farthest_sample():
+    run = drive(GROUNDS["hills"], T[:5])
+    change = np.full((5, 3), 2 * np.pi)
+    change[3, 1] += 0.1
+    other = displaced(run, psi=change)
+    table = cross_check(run, other)
+    worst = max(table, key=lambda row: row.size)
+    assert (worst.label.full, worst.t) == ("psi[left]", T[3])
+    assert worst.size == pytest.approx(0.1)
+    assert all(row.size == 0 for row in table if row is not worst)
+    short = cross_check(run.part(slice(3)), other)
+    assert max(row.size for row in short) < 1e-14
+
+
+def test_cross_check_needs_the_same_times():
+    run = drive(GROUNDS["hills"], T[:5])
+    with pytest.raises(ModelError, match="must be sampled at the same times"):
+        cross_check(run, replace(run, t=run.t + 0.1))

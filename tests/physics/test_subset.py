@@ -1,0 +1,339 @@
+"""Given rates of the platform come back from the direct model, whatever the vehicle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from helpers.cases import DATA, hills
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    SolverError,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
+from slipfree.cli import app
+from slipfree.files import netcdf
+from slipfree.models.platform_rates import FASTEST, GAIN, steered, subset_kinematics
+from slipfree.models.reach import check_reach, wheel_rates
+from slipfree.problem import subset as problem
+from slipfree.records import leaves
+from slipfree.solve.replay import replay, round_trip
+from slipfree.solve.trim import moving, seek
+from slipfree.trajectory import Stop, Trajectory
+from slipfree.vehicle.catalogue.carts import ackermann, articulated, differential_drive, skid_steer
+from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
+FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
+START = {"x": 2.0, "y": 0.2, "heading": -np.pi / 2 + 0.1}
+MOTION = ("velocity_x", "velocity_y", "heading_rate")
+CATALOG = {
+    "differential_drive": differential_drive(**LIGHT),
+    "ackermann": ackermann(**LIGHT),
+    "skid_steer": skid_steer(**LIGHT),
+    "articulated": articulated(**LIGHT),
+    "rocky7": rocky7(**LIGHT),
+    "rocky7, corners": rocky7(steered="corners", **LIGHT),
+    "open_source_rover": open_source_rover(**LIGHT),
+    "three_wheeler": three_wheeler(**LIGHT),
+}
+ROVER = CATALOG["rocky7, corners"]
+
+
+def rough():
+    """The ground of wmrde: six header numbers, then heights, x fastest."""
+    text = (DATA / "gridsurfdata.txt").read_text()
+    values = [float(each) for each in text.split(",") if each.strip()]
+    n_x, n_y = int(values[2]), int(values[5])
+    x, y = np.linspace(*values[:2], n_x), np.linspace(*values[3:5], n_y)
+    return Bicubic(Grid(x, y, np.reshape(values[6:], (n_y, n_x)).T))
+
+
+def planar(run):
+    """Forward, right and yaw rate of samples."""
+    heading, x, y = run["heading"], run["velocity_x"], run["velocity_y"]
+    return {
+        "forward": -np.sin(heading) * x + np.cos(heading) * y,
+        "right": np.cos(heading) * x + np.sin(heading) * y,
+        "yaw_rate": run["heading_rate"],
+    }
+
+
+def slip(run):
+    """Root mean square over the wheels. [m/s]."""
+    return np.sqrt(np.mean(run["slip_along"] ** 2 + run["slip_across"] ** 2, axis=1))
+
+
+def poised(vehicle, terrain, given, **start):
+    """The direct and the inverse model, and the latter at the angles that the given rates want."""
+    direct = direct_kinematics(vehicle, terrain)
+    dae = subset_kinematics(vehicle, terrain, given=tuple(given))
+    joints = list(steered(vehicle, direct))
+    errors = [f"{name}_error" for name in joints]
+    stand = settle(direct, **(start or START))
+    return direct, dae, seek(dae, stand, dae.inputs(**given), states=joints, least=errors)
+
+
+def driven(direct, stand, rates):
+    return moving(direct, stand, direct.inputs(**rates))
+
+
+def found_rates(direct, run):
+    return {label.full: float(run[label.name][-1]) for label in leaves(direct.labels.u)}
+
+
+@pytest.mark.parametrize("name", [name for name in CATALOG if CATALOG[name] is not ROVER])
+def test_every_vehicle_moves_over_hills_as_given(name):
+    given = {"forward": 0.2, "yaw_rate": 0.1}
+    direct, dae, start = poised(CATALOG[name], HILLS, given, x=0.3, y=-0.4, heading=0.7)
+    run = simulate(dae, start, dae.inputs(**given), np.linspace(0, 1, 6), tolerance=1e-8)
+    assert run.stop is None
+    assert max(round_trip(direct, run, MOTION).values()) <= 1e-12
+    for k in (0, -1):  # and without any of the code that did this at once
+        again = driven(direct, run.part(slice(k, None if k else 1)), {
+            label.full: float(run[label.name][k]) for label in leaves(direct.labels.u)
+        })  # fmt: skip
+        for rate, value in given.items():
+            assert_allclose(planar(again)[rate], value, rtol=0, atol=1e-12)
+    for joint in steered(CATALOG[name], direct):
+        assert np.abs(run[f"{joint}_error"]).max() < 2e-3
+    rolls = {"rocky7": 6e-3, "skid_steer": 4e-2}  # of wheels that cannot be where they should
+    assert slip(run).max() < rolls.get(name, 1.5e-3)
+
+
+def test_a_turn_on_level_ground_is_free_of_slip_and_steers_to_its_centre():
+    given = {"forward": 0.2, "yaw_rate": 0.2}
+    direct, _, start = poised(ROVER, FLAT, given)
+    assert slip(start)[0] <= 1e-8
+    again = driven(direct, start, found_rates(direct, start))
+    for name, value in given.items():
+        assert_allclose(planar(again)[name], value, rtol=0, atol=1e-12)
+    c, s = np.cos(START["heading"]), np.sin(START["heading"])
+    east, north = start["center_x"][0] - START["x"], start["center_y"][0] - START["y"]
+    right, ahead = c * east + s * north, -s * east + c * north
+    wheels = [start.wheels.index(f"{end}_{side}") for end in ("front", "rear")
+              for side in ("right", "left")]  # fmt: skip
+    middle = ahead[start.wheels.index("middle_right")]
+    expected = np.arctan2((ahead - middle) * 0.2, 0.2 + 0.2 * right)[wheels]
+    angles = [start[f"steer_{start.wheels[k]}"][0] for k in wheels]
+    assert_allclose(angles, expected, rtol=0, atol=1e-8)
+    speeds = np.hypot((ahead - middle) * 0.2, 0.2 + 0.2 * right) / 0.065
+    # at rest its front wheels, 3e-5 m below the others, tilt their steering axes by 1e-4 rad
+    assert_allclose(start["wheel_rate"][0], speeds, rtol=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "sought", "most"),
+    [
+        ({"forward": 0.2, "yaw_rate": 0.2}, False, 1.2e-3),  # the guide is as good as the best
+        ({"forward": 0.2, "yaw_rate": 0.2, "right": 0.0}, True, 1.2e-2),  # here it has 2.7e-2
+    ],
+)
+def test_the_rough_ground_of_wmrde(given, sought, most):
+    direct, dae, stand = poised(ROVER, rough(), given)
+    if sought:
+        joints = list(steered(ROVER, direct))
+        slips = ["slip_along", "slip_across"]
+        stand = seek(dae, stand, dae.inputs(**given), states=joints, least=slips)
+    again = driven(direct, stand, wheel_rates(ROVER, direct, stand, **given))
+    assert slip(again)[0] < most
+    for name, value in given.items():
+        assert_allclose(planar(again)[name], value, rtol=0, atol=1e-12)
+
+
+def test_wheel_rates_are_those_of_least_slip():
+    vehicle, given = CATALOG["articulated"], {"forward": 0.2, "yaw_rate": 0.1}
+    direct, _, start = poised(vehicle, HILLS, given)
+    rates = wheel_rates(vehicle, direct, start, joints={"bend_rate": 0.4}, **given)
+    assert rates["bend_rate"] == 0.4
+    names, base = [name for name in rates if name != "bend_rate"], driven(direct, start, rates)
+    changes = []
+    for name in names:  # what each wheel does to the given rates, by the direct model alone
+        other = planar(driven(direct, start, {**rates, name: rates[name] + 1}))
+        changes.append([other[each][0] - planar(base)[each][0] for each in given])
+    open_ = np.linalg.svd(np.array(changes).T)[2][len(given) :]
+    for direction in (*open_, *-open_):
+        moved = {n: rates[n] + 0.1 * d for n, d in zip(names, direction, strict=True)}
+        other = driven(direct, start, {**rates, **moved})
+        for name, value in given.items():
+            assert_allclose(planar(other)[name], value, rtol=0, atol=1e-12)
+        assert slip(other)[0] > slip(base)[0]
+
+
+def test_straight_ahead_three_rates_are_one_too_many_but_fit():
+    vehicle = CATALOG["skid_steer"]
+    direct = direct_kinematics(vehicle, FLAT)
+    stand = settle(direct)
+    rates = wheel_rates(vehicle, direct, stand, forward=0.13, right=0.0, yaw_rate=0.0)
+    assert_allclose(list(rates.values()), 0.13 / 0.15, rtol=0, atol=1e-12)
+    with pytest.raises(ModelError, match=r"cannot reach right here: .* misses it by 0\.1 m/s"):
+        wheel_rates(vehicle, direct, stand, forward=0.13, right=0.1, yaw_rate=0.0)
+    with pytest.raises(ModelError, match="bring about right here, beside the other given rates"):
+        check_reach(vehicle, direct, stand, ("forward", "right", "yaw_rate"))
+    with pytest.raises(ModelError, match="nothing determines multiplier_right"):
+        settle(subset_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate")))
+
+
+def test_what_wheels_hardly_reach_ends_at_the_start():
+    with pytest.raises(ModelError, match="not valid: no rates of the driven wheels bring about ri"):
+        poised(CATALOG["skid_steer"], HILLS, {"forward": 0.2, "right": 0.1}, x=0.3, heading=0.7)
+
+
+def test_steering_that_is_off_costs_slip_and_decays_while_the_motion_is_exact():
+    given, vehicle = {"forward": 0.1, "yaw_rate": 0.06}, CATALOG["ackermann"]
+    dae, t = subset_kinematics(vehicle, FLAT), np.linspace(0, 4, 81)
+    start = moving(dae, settle(dae), dae.inputs(**given))  # with the wheels straight ahead
+    run = simulate(dae, start, dae.inputs(**given), t)
+    for name, value in given.items():
+        assert_allclose(planar(run)[name], value, rtol=0, atol=1e-12)
+    assert slip(run)[0] > 1e-2
+    assert slip(run)[-1] < 1e-8
+    error, rate = run["steer_error"], run["steer_rate"]
+    assert_allclose(rate, FASTEST * np.tanh(GAIN / FASTEST * error), rtol=0, atol=1e-12)
+    assert np.abs(rate).max() < FASTEST
+    late = t > 1  # the error decays at the gain
+    slope = np.polyfit(t[late], np.log(np.abs(error[late])), 1)[0]
+    assert_allclose(slope, -GAIN, rtol=0.02)
+
+
+def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
+    vehicle, t = CATALOG["ackermann"], np.linspace(0, 1, 41)
+    direct, dae, start = poised(vehicle, HILLS, {"forward": 0.2, "yaw_rate": 0.1}, heading=0.3)
+    jump = np.where(t[:-1] < 0.49, 0.1, -0.1)
+    inputs = dae.inputs(forward=0.2 + 0.05 * ca.sin(3 * dae.t), yaw_rate=jump)
+    run = simulate(dae, start, inputs, t)
+    assert_allclose(planar(run)["forward"], 0.2 + 0.05 * np.sin(3 * t), rtol=0, atol=1e-12)
+    assert_allclose(planar(run)["yaw_rate"][:-1], jump, rtol=0, atol=1e-12)
+    again = replay(direct, run, jumps=[t[20]])
+    assert_allclose(again.t, t)
+    assert_allclose(again["x"], run["x"], rtol=0, atol=1e-5)
+    assert_allclose(again["y"], run["y"], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "given", "words"),
+    [
+        ("skid_steer", ("forward", "left"), "'left' is not known; known: forward, right, yaw_rate"),
+        ("skid_steer", ("forward", "forward"), "expected different rates, found forward, forward"),
+        ("skid_steer", (), "expected different rates, found none"),
+        ("ackermann", ("forward", "right", "yaw_rate"), "has 2 driven wheels.*; leave out right"),
+    ],
+)
+def test_given_rates_are_checked(vehicle, given, words):
+    with pytest.raises(ModelError, match=words):
+        subset_kinematics(CATALOG[vehicle], FLAT, given=given)
+
+
+def test_sought_names_are_checked():
+    _, dae, start = poised(CATALOG["ackermann"], FLAT, {"forward": 0.1})
+    for states, least in ((["steering"], []), (["steer"], ["slip"])):
+        with pytest.raises(ModelError, match="seek: the model has no 's"):
+            seek(dae, start, dae.inputs(forward=0.1), states=states, least=least)
+
+
+CAR = ("vehicle.steered=", "vehicle.catalog=ackermann", "time.step=0.1")
+
+
+def _invoke(*settings: str) -> Any:
+    words = [word for setting in settings for word in ("--set", setting)]
+    words += ["--set", "time.duration=0.5", "--set", "vehicle.mass=0", "--set",
+              "vehicle.wheel_mass=0", "-o", "out.nc", "--no-draw"]  # fmt: skip
+    result = CliRunner().invoke(app, ["run", str(PROBLEMS / "rover_inverse.toml"), *words])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+@pytest.fixture
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.usefixtures("_folder")
+def test_problem_file() -> None:
+    result = _invoke("given.yaw_rate=0.1*cos(0.5*t)")
+    assert (result.exit_code, result.stderr) == (0, ""), result.output
+    for words in (
+        "forward 0.1 m/s, yaw_rate 0.1*cos(0.5*t) rad/s", "rate of wheel front_right ",
+        "steering steer_front_left ", " rad at most", "round trip  ", "wheel middle_left  ",
+        "replay by the direct model  differs by at most x ", "reached the time asked for",
+    ):  # fmt: skip
+        assert words in result.stdout, words
+    run = netcdf.read("out.nc")
+    assert_allclose(planar(run)["yaw_rate"], 0.1 * np.cos(0.5 * run.t), rtol=0, atol=1e-12)
+    assert_allclose(planar(run)["forward"], 0.1, rtol=0, atol=1e-12)
+    assert max(run.statistics[f"round_trip_{name}"] for name in MOTION) <= 1e-12
+    assert run.statistics["replay_x"] < 1e-4
+    assert np.abs(run["steer_front_left_error"][0]) < 1e-9
+    assert {"front_right_rate", "steer_rear_left_rate", "right"} < set(run)
+
+
+@pytest.mark.usefixtures("_folder")
+def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise SolverError("it gave up", None)
+
+    monkeypatch.setattr(problem, "replay", fail)
+    result = _invoke(*CAR, "start.steer=0.2", "given.forward=[[0, 0.1], [0.3, 0.12]]")
+    assert "forward 0.1 then 0.12 m/s" in result.stdout, result.output
+    assert "replay stopped early  " in result.stdout
+    assert "it gave up" in result.stdout
+    run = netcdf.read("out.nc")
+    assert_allclose(planar(run)["forward"][run.t < 0.29], 0.1, rtol=0, atol=1e-12)
+    assert_allclose(planar(run)["forward"][run.t > 0.29], 0.12, rtol=0, atol=1e-12)
+    assert run["steer"][0] == 0.2
+    assert run["steer_error"][0] > 0.05
+
+
+@pytest.mark.usefixtures("_folder")
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["given.velocity_x=0.0"], "given.forward: expected rates in the platform's heading fr"),
+        (["given={velocity_x=0.0, velocity_y=0.1, heading_rate=0.0}"],
+         "rocky7 cannot roll without slip, as inverse kinematics at these rates or along a path"),
+        (["given={velocity_x=0.0, velocity_y=\"t\", heading_rate=0.0}"],
+         "given.velocity_y: expected a number, found values in time, which only forward, right"),
+        ([*CAR, "given.yaw_rate=q*t"], "given.yaw_rate: yaw_rate: formula 'q*t': 'q' is not known"),
+        (["given.yaw_rate=true"], "expected a number, an array of [time, value] pairs, or a form"),
+        (["steering=rate"], "expected 'angle', which the steering follows"),
+        ([*CAR, "given.yaw_rate=0.4"],
+         "the stop of steer"),
+        (["vehicle.steered=", "vehicle.catalog=differential_drive", "given.right=0.1"],
+         "differential_drive has 2 driven wheels"),
+        (["vehicle.steered=", "vehicle.catalog=differential_drive", "given={forward=0.1, "
+          "right=0.1}", "terrain.synthetic.power_law="],
+         "differential_drive: no rates of the driven wheels bring about right here"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(settings: list[str], words: str) -> None:
+    result = _invoke(*settings)
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+
+
+@pytest.mark.usefixtures("_folder")
+def test_what_the_integrator_reached_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: Any, start: Trajectory, *__: Any, **___: Any) -> None:
+        raise SolverError("gave up", replace(start, stop=Stop("solver", 0.0, "gave up")))
+
+    monkeypatch.setattr(problem, "simulate", fail)
+    result = _invoke(*CAR)
+    assert result.exit_code == 1
+    assert "stopped early at t = 0 s: gave up" in result.stderr
+    assert netcdf.read("out.nc").t.size == 1

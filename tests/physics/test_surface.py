@@ -1,0 +1,344 @@
+"""Forms of surfaces, and how a wheel's contact moves, against geometry and closed forms."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from helpers.cases import hills
+from slipfree import Analytic, Bicubic, Grid
+from slipfree.contact.montana import ContactCoordinates, contact_rates, pair, torus
+from slipfree.geometry.surface import Forms, patch
+from slipfree.vehicle.wheel import Wheel
+
+ORIGIN = (0.0, 0.0, 0.0)
+WHEELS = {
+    "torus": Wheel("torus", "platform", ORIGIN, 0.05, 0.25, driven=True),
+    "sphere": Wheel("sphere", "platform", ORIGIN, 0.3, 0.0, driven=True),
+}
+H = 2e-4  # step of the differences, in seconds: rounding and truncation are both near 1e-9
+STATES = 125  # for each of 8 pairs of surfaces: 1000
+
+
+def rough():
+    """A seeded bicubic ground, nodes 0.2 m apart."""
+    axis = np.linspace(-2, 2, 21)
+    x, y = np.meshgrid(axis, axis, indexing="ij")
+    noise = 0.005 * np.random.default_rng(7).normal(size=x.shape)
+    return Bicubic(Grid(axis, axis, 0.1 * np.sin(x + 0.3) * np.cos(y) + noise))
+
+
+GROUNDS = {
+    "plane": Analytic(lambda x, y: 0.3 * x - 0.2 * y),
+    "hill": Analytic(hills),
+    "saddle": Analytic(lambda x, y: 0.2 * x * x - 0.3 * y * y + 0.1 * x * y),
+    "bicubic": rough(),
+}
+
+
+# --- forms ------------------------------------------------------------------------------------
+
+
+def numbers(c, uv):
+    """Return a function of uv that gives point, frame and forms as arrays."""
+    point, frame, forms = patch(c, uv)
+    f = ca.Function("patch", [uv], [ca.densify(each) for each in (point, frame, *forms)])
+    return lambda *at: [np.array(out) for out in f(ca.DM(at))]
+
+
+@pytest.fixture
+def uv():
+    return ca.SX.sym("uv", 2)
+
+
+def test_plane_is_flat(uv):
+    _, frame, metric, curvature, torsion = numbers(ca.vertcat(uv, 0), uv)(0.3, 0.4)
+    assert_allclose(frame, np.eye(3))
+    assert_allclose(metric, np.eye(2))
+    assert_allclose(curvature, np.zeros((2, 2)))
+    assert_allclose(torsion, np.zeros((1, 2)))
+
+
+def test_cylinder_curves_across_its_axis_only(uv):
+    r = 0.7
+    c = ca.vertcat(r * ca.cos(uv[0]), r * ca.sin(uv[0]), uv[1])
+    _, frame, metric, curvature, torsion = numbers(c, uv)(0.9, -2.0)
+    assert_allclose(frame[:, 2], [np.cos(0.9), np.sin(0.9), 0], atol=1e-15)
+    assert_allclose(metric, np.diag([r, 1]), atol=1e-15)
+    assert_allclose(curvature, np.diag([1 / r, 0]), atol=1e-15)
+    assert_allclose(torsion, np.zeros((1, 2)), atol=1e-15)
+
+
+@pytest.mark.parametrize(("r1", "r2"), [(0.3, 0.0), (0.05, 0.25)], ids=["sphere", "torus"])
+def test_torus_and_sphere(uv, r1, r2):
+    u, v = 1.2, 4.1
+    wheel = Wheel("wheel", "platform", ORIGIN, r1, r2, driven=True)
+    point, frame, *forms = numbers(torus(wheel, uv[0], uv[1]), uv)(u, v)
+    rho = r2 + r1 * np.sin(u)
+    assert_allclose(frame[:, 2], [np.cos(u), np.cos(v) * np.sin(u), np.sin(v) * np.sin(u)])
+    assert_allclose(point.ravel(), r1 * frame[:, 2] + [0, r2 * np.cos(v), r2 * np.sin(v)])
+    expected = np.diag([r1, rho]), np.diag([1 / r1, np.sin(u) / rho]), [[0, np.cos(u) / rho]]
+    for form, value in zip(forms, expected, strict=True):
+        assert_allclose(form, value, atol=1e-14)
+
+
+def test_height_map_closed_form(uv):
+    """Forms of a height map from its derivatives alone."""
+    c = ca.vertcat(uv, hills(uv[0], uv[1]))
+    second, gradient = ca.hessian(c[2], uv)
+    jet = ca.Function("jet", [uv], [gradient, second])
+    h, hh = (np.array(out) for out in jet([0.4, -0.7]))
+    h_x, h_y = h.ravel()
+    w, g = np.sqrt(1 + h_x**2 + h_y**2), np.sqrt(1 + h_x**2)
+    to_arc = np.linalg.inv([[g, h_x * h_y / g], [0, w / g]])
+    y_z = h_y / (g * w)
+    _, _, metric, curvature, torsion = numbers(c, uv)(0.4, -0.7)
+    assert_allclose(metric, np.linalg.inv(to_arc), atol=1e-15)
+    assert_allclose(curvature, -to_arc.T @ hh @ to_arc / w, atol=1e-15)
+    assert_allclose(torsion, y_z / g * hh[:1] @ to_arc, atol=1e-15)
+
+
+@pytest.fixture
+def skew(uv):
+    """A surface whose parameter lines are nowhere orthogonal."""
+    u, v = uv[0], uv[1]
+    return ca.vertcat(u + 0.4 * v, v + 0.2 * u * u, 0.3 * ca.sin(u) * ca.cos(v) + 0.2 * u * v)
+
+
+def test_forms_are_the_derivatives_of_the_frame(uv, skew):
+    at = [0.5, -0.8]
+    _, frame, metric, curvature, torsion = numbers(skew, uv)(*at)
+    moving = patch(skew, uv).frame
+    d_x, d_n = (np.array(ca.Function("d", [uv], [ca.jacobian(moving[:, k], uv)])(at))
+                for k in (0, 2))  # fmt: skip
+    c_uv = np.array(ca.Function("c", [uv], [ca.jacobian(skew, uv)])(at))
+    assert_allclose(frame.T @ frame, np.eye(3), atol=1e-15)
+    assert np.linalg.det(frame) > 0
+    assert_allclose(frame[:, :2] @ metric, c_uv, atol=1e-15)
+    assert_allclose(curvature @ metric, frame[:, :2].T @ d_n, atol=1e-14)
+    assert_allclose(torsion @ metric, frame[:, 1:2].T @ d_x, atol=1e-14)
+
+
+def test_curvature_does_not_depend_on_the_parameters(uv, skew):
+    """With other parameters the frame turns about the normal, and the curvature with it."""
+    change = np.array([[0.8, 0.5], [-0.3, 1.1]])
+    at = np.array([0.5, -0.8])
+    _, frame, _, curvature, _ = numbers(skew, uv)(*at)
+    other = ca.substitute(skew, uv, ca.DM(change) @ uv)
+    _, turned, _, seen, _ = numbers(other, uv)(*np.linalg.solve(change, at))
+    turn = frame[:, :2].T @ turned[:, :2]
+    assert_allclose(seen, turn.T @ curvature @ turn, atol=1e-14)
+
+
+# --- contact rates against the motion of the geometric contact ----------------------------------
+
+
+class Geometry:
+    """The contact of two surfaces, found by Newton's method for many poses at once."""
+
+    def __init__(self, wheel, ground):
+        at, rotation, origin = ca.SX.sym("at", 4), ca.SX.sym("rotation", 3, 3), ca.SX.sym("o", 3)
+        on_wheel = patch(torus(wheel, at[0], at[1]), at[:2])
+        on_ground = patch(height_map(ground, at[2:]), at[2:])
+        gap = origin + rotation @ on_wheel.point - on_ground.point
+        tangents, normal = on_ground.frame[:, :2], rotation @ on_wheel.frame[:, 2]
+        residual = ca.vertcat(tangents.T @ gap, tangents.T @ normal)
+        turned = on_ground.frame.T @ rotation @ on_wheel.frame
+        psi = ca.atan2(-turned[1, 0], turned[0, 0])
+        outputs = [residual, ca.jacobian(residual, at), psi]
+        self.functions = ca.Function("contact", [at, rotation, origin], outputs)
+
+    def coordinates(self, guess, rotation, origin):
+        """Return ``u_w, v_w, u_g, v_g, psi`` of n poses near a guess, shape (n, 5)."""
+        n, at, step = len(guess), guess.copy(), np.inf
+        f, flat = self.functions.map(n), np.concatenate(list(rotation), axis=1)
+        for _ in range(8):
+            residual, jacobian, psi = (np.array(out) for out in f(at.T, flat, origin.T))
+            blocks = jacobian.reshape(4, n, 4).transpose(1, 0, 2)
+            step = np.linalg.solve(blocks, residual.T[..., None])[..., 0]
+            at = at - step
+        assert np.abs(step).max() < 1e-13
+        return np.column_stack([at, psi.ravel()])
+
+
+def height_map(ground, at):
+    return ca.vertcat(at, ground.height(at[0], at[1]))
+
+
+def right(on, _=None):
+    """The forms as they should be; the errata have others in this place."""
+    return on.forms
+
+
+def rates_function(wheel, ground, forms_w=right, forms_g=right):
+    """Return ``(q, v, omega) -> (rates, rotation, origin, contact)``; vectors in fixed axes.
+
+    ``q`` and the rates are ordered ``u_w, v_w, u_g, v_g, psi``.
+    """
+    q, v, omega = ca.SX.sym("q", 5), ca.SX.sym("v", 3), ca.SX.sym("omega", 3)
+    both = pair(wheel, ground, ContactCoordinates(q[2], q[3], q[0], q[1], q[4]))
+    wheel_forms, ground_forms = forms_w(both.wheel, q[:2]), forms_g(both.ground, q[2:4])
+    rates = contact_rates(
+        wheel_forms, ground_forms, both.psi, both.frame.T @ v, both.frame.T @ omega
+    )
+    outputs = [ca.vertcat(*rates), *both.pose, both.ground.point]
+    return ca.Function("rates", [q, v, omega], [ca.densify(each) for each in outputs])
+
+
+def random_motions(rng, ground):
+    """Return coordinates, tangential velocities and angular velocities, n rows each."""
+    u_w = np.pi / 2 + rng.uniform(-0.9, 0.9, STATES)
+    v_w, psi = rng.uniform(0, 2 * np.pi, (2, STATES))
+    # inside the cells of the rough ground: the rates have a kink on its knots
+    places = 0.2 * (rng.integers(-5, 5, (2, STATES)) + rng.uniform(0.05, 0.95, (2, STATES)))
+    at = ca.SX.sym("at", 2)
+    normal_of = ca.Function("n", [at], [patch(height_map(ground, at), at).frame[:, 2]])
+    n = np.array(normal_of.map(STATES)(places)).T
+    v, omega = 0.3 * rng.normal(size=(STATES, 3)), rng.normal(size=(STATES, 3))
+    v -= (v * n).sum(axis=1, keepdims=True) * n
+    return np.column_stack([u_w, v_w, *places, psi]), v, omega
+
+
+def differences(geometry, q, v, omega, rotation, origin, contact):
+    """Return the rates of the contact coordinates by central differences of order four."""
+    moved = {}
+    for k in (-2, -1, 1, 2):
+        turn = Rotation.from_rotvec(omega * H * k).as_matrix()
+        arm = np.einsum("nij,nj->ni", turn, origin - contact)
+        change = geometry.coordinates(q[:, :4], turn @ rotation, contact + v * H * k + arm) - q
+        change[:, 4] = (change[:, 4] + np.pi) % (2 * np.pi) - np.pi
+        moved[k] = change
+    return (8 * (moved[1] - moved[-1]) - (moved[2] - moved[-2])) / (12 * H)
+
+
+def errors(rng, wheel, ground, forms_w=right, forms_g=right):
+    """Return the largest errors of the five rates over random motions, shape (5,)."""
+    q, v, omega = random_motions(rng, ground)
+    f = rates_function(wheel, ground, forms_w, forms_g).map(STATES)
+    rates, rotation, origin, contact = (np.array(out) for out in f(q.T, v.T, omega.T))
+    rotation = rotation.reshape(3, STATES, 3).transpose(1, 0, 2)
+    geometry = Geometry(wheel, ground)
+    expected = differences(geometry, q, v, omega, rotation, origin.T, contact.T)
+    return np.abs(rates.T - expected).max(axis=0)
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+@pytest.mark.parametrize("wheel", WHEELS)
+def test_rates_are_those_of_the_geometric_contact(rng, wheel, ground):
+    assert errors(rng, WHEELS[wheel], GROUNDS[ground]).max() < 1e-9
+
+
+def fundamental(on, uv):
+    """Return ``|c_u|, |c_v|``, the second fundamental form and ``c_v . c_uu, c_v . c_uv``."""
+    c_u, c_v = ca.horzsplit(ca.densify(ca.jacobian(on.point, uv)))
+    c_uu, c_uv = ca.horzsplit(ca.densify(ca.jacobian(c_u, uv)))
+    c_vv = ca.densify(ca.jacobian(c_v, uv[1]))
+    n, dot = on.frame[:, 2], ca.dot
+    second = ca.blockcat([[dot(n, c_uu), dot(n, c_uv)], [dot(n, c_uv), dot(n, c_vv)]])
+    return ca.norm_2(c_u), ca.norm_2(c_v), second, (dot(c_v, c_uu), dot(c_v, c_uv))
+
+
+def printed_curvature(on, uv):
+    """Chakraborty and Ghosal, section 2: the columns of K divided once."""
+    u, v, second, _ = fundamental(on, uv)
+    return on.forms._replace(curvature=-second / ca.repmat(ca.horzcat(u, v), 2, 1))
+
+
+def printed_torsion(on, uv):
+    """Chakraborty and Ghosal, section 2: the entries of T divided once."""
+    u, v, _, (t_u, t_v) = fundamental(on, uv)
+    return on.forms._replace(torsion=ca.horzcat(t_u / u, t_v / v))
+
+
+def orthogonal(on, uv):
+    """The same with all their factors: forms that hold where c_u and c_v are orthogonal."""
+    u, v, second, (t_u, t_v) = fundamental(on, uv)
+    sizes = ca.horzcat(u, v)
+    torsion = ca.horzcat(t_u / (u * u * v), t_v / (u * v * v))
+    return Forms(ca.diag(sizes), -second / (sizes.T @ sizes), torsion)
+
+
+@pytest.mark.parametrize(
+    ("forms_w", "forms_g", "ground", "contact", "psi"),
+    [
+        (printed_curvature, right, "plane", 1, 1),
+        (right, printed_curvature, "hill", 5e-4, 5e-4),
+        (printed_torsion, right, "plane", 0, 0.2),
+        (right, printed_torsion, "hill", 0, 1e-4),
+        (orthogonal, right, "plane", 0, 0),
+        (right, orthogonal, "plane", 1e-2, 0),
+        (right, orthogonal, "hill", 4e-4, 1e-4),
+    ],
+)
+def test_printed_forms_fail(rng, forms_w, forms_g, ground, contact, psi):
+    """Errata of Chakraborty and Ghosal: missing factors, and height maps are not orthogonal.
+
+    ``contact`` and ``psi`` are what the errors exceed; zero says that these rates are right.
+    """
+    found = errors(rng, WHEELS["torus"], GROUNDS[ground], forms_w, forms_g)
+    for error, least in ((found[:4].max(), contact), (found[4], psi)):
+        assert error > least if least else error < 1e-9
+
+
+# --- closed forms -------------------------------------------------------------------------------
+
+HOLLOW = 1.4  # radius of the hollow cylinder and sphere [m]
+HOLLOWS = {
+    "plane": (Analytic(lambda x, _: 0 * x), np.inf, np.inf),
+    "cylinder": (Analytic(lambda x, _: -ca.sqrt(HOLLOW**2 - x * x)), HOLLOW, np.inf),
+    "sphere": (Analytic(lambda x, y: -ca.sqrt(HOLLOW**2 - x * x - y * y)), HOLLOW, HOLLOW),
+}
+
+
+@pytest.mark.parametrize("hollow", HOLLOWS)
+@pytest.mark.parametrize("wheel", WHEELS)
+def test_rolling_in_a_hollow(wheel, hollow):
+    """At the bottom, contact moves at ``omega / (1/r - 1/R)``, r and R the radii that way."""
+    ground, across, along = HOLLOWS[hollow]
+    wheel = WHEELS[wheel]
+    f = rates_function(wheel, ground)
+    upright = [np.pi / 2, 1.5 * np.pi, 0, 0]
+    tube = wheel.r1  # the radius that meets the ground where the wheel leans over
+    for psi, radius_x, radius_y in ((np.pi, tube, wheel.radius), (np.pi / 2, wheel.radius, tube)):
+        rates = np.array(f([*upright, psi], np.zeros(3), [0.3, 0.5, 0.7])[0]).ravel()
+        assert_allclose(rates[2], 0.5 / (1 / radius_x - 1 / across), rtol=1e-12)
+        assert_allclose(rates[3], -0.3 / (1 / radius_y - 1 / along), rtol=1e-12)
+        assert_allclose(rates[4], -0.7, rtol=1e-12)  # about the wheel's normal, which is down
+
+
+def test_a_ball_rolls_around_a_bowl():
+    """On a circle of latitude, the contact point runs as the rolling ball's centre does."""
+    ball, (bowl, _, _) = WHEELS["sphere"], HOLLOWS["sphere"]
+    slope, r = 0.6, ball.radius
+    place = HOLLOW * np.array([np.sin(slope), 0.0, -np.cos(slope)])
+    f = rates_function(ball, bowl)
+    axis = np.array([np.cos(slope), 0, np.sin(slope)])  # tangent of the meridian: rolls along y
+    rates = np.array(f([np.pi / 2, 1.5 * np.pi, *place[:2], 0.4], np.zeros(3), -0.5 * axis)[0])
+    center_speed = 0.5 * r
+    assert_allclose(rates[2:4, 0], [0, center_speed * HOLLOW / (HOLLOW - r)], atol=1e-14)
+
+
+@pytest.mark.parametrize("wheel", WHEELS)
+def test_a_leaning_wheel_rolls_in_a_circle(wheel):
+    """Steady motion on a plane: spin, and precession about the vertical."""
+    wheel, lean, spin, turning = WHEELS[wheel], 0.4, 2.0, 0.5
+    f = rates_function(wheel, HOLLOWS["plane"][0])
+    u = np.pi / 2 - lean
+    rho = wheel.r2 + wheel.r1 * np.sin(u)
+
+    def motion(_, q):
+        axle = np.array(f(q, np.zeros(3), np.zeros(3))[1])[:, 0]
+        rates = np.array(f(q, np.zeros(3), [0, 0, turning] - spin * axle)[0]).ravel()
+        return rates - [0, spin, 0, 0, 0]  # in the hub, not the turning wheel
+
+    period = 2 * np.pi / turning
+    start = np.array([u, 1.5 * np.pi, 0.2, -0.1, np.pi])
+    t = np.linspace(0, period, 9)
+    run = solve_ivp(motion, (0, period), start, t_eval=t, rtol=1e-10, atol=1e-12).y
+    assert_allclose(run[:2].T, np.tile(start[:2], (9, 1)), atol=1e-8)
+    assert_allclose(run[4], np.pi - turning * t, atol=1e-8)
+    radius = rho * spin / turning  # the contact runs at rho spin along the circle
+    assert_allclose(run[2], start[2] - radius * (1 - np.cos(turning * t)), atol=1e-8)
+    assert_allclose(run[3], start[3] + radius * np.sin(turning * t), atol=1e-8)

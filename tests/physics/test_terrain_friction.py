@@ -1,0 +1,405 @@
+"""The coefficient of friction of a ground: numbers, formulas and maps.
+
+Rounding leaves about 1e-16 of a coefficient of about one; 1e-14 leaves room for other processors.
+An offset of 4e6 m costs a coordinate ten digits before a map sees it: 1e-8.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import FrozenInstanceError
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.interpolate import NdBSpline
+from typer.testing import CliRunner
+
+from helpers.cases import hills
+from slipfree.cli import app
+from slipfree.errors import DataError, ModelError
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem.build_common import build_terrain
+from slipfree.problem.load import read
+from slipfree.problem.solve import build
+from slipfree.terrain.analytic import Analytic
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
+
+ROUNDING = 1e-14
+OFFSET = (5e5, 4.1e6)
+HEIGHTS = Grid(np.linspace(-4, 6, 11), np.linspace(0, 5, 6), 100 + np.arange(66.0).reshape(11, 6))
+
+
+def bands(x, y):
+    """Ice in bands, in map coordinates."""
+    return 0.5 + 0.3 * ca.sin(2 * x) * ca.cos(3 * y)
+
+
+def patches(seed=0, shape=(14, 9)):
+    """Ice beside rock, at random nodes."""
+    values = np.random.default_rng(seed).choice([0.02, 0.5, 1.2], shape)
+    return Grid(np.linspace(-3, 5, shape[0]), np.linspace(-3, 4, shape[1]), values)
+
+
+def grounds(mu, center=None):
+    return {"analytic": Analytic(hills, mu=mu), "bicubic": Bicubic(HEIGHTS, center, mu)}
+
+
+GROUNDS = pytest.mark.parametrize("kind", list(grounds(None)))
+
+
+def function_of(ground):
+    """Return a Function of local x, y to friction, its gradient and its Hessian."""
+    q = ca.SX.sym("q", 2)
+    mu = ground.friction(q[0], q[1])
+    assert mu.shape == (1, 1)
+    hessian, gradient = ca.hessian(mu, q)
+    return ca.Function("friction", [q], [ca.densify(each) for each in (mu, gradient, hessian)])
+
+
+def evaluate(ground, x, y):
+    """Return coefficients (n,), gradients (n, 2) and Hessians (n, 2, 2) at map points."""
+    x_0, y_0, _ = ground.origin
+    mu, gradient, hessian = function_of(ground).map(x.size)(np.stack([x - x_0, y - y_0]))
+    second = np.asarray(hessian).reshape(2, x.size, 2).swapaxes(0, 1)
+    return np.asarray(mu).ravel(), np.asarray(gradient).T, second
+
+
+def inside(grid, count=3000, margin=0.0):
+    x_min, x_max, y_min, y_max = grid.domain
+    low, high = [[x_min - margin], [y_min - margin]], [[x_max + margin], [y_max + margin]]
+    return np.random.default_rng(1).uniform(low, high, (2, count))
+
+
+@GROUNDS
+def test_friction_is_one_where_none_is_given(kind):
+    ground = grounds(None)[kind]
+    assert (ground.has_friction, ground.friction_domain) == (False, None)
+    assert (evaluate(ground, *inside(HEIGHTS, 5))[0] == 1).all()
+
+
+@GROUNDS
+@pytest.mark.parametrize("mu", [0.6, 1, np.float64(0.3)])
+def test_a_number_holds_everywhere(kind, mu):
+    ground = grounds(mu)[kind]
+    assert (ground.has_friction, ground.friction_domain) == (True, None)
+    values, gradient, _ = evaluate(ground, *inside(HEIGHTS, 5))
+    assert (values == mu).all()
+    assert not gradient.any()
+
+
+@GROUNDS
+def test_a_function_is_of_map_coordinates(kind):
+    ground = grounds(bands, center=(1.5, -0.5))[kind]
+    assert (ground.has_friction, ground.friction_domain) == (True, None)
+    x, y = inside(HEIGHTS)
+    found = evaluate(ground, x, y)[0]
+    assert_allclose(found, 0.5 + 0.3 * np.sin(2 * x) * np.cos(3 * y), rtol=0, atol=ROUNDING)
+
+
+@GROUNDS
+def test_a_function_may_return_a_plain_number(kind):
+    ground = grounds(lambda _x, _y: 0.25)[kind]
+    assert (evaluate(ground, *inside(HEIGHTS, 5))[0] == 0.25).all()
+
+
+def test_a_function_far_from_the_origin_of_the_map():
+    far = Grid(HEIGHTS.x + OFFSET[0], HEIGHTS.y + OFFSET[1], HEIGHTS.z)
+    ground = Bicubic(far, mu=lambda x, y: bands(x - OFFSET[0], y - OFFSET[1]))
+    x, y = inside(HEIGHTS)
+    found = evaluate(ground, x + OFFSET[0], y + OFFSET[1])[0]
+    assert_allclose(found, 0.5 + 0.3 * np.sin(2 * x) * np.cos(3 * y), rtol=0, atol=1e-8)
+
+
+@GROUNDS
+def test_a_map_is_the_spline_whose_coefficients_are_its_values(kind):
+    mu = patches()
+    # The border is repeated, once for the spline and twice more around it.
+    knots = [
+        axis[0] + step * np.arange(-5, axis.size + 5)
+        for axis, step in zip((mu.x, mu.y), mu.spacing, strict=True)
+    ]
+    spline = NdBSpline(tuple(knots), np.pad(mu.z, 3, mode="edge"), 3)
+    x, y = inside(mu)
+    values, gradient, second = evaluate(grounds(mu)[kind], x, y)
+    points = np.stack([x, y], axis=-1)
+    for nu, found in (
+        ((0, 0), values), ((1, 0), gradient[:, 0]), ((0, 1), gradient[:, 1]),
+        ((2, 0), second[:, 0, 0]), ((1, 1), second[:, 0, 1]), ((0, 2), second[:, 1, 1]),
+    ):  # fmt: skip
+        expected = spline(points, nu=nu)
+        assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_map_never_leaves_the_range_of_its_values(seed):
+    mu = patches(seed)
+    ground = Bicubic(HEIGHTS, mu=mu)
+    assert ground.friction_domain == mu.domain == (-3, 5, -3, 4)
+    # Outside too, where a solver may look on its way.
+    for margin, tolerance in ((0, ROUNDING), (2, 1e-13), (100, 1e-8)):
+        found = evaluate(ground, *inside(mu, 5000, margin))[0]
+        assert 0.02 - tolerance <= found.min() < found.max() <= 1.2 + tolerance
+    # A surface through the values leaves it, which is why friction is not laid so.
+    assert Bicubic(mu).elevation(*inside(mu, 5000)).min() < 0
+
+
+def test_a_map_stays_between_the_nodes_around():
+    mu = patches()
+    x, y = inside(mu)
+    h_x, h_y = mu.spacing
+    i, j = np.floor((x - mu.x[0]) / h_x).astype(int), np.floor((y - mu.y[0]) / h_y).astype(int)
+    padded = np.pad(mu.z, 1, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, (4, 4))[i, j].reshape(-1, 16)
+    found = evaluate(Bicubic(HEIGHTS, mu=mu), x, y)[0]
+    assert (found >= around.min(axis=1) - ROUNDING).all()
+    assert (found <= around.max(axis=1) + ROUNDING).all()
+
+
+def test_a_jump_is_smoothed_over_three_cells():
+    axis = np.arange(10.0)
+    values = np.repeat(np.where(axis < 4.5, 0.0, 1.0)[:, None] + 0.1, 10, axis=1)
+    ground = Bicubic(HEIGHTS, mu=Grid(axis, axis, values))
+    x = np.array([3, 3.5, 4, 4.5, 5, 5.5, 6])
+    found = evaluate(ground, x, np.full(7, 5.2))[0] - 0.1
+    assert_allclose(found, [0, 1 / 48, 1 / 6, 1 / 2, 5 / 6, 47 / 48, 1], rtol=0, atol=ROUNDING)
+
+
+def test_a_constant_map_is_constant():
+    mu = Grid(np.arange(7.0), np.arange(5.0), np.full((7, 5), 0.1))
+    values, gradient, second = evaluate(Bicubic(HEIGHTS, mu=mu), *inside(mu, margin=3))
+    assert_allclose(values, 0.1, rtol=1e-15)
+    assert np.abs(gradient).max() < ROUNDING
+    assert np.abs(second).max() < ROUNDING
+
+
+def test_a_map_is_twice_continuously_differentiable():
+    mu = patches()
+    ground = Bicubic(HEIGHTS, mu=mu)
+    _, y = inside(mu, 40)
+    beyond = mu.spacing[0] * np.arange(-4, mu.x.size + 4) + mu.x[0]  # knots, outside too
+    x, y = (each.ravel() for each in np.meshgrid(beyond, y))
+    step = 1e-7
+    for before, after in zip(
+        evaluate(ground, x - step, y), evaluate(ground, x + step, y), strict=True
+    ):
+        assert_allclose(after, before, rtol=0, atol=100 * step)
+    # The third derivative jumps, so that the knots were met.
+    x_0, y_0, _ = ground.origin
+    u, v = ca.SX.sym("u"), 2 - y_0
+    third = ca.jacobian(ca.hessian(ground.friction(u, v), u)[0], u)
+    sides = ca.Function("third", [u], [third]).map(2 * mu.x.size)
+    found = np.asarray(sides(np.concatenate([mu.x - step, mu.x + step])[None] - x_0)).ravel()
+    assert np.abs(np.diff(found.reshape(2, -1), axis=0)).max() > 0.1
+
+
+@pytest.mark.parametrize("center", [None, (0.3, 2.2), (-40.0, 70.0)])
+def test_a_map_lies_where_the_map_says_whatever_the_origin(center):
+    mu = patches()
+    x, y = inside(mu)
+    expected = evaluate(Analytic(hills, mu=mu), x, y)[0]
+    ground = Bicubic(HEIGHTS, center, mu)
+    assert ground.origin[2] == HEIGHTS.z.mean()
+    assert_allclose(evaluate(ground, x, y)[0], expected, rtol=0, atol=1e-12)
+
+
+def test_a_map_far_from_the_origin_of_the_map():
+    mu = patches()
+    x, y = inside(mu)
+    expected = evaluate(Bicubic(HEIGHTS, mu=mu), x, y)[0]
+    far = Grid(mu.x + OFFSET[0], mu.y + OFFSET[1], mu.z)
+    heights = Grid(HEIGHTS.x + OFFSET[0], HEIGHTS.y + OFFSET[1], HEIGHTS.z)
+    ground = Bicubic(heights, mu=far)
+    assert_allclose(evaluate(ground, x + OFFSET[0], y + OFFSET[1])[0], expected, rtol=0, atol=1e-8)
+
+
+def test_a_surface_between_the_nodes_has_the_same_heights_in_numbers():
+    ground = Bicubic(HEIGHTS, (0.2, 0.4), through=False)
+    p, q = inside(HEIGHTS)
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    height = ca.Function("height", [u, v], [ground.height(u, v)]).map(p.size)
+    x_0, y_0, z_0 = ground.origin
+    expected = np.asarray(height((p - x_0)[None], (q - y_0)[None])).ravel() + z_0
+    assert_allclose(ground.elevation(p, q), expected, rtol=1e-14)
+    assert HEIGHTS.z.min() < expected.min() < expected.max() < HEIGHTS.z.max()
+
+
+@GROUNDS
+def test_friction_changes_no_height(kind):
+    x, y = inside(HEIGHTS)
+    plain, slippery = grounds(None)[kind], grounds(patches())[kind]
+    np.testing.assert_array_equal(plain.elevation(x, y), slippery.elevation(x, y))
+
+
+@GROUNDS
+@pytest.mark.parametrize("mu", [None, 0.6, bands, patches()], ids=["none", "number", "f", "map"])
+def test_pickle_gives_the_same_numbers(kind, mu):
+    ground = grounds(mu, center=(0.3, 2.2))[kind]
+    x, y = inside(HEIGHTS)
+    before = evaluate(ground, x, y)
+    copy = pickle.loads(pickle.dumps(ground))
+    assert copy.friction_domain == ground.friction_domain
+    for expected, found in zip(before, evaluate(copy, x, y), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_pickle_keeps_a_surface_between_the_nodes():
+    ground = Bicubic(HEIGHTS, through=False)
+    copy = pickle.loads(pickle.dumps(ground))
+    x, y = inside(HEIGHTS)
+    np.testing.assert_array_equal(copy.elevation(x, y), ground.elevation(x, y))
+
+
+def test_formulas_are_compared_with_their_friction():
+    mu = patches()
+    assert Analytic(hills, mu=mu) == Analytic(hills, mu=mu)
+    assert len({Analytic(hills), Analytic(hills, mu=0.5), Analytic(hills, mu=mu)}) == 3
+    ground = Analytic(hills, mu=mu)
+    evaluate(ground, *inside(mu, 5))
+    assert ground == Analytic(hills, mu=mu)
+    with pytest.raises(FrozenInstanceError):
+        ground.mu = 0.1
+
+
+@GROUNDS
+@pytest.mark.parametrize(
+    ("mu", "words"),
+    [
+        (0.0, "friction: mu must be positive and finite, found 0.0; for ice"),
+        (-0.3, "friction: mu must be positive and finite, found -0.3"),
+        (math.nan, "friction: mu must be positive and finite, found nan"),
+        (math.inf, "friction: mu must be positive and finite, found inf"),
+        (True, "friction: mu must be a number, .* found bool"),
+        ("mu.npz", r"a Grid, found str; pass float\(mu\), or read_grid\(path\) of a file"),
+        (np.full((5, 5), 0.3), "friction: mu must be a number, .* found ndarray"),
+        (lambda x, y: ca.vertcat(x, y), r"friction: .* one coefficient, found \(2, 1\)"),
+        (lambda x, _y: x + ca.SX.sym("wet"), r"friction: the coefficient .*alone, found .*wet"),
+    ],
+)
+def test_refused(kind, mu, words):
+    with pytest.raises(ModelError, match=words):
+        grounds(mu)[kind]
+
+
+@GROUNDS
+def test_a_map_that_is_not_positive_is_refused(kind):
+    mu = patches()
+    values = mu.z.copy()
+    values[4, 7], values[6, 2] = 0.0, -0.1
+    bad = Grid(mu.x + 0.25, mu.y, values)
+    words = (
+        r"friction: all coefficients must be positive, found 2 that are not, the first "
+        rf"z\[4, 7\] = 0 at x = {bad.x[4]:.9g} m, y = 3\.125 m; for ice give a small number"
+    )
+    with pytest.raises(DataError, match=words):
+        grounds(bad)[kind]
+
+
+PROBLEM = """\
+verb = "direct"
+
+[terrain]
+friction = 0.6
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3.0, 4.0]
+spacing = 0.5
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+x = 0.5
+heading = 0
+
+[driver]
+name = "straight"
+speed = 1.0
+
+[time]
+duration = 0.5
+step = 0.25
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PROBLEM)
+    mu = patches()
+    np.savez(tmp_path / "mu.npz", x=mu.x, y=mu.y, z=mu.z)
+    return tmp_path
+
+
+def _check(*settings):
+    words = [word for setting in settings for word in ("--set", setting)]
+    result = CliRunner().invoke(app, ["check", "p.toml", *words])
+    assert result.exit_code == 0, result.output
+    return [" ".join(line.split()) for line in result.stdout.splitlines()]
+
+
+@pytest.mark.usefixtures("folder")
+def test_check_tells_the_friction():
+    assert "ground friction 0.6" in _check()
+    assert "ground friction mu.npz, 0.02 to 1.2" in _check("terrain.friction=mu.npz")
+    assert not any("friction" in line for line in _check("terrain.friction="))
+
+
+def test_a_problem_with_a_number(folder):
+    problem = read(folder / "p.toml")
+    terrain = build_terrain(problem, build(problem).ground)
+    assert (terrain.mu, terrain.friction_domain) == (0.6, None)
+    # A whole number is a number too.
+    assert read(folder / "p.toml", ["terrain.friction=1"]).spec.terrain.friction == 1.0
+
+
+def test_a_problem_with_a_map_scaled_with_its_ground(folder):
+    settings = ["terrain.friction=mu.npz", "terrain.scale=2", "terrain.window=[-4, 5, -4, 5]"]
+    problem = read(folder / "p.toml", settings)
+    terrain = build_terrain(problem, build(problem).ground)
+    assert terrain.domain == (-4, 5, -4, 5)
+    # The window cuts the ground alone.
+    assert terrain.friction_domain == (-6, 10, -6, 8)
+    mu = patches()
+    np.testing.assert_array_equal(terrain.mu.z, mu.z)
+    x, y = inside(mu)
+    expected = evaluate(Bicubic(HEIGHTS, mu=mu), x, y)[0]
+    assert_allclose(evaluate(terrain, 2 * x, 2 * y)[0], expected, rtol=0, atol=1e-12)
+
+
+def test_a_ground_changed_for_the_wheels_keeps_its_friction(folder):
+    ground = build(read(folder / "p.toml", ["terrain.rolled=0.3"])).ground
+    assert ground.rolled is not None
+    assert (ground.mu, ground.friction) == (0.6, "0.6")
+
+
+@pytest.mark.parametrize("bad", ["0", "-1", "true", "[1, 2]", '""', "inf", "{ file = 1 }"])
+def test_problem_refuses(folder, bad):
+    words = r"p\.toml:4: terrain\.friction: expected a number greater than 0, or a file's name"
+    (folder / "p.toml").write_text(PROBLEM.replace("0.6", bad))
+    with pytest.raises(ProblemError, match=words):
+        read(folder / "p.toml")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (None, r"mu\.npz: expected a map, found that it cannot be read"),
+        ({"z": np.full((14, 9), np.nan)}, r"mu\.npz: .* must be finite, found 126"),
+        ({"z": np.zeros((14, 9))}, r"must be positive, found 126 .* at x = -3 m, y = -3 m"),
+    ],
+)
+def test_problem_refuses_a_map(folder, changes, words):
+    mu = patches()
+    if changes is None:
+        (folder / "mu.npz").unlink()
+    else:
+        np.savez(folder / "mu.npz", **({"x": mu.x, "y": mu.y} | changes))
+    (folder / "p.toml").write_text(PROBLEM.replace("0.6", '"mu.npz"') + "\n")
+    problem = read(folder / "p.toml", ["terrain.scale=2"])
+    with pytest.raises(ProblemError, match=rf"p\.toml:4: terrain\.friction: .*{words}"):
+        build(problem)

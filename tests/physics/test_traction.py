@@ -1,0 +1,318 @@
+"""Friction that decides the motion: creep in closed form, limits, stops by name."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from helpers.cases import hills
+from helpers.friction_cases import (
+    FIXED,
+    RATES,
+    UNEQUAL,
+    T,
+    dissipation,
+    flat,
+    from_linear,
+    from_rolling,
+    least_slip_rates,
+    moved,
+    order,
+    random_starts,
+    slope,
+)
+from helpers.vehicles import four_wheels
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    Traction,
+    actuated,
+    best_utilisation,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
+from slipfree.models.montana import montana_kinematics
+from slipfree.terrain.synthetic import blank, power_law
+from slipfree.vehicle.tree import Body
+
+
+def standing(vehicle, ground, law=Traction(), **start):  # noqa: B008
+    return settle(direct_kinematics(vehicle, ground, slip="traction", traction=law), **start)
+
+
+def creeps(run):
+    return np.hypot(run["slip_along"], run["slip_across"])[-1]
+
+
+@pytest.mark.parametrize("eps", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize("degrees", [5, 10, 20, 30])
+def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
+    """``eps tan s / sqrt(mu^2 - tan^2 s)``: every wheel uses the same part of its friction."""
+    s = np.radians(degrees)
+    run = standing(FIXED, slope(s, 0.6, across=True), Traction(eps))
+    expected = eps * np.tan(s) / np.sqrt(0.6**2 - np.tan(s) ** 2)
+    assert_allclose(creeps(run), expected, rtol=1e-6)
+    assert run["velocity_x"][0] < 0  # downhill
+    assert_allclose(run["utilisation"], np.tan(s) / 0.6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("degrees", [10, 20])
+def test_a_driven_wheel_creeps_by_what_it_uses(degrees):
+    """Uphill on free tilts: ``eps U / sqrt(1 - U^2)`` at the rear wheels, none at the front."""
+    s = np.radians(degrees)
+    run = standing(three_wheeler(), slope(s, 0.6))
+    used = np.tan(s) / (2 / 3 + 0.3 / 1.5 * np.tan(s)) / 0.6
+    expected = 1e-4 * used / np.sqrt(1 - used**2)
+    assert_allclose(creeps(run), [expected, expected, 0], rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize("reserve", [1.0, 0.1, 0.05])
+def test_the_reserve_holds_beyond_friction(reserve):
+    """A block on a slope of 35 degrees: ``mu p + c s = tan s``, about ``(tan s - mu) / c``."""
+    s, mu, eps = np.radians(35), 0.6, 1e-3
+    run = standing(FIXED, slope(s, mu, across=True), Traction(eps, reserve))
+    slip = creeps(run)
+    assert_allclose(slip, slip[0], rtol=1e-9)
+    assert_allclose(mu * slip / np.hypot(slip, eps) + reserve * slip, np.tan(s), rtol=1e-9)
+    assert_allclose(slip, (np.tan(s) - mu) / reserve, rtol=1e-3)
+
+
+def test_beyond_friction_a_start_is_refused_with_what_it_needs():
+    with pytest.raises(ModelError) as error:
+        standing(three_wheeler(), slope(np.radians(25), 0.6))
+    s = np.tan(np.radians(25))
+    assert str(error.value) == (
+        "the vehicle cannot stand at the start: no quasi-static equilibrium: headed 0 degrees from "
+        "uphill on a slope of 25.0 degrees the vehicle needs a coefficient of friction of at least "
+        f"{s / (2 / 3 + 0.2 * s):.4g}, the ground offers 0.6"
+    )
+
+
+@pytest.mark.parametrize("axle", ["tilting"])
+def test_small_creep_leads_to_rolling(axle):
+    """First order in the creep where the vehicle can roll; steps do not grow."""
+    creep = np.array([1e-3, 1e-4, 1e-5, 1e-6])
+    errors, steps = zip(*from_rolling(axle, creep), strict=True)
+    assert order(creep, errors) == pytest.approx(1, abs=0.02)
+    assert max(steps) < 250
+
+
+@pytest.mark.parametrize("ground", [flat, hills])
+def test_large_friction_leads_to_the_linear_law(ground):
+    """mu to infinity at fixed eps/mu: second order; on flat ground least slip, weighted by load."""
+    scale = np.array([1.0, 10.0, 100.0])
+    errors = [from_linear(ground, mu) for mu in scale]
+    assert order(1 / scale, errors) == pytest.approx(2, abs=0.1)
+    assert errors[-1] < 1e-5
+
+
+def test_small_creep_of_a_rigid_axle_leads_to_least_dissipation(rng):
+    """Not to least slip: ``sum mu N |s| - Q w`` is least among the rates that keep contact."""
+    creep = np.array([1e-4, 1e-5, 1e-6])
+    for each in (found := [dissipation(eps) for eps in creep]):
+        for size in np.logspace(-6, -1, 60):
+            other = each.rates + size * rng.normal(size=len(each.keeping)) @ each.keeping
+            assert each.cost(other) > each.cost(each.rates) - each.gap
+    assert order(creep, [each.gap for each in found]) > 0.95
+    best = found[-1]
+    assert best.gap < 1e-4 * best.cost(best.rates)
+    assert best.cost(least_slip_rates()) > best.cost(best.rates) + 100 * best.gap
+
+
+@pytest.mark.parametrize("axle", ["tilting", "fixed", "prismatic", "sliding"])
+@pytest.mark.parametrize("mu", [0.6, 1.5])
+def test_random_starts_lead_to_one_solution(axle, mu, rng):
+    converged, apart = random_starts(axle, mu, 1e-3, 20, rng)
+    assert converged >= 8
+    assert apart < 1e-8
+
+
+def test_no_equilibrium_is_a_stop_by_name():
+    """Up a ground that steepens: when the friction that rolling needs reaches the ground's."""
+    ground = Analytic(lambda x, y: 0.05 * ca.fmax(y, 0) ** 3 + 0 * x, mu=0.35)
+    rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
+    t = np.linspace(0, 12, 121)
+    rolling = direct_kinematics(three_wheeler(), ground)
+    held = simulate(rolling, settle(rolling), rolling.inputs(**rates), t, tolerance=1e-11)
+    needed = held["friction_needed"].max(axis=1)
+    k = int(np.argmax(needed > 0.35))
+    expected = held.t[k - 1] + 0.1 * (0.35 - needed[k - 1]) / (needed[k] - needed[k - 1])
+    run = moved(three_wheeler(), ground, Traction(1e-6), t, rates)
+    assert run.stop.name == "no_equilibrium"
+    assert run.stop.t == pytest.approx(expected, abs=2e-3)
+    assert run.stop.words.startswith(
+        "no quasi-static equilibrium: headed 0 degrees from uphill on a slope of "
+    )
+    assert run.stop.words.endswith(
+        "the vehicle needs all the friction that the ground offers, 0.35"
+    )
+
+
+@pytest.mark.parametrize("tolerance", [1e-7, 1e-9])
+@pytest.mark.parametrize("damping", [0.0, 100.0])
+def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, tolerance):
+    """All friction is used for long; states that miss by the tolerance do not end that."""
+    ground = Analytic(lambda x, y: 0.03 * y * y + 0.1 * x, mu=0.6)
+    rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
+    vehicle = three_wheeler(stiffness=60.0, damping=damping)
+    t = np.linspace(0, 60, 301)
+    run = moved(vehicle, ground, Traction(), t, rates, tolerance=tolerance)
+    assert run.stop is None
+    assert np.ptp(run["y"][200:]) < 0.1
+    assert run["slip_along", "right"][-1] < -0.1
+
+
+def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
+    """Friction couples normal forces to the motion, which may go on with a jump only."""
+    grid = power_law(blank((-6, 6), (-6, 6), 0.25), rms=0.09746552344891801,
+                     hurst=0.9539057256615531, longest=8.0, shortest=2.743039400737338,
+                     seed=67)  # fmt: skip
+    rates = {"right_rate": 0.7521118439376475, "left_rate": 0.6014304356887998,
+             "steer_rate": -0.23850475241570412}  # fmt: skip
+    start = {"x": 0.06577387785453626, "y": -0.0420728627881235, "heading": 0.3860773330023184}
+    ground, law = Bicubic(grid, mu=0.048397107850166564), Traction(3.4290050665254273e-06)
+    t = np.linspace(0, 10, 51)
+    runs = [moved(FIXED, ground, law, t, rates, tolerance=each, **start) for each in (1e-8, 1e-10)]
+    for run in runs:
+        assert run.stop.name == "fold"
+        assert "it would go on with a jump, such as front_rate from " in run.stop.words
+    assert runs[0].stop.t == pytest.approx(runs[1].stop.t, abs=1e-3)
+
+
+def test_friction_that_a_formula_makes_zero_is_a_stop_by_name():
+    ground = Analytic(lambda x, y: 0 * x + 0 * y, mu=lambda _, y: 0.5 - 0.3 * y)
+    rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
+    run = moved(FIXED, ground, Traction(1e-6), T, rates)
+    assert run.stop.name == "friction[front]"
+    assert run["contact_y", "front"][-1] == pytest.approx(0.5 / 0.3, abs=1e-4)
+    assert "the coefficient of friction under wheel front is not positive" in run.stop.words
+    rooted = Analytic(ground.function, mu=lambda _, y: ca.sqrt(0.5 - 0.3 * y))
+    least = direct_kinematics(FIXED, rooted)
+    run = simulate(least, settle(least), least.inputs(**rates), T)
+    assert run.stop.name == "friction[front]"
+    assert np.isfinite(best_utilisation(FIXED, rooted, run)["utilisation_best"][:-1]).all()
+
+
+def test_a_vehicle_that_would_roll_away_is_not_said_to_tip_over():
+    vehicle = replace(four_wheels(rock=True), body=Body(30.0, (0.0, 0.5, 0.0)))
+    free = tuple(replace(wheel, driven=False) for wheel in vehicle.wheels)
+    with pytest.raises(ModelError, match="no contact forces balance the vehicle: something is"):
+        standing(replace(vehicle, wheels=free), slope(0.1, 0.6))
+
+
+def test_ice_is_a_stop_by_name_even_where_friction_jumps():
+    ground = Analytic(lambda x, y: hills(x, y) + 0.2 * y,
+                      mu=lambda _, y: ca.if_else(y > 0.9, 0.02, 0.6))  # fmt: skip
+    run = moved(FIXED, ground, Traction(), T, x=0.013, y=0.017)
+    assert run.stop.name == "no_equilibrium"
+    assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
+    assert "times the friction that it finds, the ground offers 0.02 to 0.6" in run.stop.words
+
+
+def test_the_edge_of_a_friction_map_is_a_stop_by_name():
+    axis = np.linspace(-3, 3, 13)
+    mu = Grid(axis, np.linspace(-3, 1.5, 10), np.full((13, 10), 0.6))
+    heights = Grid(axis, axis, np.zeros((13, 13)))
+    ground = Bicubic(heights, mu=mu)
+    rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
+    run = moved(FIXED, ground, Traction(1e-6), T, rates)
+    assert run.stop.name == "friction_margin[front]"
+    assert run.stop.t == pytest.approx(0.5 / 0.15, abs=2e-4)
+    assert (
+        "wheel front leaves the map of friction, which reaches from -3.00 to 3.00 m in x and "
+        in (run.stop.words)
+    )
+
+
+def test_a_rigid_stop_of_a_tilt_ends_the_motion_by_name():
+    """On flat ground a common tilt falls over; the stop is where it would be passed."""
+    ground = slope(0.0, 0.6)
+    t, law = np.linspace(0, 60, 241), Traction(1e-3)
+    rates, tilts = dict.fromkeys(RATES, 0.0), {"tilt_right": 0.1, "tilt_left": 0.1}
+    free = moved(three_wheeler(), ground, law, np.linspace(0, 30, 601), rates, **tilts)
+    run = moved(three_wheeler(tilt_stop=0.2), ground, law, t, rates, **tilts)
+    first = np.maximum(free["tilt_right"], free["tilt_left"])
+    assert run.stop.name in ("tilt_right_stop", "tilt_left_stop")
+    assert run.stop.t == pytest.approx(np.interp(0.2, first, free.t), abs=1e-4)
+    assert "the stop of tilt_" in run.stop.words
+
+
+def test_an_elastic_stop_bears_the_wheel_that_leans_on_it():
+    """Both tilts fall towards their stops and rest there: moment of the load against the stop."""
+    bump, limit = 2000.0, 0.2
+    vehicle = three_wheeler(tilt_stop=limit, bump=bump)
+    run = moved(vehicle, slope(0.0, 0.6), Traction(1e-2), np.linspace(0, 60, 121),
+                dict.fromkeys(RATES, 0.0), tilt_right=0.1, tilt_left=0.1)  # fmt: skip
+    assert run.stop is None
+    body = Rotation.from_euler("ZYX", [run[name][-1] for name in ("heading", "roll", "pitch")])
+    for side in ("right", "left"):
+        tilt = run[f"tilt_{side}"][-1]
+        arm = [run[f"contact_{i}", side][-1] - run[f"center_{i}", side][-1] for i in "xyz"]
+        axle = (body * Rotation.from_euler("y", tilt)).apply([1.0, 0.0, 0.0])
+        along = np.cross([0.0, 0.0, 1.0], axle)
+        along /= np.linalg.norm(along)
+        frame = np.array([along, np.cross(along, [0.0, 0.0, 1.0]), [0.0, 0.0, 1.0]])
+        force = frame.T @ [run[f"force_{i}", side][-1] for i in ("along", "across", "normal")]
+        moment = np.cross(arm, force) @ body.apply([0.0, 1.0, 0.0])
+        assert tilt > limit
+        assert_allclose(bump * (tilt - limit), moment, rtol=1e-9)
+
+
+def test_only_a_stiff_spring_holds_a_tilt_upright():
+    """The tilt is an inverted pendulum; the spring it needs is the load times r2."""
+    load = three_wheeler().weight / 3 * 0.25
+    for factor, grows in ((0.95, True), (1.05, False)):
+        run = standing(three_wheeler(stiffness=factor * load), slope(0.0, 0.6),
+                       tilt_right=0.01, tilt_left=0.01)  # fmt: skip
+        assert (run["tilt_right_rate"][0] > 0) == grows
+
+
+def test_a_damper_slows_the_fall():
+    rates = [
+        standing(three_wheeler(damping=d), slope(0.0, 0.6), Traction(1e-1),
+                 tilt_right=0.1, tilt_left=0.1)["tilt_right_rate"][0]
+        for d in (0.0, 100.0)
+    ]  # fmt: skip
+    assert 0 < rates[1] < rates[0]
+
+
+def test_work_is_what_is_gained_and_what_is_lost():
+    t = np.linspace(0, 10, 1001)
+    run = moved(FIXED, Analytic(hills, mu=0.6), Traction(1e-3), t, UNEQUAL, tolerance=1e-10)
+    from scipy.interpolate import CubicSpline
+
+    lost = CubicSpline(run.t, run["dissipation"]).antiderivative()(run.t)
+    gained = run["potential_energy"] - run["potential_energy"][0]
+    assert lost[-1] > 0.1
+    assert_allclose(run["work"], gained + lost, atol=1e-6 * lost[-1])
+
+
+def test_what_does_not_suit_is_refused():
+    ground = slope(0.0, 0.6)
+
+    def fails(words, vehicle=FIXED, ground=ground, law=Traction()):  # noqa: B008
+        with pytest.raises(ModelError, match=words):
+            direct_kinematics(vehicle, ground, slip="traction", traction=law)
+
+    fails("has no mass; give", vehicle=three_wheeler(mass=0.0, wheel_mass=0.0))
+    fails("the ground has no friction", ground=slope(0.0, None))
+    fails("expected a creep above 0 and up to 0.3 m/s, found 0", law=Traction(0.0))
+    fails("expected a creep", law=Traction(1.0))
+    fails("expected a reserve of zero or more, found -1", law=Traction(reserve=-1.0))
+    with pytest.raises(ModelError, match="slip = 'least' or 'rolling', found 'traction'"):
+        montana_kinematics(FIXED, ground, slip="traction")
+
+
+def test_a_lock_keeps_a_tilt_and_bears_its_torque():
+    vehicle = actuated(three_wheeler(), "tilt_right", "tilt_left")
+    s = np.radians(20)
+    run = standing(vehicle, slope(s, 0.6, across=True))
+    assert_allclose(run["utilisation"], np.tan(s) / 0.6, rtol=1e-6)
+    assert np.abs(run["tilt_right_torque"]).min() > 5

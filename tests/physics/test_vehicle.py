@@ -1,0 +1,287 @@
+"""Vehicles are checked when they are built; frames agree with textbook rotations."""
+
+import re
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from helpers.vehicles import four_wheels
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
+from slipfree.models.montana import montana_kinematics
+from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
+from slipfree.vehicle.wheel import Wheel
+
+VEHICLE = three_wheeler()
+
+
+def numbers(expression):
+    return np.array(ca.evalf(ca.SX(expression)))
+
+
+def test_platform_is_heading_then_roll_then_pitch(rng):
+    heading, roll, pitch = rng.uniform(-1, 1, 3)
+    pose = platform(1.0, 2.0, 3.0, heading, roll, pitch)
+    expected = Rotation.from_euler("ZYX", [heading, roll, pitch]).as_matrix()
+    assert_allclose(numbers(pose.rotation), expected, atol=1e-15)
+    assert_allclose(numbers(pose.origin).ravel(), [1, 2, 3])
+
+
+def test_quaternion_of_random_rotations(rng):
+    for rotation in Rotation.random(50, rng=rng):
+        expected = rotation.as_quat(canonical=True)
+        assert_allclose(
+            numbers(quaternion(ca.SX(ca.DM(rotation.as_matrix())))).ravel(), expected, atol=1e-14
+        )
+
+
+def test_twist_is_the_composition_of_velocities(rng):
+    q, rates = ca.SX.sym("q", 3), ca.SX.sym("rates", 3)
+    wheel = translation(q[0], 0.0, 0.0) @ turn("z", q[1]) @ translation(0.5, 0.2, 0.0)
+    wheel = wheel @ turn("z", q[2])
+    twist = wheel.twist(q, rates)
+    now, speed = rng.normal(size=3), rng.normal(size=3)
+    v, omega, arm = (
+        np.array(a).ravel()
+        for a in ca.Function("f", [q, rates], [*twist, wheel.origin])(now, speed)
+    )
+    arm = arm - [now[0], 0, 0]
+    assert_allclose(omega, [0, 0, speed[1] + speed[2]], atol=1e-14)
+    assert_allclose(v, [speed[0] - speed[1] * arm[1], speed[1] * arm[0], 0], atol=1e-14)
+
+
+def test_three_wheeler_is_the_papers():
+    vehicle = three_wheeler()
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
+    places = np.array([numbers(pose.origin).ravel() for pose in poses])
+    assert_allclose(places, [[1, -0.5, 0], [-1, -0.5, 0], [0, 1, 0]])
+    assert {wheel.radius for wheel in vehicle.wheels} == {0.3}
+    assert_allclose(np.linalg.norm(places[0] - places[2]), np.sqrt(1 + 1.5**2))
+
+
+def test_a_positive_tilt_leans_the_top_of_a_wheel_to_the_right():
+    vehicle = three_wheeler()
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    values = {"tilt_right": ca.SX(0.1), "tilt_left": ca.SX(0), "steer": ca.SX(0.2)}
+    right, _, front = vehicle.carriers(rest, values)
+    assert numbers(right.rotation)[0, 2] > 0  # the wheel's up axis leans along x
+    assert_allclose(numbers(front.rotation)[:2, 1], [-np.sin(0.2), np.cos(0.2)])  # to the left
+
+
+def test_a_vehicle_with_suspension_drives_and_slips_least():
+    """Four wheels on hills cannot all roll; slip is least, and all four keep touching."""
+    ground = Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
+    dae = direct_kinematics(four_wheels(rock=True), ground)
+    rates = dae.inputs(rear_right_rate=2.0, rear_left_rate=2.0, steer_rate=0.0)
+    run = simulate(dae, settle(dae, x=0.4, heading=0.2), rates, np.linspace(0, 10, 51))
+    assert run.stop is None
+    assert run["closure_residual"].max() < 1e-12
+    assert np.abs(run["rock"]).max() > 0.01
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    assert 1e-5 < slip.max() < 1e-2
+    gap = run["contact_z"] - ground.elevation(run["contact_x"], run["contact_y"])
+    assert np.abs(gap).max() < 1e-12
+
+
+def test_only_vehicles_with_enough_freedom_can_be_made_to_roll():
+    with pytest.raises(ModelError, match=r"5 conditions of no slip need as many .*, found 2"):
+        direct_kinematics(four_wheels(rock=True), Analytic(lambda x, _: 0 * x), slip="rolling")
+
+
+def test_a_sliding_joint_moves_its_part_along_its_axis():
+    axle = Joint("axle", "platform", "x", (0.1, 0.2, 0.3), "reach", "slide")
+    assert_allclose(numbers(axle.pose({"reach": ca.SX(0.5)}).origin).ravel(), [0.6, 0.2, 0.3])
+    vehicle = replace(
+        VEHICLE, joints=(replace(VEHICLE.joints[0], motion="slide"), *VEHICLE.joints[1:])
+    )
+    assert vehicle.unit("tilt_right") == "m"
+    assert vehicle.unit("steer") == "rad"
+
+
+def test_too_few_suspension_coordinates_are_counted():
+    with pytest.raises(ModelError, match="4 wheels need 1 suspension coordinates, found 0"):
+        four_wheels(rock=False)
+
+
+def changed(**parts):
+    return lambda: replace(three_wheeler(), **parts)
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda: three_wheeler(r1=-0.1), "wheel right: r1 must be a radius of zero or more"),
+        (lambda: three_wheeler(r1=0.0, r2=0.0), "r1 \\+ r2 must be positive"),
+        (lambda: three_wheeler(wheelbase=0.0), "wheelbase must be a positive length, found 0.0"),
+        (lambda: three_wheeler(half_track=-1.0), "half_track must be a positive length"),
+        (lambda: three_wheeler(tilt_stop=-0.1), "stops must ascend"),
+        (changed(wheels=VEHICLE.wheels[:2]), "three wheels or more to stand, found 2"),
+        (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels are called 'right'"),
+        (changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="tilt_left"))),
+         "coordinate steer moves no joint"),
+        (changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
+         "coordinate steer both turns and slides"),
+        (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts are called 'fork'"),
+        (changed(joints=(replace(VEHICLE.joints[0], parent="boom"), *VEHICLE.joints[1:])),
+         "joint right_hub: its parent 'boom' is not known; known so far: platform"),
+        (changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"), *VEHICLE.wheels[1:])),
+         "wheel right: its parent 'hub' is not known"),
+        (changed(joints=(replace(VEHICLE.joints[0], value="lean"), *VEHICLE.joints[1:])),
+         "its coordinate 'lean' is not known"),
+    ],
+)  # fmt: skip
+def test_faults_are_named(build, words):
+    with pytest.raises(ModelError, match=words):
+        build()
+
+
+def test_a_motion_that_no_contact_feels_is_named():
+    """A sphere that pivots about the vertical through its contact."""
+    origin = (0.0, 0.0, 0.0)
+    vehicle = Vehicle(
+        "with_free_pivot",
+        (Coordinate("pivot", "passive", "pivot of the ball wheel"),),
+        (Joint("fork", "platform", "z", (0.0, 1.0, 0.0), "pivot"),),
+        (
+            Wheel("right", "platform", (0.5, 0.0, 0.0), 0.0, 0.2, driven=True),
+            Wheel("left", "platform", (-0.5, 0.0, 0.0), 0.0, 0.2, driven=True),
+            Wheel("ball", "fork", origin, 0.2, 0.0, driven=False),
+        ),
+    )
+    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
+    with pytest.raises(ModelError, match=r"nothing determines pivot_rate \(rate of pivot of the"):
+        settle(dae)
+
+
+def test_axes_may_point_anywhere(rng):
+    for _ in range(20):
+        axis, angle = rng.normal(size=3), rng.uniform(-3, 3)
+        expected = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+        assert_allclose(numbers(turn(tuple(axis), angle).rotation), expected, atol=1e-15)
+
+
+def test_a_part_is_turned_about_x_then_y_then_z(rng):
+    angles = rng.uniform(-1, 1, 3)
+    joint = Joint("arm", "platform", "z", (0.1, 0.2, 0.3), "0", turned=tuple(angles))
+    pose = joint.pose({})
+    assert_allclose(numbers(pose.rotation), Rotation.from_euler("xyz", angles).as_matrix(),
+                    atol=1e-15)  # fmt: skip
+    assert_allclose(numbers(pose.origin).ravel(), [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("axle", [(1, 0, 0), (-1, 0, 0), (0, -2, 0), (0.3, 0.4, -0.5)])
+def test_an_axle_may_point_anywhere(axle):
+    wheel = Wheel("wheel", "platform", (1.0, 2.0, 3.0), 0.0, 0.2, driven=True, axle=axle)
+    rotation = numbers(wheel.mount.rotation)
+    assert_allclose(rotation[:, 0], np.array(axle) / np.linalg.norm(axle), atol=1e-15)
+    assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-15)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    assert_allclose(numbers(wheel.mount.origin).ravel(), [1, 2, 3])
+
+
+def test_a_joint_follows_a_formula_of_coordinates():
+    """A differential and a camera mast: two parts by one coordinate, one by two."""
+    joints = (
+        *VEHICLE.joints,
+        Joint("mirror", "platform", "x", (0, 0, 0), "-0.5*steer + tilt_left"),
+    )
+    parts = replace(VEHICLE, joints=joints).parts(
+        Pose(ca.SX.eye(3), ca.SX.zeros(3)),
+        {"steer": ca.SX(0.3), "tilt_left": ca.SX(0.1), "tilt_right": ca.SX(0)},
+    )
+    assert_allclose(numbers(parts["mirror"].rotation),
+                    Rotation.from_euler("x", -0.05).as_matrix(), atol=1e-15)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (lambda: Joint("boom", "platform", (0, 0, 0), (0, 0, 0), "a"),
+         "joint boom: an axis must be x, y, z or a vector other than zero"),
+        (lambda: Joint("boom", "platform", "w", (0, 0, 0), "a"), "joint boom: an axis must be"),
+        (lambda: Joint("boom", "platform", "x", (0, 0, np.nan), "a"),
+         "joint boom: at must be three finite numbers"),
+        (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a", turned=(0, 0)),
+         "joint boom: turned must be three finite numbers"),
+        (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a b"), "joint boom: formula 'a b'"),
+        (lambda: Wheel("w", "platform", (0, 0, 0), 0.0, 0.2, driven=True, axle=(0, 0, 0)),
+         "wheel w: axle: an axis must be"),
+        (lambda: Wheel("a b", "platform", (0, 0, 0), 0.0, 0.2, driven=True),
+         "wheel 'a b': expected a name of letters, digits, _ and -"),
+        (lambda: Wheel("w", "platform", (0, np.inf, 0), 0.0, 0.2, driven=True),
+         "wheel w: at must be three finite numbers"),
+        (lambda: replace(VEHICLE, joints=(*VEHICLE.joints[:2],
+                                          replace(VEHICLE.joints[2], value="steer + stear"))),
+         "joint fork: its coordinate 'stear' is not known; known so far: steer, tilt_left"),
+    ],
+)  # fmt: skip
+def test_joints_and_wheels_that_are_none_are_refused(build, words):
+    with pytest.raises(ModelError, match=re.escape(words)):
+        build()
+
+
+def omni_cart(*, rollers):
+    """Three wheels at 120 degrees, each driven along the rim of the platform."""
+    wheels = []
+    for k in range(3):
+        angle = 2 * np.pi * k / 3
+        at = (0.4 * np.cos(angle), 0.4 * np.sin(angle), 0.0)
+        wheels.append(Wheel(f"w{k}", "platform", at, 0.02, 0.08, driven=True, mass=1.0,
+                            axle=(np.cos(angle), np.sin(angle), 0.0), rollers=rollers))  # fmt: skip
+    return Vehicle("omni_cart", (), (), tuple(wheels), Body(10.0))
+
+
+def test_a_cart_on_rollers_goes_anywhere_without_slip(rng):
+    """Three omni wheels: any plane motion, each wheel turns as its rim's forward speed asks."""
+    vehicle = omni_cart(rollers=True)
+    dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5))
+    velocity, turning = rng.uniform(-0.2, 0.2, 2), 0.3
+    rates = {}
+    for k in range(3):
+        angle = 2 * np.pi * k / 3
+        forward = np.array([-np.sin(angle), np.cos(angle)])
+        rates[f"w{k}_rate"] = (forward @ velocity + 0.4 * turning) / 0.1
+    start = settle(dae)
+    run = simulate(dae, start, dae.inputs(**rates), np.linspace(0, 1e-3, 11))
+    found = [np.gradient(run[name], run.t)[5] for name in ("x", "y", "heading")]
+    assert_allclose(found, [*velocity, turning], rtol=2e-3)
+    assert np.abs(run["slip_along"]).max() < 1e-12
+    assert np.abs(run["slip_across"]).max() < 1e-15
+    assert np.abs(run["force_across"]).max() < 1e-9
+    stuck = direct_kinematics(omni_cart(rollers=False), Analytic(lambda x, _: 0 * x))
+    run = simulate(stuck, settle(stuck), stuck.inputs(**rates), np.linspace(0, 1e-3, 11))
+    assert np.abs(run["slip_across"]).max() > 0.01
+
+
+def test_rollers_bear_no_force_across_them_on_a_side_slope():
+    """Across a slope only the wheel whose rim points downhill can hold, as much as friction."""
+    slope = 0.05
+    ground = Analytic(lambda x, _: slope * x, mu=0.5)
+    dae = direct_kinematics(omni_cart(rollers=True), ground, slip="traction")
+    start = settle(dae)
+    weight = 13 * 9.81 * np.sin(np.arctan(slope))
+    assert_allclose(start["force_across"], 0, atol=1e-12)
+    uphill = -start["force_along"][-1] @ np.sin(2 * np.pi * np.arange(3) / 3)
+    assert uphill == pytest.approx(weight, rel=1e-6)
+
+
+def test_rollers_are_refused_where_they_are_not_modelled():
+    flat = Analytic(lambda x, _: 0 * x)
+    with pytest.raises(ModelError, match="omni_cart has wheels with rollers"):
+        direct_kinematics(omni_cart(rollers=True), flat, slip="rolling")
+    with pytest.raises(ModelError, match="Montana's form takes wheels without rollers"):
+        montana_kinematics(omni_cart(rollers=True), flat)
+
+
+@pytest.mark.parametrize("name", ["friction_needed", "closure_residual", "slip_along", "time"])
+def test_coordinates_that_results_could_not_tell_apart_are_refused(name):
+    joints = (*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value=name))
+    coordinates = (*VEHICLE.coordinates[:2], replace(VEHICLE.coordinates[2], name=name))
+    vehicle = replace(VEHICLE, coordinates=coordinates, joints=joints)
+    with pytest.raises(ModelError, match=r"rename a coordinate"):
+        settle(direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x, mu=0.5)))

@@ -1,0 +1,289 @@
+"""Why there is no plan: conflicts by name before solving, violations and relaxations after."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from helpers.cases import hills
+from helpers.toy_models import task, toy
+from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.dae import Limit
+from slipfree.plan.bound_conflicts import conflicts
+from slipfree.plan.elastic import relax
+from slipfree.plan.explanation import explanation, violations, words
+from slipfree.plan.ipopt import solve
+from slipfree.plan.polynomial_motion import unknowns_of
+from slipfree.plan.problem import limits_of
+from slipfree.plan.transcription import Cost, Mesh, Place, Task, transcribe
+from slipfree.records import Label
+
+
+def integrator():
+    """x0' = u."""
+    return toy(1, lambda _t, _x, _z, u: [u])
+
+
+def at_end(expression, low, high=None, name="x0_limit", fraction=1.0):
+    label = Label(name, "m", "limited by the plan")
+    return Place(fraction, (Limit(label, expression, low, low if high is None else high),))
+
+
+def along(expression, low, high, name="x0_limit"):
+    return Limit(Label(name, "m", "what happens there"), expression, low, high)
+
+
+def effort(dae):
+    return Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+
+
+def attempted(asked, intervals=8, degree=2, **options):
+    """Return the program of a task, where its search ended, and where it began."""
+    program = transcribe(asked, Mesh(np.linspace(0, 1, intervals + 1), degree))
+    first = np.full(program.scale.size, 0.1)
+    first[program.layout.duration] = asked.duration[0]
+    weights = np.append(np.ones(len(asked.costs)), 0.0)
+    return program, solve(program, weights, first, **options), first
+
+
+def test_a_goal_beyond_the_reach_of_the_input_names_what_must_give():
+    """4 m in 1 s at |u| <= 1: the goal is missed by 3 m, or the input has to be 3 larger."""
+    dae = integrator()
+    asked = task(dae, [0.0], costs=[effort(dae)], places=[at_end(dae.x.values[0], 4.0)],
+                 inputs=(-1, 1))  # fmt: skip
+    program, found, first = attempted(asked)
+    assert not found.success
+    assert conflicts(asked, None) == []
+    given = relax(program, first)
+    assert given.success
+    # In parts of the range of the input 3 / 2 have to be given up, of the goal 3.
+    (one,) = given.relaxed
+    assert (one.label.full, one.role, one.bound) == ("drive", "input", 1.0)
+    assert one.size == pytest.approx(3.0, abs=1e-4)
+    held = {(each.label.full, each.role, each.side): each for each in given.held}
+    assert set(held) == {("x0", "goal", ""), ("duration", "duration", "at most")}
+    # A metre less of the goal takes 1 / 2 off; 4 m in 1 s (1 + d) take 4 / 2 d off.
+    assert held["x0", "goal", ""].share == pytest.approx(0.5, rel=1e-2)
+    assert held["duration", "duration", "at most"].share == pytest.approx(2.0, rel=1e-2)
+    states = given.solution[program.layout.states[:, -1, 0]]
+    np.testing.assert_allclose(states[-1], 4.0, atol=1e-6)
+    told = explanation(program, found, first)
+    assert told.startswith("the constraints contradict each other where the search ended (Infea")
+    assert "x0 at the goal is 3 m below 4 m at t = 1 s" in told
+    assert (
+        "gives up (one set that suffices; others may):\n  input drive: 4 m instead of 1 m" in told
+    )
+    assert "because these hold; if one of them gives" in told
+    assert "  x0 at the goal: 4 m" in told
+    assert "  duration: at most 1 s" in told
+
+
+def test_a_narrower_goal_gives_before_a_wide_input():
+    """The same with a range of the goal of half a metre and an input of 8: now the goal gives."""
+    dae = integrator()
+    asked = task(dae, [0.0], costs=[effort(dae)], inputs=(-1, 1),
+                 places=[at_end(dae.x.values[0], 4.0, 12.0)])  # fmt: skip
+    program, _, first = attempted(asked)
+    (one,) = relax(program, first).relaxed
+    assert (one.label.full, one.role, one.bound, one.t, one.interval) == ("x0", "goal", 4.0, 1.0, 7)
+    assert one.value == pytest.approx(1.0, abs=1e-4)
+    assert words(one) == "x0 at the goal is 3 m below 4 m at t = 1 s"
+
+
+def test_heavy_costs_do_not_change_what_gives():
+    """The same with an effort of 1e4, of which the first guess takes little; and at least cost."""
+    dae = integrator()
+    heavy = effort(dae)._replace(weight=1e4)
+    asked = task(dae, [0.0], costs=[heavy], inputs=(-1, 1),
+                 places=[at_end(dae.x.values[0], 4.0, 12.0)])  # fmt: skip
+    program, _, first = attempted(asked)
+    given = relax(program, 0.1 * first)
+    (one,) = given.relaxed
+    assert (one.label.full, one.role) == ("x0", "goal")
+    assert one.value == pytest.approx(1.0, abs=1e-5)
+
+
+def test_motions_that_give_up_the_same_differ_by_their_cost():
+    """2 m are asked for, 0.75 m allowed: which way there is free, and even speed costs least."""
+    dae = integrator()
+    x = dae.x.values[0]
+    asked = task(dae, [0.0], costs=[effort(dae)], inputs=(-4, 4), limits=[along(x, -9.0, 0.75)],
+                 places=[at_end(x, 2.0, 3.0)])  # fmt: skip
+    program, _, first = attempted(asked)
+    given = relax(program, first)
+    (one,) = given.relaxed
+    assert (one.label.full, one.role) == ("x0", "limit")
+    assert one.value == pytest.approx(2.0, abs=1e-5)
+    np.testing.assert_allclose(given.solution[program.layout.inputs], 2.0, atol=1e-3)
+
+
+def test_times_and_places_of_violations_are_those_of_the_mesh():
+    """Of x0 = t on [0, 2] with 2 square <= 4.5 along the way, a way-point, and jumping inputs."""
+    dae = integrator()
+    x, z = dae.x.values[0], dae.z.values[0]
+    asked = task(dae, [0.0], duration=2.0, inputs=(-0.5, 0.75), limits=[
+        along(2 * z, -np.inf, 4.5, "formula"), along(z, -np.inf, 4.0, "square_limit"),
+        along(x, -np.inf, 1.5)], places=[at_end(x, 0.5, fraction=0.5), at_end(x, 2.0)])  # fmt: skip
+    asked = replace(asked, accelerations=np.array([[-1.0, 1.0]]))
+    program = transcribe(asked, Mesh(np.array([0.0, 0.25, 0.5, 1.0]), 1))
+    layout, w = program.layout, np.zeros(program.scale.size)
+    w[layout.states[:, 0, 0]] = 0.5, 1.0, 2.0
+    w[layout.unknowns[:, 0, 0]] = 0.25, 1.0, 4.0
+    w[layout.inputs[:, 0]], w[layout.duration] = (1.0, 0.5, 1.5), 2.0
+    rows = np.array(program.jacobian(w / program.scale, np.zeros(1))[0]).ravel()
+    blank = solve(program, np.zeros(1), w, iterations=0)
+    found = {(each.role, each.label.full): each
+             for each in violations(program, blank._replace(unknowns=w, rows=rows))}  # fmt: skip
+    assert {key: (each.t, each.interval, each.size, each.bound) for key, each in found.items()} == {
+        ("equation", "x0_motion"): (2.0, 2, 0.5, 0.0),
+        ("limit", "formula"): (2.0, 2, 3.5, 4.5),
+        ("limit", "x0"): (2.0, 2, 0.5, 1.5),
+        ("way-point at 0.5", "x0"): (1.0, 1, 0.5, 0.5),
+        ("input", "drive"): (1.0, 2, 0.75, 0.75),
+        ("input", "drive_change"): (1.0, 1, 1.0, 1.0),
+    }  # fmt: skip
+    # In parts of the range 1.25 of the input, of that of its rate 2, and of the formula's own 8.
+    sizes = {"drive": 0.75 / 1.25, "drive_change": 1 / 2, "formula": 3.5 / 8}
+    assert [name for _, name in found if name in sizes] == list(sizes)
+    assert words(found["equation", "x0_motion"]) == \
+        "equation x0_motion of the vehicle is not met by 0.5 m at t = 2 s"  # fmt: skip
+    assert words(found["input", "drive_change"]) == \
+        "input drive_change is 1 1/s2 above 1 1/s2 at t = 1 s"  # fmt: skip
+
+
+def test_what_is_solved_violates_nothing_and_gives_nothing_up():
+    dae = integrator()
+    x = dae.x.values[0]
+    asked = task(dae, [0.0], costs=[effort(dae)], places=[at_end(x, 0.5)], inputs=(-1, 1),
+                 limits=[along(x, -1.0, 1.0)])  # fmt: skip
+    program, found, first = attempted(asked)
+    assert found.success
+    assert conflicts(asked, None) == []
+    assert violations(program, found) == []
+    given = relax(program, first)
+    assert given.success
+    assert given.relaxed == []
+    assert given.held == []
+    assert explanation(program, found, first).startswith("the plan is solved (Solve_Succeeded")
+    stuck = solve(program, np.array([1.0, 0.0]), first, iterations=0)
+    told = explanation(program, stuck, first)
+    assert told.startswith("the search did not end within its iterations (Maximum_Iterations")
+    assert "nothing has to give" in told
+
+
+def test_equations_without_a_solution_are_said_to_be_so():
+    """z = x0^2 and x0' = sqrt(-1 - z): no input helps."""
+    dae = toy(1, lambda _t, _x, z, u: [u + ca.sqrt(-1 - z)])
+    asked = task(dae, [0.0], places=[at_end(dae.x.values[0], 0.5)], inputs=(-1, 1))
+    program, found, first = attempted(asked)
+    assert "what had to give was not found" in explanation(program, found, first)
+
+
+def test_who_stops_a_search_does_not_wait_for_another():
+    dae = integrator()
+    asked = task(dae, [0.0], places=[at_end(dae.x.values[0], 4.0)], inputs=(-1, 1))
+    told = explanation(*attempted(asked, look=lambda _: False))
+    assert told.startswith("the search was stopped (User_Requested_Stop")
+    assert "x0 at the goal is" in told
+    assert "suffices" not in told
+
+
+def test_conflicts_are_named_before_solving():
+    dae = integrator()
+    x = dae.x.values[0]
+    asked = task(
+        dae, [-0.5], inputs=(1, -1), limits=[along(x, 0.0, 2.0), along(x**2 - x, -9, 5, "fence")],
+        places=[at_end(x, 3.0, fraction=0.5), at_end(x, 4.0), at_end(x, 5.0, 6.0)],
+    )  # fmt: skip
+    asked = replace(asked, accelerations=np.array([[0.5, 1.0]]))
+    assert conflicts(asked, None) == [
+        "input drive must be at least 1 m and at most -1 m: exchange its bounds",
+        "input drive_change must be 0.5 to 1 1/s2, but an input does not change on the last "
+        "interval: let the bounds include 0",
+        "x0 of the vehicle must be 0 to 2 m, but the start has -0.5 m: start elsewhere or widen "
+        "the limit",
+        "fence of the vehicle must be -9 to 5 m, but the way-point at 0.5 has 6 m (what happens "
+        "there): move the way-point or widen the limit",
+        "fence of the vehicle must be -9 to 5 m, but the goal has 12 m (what happens there): move "
+        "the goal or widen the limit",
+        "x0 at the way-point at 0.5 must be 3 m, but x0 of the vehicle must be 0 to 2 m: move the "
+        "way-point or widen the limit",
+        "x0 at the goal must be 4 m, but x0 at the goal must be 5 to 6 m: move the goal",
+        "x0 at the goal must be 4 m, but x0 of the vehicle must be 0 to 2 m: move the goal or "
+        "widen the limit",
+        "x0 at the goal must be 5 to 6 m, but x0 of the vehicle must be 0 to 2 m: move the goal or "
+        "widen the limit",
+    ]
+
+
+def test_values_are_told_in_map_coordinates():
+    dae = replace(integrator(), shift=(np.array([100.0]), np.zeros(1)))
+    x = dae.x.values[0]
+    asked = task(dae, [0.0], limits=[along(x, -1.0, 2.0)], places=[at_end(x, 4.0)])
+    (told,) = conflicts(asked, None)
+    assert told.startswith("x0 at the goal must be 104 m, but x0 of the vehicle must be 99 to 102")
+    program, found, first = attempted(asked)
+    told = explanation(program, found, first)
+    assert "of the vehicle: 104 m instead of 102 m at t = 1 s" in told
+    assert "x0 at the goal: 104 m" in told
+
+
+def driven(vehicle, terrain, goal, limits):
+    """Return task, start and guess of a vehicle that drives ahead for 5 s."""
+    dae = direct_kinematics(vehicle, terrain)
+    start = settle(dae)
+    inputs = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
+    guess = simulate(dae, start, inputs, np.linspace(0, 5, 31))
+    used = Cost(Label("effort", "", ""), ca.sumsqr(ca.vertcat(*dae.u.wheels)), 1.0)
+    ends = limits_of(dae, {name: (value, value) for name, value in goal.items()})
+    asked = Task(dae, dae.rows("x", start, -1), (5.0, 5.0), (used,), (Place(1.0, ends),),
+                 limits_of(dae, limits), np.array([[-0.5, 0.5]] * 3),
+                 np.tile([-np.inf, np.inf], (3, 1)), 0.01)  # fmt: skip
+    return asked, start, guess
+
+
+def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
+    """3 m in 5 s on wheels of 0.3 m at 0.5 rad/s: about 0.75 m can be driven."""
+    asked, start, guess = driven(three_wheeler(axle="fixed"), Analytic(hills), {"x": 0.0, "y": 3.0},
+                                 {"steer": (-0.5, 0.5)})  # fmt: skip
+    assert conflicts(asked, start) == []
+    program = transcribe(asked, Mesh(np.linspace(0, 1, 11), 3))
+    first = unknowns_of(program, guess)
+    found = solve(program, np.array([1.0, 0.01]), first)
+    assert not found.success
+    assert "y" in [each.label.full for each in violations(program, found) if each.role == "goal"]
+    given = relax(program, first)
+    assert given.success
+    (one,) = given.relaxed
+    assert (one.label.full, one.role, one.bound, one.t) == ("y", "goal", 3.0, 5.0)
+    assert one.value == pytest.approx(0.75, abs=0.05)
+    told = explanation(program, found, first)
+    assert "  y at the goal is 2.2" in told
+    assert "m instead of 3 m at t = 5 s" in told
+    for name in ("right_rate", "left_rate"):
+        assert f"  input {name}: at most 0.5 rad/s" in told
+
+
+def test_limits_of_wheels_and_of_the_model_are_named():
+    """A stop of the tilt that the goal exceeds, and a limit that one wheel does not keep to."""
+    asked, start, guess = driven(
+        three_wheeler(tilt_stop=0.04), Analytic(hills),
+        {"tilt_right": 0.1, "y": 0.5}, {"slip_across": (-1.0, 1.0), "contact_y": (-9.0, -0.6)},
+    )  # fmt: skip
+    told = conflicts(asked, start)
+    assert told[-1] == (
+        "tilt_right at the goal must be 0.1 rad, but model's own tilt_right_stop of the vehicle "
+        "must be -0.04 to 0.04 rad: move the goal or change the model"
+    )
+    (front,) = [each for each in told if "contact_y of wheel front" in each]
+    assert front.startswith("contact_y of wheel front must be -9 to -0.6 m, but the start has ")
+    program = transcribe(asked, Mesh(np.linspace(0, 1, 3), 2))
+    w = unknowns_of(program, guess)
+    rows = np.array(program.jacobian(w / program.scale, np.zeros(2))[0]).ravel()
+    blank = solve(program, np.zeros(2), w, iterations=0)
+    found = {each.label.full: each
+             for each in violations(program, blank._replace(unknowns=w, rows=rows))}  # fmt: skip
+    worst = found["contact_y[front]"]
+    assert worst.value == pytest.approx(guess["contact_y", "front"].max(), abs=1e-9)
+    assert (worst.t, worst.interval, worst.label.wheel) == (5.0, 1, "front")

@@ -1,0 +1,189 @@
+"""Plans: least slip over hills, limits, goals, what a file asks for, and how it ends early."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from helpers.cases import hills
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.cli import app
+from slipfree.files import netcdf
+from slipfree.files.toml.errors import ProblemError
+from slipfree.models.slip import measured_slip
+from slipfree.plan.plan import plan
+from slipfree.plan.verification import inputs_along
+from slipfree.problem.load import read
+from slipfree.problem.solve import run as solve
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
+GOAL = {"x": 0.6, "y": 2.6}
+WEIGHTS = {"slip": 7e4, "effort": 0.01}
+
+
+def asked(vehicle, *, goal=None, costs=None, guess=0.45, turn=0.0, duration=20.0, **options):
+    dae = direct_kinematics(vehicle, Analytic(hills))
+    start = settle(dae)
+    rates = dae.inputs(right_rate=guess + turn, left_rate=guess - turn, steer_rate=0.0)
+    first = simulate(dae, start, rates, np.linspace(0, 20, 61))
+    found = plan(dae, start, first, goal=goal or GOAL, costs=costs or WEIGHTS, duration=duration,
+                 smooth=0.002, inputs=RATES, **options)  # fmt: skip
+    return dae, start, found
+
+
+def rms_slip(run):
+    """Root mean square over time and wheels. [m/s]."""
+    squares = run["slip_along"] ** 2 + run["slip_across"] ** 2
+    return np.sqrt(np.trapezoid(squares.mean(axis=1), run.t) / (run.t[-1] - run.t[0]))
+
+
+def test_a_rigid_axle_reaches_its_goal_with_least_slip():
+    """Slip and place are those of the simulation; more starts of the search in the benchmark."""
+    _, _, found = asked(three_wheeler(axle="fixed"), limits={"steer": (-1.0, 1.0)})  # fmt: skip
+    assert found.success
+    replay = found.replay
+    assert replay.stop is None
+    assert rms_slip(replay) < 7e-5
+    assert found.costs["effort"] < 9.0
+    assert_allclose([replay["x"][-1], replay["y"][-1]], [0.6, 2.6], atol=1e-5)
+    assert max(found.difference.values()) < 1e-5
+    assert np.abs(found.run["steer"]).max() <= 1.0 + 1e-8
+
+
+def test_effort_alone_slips_more():
+    _, _, found = asked(three_wheeler(axle="fixed"), costs={"effort": 1.0},
+                        limits={"steer": (-1.0, 1.0)})  # fmt: skip
+    assert rms_slip(found.replay) > 1e-3
+    assert found.costs["effort"] < 8.0
+
+
+def test_tilting_wheels_keep_to_their_limit_without_slip():
+    """Slip is measured on the poses of the simulation."""
+    vehicle, parts, count, duration = three_wheeler(), 20, 10, 10.0
+    dae, start, found = asked(
+        vehicle, goal={"x": 0.3, "y": 1.3}, duration=duration, intervals=count,
+        costs={"effort": 0.01, "tilt_right": 1.0, "tilt_left": 1.0},
+        limits={"tilt_right": (-0.35, 0.35), "tilt_left": (-0.35, 0.35), "steer": (-1.0, 1.0)},
+    )  # fmt: skip
+    assert found.success
+    for name in ("tilt_right", "tilt_left"):
+        assert np.abs(found.replay[name]).max() < 0.35 + 1e-5
+    even = np.linspace(0, duration, count * parts + 1)
+    run = simulate(dae, start, inputs_along(dae, found.course, even), even, tolerance=1e-11)
+    slip = np.linalg.norm(measured_slip(vehicle, run), axis=2)
+    inside = np.array([2 <= k % parts <= parts - 2 for k in range(2, run.t.size - 2)])
+    assert slip[inside].max() < 1e-7  # at a kink of the inputs difference quotients are less exact
+
+
+def test_a_pose_a_way_point_and_a_range_of_durations():
+    _, _, found = asked(
+        three_wheeler(axle="fixed"), goal={"y": 2.0, "heading": (-0.05, 0.05)},
+        way_points={0.5: {"x": 0.2}}, duration=(5.0, 30.0), costs={"slip": 1e3, "time": 0.01},
+        accelerations=dict.fromkeys(RATES, (-1.0, 1.0)), intervals=20,
+    )  # fmt: skip
+    assert found.success
+    assert found.run["y"][-1] == pytest.approx(2.0, abs=1e-6)
+    assert abs(found.run["heading"][-1]) < 0.05 + 1e-8
+    assert found.run["x"][30] == pytest.approx(0.2, abs=1e-6)
+    assert 5.0 <= found.run.t[-1] < 30.0
+    ends = found.run.t[::3]
+    rates = np.diff(found.run["right_rate"][::3]) / np.diff(ends)
+    assert np.abs(rates).max() <= 1.0 + 1e-6
+
+
+def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
+    _, _, found = asked(three_wheeler(tilt_stop=0.04), goal={"x": 0.1, "y": 1.0}, duration=8.0,
+                        costs={"effort": 1.0}, intervals=8)  # fmt: skip
+    assert found.success
+    assert found.stages[1].words == "with tilt_right_stop, tilt_left_stop"
+    for name in ("tilt_right", "tilt_left"):
+        assert np.abs(found.run[name]).max() <= 0.04 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"goal": {"z_": 1.0}}, "the model has no 'z_'; it has"),
+        ({"costs": {"slop": 1.0}}, "the model has no 'slop'"),
+        ({"costs": {"slip": -1.0}}, "the weight of slip must not be negative"),
+        ({"duration": 0.0}, "expected a positive duration"),
+        ({"limits": {"steer": (1.0, -1.0)}}, "bounds of steer must ascend"),
+        ({"way_points": {1.0: {"x": 0.0}}}, "way-points lie between 0 and 1"),
+        ({"accelerations": {"x": (0, 1)}}, "'x' is no input; inputs are right_rate, left_rate"),
+    ],
+)
+def test_what_is_wrong_is_said(options, words):
+    with pytest.raises(ModelError, match=words):
+        asked(three_wheeler(axle="fixed"), **options)
+
+
+def test_a_stopped_search_keeps_its_iterate():
+    seen = []
+
+    def stop(words, iterate):
+        seen.append((words, iterate.number, iterate.violation))
+        return len(seen) < 4
+
+    _, _, found = asked(three_wheeler(axle="fixed"), progress=stop)
+    assert not found.success
+    assert found.run.stop.name == "plan"
+    assert "User_Requested_Stop" in found.run.stop.words
+    assert len(seen) == 4
+    assert np.isfinite(found.run["x"]).all()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("folder")
+def test_run_plans_simulates_and_tells():
+    file = PROBLEMS / "plan_rigid_hills.toml"
+    words = ["--set", "plan.intervals=10", "--set", "costs.slip="]
+    result = CliRunner().invoke(app, ["run", str(file), "-o", "p.nc", "--no-draw", *words])
+    assert result.exit_code == 0, result.output
+    told = dict(line.split("  ", 1) for line in result.stdout.splitlines() if "  " in line)
+    assert told["driven by"].strip() == "plan to x 0.6, y 2.6"
+    assert "effort" in told["plan"]
+    assert "iterations" in told["plan"]
+    assert told["simulated"].strip().startswith("differs from the plan by at most x ")
+    run = netcdf.read(Path("p.nc"))
+    assert run["y"][-1] == pytest.approx(2.6, abs=1e-3)
+    assert run.statistics["plan_iterations"] > 0
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved():
+    words = ["plan.intervals=10", "costs.slip=", "time.duration=4.0", "bounds.right_rate=[0, 0.5]",
+             "bounds.left_rate=[0, 0.5]"]  # fmt: skip
+    settings = [word for each in words for word in ("--set", each)]
+    file = PROBLEMS / "plan_rigid_hills.toml"
+    result = CliRunner().invoke(app, ["run", str(file), "-o", "p.nc", "--no-draw", *settings])
+    assert result.exit_code == 1, result.output
+    assert "the plan is not solved; this is its last iterate" in result.stderr
+    assert "y at the goal" in result.stderr
+    assert "one set that suffices; others may" in result.stderr
+    assert "p.nc holds the motion to there" in result.stderr
+    assert netcdf.read(Path("p.nc")).stop.name == "plan"
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("goal.q=1", "plan: the model has no 'q'"),
+        ("goal.x=[2, 1]", "goal.x: expected a number, or [low, high] that ascend"),
+        ("plan.degree=6", "plan.degree: expected"),
+        ("bounds.wheel=[0, 1]", "'wheel' is no input"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_told_with_its_place(setting, words):
+    with pytest.raises(ProblemError) as error:
+        solve(read(PROBLEMS / "plan_rigid_hills.toml", [setting]))
+    assert words in str(error.value)

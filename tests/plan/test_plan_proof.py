@@ -1,0 +1,197 @@
+"""What a plan is worth: its simulation, its mesh, what lies between, and another start from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.cases import hills
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.dae import Limit
+from slipfree.plan import plan as planning
+from slipfree.plan.plan import plan
+from slipfree.plan.polynomial_motion import carried, course
+from slipfree.plan.transcription import Mesh
+from slipfree.plan.verification import refined, rerun
+from slipfree.records import Label
+
+RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
+
+
+@pytest.fixture(scope="module")
+def model():
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    return dae, settle(dae)
+
+
+def guess(model, rate=0.45, turn=0.0, duration=10.0):
+    dae, start = model
+    inputs = dae.inputs(right_rate=rate + turn, left_rate=rate - turn, steer_rate=0.0)
+    return simulate(dae, start, inputs, np.linspace(0, duration, 31))
+
+
+def asked(model, *guesses, goal=(0.1, 1.3), **options):
+    given = {"costs": {"slip": 1e3, "effort": 0.01}, "duration": 10.0, "smooth": 0.002,
+             "inputs": RATES, "intervals": 8} | options  # fmt: skip
+    return plan(*model, guesses or guess(model), goal=dict(zip("xy", goal, strict=True)), **given)
+
+
+@pytest.fixture(scope="module")
+def coarse(model):
+    return asked(model)
+
+
+def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse):
+    way, run = coarse.course, coarse.run
+    names = ("x", "y", "heading", "steer")
+    assert_allclose(way.states(coarse.program.mesh.nodes), [run[name] for name in names],
+                    atol=1e-12)  # fmt: skip
+    replay = coarse.replay
+    between = way.states(replay.t / way.duration)
+    gaps = np.abs(between - [replay[name] for name in names]).max(axis=1)
+    assert_allclose(gaps, list(coarse.difference.values()), atol=1e-12)
+    assert gaps.max() < 1e-3
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model, continuous):
+    found = asked(model, continuous=continuous, intervals=5)
+    replay, ends = found.replay, found.course.ends
+    rates, parts = replay["right_rate"], (replay.t.size - 1) // 5
+    if continuous:
+        values = found.solution.unknowns[found.course.layout.inputs][:, 0]
+        assert_allclose(rates, np.interp(replay.t, ends, values), atol=1e-12)
+        return
+    inner = rates[:-1].reshape(5, parts)  # at a jump the value after it
+    assert_allclose(inner, np.repeat(inner[:, -1:], parts, axis=1), atol=1e-12)
+
+
+def test_a_mesh_is_refined_until_the_simulation_agrees(model):
+    """The simulation is so exact that the difference is the collocation's error."""
+    options = {"intervals": 4, "degree": 2, "tolerance": 1e-11}
+    coarse = asked(model, **options)
+    wanted = max(coarse.difference.values()) / 10
+    found = asked(model, **options, accuracy=wanted)
+    assert coarse.accurate
+    assert found.accurate
+    assert max(found.difference.values()) <= wanted
+    assert set(coarse.course.mesh.ends) < set(found.course.mesh.ends)
+    assert found.stages[-1].words.endswith("intervals")
+
+
+def test_what_is_violated_between_the_points_is_told_and_made_small(model):
+    """A disc that a straight way would cross; on two long intervals the way bulges into it."""
+    x, y = model[0].x.x, model[0].x.y
+    apart = Limit(Label("disc", "m", "too near"), (x - 0.02) ** 2 + (y - 0.7) ** 2, 0.2**2, np.inf)
+    options = {"limits": (apart,), "intervals": 3, "degree": 2, "costs": {"effort": 1.0},
+               "tolerance": 1e-6}  # fmt: skip
+    found = asked(model, **options, accuracy=1.0)
+    assert found.success
+    assert found.violation["disc"] > 1e-3  # m2, by the simulation
+    replay = found.replay
+    nearest = ((replay["x"] - 0.02) ** 2 + (replay["y"] - 0.7) ** 2).min()
+    assert found.violation["disc"] == pytest.approx(0.04 - nearest, abs=1e-9)
+    finer = asked(model, **options, accuracy=1e-3)
+    assert finer.accurate
+    assert finer.violation.get("disc", 0.0) <= 1e-3
+
+
+def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
+    monkeypatch.setattr("slipfree.plan.plan.REFINEMENTS", 1)
+    found = asked(model, accuracy=1e-13, intervals=1, degree=1, costs={"effort": 1.0})
+    assert found.success
+    assert not found.accurate
+
+
+def test_intervals_are_halved():
+    mesh = Mesh(np.array([0.0, 0.5, 1.0]), 2)
+    assert_allclose(refined(mesh, np.array([False, True])).ends, [0, 0.5, 0.75, 1])
+
+
+def test_of_several_starts_the_cheapest_plan_counts(model):
+    found = asked(model, guess(model), guess(model, 0.3, 0.05), costs={"effort": 1.0})
+    words = [stage.words for stage in found.stages]
+    assert words == ["start 1 of 2, all", "start 2 of 2, all"]
+    single = [asked(model, each, costs={"effort": 1.0})
+              for each in (guess(model), guess(model, 0.3, 0.05))]  # fmt: skip
+    assert found.costs["effort"] == pytest.approx(min(each.costs["effort"] for each in single))
+
+
+def test_a_plan_starts_from_itself_and_from_others(model, coarse):
+    cold = sum(stage.iterations for stage in coarse.stages)
+    again = asked(model, resume=coarse.saved)
+    assert again.success
+    assert again.stages[0].words == "resumed"
+    assert again.stages[0].iterations <= 3
+    assert_allclose(again.run["x"], coarse.run["x"], atol=1e-8)
+    moved = asked(model, goal=(0.105, 1.365), resume=coarse.saved)
+    assert moved.success
+    assert sum(stage.iterations for stage in moved.stages) <= cold / 2
+    finer = asked(model, resume=coarse.saved, intervals=13, degree=4)
+    assert finer.success
+    ground = Analytic(lambda x, y: hills(x, y) + 0.01 * x)
+    dae = direct_kinematics(three_wheeler(axle="fixed"), ground)
+    other = asked((dae, settle(dae)), resume=coarse.saved)
+    assert other.success
+
+
+def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed():
+    vehicle = three_wheeler(tilt_stop=0.04)
+    dae = direct_kinematics(vehicle, Analytic(hills))
+    tilting = dae, settle(dae)
+    options = {"goal": (0.1, 1.0), "duration": 8.0, "costs": {"effort": 1.0}}
+    found = asked(tilting, guess(tilting, duration=8.0), **options)
+    assert "tilt_right_stop" in found.stages[1].words
+    again = asked(tilting, guess(tilting, duration=8.0), **options, resume=found.saved)
+    assert [stage.words for stage in again.stages] == ["resumed"]
+    assert again.stages[0].iterations <= 3
+
+
+def test_unknowns_are_carried_to_a_finer_mesh(coarse):
+    program = coarse.program
+    same = carried(coarse.course, program)
+    assert_allclose(same, coarse.solution.unknowns, atol=1e-10)
+    assert course(program, same).duration == coarse.course.duration
+
+
+def test_another_model_runs_under_the_inputs_of_a_plan(coarse):
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills, mu=0.6), slip="traction")
+    run = rerun(dae, settle(dae), coarse.course, step=0.25, tolerance=1e-6)
+    assert run.stop is None
+    assert abs(run["y"][-1] - coarse.replay["y"][-1]) < 5e-3
+
+
+def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
+    found = asked(model, accuracy=max(coarse.difference.values()) / 10,
+                  progress=lambda words, _: "intervals" not in words)  # fmt: skip
+    assert found.success
+    assert not found.accurate
+    assert_allclose(found.run["x"], coarse.run["x"], atol=1e-9)
+    assert found.stages[-1].status == "User_Requested_Stop"
+
+
+def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
+    """Half the way later, on a model whose local coordinates begin there."""
+    half = coarse.course.states(np.array([0.5]))[:, 0]
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    start = settle(dae, **dict(zip(("x", "y", "heading", "steer"), half, strict=True)))
+    found = asked((dae, start), duration=5.0, resume=coarse.saved)
+    assert found.success
+    cold = asked((dae, start), guess((dae, start), duration=5.0), duration=5.0)
+    assert sum(each.iterations for each in found.stages) < sum(
+        each.iterations for each in cold.stages)  # fmt: skip
+    assert_allclose([found.run["x"][-1], found.run["y"][-1]], [0.1, 1.3], atol=1e-6)
+
+
+def test_the_plan_of_another_vehicle_is_refused(coarse):
+    dae = direct_kinematics(three_wheeler(), Analytic(hills))
+    with pytest.raises(ModelError, match="expected the plan of a vehicle with the same wheels"):
+        asked((dae, settle(dae)), guess((dae, settle(dae))), resume=coarse.saved)
+
+
+def test_a_goal_that_the_simulation_misses_is_told(model, monkeypatch):
+    monkeypatch.setattr(planning, "REFINEMENTS", 1)
+    found = asked(model, intervals=2, degree=1, accuracy=1e-9, costs={"effort": 1.0})
+    assert not found.accurate
+    assert found.violation["y at the goal"] == pytest.approx(abs(found.replay["y"][-1] - 1.3))

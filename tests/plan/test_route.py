@@ -1,0 +1,514 @@
+"""Traversability and routes, against geometry that is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.sparse.csgraph import dijkstra
+
+from slipfree import Bicubic, Grid, Path, direct_kinematics, follow, settle, simulate, three_wheeler
+from slipfree.errors import ModelError
+from slipfree.routing import search as search
+from slipfree.routing import smoothing
+from slipfree.routing.regions import Disc, Polygon
+from slipfree.routing.search import route, routes
+from slipfree.routing.traversability import STEEPEST, reasons, traversability
+from slipfree.terrain.synthetic import blank, craters, power_law, ramp
+
+ROVER = three_wheeler(axle="fixed")  # half width 1.05 m, half length 1.05 m, reach 1.42 m
+SMALL = three_wheeler(axle="fixed", half_track=0.3, wheelbase=0.5, r1=0.02, r2=0.08)
+REACH = math.hypot(1.0, 0.5) + 0.3
+UTM = (400_000.0, 5_500_000.0)
+
+
+def box(x_min, x_max, y_min, y_max):
+    return Polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
+
+
+def length(points):
+    return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+
+
+def driven(points):
+    """Return places along the path through the points, and their curvature."""
+    path = Path(points)
+    place = path.at(np.linspace(0, path.length, 2000))
+    return np.stack([place.x, place.y], axis=1), place.curvature
+
+
+def costs_at(layers, places):
+    i = np.rint((places[:, 0] - layers.x[0]) / layers.spacing[0]).astype(int)
+    j = np.rint((places[:, 1] - layers.y[0]) / layers.spacing[1]).astype(int)
+    return layers.cost[i, j]
+
+
+def wavy(spacing, size=12.0):
+    """Two waves with known derivatives."""
+    grid = blank((0, size), (0, size), spacing)
+    x, y = grid.x[:, None], grid.y[None, :]
+    return Grid(grid.x, grid.y, 0.3 * np.sin(0.5 * x) + 0.2 * np.cos(0.4 * y))
+
+
+# Layers
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.2])
+def test_layers_of_a_plane(slope):
+    grid = blank((0, 20), (0, 16), 0.25)
+    layers = traversability(Bicubic(Grid(grid.x, grid.y, slope * grid.x[:, None] + grid.z)), ROVER)
+    inner = (slice(5, -5), slice(5, -5))
+    assert_allclose(layers.slope[inner], math.atan(slope), atol=1e-12)
+    assert_allclose(layers.roughness[inner], 0, atol=1e-6)
+    assert_allclose(layers.hollow[inner], 0, atol=1e-6)
+    assert layers.friction is None
+    expected = 1 + 4 * (math.atan(slope) / STEEPEST) ** 2
+    assert_allclose(layers.cost[inner], expected, rtol=1e-9)
+
+
+def test_axes_are_a_third_of_the_smaller_half_extent_apart():
+    layers = traversability(Bicubic(blank((0, 20), (0, 30), 0.1)), ROVER)
+    assert_allclose(layers.spacing, 1.05 / 3, rtol=0.02)
+    assert layers.cost.shape == (layers.x.size, layers.y.size)
+    assert (layers.x[0], layers.x[-1], layers.y[0], layers.y[-1]) == (0, 20, 0, 30)
+
+
+def test_a_coarse_grid_keeps_its_nodes():
+    grid = blank((0, 40), (0, 40), 2.0)
+    layers = traversability(Bicubic(grid), ROVER)
+    assert_allclose(layers.x, grid.x)
+
+
+def test_spacing_is_an_option():
+    layers = traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, spacing=1.0)
+    assert_allclose(layers.spacing, 1.0)
+
+
+def test_slope_and_roughness_are_those_of_a_plane_fitted_by_least_squares(rng):
+    grid = blank((0, 10), (0, 10), 0.25)
+    grid = Grid(grid.x, grid.y, 0.1 * rng.standard_normal(grid.z.shape) + 0.1 * grid.y)
+    layers = traversability(Bicubic(grid), ROVER, spacing=0.25, steepest=1.0)
+    for i, j in ((10, 20), (17, 9)):
+        part = (slice(i - 4, i + 5), slice(j - 4, j + 5))  # 1.05 m on either side
+        x, y = (a.ravel() for a in np.meshgrid(grid.x[part[0]], grid.y[part[1]], indexing="ij"))
+        design = np.stack([np.ones_like(x), x, y], axis=1)
+        fit, left, *_ = np.linalg.lstsq(design, grid.z[part].ravel(), rcond=None)
+        assert_allclose(layers.slope[i, j], math.atan(math.hypot(fit[1], fit[2])), rtol=1e-9)
+        assert_allclose(layers.roughness[i, j], math.sqrt(left[0] / x.size), rtol=1e-9)
+
+
+def test_roughness_between_nodes_too_far_apart_follows_from_curvature():
+    fine = traversability(Bicubic(wavy(0.05)), SMALL, spacing=0.5, steepest=1.0)
+    coarse = traversability(Bicubic(wavy(0.5)), SMALL, spacing=0.5, steepest=1.0)
+    assert coarse.limits.half < 0.5
+    inner = (slice(3, -3), slice(3, -3))
+    assert_allclose(coarse.roughness[inner], fine.roughness[inner], atol=1.5e-4)
+    assert fine.roughness[inner].max() > 5e-4
+    assert_allclose(coarse.slope[inner], fine.slope[inner], atol=5e-3)
+
+
+def test_hollow_is_the_largest_curvature_of_the_surface():
+    grid = blank((-4, 4), (-4, 4), 0.1)
+    x, y = grid.x[:, None], grid.y[None, :]
+    radius = 10.0
+    bowl = Grid(grid.x, grid.y, radius - np.sqrt(radius**2 - x**2 - y**2))
+    layers = traversability(Bicubic(bowl), SMALL, spacing=0.1)
+    inner = (slice(3, -3), slice(3, -3))
+    assert_allclose(layers.hollow[inner], 1 / radius, rtol=2e-3)
+    dome = traversability(Bicubic(Grid(grid.x, grid.y, -bowl.z)), SMALL, spacing=0.1)
+    assert_allclose(dome.hollow[inner], -1 / radius, rtol=2e-3)
+
+
+def test_ground_more_hollow_than_the_largest_wheel_is_blocked():
+    grid = blank((0, 12), (0, 12), 0.05)
+    groove = 0.5 * 5.0 * np.minimum(np.abs(grid.x - 6), 0.1)[:, None] ** 2  # curvature 5 / m
+    bicubic = Bicubic(Grid(grid.x, grid.y, groove + grid.z))
+    layers = traversability(bicubic, ROVER, spacing=0.1)
+    assert np.isinf(layers.cost[np.abs(layers.x - 6) < 0.06]).all()
+    assert "hollow of 0.2 m radius, too narrow for a wheel of 0.3 m" in reasons(layers, 6.0, 6.0)
+    # beside it some of the footprint is too hollow: passable, but dear
+    beside, away = (layers.cost[int(np.argmin(np.abs(layers.x - at))), 60] for at in (6.6, 9.0))
+    assert 1.3 < beside / away < 3
+    small_wheels = replace(ROVER, wheels=tuple(replace(w, r2=0.1, r1=0.05) for w in ROVER.wheels))
+    assert reasons(traversability(bicubic, small_wheels, spacing=0.1), 6.0, 6.0) == ""
+
+
+def test_wheels_stay_on_the_map():
+    layers = traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER)
+    free = np.isfinite(layers.cost)
+    to_edge = np.minimum(layers.x, 20 - layers.x)
+    assert_allclose(layers.limits.reach, REACH)
+    assert (free.any(axis=1) == (to_edge >= REACH)).all()
+    assert reasons(layers, 1.0, 10.0) == ("1 m from the edge of the map, where wheels reach 1.42 m")
+    assert reasons(layers, -2.1, 10.0) == "2.1 m outside the map"
+    assert reasons(layers, 10.0, 10.0) == ""
+
+
+def test_slopes_too_steep_are_blocked():
+    terrain = Bicubic(ramp(blank((0, 20), (0, 20), 0.25), start=8, end=12, rise=1.0))
+    free = traversability(terrain, ROVER)
+    assert reasons(free, 10.0, 10.0) == ""
+    layers = traversability(terrain, ROVER, steepest=math.radians(20))
+    assert "degrees, at most 20 can be climbed" in reasons(layers, 10.0, 10.0)
+    # the steepest slope is 15/8 of the mean at the middle, a little less over the footprint
+    middle = layers.slope[layers.x.size // 2].max()
+    assert 0.85 * 15 / 32 < math.tan(middle) < 15 / 32
+
+
+@pytest.mark.parametrize("kind", ["number", "formula", "map"])
+def test_friction_that_cannot_hold_blocks(kind):
+    grid = blank((0, 20), (0, 20), 0.25)
+    uphill = Grid(grid.x, grid.y, 0.3 * grid.y + grid.z)
+    nodes = blank((0, 20), (0, 20), 1.0)
+    icy = np.where(nodes.x < 10, 0.1, 0.6)[:, None] + nodes.z
+    mu = {
+        "number": 0.6,
+        "formula": lambda x, y: ca.if_else(x < 10, 0.1, 0.6) + 0 * y,
+        "map": Grid(nodes.x, nodes.y, icy),
+    }[kind]
+    layers = traversability(Bicubic(uphill, mu=mu), ROVER)
+    at = {x: int(np.argmin(np.abs(layers.x - x))) for x in (5, 15)}
+    j = layers.y.size // 2
+    assert_allclose(layers.friction[at[15], j], 0.5, rtol=1e-6)
+    assert_allclose(layers.limits.steepest, math.atan(0.6), rtol=1e-6)
+    if kind == "number":
+        assert reasons(layers, 5.0, 10.0) == ""
+        return
+    assert_allclose(layers.friction[at[5], j], 3.0, rtol=1e-6)
+    assert reasons(layers, 5.0, 10.0) == (
+        "slope of 16.7 degrees needs a friction coefficient of 0.3, the ground offers 0.1"
+    )
+
+
+def test_the_best_grip_decides():
+    grid = blank((0, 20), (0, 20), 0.5)
+    uphill = Bicubic(Grid(grid.x, grid.y, 0.3 * grid.y + grid.z), mu=0.2)
+    wheels = (replace(ROVER.wheels[0], grip=2.0), *ROVER.wheels[1:])
+    layers = traversability(uphill, replace(ROVER, wheels=wheels))
+    assert_allclose(layers.friction[20, 20], 0.75)
+
+
+def test_keep_out_is_blocked_as_far_as_wheels_reach():
+    disc, wall = Disc(5.0, 5.0, 1.0), box(12, 14, 10, 14)
+    terrain = Bicubic(blank((0, 20), (0, 20), 0.25))
+    layers = traversability(terrain, ROVER, keep_out=[disc, wall], spacing=0.25)
+    x, y = np.meshgrid(layers.x, layers.y, indexing="ij")
+    near = (disc.distance(x, y) < REACH) | (wall.distance(x, y) < REACH)
+    edge = np.minimum(np.minimum(x, 20 - x), np.minimum(y, 20 - y)) < REACH
+    assert (np.isinf(layers.cost) == (near | edge)).all()
+    assert reasons(layers, 5.25, 5.0) == "inside the keep-out disc at (5, 5) of 1 m radius"
+    assert reasons(layers, 13.0, 9.0) == (
+        "1 m from the keep-out polygon of 4 points about (13, 12), where wheels reach 1.42 m"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steepest": 0.0}, "steepest must lie between 0 and pi/2 radians, found 0"),
+        ({"steepest": 1.6}, "steepest must lie between 0 and pi/2 radians"),
+        ({"spacing": 0.0}, "spacing must be positive and at most half the map's extent, 10 m"),
+        ({"spacing": 11.0}, r"at most half the map's extent, 10 m, found 11 m"),
+    ],
+)
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(ModelError, match=message):
+        traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER, **options)
+
+
+# Search and smoothing
+
+
+def test_moves_are_the_sixteen_neighbours():
+    assert len(search.MOVES) == 16
+    assert search._passed(2, -1) == ((1, 0), (1, -1))
+    assert search._passed(-1, 2) == ((0, 1), (-1, 1))
+
+
+@pytest.mark.parametrize("angle", np.linspace(0, np.pi / 2, 7))
+def test_grid_search_is_at_most_2_8_percent_long(angle):
+    graph = search._graph(np.ones((41, 41)), (0.5, 0.5))
+    lengths = dijkstra(graph, indices=0)
+    i, j = round(40 * math.cos(angle)), round(40 * math.sin(angle))
+    found = lengths[i * 41 + j] / (0.5 * math.hypot(i, j))
+    assert 1 - 1e-6 <= found <= 1.028
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.1, 2.5])
+@pytest.mark.parametrize("origin", [(0.0, 0.0), UTM])
+def test_straight_on_flat_ground(angle, origin):
+    x, y = origin
+    terrain = Bicubic(blank((x, x + 40), (y, y + 40), 0.5))
+    start = (x + 20 - 15.03 * math.cos(angle), y + 20 - 15.01 * math.sin(angle))
+    goal = (x + 20 + 14.0 * math.cos(angle), y + 20 + 14.0 * math.sin(angle))
+    points = route(traversability(terrain, ROVER), start, goal)
+    assert tuple(points[0]) == start
+    assert tuple(points[-1]) == goal
+    assert_allclose(length(points), math.dist(start, goal), rtol=2e-3)
+    gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert_allclose(gaps, 1.05, rtol=0.05)
+
+
+def test_start_and_goal_in_one_cell():
+    layers = traversability(Bicubic(blank((0, 20), (0, 20), 0.5)), ROVER)
+    points = route(layers, (10.0, 10.0), (10.1, 10.05))
+    assert_allclose(points, [(10.0, 10.0), (10.1, 10.05)])
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), UTM])
+def test_through_the_gap_of_a_wall(origin):
+    x, y = origin
+    terrain = Bicubic(blank((x, x + 40), (y, y + 40), 0.5))
+    walls = [box(x, x + 25, y + 19.5, y + 20.5), box(x + 31, x + 40, y + 19.5, y + 20.5)]
+    layers = traversability(terrain, ROVER, keep_out=walls)
+    points = route(layers, (x + 10, y + 10), (x + 10, y + 30), turning_radius=2.0)
+    places, curvature = driven(points)
+    assert np.isfinite(costs_at(layers, places)).all()
+    assert all((wall.distance(*places.T) > REACH - layers.spacing[0]).all() for wall in walls)
+    assert np.abs(curvature).max() <= 1 / 2.0 * 1.02
+    # the taut string around the corners of the wall grown by the reach
+    corner = 25 + REACH
+    taut = 2 * math.hypot(corner - 10, 9.5) + 1
+    assert taut * 0.98 < length(points) < taut * 1.06
+
+
+def tangent_arc(distance_start, distance_goal, radius):
+    """Length of the shortest way round a disc between two points opposite each other."""
+    tangents = [math.sqrt(d**2 - radius**2) for d in (distance_start, distance_goal)]
+    angle = math.pi - sum(math.acos(radius / d) for d in (distance_start, distance_goal))
+    return sum(tangents) + radius * angle
+
+
+def test_around_a_disc():
+    disc = Disc(20.0, 20.0, 6.0)
+    terrain = Bicubic(blank((0, 40), (0, 40), 0.25))
+    layers = traversability(terrain, ROVER, keep_out=[disc], spacing=0.25)
+    points = route(layers, (5.0, 20.0), (35.0, 20.0))
+    assert_allclose(length(points), tangent_arc(15, 15, 6 + REACH), rtol=0.02)
+
+
+def test_around_a_crater():
+    grid = craters(blank((0, 60), (0, 60), 0.25), count=1, diameters=(16, 16), seed=16)
+    i, j = np.unravel_index(grid.z.argmin(), grid.z.shape)
+    center = np.array([grid.x[i], grid.y[j]])
+    layers = traversability(Bicubic(grid), ROVER, steepest=math.radians(18))
+    x, y = np.meshgrid(layers.x, layers.y, indexing="ij")
+    from_center = np.hypot(x - center[0], y - center[1])
+    radius = from_center[np.isinf(layers.cost) & (from_center < 15)].max()
+    assert 6 < radius < 8  # the wall, within the crest of the rim at 8 m
+    start, goal = center - np.array([18, 0]), center + np.array([18, 0])
+    points = route(layers, start, goal, turning_radius=2.0)
+    assert np.hypot(*(driven(points)[0] - center).T).min() > radius - layers.spacing[0]
+    assert_allclose(length(points), tangent_arc(18, 18, radius), rtol=0.05)
+
+
+def test_ice_is_avoided():
+    grid = blank((0, 30), (0, 30), 0.25)
+    uphill = Grid(grid.x, grid.y, 0.25 * grid.y + grid.z)
+    nodes = blank((0, 30), (0, 30), 0.5)
+    icy = np.hypot(nodes.x[:, None] - 15, nodes.y - 15) < 4
+    mu = Grid(nodes.x, nodes.y, np.where(icy, 0.1, 0.7))
+    layers = traversability(Bicubic(uphill, mu=mu), ROVER)
+    dry = traversability(Bicubic(uphill, mu=0.7), ROVER)
+    ends = (15.0, 4.0), (15.0, 26.0)
+    assert_allclose(length(route(dry, *ends)), 22, rtol=1e-3)
+    places, _ = driven(route(layers, *ends))
+    assert np.hypot(*(places - 15).T).min() > 4
+    assert np.isfinite(costs_at(layers, places)).all()
+
+
+def corridor(width=2.0):
+    """A right-angled corridor for the small rover, its walls in keep-out regions."""
+    terrain = Bicubic(blank((0, 20), (0, 20), 0.1))
+    low, high = 8.0, 8.0 + width
+    walls = [
+        Polygon(((0, low - 0.5), (high + 0.5, low - 0.5), (high + 0.5, 20), (high, 20),
+                 (high, low), (0, low))),
+        Polygon(((0, high), (low, high), (low, 20), (low - 0.5, 20), (low - 0.5, high + 0.5),
+                 (0, high + 0.5))),
+    ]  # fmt: skip
+    return traversability(terrain, SMALL, keep_out=walls, spacing=0.1), low + width / 2
+
+
+@pytest.mark.parametrize("turning_radius", [0.0, 0.5, 1.0, 2.0])
+def test_a_corridor_is_kept_and_its_bend_rounded(turning_radius):
+    layers, middle = corridor()
+    points = route(layers, (2.0, middle), (middle, 18.0), turning_radius=turning_radius)
+    places, curvature = driven(points)
+    assert np.isfinite(costs_at(layers, places)).all()
+    assert np.abs(curvature).max() * turning_radius <= 1.02
+
+
+def test_no_room_for_the_turning_radius_is_no_reason_to_leave_the_corridor():
+    layers, middle = corridor(width=1.2)
+    points = route(layers, (2.0, middle), (middle, 18.0), turning_radius=8.0)
+    places, _ = driven(points)
+    assert np.isfinite(costs_at(layers, places)).all()
+
+
+def battlement(layers, height):
+    """Return the layers with a way one node wide that goes up and down every other node."""
+    cost = np.full_like(layers.cost, np.inf)
+    for k in range(5):
+        i = 20 + 4 * k
+        cost[i : i + 5, 20] = cost[i + 2 : i + 5, 20 + height] = 1.0
+        cost[i + 3, 20] = np.inf
+        cost[i + 2, 20 : 21 + height] = cost[i + 4, 20 : 21 + height] = 1.0
+    return layers._replace(cost=cost)
+
+
+@pytest.mark.parametrize("half", [1.05, 8.0])
+def test_where_there_is_no_room_for_smoothness_the_search_is_followed(half):
+    flat = traversability(Bicubic(blank((0, 21), (0, 21), 0.35)), ROVER)
+    layers = battlement(flat, 4)._replace(limits=flat.limits._replace(half=half))
+    start, goal = (layers.x[20], layers.y[20]), (layers.x[40], layers.y[20])
+    points = route(layers, start, goal)
+    assert np.isfinite(costs_at(layers, smoothing.evenly(points, 0.01))).all()
+    along = 0.35 * (20 + 5 * 2 * 4)
+    assert 0.9 * along < length(points) <= along * (1 + 1e-9)
+    if half > 0.35 * 4:  # even the nodes' distance is a fraction of the vehicle's
+        assert_allclose(length(points), along)
+
+
+@pytest.mark.parametrize("size", [5, 6])
+def test_where_way_points_half_an_extent_apart_cut_a_corner_more_are_given(size):
+    flat = traversability(Bicubic(blank((0, 21), (0, 21), 0.35)), ROVER)
+    cost = np.full_like(flat.cost, np.inf)
+    cost[20 : 20 + size, 20] = cost[20 + size, 20:40] = cost[19 + size : 21 + size, 20] = 1.0
+    layers = flat._replace(cost=cost)
+    start, goal = (layers.x[20], layers.y[20]), (layers.x[20 + size], layers.y[39])
+    places, _ = driven(route(layers, start, goal))
+    assert np.isfinite(costs_at(layers, places)).all()
+
+
+def test_rough_ground_is_driven_around():
+    grid = blank((0, 30), (0, 30), 0.25)
+    rough = power_law(grid, rms=0.1, hurst=0.5, longest=2, shortest=0.5, seed=3)
+    patch = np.hypot(grid.x[:, None] - 15, grid.y - 15) < 5
+    layers = traversability(Bicubic(Grid(grid.x, grid.y, np.where(patch, rough.z, 0))), ROVER)
+    places, _ = driven(route(layers, (3.0, 15.0), (27.0, 15.0)))
+    assert np.hypot(*(places - 15).T).min() > 4.5
+
+
+def test_a_vehicle_follows_its_route_through_craters():
+    grid = craters(blank((0, 24), (0, 24), 0.25), count=9, diameters=(2, 5), seed=4)
+    terrain, vehicle = Bicubic(grid, mu=0.6), three_wheeler()
+    points = route(traversability(terrain, vehicle), (4.0, 4.0), (20.0, 20.0), turning_radius=2.0)
+    path = Path(points)
+    dae = direct_kinematics(vehicle, terrain)
+    start = settle(dae, x=4.0, y=4.0, heading=float(path.at(np.zeros(1)).heading[0]))
+    t = np.linspace(0, path.length / 0.5, 40)
+    run = simulate(dae, start, follow(dae, vehicle, path, speed=0.5), t)
+    assert run.stop is None
+    assert math.dist((run["x"][-1], run["y"][-1]), (20.0, 20.0)) < 0.05
+
+
+# Several routes
+
+
+def test_alternatives_are_different_and_not_absurd():
+    terrain = Bicubic(blank((0, 40), (0, 40), 0.5))
+    layers = traversability(terrain, ROVER, keep_out=[Disc(20.0, 21.0, 6.0)])
+    found = routes(layers, (5.0, 20.0), (35.0, 20.0), 3, turning_radius=2.0)
+    assert len(found) == 3
+    assert [each.cost for each in found] == sorted(each.cost for each in found)
+    sides = {bool(each.points[len(each.points) // 2, 1] > 21) for each in found[:2]}
+    assert sides == {True, False}
+    best = route(layers, (5.0, 20.0), (35.0, 20.0), turning_radius=2.0)
+    assert_allclose(found[0].points, best)
+    for k, one in enumerate(found):
+        assert_allclose(one.length, length(one.points))
+        assert one.cost == pytest.approx(one.length, rel=1e-3)  # flat ground
+        assert one.length < 2 * found[0].length
+        for other in found[:k]:
+            gaps = np.linalg.norm(one.points[:, None] - other.points[None], axis=2).min(axis=1)
+            assert gaps.max() > 2 * REACH
+
+
+def test_where_there_is_one_way_one_is_found():
+    layers, middle = corridor(width=1.2)
+    found = routes(layers, (2.0, middle), (middle, 18.0), 3)
+    assert len(found) == 1
+
+
+# Errors
+
+
+def blocked_map():
+    terrain = Bicubic(blank((0, 30), (0, 30), 0.5))
+    wall = box(0, 30, 14, 16)
+    return traversability(terrain, ROVER, keep_out=[wall, Disc(5.0, 5.0, 1.0)])
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "message"),
+    [
+        ((-1.0, 5.0), (10.0, 5.0), r"cannot be at the start \(-1, 5\): 1 m outside the map"),
+        ((10.0, 5.0), (5.0, 5.0), r"at the goal \(5, 5\): inside the keep-out disc at \(5, 5\)"),
+        ((10.0, 0.5), (10.0, 5.0), r"at the start \(10, 0.5\): 0.5 m from the edge of the map"),
+        ((np.nan, 5.0), (10.0, 5.0), "the start must be finite"),
+        ((10.0, 5.0), (10.0, 5.0), r"start and goal coincide at \(10, 5\)"),
+        (
+            (10.0, 5.0),
+            (10.0, 25.0),
+            r"no way leads from \(10, 5\) to \(10, 25\): the ground that can be reached ends at "
+            r"\(10, 12.5\), 12.5 m from the goal; beyond it: 1 m from the keep-out polygon",
+        ),
+    ],
+)
+def test_questions_without_an_answer(start, goal, message):
+    for ask in (route, lambda *question: routes(*question, 2)):
+        with pytest.raises(ModelError, match=message):
+            ask(blocked_map(), start, goal)
+
+
+def test_steep_start_is_named():
+    terrain = Bicubic(ramp(blank((0, 20), (0, 20), 0.25), start=8, end=12, rise=1.0))
+    layers = traversability(terrain, ROVER, steepest=math.radians(20))
+    with pytest.raises(ModelError, match=r"at the start .*: slope of 22.* degrees, at most 20"):
+        route(layers, (10.0, 10.0), (10.0, 4.0))
+
+
+@pytest.mark.parametrize("turning_radius", [-1.0, np.inf])
+def test_bad_turning_radius_is_refused(turning_radius):
+    with pytest.raises(ModelError, match="turning_radius must be zero or more metres"):
+        route(blocked_map(), (10.0, 5.0), (15.0, 5.0), turning_radius=turning_radius)
+
+
+def test_bad_count_is_refused():
+    with pytest.raises(ModelError, match="count must be at least 1, found 0"):
+        routes(blocked_map(), (10.0, 5.0), (15.0, 5.0), 0)
+
+
+# Inside
+
+
+def test_gradient_of_the_effort(rng):
+    layers, middle = corridor()
+    rough = np.array([(2.0, middle), (middle, middle), (middle, 18.0)])
+    field = smoothing._field(layers, rough, 1.0)
+    field = field._replace(cost=field.cost + rng.random(field.cost.shape))
+    aim = smoothing._Aim(stiff=0.3, clear=0.2, sharpest=0.8, weight=10.0, step=0.1)
+    points = smoothing.evenly(rough, 0.1) - field.origin
+    points += 0.03 * rng.standard_normal(points.shape)
+    gradient = smoothing._effort(field, points, aim)[1]
+    for k, axis in ((0, 0), (7, 1), (60, 0), (90, 1), (len(points) - 1, 1)):
+        values = []
+        for step in (1e-7, -1e-7):
+            moved = points.copy()
+            moved[k, axis] += step
+            values.append(smoothing._effort(field, moved, aim)[0])
+        assert_allclose(gradient[k, axis], (values[0] - values[1]) / 2e-7, rtol=1e-4, atol=1e-3)
+
+
+def test_a_large_map_is_coarsened():
+    axis = np.arange(2000) * 0.25
+    grid = Grid(axis, axis, 0.1 * np.sin(0.1 * axis)[:, None] * np.cos(0.07 * axis))
+    layers = traversability(Bicubic(grid), ROVER)
+    assert layers.cost.shape == (1429, 1429)
+    inner = np.minimum(layers.x, axis[-1] - layers.x) >= REACH
+    assert (np.isfinite(layers.cost) == inner[:, None] & inner).all()

@@ -1,0 +1,287 @@
+"""Collocation: exact derivatives, its order on a known solution, optima known in closed form."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.cases import hills
+from helpers.toy_models import task, toy
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.dae import Limit
+from slipfree.plan.bound_conflicts import conflicts
+from slipfree.plan.explanation import violations
+from slipfree.plan.ipopt import solve
+from slipfree.plan.transcription import Cost, Mesh, Place, Task, completed, transcribe
+from slipfree.records import Label
+
+
+def at_end(*values):
+    """Return conditions by which quantities have given values, one limit each."""
+    return tuple(Limit(Label(f"end{k}", "m", ""), quantity, value, value)
+                 for k, (quantity, value) in enumerate(values))  # fmt: skip
+
+
+def solved(program, first=None):
+    """Solve with weights of one; the duration of the guess is the least allowed."""
+    w = np.zeros(program.scale.size) if first is None else first
+    w[program.layout.duration] = program.task.duration[0]
+    weights = np.append(np.ones(len(program.task.costs)), program.task.smooth)
+    found = solve(program, weights, w)
+    assert found.success
+    return found
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_order_at_the_ends_of_intervals_is_twice_the_degree_less_one(degree):
+    """x' = cos t z / x, z = x^2: x = exp(sin t)."""
+    dae = toy(1, lambda t, x, z, _u: [ca.cos(t) * z / x[0]])
+    counts = {1: (64, 128, 256), 2: (16, 32, 64), 3: (8, 16, 32), 4: (6, 9, 13)}[degree]
+    errors = []
+    for count in counts:
+        mesh = Mesh(np.linspace(0, 1, count + 1), degree)
+        program = transcribe(task(dae, [1.0], inputs=(0, 0), duration=4.0), mesh)
+        found = solved(program, np.ones(program.scale.size))
+        ends = found.unknowns[program.layout.states[:, -1, 0]]
+        errors.append(np.abs(ends - np.exp(np.sin(4 * mesh.ends[1:]))).max())
+    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert order == pytest.approx(2 * degree - 1, abs=0.35)
+
+
+def test_the_least_effort_of_an_integrator_is_known():
+    """x' = u from 0 to 2 in 4 s: u = 1/2, cost 1."""
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+    goal = Place(1.0, (Limit(Label("end", "m", ""), dae.x.values[0], 2.0, 2.0),))
+    program = transcribe(task(dae, [0.0], costs=[cost], places=[goal], duration=4.0),
+                         Mesh(np.linspace(0, 1, 6), 2))  # fmt: skip
+    found = solved(program)
+    assert_allclose(found.unknowns[program.layout.inputs], 0.5, atol=1e-9)
+    assert found.cost == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_least_effort_of_two_integrators_is_approached_in_second_order():
+    """x'' = u, at rest 0 to 1 in 1 s: u = 6 - 12 t, cost 12; inputs are constant by intervals."""
+    dae = toy(2, lambda _t, x, _z, u: [x[1], u])
+    cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+    ends = [
+        Limit(Label(f"end{k}", "m", ""), dae.x.values[k], v, v) for k, v in enumerate((1.0, 0.0))
+    ]
+    counts, errors = (5, 10, 20), []
+    for count in counts:
+        program = transcribe(
+            task(dae, [0.0, 0.0], costs=[cost], places=[Place(1.0, tuple(ends))]),
+            Mesh(np.linspace(0, 1, count + 1), 3),
+        )
+        errors.append(solved(program).cost - 12)
+    # By constants the least is 12 / (1 - 1/n^2): the mean of a line over an interval.
+    assert_allclose(errors, [12 / (1 - n**-2.0) - 12 for n in counts], rtol=1e-6)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_the_least_effort_of_two_integrators_is_met_by_continuous_inputs(degree):
+    """x'' = u, at rest 0 to 1 in 1 s: u = 6 - 12 t, cost 12; a way-point asks for a u it has."""
+    dae = toy(2, lambda _t, x, _z, u: [x[1], u])
+    u = dae.u.values[0]
+    cost = Cost(Label("effort", "", ""), u**2, 1.0)
+    mesh = Mesh(np.array([0.0, 0.1, 0.25, 0.6, 1.0]), degree)
+    places = [
+        Place(0.25, at_end((u, 3.0))),
+        Place(1.0, at_end((dae.x.values[0], 1.0), (dae.x.values[1], 0.0))),
+    ]
+    program = transcribe(task(dae, [0.0, 0.0], costs=[cost], places=places, continuous=True), mesh)
+    found = solved(program)
+    assert program.layout.inputs.shape == (5, 1)
+    assert_allclose(found.unknowns[program.layout.inputs][:, 0], 6 - 12 * mesh.ends, atol=1e-9)
+    ends = found.unknowns[program.layout.states[:, -1, 0]]
+    # Radau points of degree 2 are exact at the ends for cubics, those of degree 3 for quintics.
+    assert_allclose(ends, 3 * mesh.ends[1:] ** 2 - 2 * mesh.ends[1:] ** 3, atol=1e-10)
+    assert found.cost == pytest.approx(12.0, abs=1e-9)
+
+
+def test_slopes_of_continuous_inputs_keep_to_their_bounds():
+    """x' = u to 7/8 in 2 s, u = 0 there, u' >= -1: the least effort is u = min(1/2, 2 - t)."""
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    u = dae.u.values[0]
+    cost = Cost(Label("effort", "", ""), u**2, 1.0)
+    goal = Place(1.0, at_end((dae.x.values[0], 0.875), (u, 0.0)))
+    mesh = Mesh(np.linspace(0, 1, 9), 2)
+    program = transcribe(
+        task(dae, [0.0], costs=[cost], places=[goal], duration=2.0, rates=(-1.0, 5.0),
+             continuous=True),
+        mesh,
+    )  # fmt: skip
+    found = solved(program)
+    inputs = found.unknowns[program.layout.inputs][:, 0]
+    assert_allclose(inputs, np.minimum(0.5, 2 - 2 * mesh.ends), atol=1e-6)
+    assert found.cost == pytest.approx(0.375 + 1 / 24, abs=1e-6)
+
+
+def test_bounds_that_the_last_of_continuous_inputs_misses_are_told_there():
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    goal = Place(1.0, at_end((dae.u.values[0], 3.0)))
+    asked = task(dae, [0.0], places=[goal], inputs=(-1.0, 1.0), rates=(0.5, 9.0), continuous=True)
+    assert not [words for words in conflicts(asked, None) if "last interval" in words]
+    program = transcribe(asked, Mesh(np.linspace(0, 1, 4), 2))
+    blank = solve(program, np.zeros(1), np.zeros(program.scale.size), iterations=0)
+    w = np.zeros(program.scale.size)
+    w[program.layout.inputs[:, 0]], w[program.layout.duration] = (0.0, 1.0, 1.0, 3.0), 1.0
+    told = {each.label.full: each for each in violations(program, blank._replace(unknowns=w))}
+    assert (told["drive"].t, told["drive"].interval, told["drive"].size) == (1.0, 2, 2.0)
+
+
+def test_the_smoothest_continuous_input_is_known():
+    """x' = u to 1 in 1 s, u = 0 there: by lines between n + 1 values the least is 3 / (1 - h2/4).
+
+    Of all functions it is u = 3/2 (1 - t^2), cost 3. Lines through its values have the integral
+    (2/3 - h2/6) 3/2 and the squared slopes (4/3 - h2/3) 9/4; they are scaled to reach 1.
+    """
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    goal = Place(1.0, at_end((dae.x.values[0], 1.0), (dae.u.values[0], 0.0)))
+    for count in (2, 5):
+        mesh = Mesh(np.linspace(0, 1, count + 1), 2)
+        found = solved(transcribe(task(dae, [0.0], places=[goal], smooth=1.0, continuous=True),
+                                  mesh))  # fmt: skip
+        assert found.cost == pytest.approx(3 / (1 - count**-2 / 4), abs=1e-8)
+
+
+def test_roots_of_a_cost_are_unknowns_and_change_nothing_but_the_search():
+    """Of squares of a formula and of an input, against the same written so that no root is seen."""
+    dae = toy(2, lambda t, x, z, u: [x[1] + ca.sin(t) * z, u])
+    (x, y), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
+    formula = x * y - z + u * ca.cos(dae.t) - 1
+    goal = Place(1.0, at_end((x, 1.0), (y, 0.5)))
+    mesh, found = Mesh(np.linspace(0, 1, 6), 3), []
+    for cost in (Cost(Label("miss", "", ""), formula**2 + u**2, 1.0),
+                 Cost(Label("miss", "", ""), (2 * formula**2 + 2 * u**2) / 2, 1.0)):  # fmt: skip
+        program = transcribe(task(dae, [0.1, 0.2], costs=[cost], places=[goal]), mesh)
+        found.append((program, solved(program)))
+    (program, one), (plain, other) = found
+    layout, w = program.layout, one.unknowns
+    assert layout.roots.shape == (5, 3, 1)
+    assert plain.layout.roots.shape == (5, 3, 0)
+    assert one.cost == pytest.approx(other.cost, abs=1e-9)
+    assert_allclose(w[: layout.duration + 1], other.unknowns, atol=1e-5)
+    value = ca.Function("value", [dae.t, ca.vertcat(x, y), z, u], [formula])
+    at = zip(mesh.nodes[1:], w[layout.states].reshape(-1, 2), w[layout.unknowns].ravel(),
+             np.repeat(w[layout.inputs], 3), strict=True)  # fmt: skip
+    expected = [float(value(*each)) for each in at]
+    assert_allclose(w[layout.roots].ravel(), expected, atol=1e-7)
+    blank = w.copy()
+    blank[layout.roots] = 9.0
+    assert_allclose(completed(program, blank)[layout.roots].ravel(), expected, atol=1e-13)
+    rows = np.array(program.jacobian(blank / program.scale, np.ones(2))[0]).ravel()
+    (told,) = violations(program, one._replace(unknowns=blank, rows=rows))
+    assert (told.label.full, told.role) == ("miss_root", "equation")
+    assert told.size == pytest.approx(9.0 - min(expected), abs=1e-6)
+
+
+def test_the_least_time_is_known():
+    """x'' = u, |u| <= 1, at rest 0 to 1: two seconds, full forward and full back."""
+    dae = toy(2, lambda _t, x, _z, u: [x[1], u])
+    cost = Cost(Label("time", "s", ""), ca.SX(1), 1.0)
+    ends = [
+        Limit(Label(f"end{k}", "m", ""), dae.x.values[k], v, v) for k, v in enumerate((1.0, 0.0))
+    ]
+    program = transcribe(
+        task(dae, [0.0, 0.0], costs=[cost], places=[Place(1.0, tuple(ends))], inputs=(-1, 1),
+             duration=(0.5, 9.0)),
+        Mesh(np.linspace(0, 1, 11), 3),
+    )  # fmt: skip
+    first = np.ones(program.scale.size)
+    found = solved(program, first)
+    assert found.unknowns[program.layout.duration] == pytest.approx(2.0, abs=1e-6)
+    inputs = found.unknowns[program.layout.inputs][:, 0]
+    assert_allclose(inputs, [1] * 5 + [-1] * 5, atol=1e-6)
+
+
+def test_a_limit_along_the_way_and_a_way_point_hold():
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+    x = dae.x.values[0]
+    places = [Place(0.5, (Limit(Label("half", "m", ""), x, 2.0, 2.0),)),
+              Place(1.0, (Limit(Label("end", "m", ""), x, 0.0, 0.0),))]  # fmt: skip
+    low = Limit(Label("square_limit", "m", ""), dae.z.values[0] + 0.1 * x, -np.inf, 4.2)
+    program = transcribe(task(dae, [0.0], costs=[cost], places=places, limits=[low], duration=4.0),
+                         Mesh(np.linspace(0, 1, 9), 3))  # fmt: skip
+    found = solved(program, np.full(program.scale.size, 0.5))
+    states = found.unknowns[program.layout.states[..., 0]]
+    assert states[3, -1] == pytest.approx(2.0)
+    assert (states**2 + 0.1 * states).max() <= 4.2 + 1e-6
+    assert found.cost == pytest.approx(4.0, abs=1e-6)  # two metres in two seconds, and back
+
+
+@pytest.fixture(scope="module")
+def vehicle_program():
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills, mu=0.6))
+    start = settle(dae)
+    x = dae.x
+    slip = sum(s**2 for s in (*dae.y.slip_along, *dae.y.slip_across))
+    used = ca.sumsqr(ca.vertcat(*dae.y.forces.utilisation))
+    goal = Place(1.0, (Limit(Label("goal", "m", ""), x.x - 0.1 * x.heading, 0.6, 0.6),))
+    everything = Task(
+        dae, dae.rows("x", start, 0), (5.0, 9.0),
+        (Cost(Label("slip", "", ""), slip, 1.0), Cost(Label("used", "", ""), used, 1.0)), (goal,),
+        (Limit(Label("pace", "1", ""), x.y * dae.u.wheels[0], -9.0, 9.0),
+         Limit(Label("steering", "rad", ""), x.joints[0], -1.0, 1.0)),
+        np.array([[-2.0, 2.0]] * 3), np.array([[-1.0, 1.0]] * 3), 0.1,
+    )  # fmt: skip
+    return transcribe(everything, Mesh(np.array([0.0, 0.2, 0.5, 1.0]), 2)), start
+
+
+def test_derivatives_are_exact(vehicle_program, rng):
+    """Jacobian and Hessian, put together by index, against differences along random directions."""
+    program, start = vehicle_program
+    dae = program.task.dae
+    run = simulate(dae, start, dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1),
+                   program.mesh.nodes * 7.0)  # fmt: skip
+    from slipfree.plan.polynomial_motion import unknowns_of
+
+    w = unknowns_of(program, run) / program.scale + 1e-3 * rng.normal(size=program.scale.size)
+    x, p = program.problem["x"], program.problem["p"]
+    weights, sigma = np.array([0.3, 0.2, 0.1]), 0.7
+    multipliers = rng.normal(size=program.g_lower.size)
+    rows = ca.Function("g", [x], [ca.substitute(program.problem["g"], p, ca.DM(weights))])
+    lagrangian = sigma * program.problem["f"] + ca.dot(ca.DM(multipliers), program.problem["g"])
+    gradient = ca.Function("l", [x, p], [ca.gradient(lagrangian, x)])
+    way, h = rng.normal(size=w.size), 1e-6
+    jacobian = program.jacobian(w, weights)[1]
+    difference = (np.array(rows(w + h * way)) - np.array(rows(w - h * way))) / (2 * h)
+    scale = np.abs(difference).max()
+    assert_allclose(np.array(jacobian @ way), difference, atol=1e-6 * scale)
+    half = np.array(ca.DM(program.hessian(w, weights, sigma, multipliers)))
+    assert not np.tril(half, -1).any()
+    change = np.array(gradient(w + h * way, weights)) - np.array(gradient(w - h * way, weights))
+    change = change.ravel() / (2 * h)
+    full = half + np.triu(half, 1).T
+    assert_allclose(full @ way, change, atol=1e-6 * np.abs(change).max())
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+def test_derivatives_are_those_of_the_functions(continuous, rng):
+    """Put together by index they are what CasADi makes of cost and rows as a whole."""
+    dae = toy(2, lambda t, x, z, u: [ca.sin(t * x[1]) * u, z * u**2])
+    (x, _), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
+    cost = Cost(Label("cost", "", ""), z * u**2 + ca.cos(x * dae.t), 1.0)
+    places = [Place(part, at_end((x * u * dae.t, 1.0))) for part in (0.4, 1.0)]
+    limit = Limit(Label("pace", "m", ""), x * u**2, -1.0, 2.0)
+    asked = task(dae, [0.1, 0.2], costs=[cost], places=places, limits=[limit], duration=(1.0, 3.0),
+                 rates=(-1.0, 1.0), smooth=0.1, continuous=continuous)  # fmt: skip
+    program = transcribe(asked, Mesh(np.array([0.0, 0.3, 0.4, 1.0]), 2))
+    w, p, f, g = (program.problem[name] for name in "xpfg")
+    at = rng.normal(size=w.numel()) + 1.0, np.array([0.7, 0.2])
+    sigma, multipliers = 0.6, rng.normal(size=g.numel())
+    rows, slopes = program.jacobian(*at)
+    whole = ca.Function("whole", [w, p], [g, ca.jacobian(g, w)])(*at)
+    assert_allclose(np.array(rows), np.array(whole[0]), atol=1e-13)
+    assert_allclose(np.array(ca.DM(slopes)), np.array(ca.DM(whole[1])), atol=1e-12)
+    lagrangian = sigma * f + ca.dot(ca.DM(multipliers), g)
+    curved = ca.Function("curved", [w, p], [ca.hessian(lagrangian, w)[0]])(*at)
+    half = program.hessian(*at, sigma, multipliers)
+    assert_allclose(np.array(ca.DM(half)), np.triu(np.array(ca.DM(curved))), atol=1e-11)
+
+
+def test_a_degree_that_is_not_offered_is_refused():
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    with pytest.raises(ModelError, match="expected a degree of 1 to 5, found 6"):
+        transcribe(task(dae, [0.0]), Mesh(np.linspace(0, 1, 3), 6))

@@ -1,0 +1,239 @@
+"""Files that are damaged, giant or meant ill: every one is read, or refused by a clear error."""
+
+from __future__ import annotations
+
+import ast
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from helpers.fuzz_checks import READ, REFUSED, judged
+from helpers.fuzz_damage import Case
+from helpers.fuzz_files import KINDS, bases, document, drawn, results, toml
+from slipfree.cli import app
+from slipfree.errors import DataError, ModelError
+from slipfree.files import netcdf
+from slipfree.files.maps.elevation import read_map
+from slipfree.files.toml.errors import ProblemError
+from slipfree.files.vehicle_toml import open_file
+from slipfree.problem.load import read
+from slipfree.problem.reload import problem_of
+from slipfree.vehicle.formula import names_in
+
+SOURCE = Path(__file__).parents[2] / "src" / "slipfree"
+CAREFUL = settings(
+    derandomize=True,
+    database=None,
+    deadline=None,
+    max_examples=15,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+NUMBERS = st.one_of(st.floats(), st.integers(), st.sampled_from([10**400, -(10**400), 1e300]))
+VALUES: st.SearchStrategy[Any] = st.recursive(
+    st.one_of(
+        NUMBERS, st.booleans(), st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.text("axy.é", max_size=4), inner, max_size=3),
+    ),
+    max_leaves=8,
+)
+
+
+def _sound(case: Case, folder: Path) -> None:
+    found = judged(case, Path(tempfile.mkdtemp(dir=folder)))
+    assert found.name in (READ, REFUSED), found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@CAREFUL
+@given(seed=st.integers(0, 2**32))
+def test_every_drawn_file_is_read_or_refused(kind: str, seed: int, tmp_path: Path) -> None:
+    _sound(drawn(kind, Random(seed)), tmp_path)
+
+
+@CAREFUL
+@given(seed=st.integers(0, 2**32))
+def test_no_file_beside_a_raster_changes_it(seed: int, tmp_path: Path) -> None:
+    case = drawn("sidecar", Random(seed))
+    whole, alone = tempfile.mkdtemp(dir=tmp_path), tempfile.mkdtemp(dir=tmp_path)
+    case.write(Path(whole))
+    (Path(alone) / case.main).write_bytes(case.files[case.main])
+    found = []
+    for folder in (whole, alone):
+        try:
+            grid, *facts = read_map(Path(folder) / case.main, fill="linear")
+            found.append((grid.x.tolist(), grid.y.tolist(), grid.z.tolist(), facts))
+        except DataError as error:
+            found.append(str(error).replace(folder, ""))
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("kind", ["direct", "inverse", "plan", "climb"])
+@CAREFUL
+@given(value=VALUES, place=st.integers(0, 99), data=st.data())
+def test_any_value_anywhere_is_read_or_refused(
+    kind: str, value: Any, place: int, data: Any, tmp_path: Path
+) -> None:
+    problem = dict(bases(kind)[0])
+    name = [*problem][place % len(problem)]
+    table = problem[name]
+    if isinstance(table, dict):
+        key = data.draw(st.sampled_from([*table, "x"]))
+        problem[name] = {**table, key: value}
+    else:
+        problem[name] = value
+    _sound(Case(kind, {"p.toml": document(problem).encode("utf-8", "replace")}, "p.toml"), tmp_path)
+
+
+@CAREFUL
+@given(
+    raw=st.binary(max_size=300),
+    ending=st.sampled_from(
+        ["p.toml", "v.urdf", "g.asc", "g.npz", "g.csv", "g.tif", "g.png", "r.nc"]
+    ),
+)
+def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
+    kinds = {"p.toml": "direct", "v.urdf": "urdf", "r.nc": "result"}
+    found = judged(Case(kinds.get(ending, "asc"), {ending: raw}, ending), tmp_path)
+    assert found.name == REFUSED, found
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a = " + "[" * 100_000, "nested a few deep"),
+        ("a = " + "{a=" * 100_000, "nested a few deep"),
+        ("a" + ".a" * 100_000 + " = 1", "keys of a few parts"),
+        ("\n'a'" + ". 'b'" * 100_000 + " = 1", ":2: expected keys of a few parts"),
+        ("a = 1" + "0" * 10_000, "expected numbers, found one that is none"),
+        ("x" * 10_000_001, "at most 10 MB, found 10 MB"),
+    ],
+)
+def test_toml_beyond_reason_is_refused_at_once(text: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "p.toml"
+    file.write_text(text)
+    for reader in (read, open_file):
+        begin = time.process_time()
+        with pytest.raises(ProblemError, match=words) as caught:
+            reader(file)
+        assert time.process_time() - begin < 2
+        assert str(file) in str(caught.value)
+
+
+def test_a_long_text_of_dots_is_no_long_key(tmp_path: Path) -> None:
+    file = tmp_path / "p.toml"
+    file.write_text(f"# {'.' * 500}\n# {'and. ' * 500}\ntitle = '{'a. ' * 500}'\n")
+    assert len(open_file(file).data["title"]) == 1500
+
+
+def test_integers_beyond_all_floats_are_no_numbers(tmp_path: Path) -> None:
+    file = tmp_path / "p.toml"
+    file.write_text(document({**bases("plan")[0], "goal": {"x": 10**400, "y": [0, 10**400]}}))
+    with pytest.raises(ProblemError, match=r"goal.x: expected a number.*\n.*goal.y: expected"):
+        read(file)
+
+
+def test_what_is_found_is_shown_shortly(tmp_path: Path) -> None:
+    nested: Any = 1
+    for _ in range(60):
+        nested = [nested] * 2 if _ < 5 else [nested]
+    file = tmp_path / "p.toml"
+    file.write_text(document({**bases("direct")[0], "driver": nested}))
+    with pytest.raises(ProblemError, match=r"found \[\[\[\[\.\.\.\]\]\]\]$"):
+        read(file)
+
+
+@pytest.mark.parametrize(
+    "text", ["not " * 240 + "a", "a" + ".b" * 450, "lambda: " * 120 + "a", "1if a else 2", "'\\d'"]
+)
+def test_formulas_that_are_deep_or_odd_are_refused_in_silence(text: str) -> None:
+    with pytest.raises(ModelError, match="expected numbers, coordinates"):
+        names_in(text)
+
+
+@pytest.mark.parametrize("name", ["", "..", "a\0b", "x" * 300, "/etc/passwd", "é\n"])
+def test_the_name_of_a_problem_in_a_result_is_no_path(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "r.nc"
+    file.write_bytes(results()[1])
+    motion = netcdf.read(file)
+    motion = replace(motion, attributes={**motion.attributes, "problem_file": name})
+    assert problem_of(file, motion).spec.verb == "direct"
+    assert [each.name for each in tmp_path.iterdir()] == ["r.nc"]
+
+
+def test_devices_are_not_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "p.toml"
+    file.write_text(document(bases("direct")[0]))
+    found = CliRunner().invoke(app, ["run", str(file), "-o", "/dev/null", "--no-draw"])
+    assert found.exit_code == 2
+    assert "/dev/null: expected the name of a file to write" in found.stderr
+    assert Path("/dev/null").is_char_device()
+
+
+def test_nothing_of_a_user_is_run_as_code() -> None:
+    """No pickle, eval or exec is applied to what a file holds; arrays are read without pickles."""
+    bad = []
+    for file in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            names: list[str] = []
+            if isinstance(node, ast.Import):
+                names = [each.name for each in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            elif isinstance(node, ast.Call):
+                names = [ast.unparse(node.func)]
+                bad += [
+                    f"{file.name}:{node.lineno} {each.arg}"
+                    for each in node.keywords
+                    if each.arg == "allow_pickle" and ast.unparse(each.value) != "False"
+                ]
+            bad += [f"{file.name}:{node.lineno} {name}" for name in names if name in FORBIDDEN]
+    assert bad == []
+
+
+FORBIDDEN = (
+    "pickle",
+    "dill",
+    "cloudpickle",
+    "marshal",
+    "shelve",
+    "joblib",
+    "yaml",
+    "eval",
+    "exec",
+    "compile",
+    "__import__",
+    "os.system",
+    "os.popen",
+)
+
+
+def test_arrays_of_python_objects_are_refused(tmp_path: Path) -> None:
+    """A numpy archive with a pickle in it is not unpickled."""
+    import numpy as np
+
+    class Trap:
+        def __reduce__(self) -> Any:
+            return pytest.fail, ("the pickle was loaded",)
+
+    np.savez(tmp_path / "g.npz", x=np.array([Trap()], object), y=np.arange(4.0), z=np.eye(4))
+    with pytest.raises(DataError, match="allow_pickle=False"):
+        read_map(tmp_path / "g.npz")
+
+
+def test_toml_of_the_tests_says_what_it_means() -> None:
+    import tomllib
+
+    value = {"a": [1, 1e300, True, "é\n"], "b": {"c": {"d": -0.5}}}
+    assert tomllib.loads(document(value)) == value
+    assert toml(10**5000).startswith("1000")

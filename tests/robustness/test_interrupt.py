@@ -1,0 +1,516 @@
+"""Ctrl-C at chosen moments in which an exception would get lost."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from typer.testing import CliRunner
+
+from helpers.cases import hills
+from helpers.toy_models import model
+from slipfree import Analytic, codegen_cache, direct_kinematics, settle, three_wheeler
+from slipfree.cli import app
+from slipfree.cli.common import interruptible
+from slipfree.files import netcdf
+from slipfree.interrupt import InterruptGuard, ended_by_interrupt, heeded
+from slipfree.nlp import Nlp
+from slipfree.plan import ipopt
+from slipfree.plan import plan as planning
+from slipfree.plan.external_nlp import solve_nlp
+from slipfree.problem import solve as runner
+from slipfree.solve import simulate, zero_order_hold
+
+HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+SMALL = [word for each in ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
+         for word in ("--set", each)]  # fmt: skip
+T = np.linspace(0, 2, 21)
+OLD = b"what was here before"
+
+
+@pytest.fixture(autouse=True)
+def handler():
+    """Python's own handler, to which everything must come back."""
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    yield
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def press():
+    signal.raise_signal(signal.SIGINT)
+
+
+def lost():
+    with pytest.raises(KeyboardInterrupt):
+        press()
+
+
+def pressing(function, at=1):
+    """Return a function before whose call of that number Ctrl-C is pressed, and those calls."""
+    calls = []
+
+    def pressed(*args, **more):
+        calls.append(args)
+        if len(calls) == at:
+            press()
+        return function(*args, **more)
+
+    return pressed, calls
+
+
+# The context
+
+
+def test_what_got_lost_comes_at_the_end():
+    with pytest.raises(KeyboardInterrupt), InterruptGuard():
+        lost()
+
+
+def test_it_comes_instead_of_what_became_of_it():
+    def fail():
+        lost()
+        raise SystemError("returned a result with an exception set")
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        heeded(fail)()
+    assert caught.value.__suppress_context__
+
+
+@pytest.mark.parametrize("error", [KeyError("mine"), SystemExit(3)])
+def test_other_exceptions_pass(error):
+    with pytest.raises(type(error)) as caught, InterruptGuard():
+        raise error
+    assert caught.value is error
+
+
+def test_what_a_callback_deals_with_is_forgotten_by_all_contexts_around_it():
+    with InterruptGuard(), InterruptGuard() as heed:
+        heed.call(lost)
+
+
+def test_what_was_raised_before_a_callback_ends_it():
+    seen = []
+
+    def work():
+        with InterruptGuard() as heed:
+            lost()
+            heed.call(seen.append, 1)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert seen == []
+
+
+def test_what_a_callback_raises_keeps_its_cause():
+    def fail():
+        raise ValueError("mine") from KeyError("its cause")
+
+    def work():
+        with InterruptGuard() as heed:
+            with pytest.raises(ValueError, match="mine"):
+                heed.call(fail)
+            raise RuntimeError("what CasADi says")
+
+    with pytest.raises(ValueError, match="mine") as caught:
+        work()
+    assert isinstance(caught.value.__cause__, KeyError)
+
+
+def test_a_handler_that_only_remembers_stays_what_it_is():
+    seen = []
+    signal.signal(signal.SIGINT, lambda *_: seen.append(1))
+    try:
+        with InterruptGuard():
+            press()
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    assert seen == [1]
+
+
+def test_nobody_is_interrupted_where_ctrl_c_is_ignored():
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with InterruptGuard():
+            press()
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def test_pressed_on_leaving(monkeypatch):
+    """The former handler comes back before anything is raised."""
+    heed, install = InterruptGuard(), signal.signal
+
+    def late(number, former):
+        heed._handle(number, sys._getframe(1))  # as a signal that waits is told of by then
+        return install(number, former)
+
+    def work():
+        with heed:
+            monkeypatch.setattr(signal, "signal", late)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+
+@pytest.mark.parametrize(("name", "at"), [("_int_to_enum", 2), ("_enum_to_int", 3)])
+def test_pressed_while_python_puts_a_handler_in_its_place(name, at, monkeypatch):
+    """On entering and on leaving: `signal.signal` is Python code, and nothing stays behind."""
+    former = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(signal, name, pressing(getattr(signal, name), at)[0])
+    with pytest.raises(KeyboardInterrupt), InterruptGuard():
+        pass
+    monkeypatch.undo()
+    assert signal.getsignal(signal.SIGINT) is former
+    with InterruptGuard():
+        pass
+
+
+def test_another_thread_leaves_the_handler_alone():
+    handlers, raised = [], []
+
+    def work():
+        try:
+            with ended_by_interrupt(press), InterruptGuard() as heed:
+                handlers.append(signal.getsignal(signal.SIGINT))
+                with pytest.raises(ZeroDivisionError):
+                    heed.call(lambda: 1 / 0)
+        except ZeroDivisionError as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert handlers == [signal.default_int_handler]
+    assert len(raised) == 1
+
+
+# Simulation
+
+
+def moved(method="cvodes", progress=None):
+    dae = model(lambda _t, x, u: u - x)
+    start, inputs = settle(dae, x=0.0), dae.inputs(push=1.0)
+    return simulate.simulate(dae, start, inputs, T, method=method, progress=progress)
+
+
+@pytest.mark.parametrize("method", ["idas", "cvodes"])
+def test_at_the_entry_of_a_step(method, monkeypatch):
+    pressed, _ = pressing(simulate._doubles, at=5)
+    monkeypatch.setattr(simulate, "_doubles", pressed)
+    times = []
+    with pytest.raises(KeyboardInterrupt):
+        moved(method, times.append)
+    assert 0 < len(times) < 5  # no step is looked at any more
+
+
+@pytest.mark.parametrize(
+    ("where", "name"),
+    [(simulate._Spy, "has_eval_buffer"), (simulate._Spy, "get_sparsity_in"),
+     (simulate, "close"), (simulate, "table")],
+)  # fmt: skip
+def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
+    pressed, _ = pressing(getattr(where, name))
+    monkeypatch.setattr(where, name, pressed)
+    with pytest.raises(KeyboardInterrupt):
+        moved()
+
+
+@pytest.mark.parametrize("name", ["hushed", "corrected"])
+def test_swallowed_around_a_call(name, monkeypatch):
+    """As in CasADi's own code: the call goes on, or fails with words of its own."""
+    function = getattr(simulate, name)
+
+    def swallowing(*args):
+        lost()
+        return function(*args)
+
+    monkeypatch.setattr(simulate, name, swallowing)
+    with pytest.raises(KeyboardInterrupt):
+        moved()
+
+
+def test_a_progress_that_deals_with_it_goes_on():
+    plain, seen = moved(), []
+
+    def progress(t):
+        seen.append(t)
+        if len(seen) == 3:
+            lost()
+
+    assert_array_equal(moved(progress=progress)["x"], plain["x"])
+    assert len(seen) > 10
+
+
+def test_a_progress_whose_own_motion_is_interrupted():
+    """The motion inside is told of it, and what catches it there has dealt with it."""
+    times = []
+
+    def progress(t):
+        times.append(t)
+        if len(times) == 3:
+            with pytest.raises(KeyboardInterrupt):
+                moved(progress=lambda _: press())
+
+    assert moved(progress=progress).t[-1] == T[-1]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_between_the_samples_of_a_controller(fails, monkeypatch):
+    calls = []
+
+    @contextmanager
+    def swallowing():
+        calls.append(1)
+        lost()
+        yield
+        if fails:
+            raise RuntimeError("CV_RHSFUNC_FAIL")
+
+    monkeypatch.setattr(zero_order_hold, "hushed", swallowing)
+    dae = model(lambda _t, _x, u: u)
+    with pytest.raises(KeyboardInterrupt):
+        zero_order_hold.simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=1.0), T)
+    assert len(calls) == 1
+
+
+# Plans
+
+
+def planned(progress=None):
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
+    start = settle(dae)
+    rates = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
+    first = simulate.simulate(
+        dae, start, dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0), T
+    )
+    return planning.plan(
+        dae, start, first, goal={"y": 0.2}, costs={"effort": 0.01}, duration=2.0, inputs=rates,
+        intervals=3, accuracy=1.0, progress=progress,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("where", "name"),
+    [(ipopt._Watch, "get_sparsity_in"), (ipopt._Watch, "get_name_in"), (ipopt, "violation")],
+)
+def test_in_a_search(where, name, monkeypatch):
+    pressed, _ = pressing(getattr(where, name), at=2)
+    monkeypatch.setattr(where, name, pressed)
+    seen = []
+    with pytest.raises(KeyboardInterrupt):
+        planned(lambda _, iterate: not seen.append(iterate))
+    assert len(seen) < 10
+
+
+def test_swallowed_between_two_searches(monkeypatch):
+    function = planning.sampled
+
+    def swallowing(*args):
+        lost()
+        return function(*args)
+
+    monkeypatch.setattr(planning, "sampled", swallowing)
+    with pytest.raises(KeyboardInterrupt):
+        planned()
+
+
+def test_in_a_search_that_turns_it_into_words_of_its_own(monkeypatch):
+    seen = []
+
+    def failing(*_):
+        seen.append(1)
+        lost()
+        raise SystemError("returned a result with an exception set")
+
+    monkeypatch.setattr(ipopt, "violation", failing)
+    with pytest.raises(KeyboardInterrupt):
+        planned()
+    assert len(seen) == 1
+
+
+def test_a_look_that_deals_with_it_keeps_the_iterate():
+    def progress(_words, iterate):
+        if iterate.number == 2:
+            lost()
+        return iterate.number < 2
+
+    found = planned(progress)
+    assert found.solution.status == planning.STOPPED
+    assert [stage.iterations for stage in found.stages] == [2]
+
+
+class Cost(ca.Callback):
+    """A square at whose second value Ctrl-C is pressed."""
+
+    def __init__(self):
+        ca.Callback.__init__(self)
+        self.calls = []
+        self.construct("cost", {"enable_fd": True})
+
+    def eval(self, arguments):
+        self.calls.append(1)
+        if len(self.calls) == 2:
+            press()
+        return [arguments[0] ** 2]
+
+
+def test_in_a_program_that_comes_ready_made(capfd):
+    x, cost, one = ca.MX.sym("x"), Cost(), np.ones(1)
+    nlp = Nlp(x, cost(x), x, one, one, -one, one, -one, one, {})
+    with pytest.raises(KeyboardInterrupt):
+        solve_nlp(nlp)
+    assert len(cost.calls) == 2
+    capfd.readouterr()
+
+
+# The compiler
+
+
+def test_a_compiler_that_does_not_end_is_ended(slow, monkeypatch):
+    code = (slow / "cc.py").read_text().replace("os.kill(os.getppid(), signal.SIGINT)\n", "")
+    (slow / "cc.py").write_text(code)
+    monkeypatch.setattr(codegen_cache, "PATIENCE", 2.0)
+    with pytest.raises(subprocess.TimeoutExpired):
+        codegen_cache._run([sys.executable, str(slow / "cc.py")])
+    _, child = (slow / "told").read_text().split()
+    assert _ends(int(child))
+
+
+@pytest.fixture
+def slow(tmp_path, monkeypatch):
+    """A compiler that tells its session, starts a process of its own, and presses Ctrl-C."""
+    code = (
+        "import os, pathlib, signal, subprocess, sys, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"pathlib.Path({str(tmp_path / 'told')!r}).write_text(f'{{os.getsid(0)}} {{child.pid}}')\n"
+        "os.kill(os.getppid(), signal.SIGINT)\n"
+        "time.sleep(60)\n"
+    )
+    (tmp_path / "cc.py").write_text(code)
+    monkeypatch.setenv("CC", shlex.join([sys.executable, str(tmp_path / "cc.py")]))
+    monkeypatch.setenv(codegen_cache.FOLDER, str(tmp_path / "cache"))
+    return tmp_path
+
+
+@pytest.mark.parametrize("context", [nullcontext, interruptible, InterruptGuard])
+def test_the_compiler_is_out_of_reach_and_ends_with_us(slow, context):
+    """Also where the first Ctrl-C is only remembered."""
+    x = ca.SX.sym("x")
+
+    def work():
+        with context():
+            codegen_cache.library("text", ["f"], lambda: [ca.Function("f", [x], [x])])
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    session, child = (slow / "told").read_text().split()
+    assert int(session) != os.getsid(0)
+    assert _ends(int(child))
+    assert list((slow / "cache").iterdir()) == []
+
+
+def _ends(number):
+    """Return whether a process soon is no more, or only not yet waited for by its new parent."""
+    for _ in range(100):
+        found = subprocess.run(
+            ["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False
+        )
+        if found.stdout.strip()[:1] in ("", "Z"):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+# The command line
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_pressed_behind_the_last_poll(fails):
+    def work():
+        with interruptible() as poll:
+            poll()
+            press()
+            if fails:
+                raise ValueError("what became of it")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+
+def test_what_was_told_is_not_told_again():
+    with interruptible() as poll:
+        press()
+        with pytest.raises(KeyboardInterrupt):
+            poll()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = 'verb = "direct"\n[terrain.synthetic]\nx = [-3, 3]\ny = [-3, 3]\nspacing = 0.25\n' \
+            '[start]\nheading = 0\n' \
+            '[vehicle]\ncatalog = "three_wheeler"\n[driver]\nname = "straight"\nspeed = 1.0\n' \
+            '[time]\nduration = 0.5\nstep = 0.1\n'  # fmt: skip
+    (tmp_path / "p.toml").write_text(words)
+    (tmp_path / "p.nc").write_bytes(OLD)
+    return tmp_path
+
+
+def run(*words):
+    return CliRunner().invoke(app, ["run", *words, "--no-draw"])
+
+
+def test_a_run_behind_its_last_step_writes_nothing(folder, monkeypatch):
+    pressed, _ = pressing(runner.finished)
+    monkeypatch.setattr(runner, "finished", pressed)
+    found = run("p.toml", "-o", "p.nc")
+    assert (found.exit_code, found.stderr) == (130, "interrupted\n")
+    assert (folder / "p.nc").read_bytes() == OLD
+
+
+@pytest.mark.parametrize("twice", [False, True])
+def test_a_run_at_the_entry_of_a_step(folder, monkeypatch, twice):
+    function, calls = simulate._doubles, []
+
+    def pressed(memory):
+        calls.append(1)
+        if len(calls) == 9:
+            press()
+            if twice:
+                press()
+        return function(memory)
+
+    monkeypatch.setattr(simulate, "_doubles", pressed)
+    found = run("p.toml", "-o", "p.nc")
+    assert (found.exit_code, found.stderr) == (130, "interrupted\n")
+    assert (folder / "p.nc").read_bytes() == OLD
+
+
+def test_a_plan_before_its_first_iteration_writes_nothing(folder, monkeypatch):
+    """As while its functions are compiled."""
+    pressed, _ = pressing(planning.transcribe)
+    monkeypatch.setattr(planning, "transcribe", pressed)
+    found = run(str(HILLS), "-o", "p.nc", *SMALL)
+    assert (found.exit_code, found.stderr) == (130, "interrupted\n")
+    assert (folder / "p.nc").read_bytes() == OLD
+
+
+def test_a_plan_behind_its_first_iteration_is_kept(folder, monkeypatch):
+    pressed, _ = pressing(ipopt.violation, at=2)
+    monkeypatch.setattr(ipopt, "violation", pressed)
+    found = run(str(HILLS), "-o", "p.nc", *SMALL)
+    assert found.exit_code == 1, found.output
+    assert "go on with --resume" in found.stderr
+    assert netcdf.read(folder / "p.nc").statistics["plan_iterations"] == 1

@@ -1,0 +1,96 @@
+"""Settling finds the vehicle standing on the ground, or says why it cannot."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from helpers.cases import hills
+from slipfree import Analytic, ModelError, direct_kinematics, settle, three_wheeler
+
+FOUND = ("z", "roll", "pitch")
+
+
+@pytest.fixture(scope="module")
+def on_hills():
+    return direct_kinematics(three_wheeler(), Analytic(hills))
+
+
+def test_poor_starts_settle_to_the_right_root(on_hills, rng):
+    """The explicit closure has no root with a wheel under the ground."""
+    for _ in range(60):
+        x, y, heading = *rng.uniform(-3, 3, 2), rng.uniform(-np.pi, np.pi)
+        nominal = settle(on_hills, x=x, y=y, heading=heading)
+        guess = {name: nominal[name][0] + rng.uniform(-0.4, 0.4) for name in ("roll", "pitch")}
+        guess["z"] = nominal["z"][0] + rng.uniform(-0.2, 0.2)
+        for wheel in nominal.wheels:
+            for name in ("contact_x", "contact_y"):
+                guess[f"{name}[{wheel}]"] = nominal[name, wheel][0] + rng.uniform(-0.2, 0.2)
+        found = settle(on_hills, guess=guess, x=x, y=y, heading=heading)
+        assert_allclose(
+            [found[name][0] for name in FOUND], [nominal[name][0] for name in FOUND], atol=1e-10
+        )
+        ground = Analytic(hills).elevation(found["center_x"], found["center_y"])
+        assert (found["center_z"] > ground).all()
+        assert found["closure_residual"][0] < 1e-12
+
+
+def test_stands_at_rest(on_hills):
+    run = settle(on_hills, x=0.3, heading=1.0, tilt_right=0.1)
+    assert run["tilt_right"][0] == 0.1
+    assert_allclose([run[f"velocity_{axis}"][0] for axis in "xyz"], 0, atol=1e-15)
+
+
+def test_plane_is_exact():
+    """On a plane a level vehicle lies parallel to it, a rolling radius above."""
+    slope = 0.25
+    dae = direct_kinematics(three_wheeler(), Analytic(lambda _, y: slope * y))
+    run = settle(dae, x=2.0, y=1.0)
+    assert_allclose(run["pitch"][0], np.arctan(slope), atol=1e-13)
+    assert_allclose(run["roll"][0], 0, atol=1e-13)
+    assert_allclose(run["z"][0], slope * 1.0 + 0.3 * np.hypot(1, slope), atol=1e-12)
+    assert_allclose(run["uprightness"][0], 1, atol=1e-12)
+
+
+def test_unknown_names_are_refused(on_hills):
+    with pytest.raises(ModelError, match=r"start: expected x, y, heading, .*; not known: azimuth"):
+        settle(on_hills, azimuth=0.1)
+    with pytest.raises(ModelError, match="guess: 'height' is not known"):
+        settle(on_hills, guess={"height": 1.0})
+    with pytest.raises(ModelError, match="start: x must be finite"):
+        settle(on_hills, x=np.nan)
+
+
+def test_start_beyond_a_stop_is_refused():
+    dae = direct_kinematics(three_wheeler(tilt_stop=0.2), Analytic(hills))
+    with pytest.raises(ModelError, match=r"stop of tilt_left .* 0.3, allowed -0.2 to 0.2 rad"):
+        settle(dae, tilt_left=0.3)
+
+
+def test_a_wheel_upside_down_is_refused(on_hills):
+    with pytest.raises(ModelError, match=r"stop of tilt_right .* allowed -1.5 to 1.5 rad"):
+        settle(on_hills, tilt_right=3.2)
+
+
+def test_start_outside_the_map_is_refused():
+    dae = direct_kinematics(three_wheeler(), Analytic(hills, (-5.0, 5.0, -5.0, 5.0)))
+    words = r"wheel right leaves the map.*-0\.49\d*, allowed at least 0 m"
+    with pytest.raises(ModelError, match=words):
+        settle(dae, x=4.5)
+
+
+def test_start_over_a_pit_is_refused():
+    """A pit narrower than a wheel cannot be stood in at one point."""
+    pit = Analytic(lambda x, y: -0.4 * ca.exp(-((x - 1) ** 2 + (y + 0.5) ** 2) / 0.05))
+    dae = direct_kinematics(three_wheeler(), pit)
+    with pytest.raises(ModelError, match="wheel right"):
+        settle(dae)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1.2, 1.56])
+def test_uprightness_of_a_tilted_wheel(tilt):
+    """The sine of axle to normal, with the pitch by which the lowered rear end tips the axle."""
+    dae = direct_kinematics(three_wheeler(tilt_stop=2.0), Analytic(lambda x, _: 0 * x))
+    run = settle(dae, tilt_right=tilt, tilt_left=tilt)
+    expected = np.sqrt(1 - (np.sin(tilt) * np.cos(run["pitch"][0])) ** 2)
+    assert_allclose(run["uprightness", "right"][0], expected, atol=1e-12)

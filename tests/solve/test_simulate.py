@@ -1,0 +1,328 @@
+"""The integrator on small systems with known solutions, and how it ends."""
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from helpers.cases import PAPER_RATES, case1, hills
+from slipfree import (
+    Analytic,
+    Dae,
+    ModelError,
+    SolverError,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
+from slipfree.dae import Labels, Limit, PiecewiseLinear
+from slipfree.records import Label, symbols
+from slipfree.solve import simulate as module
+
+
+class State(NamedTuple):
+    value: Any
+
+
+class Unknowns(NamedTuple):
+    block: tuple[Any, ...]
+
+
+class Nothing(NamedTuple):
+    pass
+
+
+class Rate(NamedTuple):
+    rate: Any
+
+
+def model(rate_of, limits=()):
+    """X' = rate_of(t, x, u), w = x^2 as an algebraic unknown, and the time as a quadrature."""
+    labels = Labels(
+        State(Label("value", "m", "the state")),
+        Unknowns((Label("square", "m2", "its square"),)),
+        State(Label("elapsed", "s", "time")),
+        Rate(Label("speed", "m s-1", "given rate")),
+        Nothing(),
+        ((Label("square_law", "m2", "square law"),),),
+    )
+    x, z, q, u = (symbols(record) for record in labels[:4])
+    t = ca.SX.sym("t")
+    return Dae(
+        t, x, z, q, u,
+        ode=rate_of(t, x.value, u.rate),
+        alg=(z.block[0] - x.value**2,),
+        quad=ca.SX(1),
+        y=Nothing(),
+        labels=labels,
+        limits=tuple(Limit(*each(x, z)) for each in limits),
+        checks=(),
+        guess=ca.SX(0),
+        scale=np.ones(1),
+        shift=(np.zeros(1), np.zeros(1)),
+    )  # fmt: skip
+
+
+def follows_input():
+    return model(lambda _t, _x, u: u)
+
+
+T = np.linspace(0, 2, 21)
+
+
+def test_decay_is_analytic():
+    dae = model(lambda _t, x, u: u - x)
+    run = simulate(dae, settle(dae, value=3.0), dae.inputs(speed=1.0), T)
+    assert_allclose(run["value"], 1 + 2 * np.exp(-T), atol=1e-7)
+    assert_allclose(run["square"], run["value"] ** 2, atol=1e-14)
+    assert_allclose(run["elapsed"], T, atol=1e-12)
+    assert run.stop is None
+
+
+def test_inputs_constant_piecewise_of_time_and_of_state():
+    dae = follows_input()
+    start = settle(dae, value=1.0)
+    steps = np.repeat([1.0, -1.0], 10)
+    ramp = np.concatenate([[0], np.cumsum(steps) * 0.1])
+    expected = {
+        "constant": (0.5, 1 + 0.5 * T),
+        "piecewise": (steps, 1 + ramp),
+        "of time": (ca.cos(dae.t), 1 + np.sin(T)),
+        "of state": (-dae.x.value, np.exp(-T)),
+        "of unknowns": (-dae.z.block[0], 1 / (1 + T)),
+    }
+    for name, (law, solution) in expected.items():
+        run = simulate(dae, start, dae.inputs(speed=law), T)
+        assert_allclose(run["value"], solution, atol=1e-6, err_msg=name)
+        rate = np.gradient(solution, T)[5]
+        assert_allclose(run["speed"][5], rate, atol=6e-3, err_msg=name)
+
+
+def test_a_run_continues_another():
+    dae = follows_input()
+    first = simulate(dae, settle(dae), dae.inputs(speed=1.0), T)
+    second = simulate(dae, first, dae.inputs(speed=2.0), T + 2)
+    assert_allclose(second["value"], 2 + 2 * T, atol=1e-7)
+    assert_allclose(second["elapsed"], 2 + T, atol=1e-10)
+
+
+def test_limit_ends_the_motion_at_the_crossing():
+    label = Label("wall", "m", "the wall is reached")
+    dae = model(lambda _t, _x, u: u, [lambda x, _z: (label, x.value, -np.inf, 0.9)])
+    run = simulate(dae, settle(dae), dae.inputs(speed=ca.cos(dae.t)), np.linspace(0, 3, 7))
+    assert run.stop.name == "wall"
+    assert run.stop.words == "the wall is reached: 0.9, allowed at most 0.9 m"
+    assert_allclose(run.t[-1], np.arcsin(0.9), atol=2e-6)
+    dae = model(lambda _t, _x, u: u, [lambda x, _z: (label, x.value, -np.inf, 0.77)])
+    run = simulate(dae, settle(dae), dae.inputs(speed=1.0), np.linspace(0, 3, 7))
+    assert_allclose([run.t[-1], run.stop.t], 0.77, atol=2e-6)
+    assert run["value"][-1] <= 0.77
+    assert_array_equal(run.t[:-1], [0.0, 0.5])
+
+
+def test_start_beyond_a_limit_is_refused():
+    label = Label("wall", "m", "the wall is reached")
+    dae = model(lambda _t, _x, u: u, [lambda x, _z: (label, x.value, 0.0, 1.0)])
+    with pytest.raises(ModelError, match="the wall is reached: 2, allowed 0 to 1 m"):
+        settle(dae, value=2.0)
+
+
+def test_failure_keeps_what_was_reached(capfd):
+    """X' = x^2 escapes to infinity at t = 1."""
+    dae = model(lambda _t, x, _u: x**2)
+    with pytest.raises(SolverError, match=r"integrator stopped at t = 0\.9\d* s") as failure:
+        simulate(dae, settle(dae, value=1.0), dae.inputs(speed=0.0), np.linspace(0, 2, 101))
+    reached = failure.value.trajectory
+    assert reached.stop.name == "solver"
+    assert 0.9 < reached.t[-1] < 1
+    early = reached.t < 0.99  # the error grows without bound as well
+    assert_allclose(reached["value"][early], 1 / (1 - reached.t[early]), rtol=1e-4)
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("t", "words"),
+    [
+        ([0.0], "two or more ascending times"),
+        ([0.0, 0.0], "ascending"),
+        ([0.0, np.inf], "ascending"),
+        ([[0.0, 1.0]], "ascending"),
+    ],
+)
+def test_times_are_checked(t, words):
+    dae = follows_input()
+    with pytest.raises(ModelError, match=words):
+        simulate(dae, settle(dae), dae.inputs(speed=0.0), np.array(t))
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1e-8, 1.0, np.nan])
+def test_tolerance_is_checked(tolerance):
+    dae = follows_input()
+    with pytest.raises(ModelError, match="tolerance: expected a number from 1e-14 to below 1"):
+        simulate(dae, settle(dae), dae.inputs(speed=0.0), T, tolerance=tolerance)
+
+
+def test_inputs_are_checked():
+    dae = follows_input()
+    with pytest.raises(ModelError, match="inputs: expected speed; not known: pace; missing: speed"):
+        dae.inputs(pace=1.0)
+    start = settle(dae)
+    for value, words in (
+        (np.zeros(7), "one value for each of the 20 intervals, found shape"),
+        (np.nan, "must be finite"),
+        (dae.u.rate * 2, "cannot contain the inputs themselves"),
+        (ca.SX.sym("q"), "q is not a symbol of the model"),
+        (ca.SX(2, 1), "expected a scalar expression"),
+        ("fast", "expected real numbers or SX"),
+        (1j, "expected real numbers or SX"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            simulate(dae, start, dae.inputs(speed=value), T)
+
+
+def test_mismatched_equations_are_refused():
+    dae = follows_input()
+    with pytest.raises(ModelError, match=r"ode has shape \(2, 1\), its unknowns number 1"):
+        Dae(**{**dae.__dict__, "ode": ca.SX.zeros(2)})
+    with pytest.raises(ModelError, match="2 blocks of equations for 1 of unknowns"):
+        Dae(**{**dae.__dict__, "alg": (*dae.alg, ca.SX.zeros(0, 1))})
+    labels = dae.labels._replace(u=Rate(Label("value", "m", "again")))
+    with pytest.raises(ModelError, match="uses the name value twice"):
+        Dae(**{**dae.__dict__, "labels": labels})
+
+
+def test_progress_does_not_change_the_motion():
+    terrain, reference = case1()
+    dae = direct_kinematics(three_wheeler(), terrain)
+    start, seen = settle(dae), []
+    plain = simulate(dae, start, dae.inputs(**PAPER_RATES), reference["t"])
+    watched = simulate(dae, start, dae.inputs(**PAPER_RATES), reference["t"], progress=seen.append)
+    for name in plain:
+        assert_array_equal(plain[name], watched[name], err_msg=name)
+    assert seen[-1] > 5.5
+    assert len(seen) < 2 * plain.statistics["steps"] + 10
+
+
+def test_interrupt_is_a_keyboard_interrupt():
+    dae = follows_input()
+
+    def interrupt(_t):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(dae, settle(dae), dae.inputs(speed=ca.cos(dae.t)), T, progress=interrupt)
+
+
+def test_any_exception_of_the_progress_comes_through():
+    dae = follows_input()
+
+    def fail(_t):
+        raise ValueError("mine")
+
+    with pytest.raises(ValueError, match="mine"):
+        simulate(dae, settle(dae), dae.inputs(speed=ca.cos(dae.t)), T, progress=fail)
+
+
+def test_a_limit_is_named_even_if_the_integrator_fails_behind_it():
+    """x' = x^2 crosses 50 at t = 0.98 and fails at 1, both within the first coarse sample."""
+    label = Label("wall", "m", "the wall is reached")
+    dae = model(lambda _t, x, _u: x**2, [lambda x, _z: (label, x.value, -np.inf, 50.0)])
+    run = simulate(dae, settle(dae, value=1.0), dae.inputs(speed=0.0), np.array([0.0, 5.0, 10.0]))
+    assert run.stop.name == "wall"
+    assert_allclose(run.t[-1], 0.98, atol=1e-5)
+
+
+def test_vehicle_leaves_the_map_at_the_edge():
+    dae = direct_kinematics(three_wheeler(), Analytic(hills, (-3.0, 3.0, -3.0, 1.5)))
+    rates = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
+    run = simulate(dae, settle(dae), rates, np.linspace(0, 20, 41))
+    assert run.stop.name == "map_margin[front]"
+    assert "wheel front leaves the map, which reaches from -3.00 to 3.00 m in x" in run.stop.words
+    assert_allclose(run["contact_y", "front"][-1], 1.5, atol=1e-5)
+    assert run.t[-1] == run.stop.t
+
+
+def test_tilt_stop_is_met_where_the_tilt_is():
+    free = direct_kinematics(three_wheeler(), Analytic(hills))
+    stopped = direct_kinematics(three_wheeler(tilt_stop=0.2), Analytic(hills))
+    t = np.linspace(0, 6, 61)
+    whole = simulate(free, settle(free), free.inputs(**PAPER_RATES), t)
+    run = simulate(stopped, settle(stopped), stopped.inputs(**PAPER_RATES), t)
+    assert run.stop.name == "tilt_left_stop"
+    assert_allclose(run["tilt_left"][-1], 0.2, atol=1e-6)
+    assert_allclose(np.interp(run.t[-1], t, whole["tilt_left"]), 0.2, atol=1e-4)
+
+
+def test_an_unknown_quantity_is_refused():
+    dae = direct_kinematics(three_wheeler(), Analytic(hills))
+    run = settle(dae)
+    with pytest.raises(ModelError, match=r"has no 'speed'; it has .*clearance"):
+        run["speed"]
+    with pytest.raises(ModelError, match="'contact_x' has no wheel 'rear'; its wheels: right"):
+        run["contact_x", "rear"]
+    assert "heading" in set(run)
+
+
+def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkeypatch):
+    """As where IDAS's own search fails, though the unknowns are off by the tolerance only."""
+    dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), Analytic(hills))
+    start, t = settle(dae), np.linspace(0, 1, 6)
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
+    plain = simulate(dae, start, inputs, t, tolerance=1e-6)
+    attempted, first = module._attempted, []
+
+    def rejecting(task, at, t, u, given):
+        if not given:
+            first.append(at.z)
+            raise SolverError(f"{module.NO_START} (IDA_LINESEARCH_FAIL)")
+        return attempted(task, at, t, u, given)
+
+    monkeypatch.setattr(module, "_attempted", rejecting)
+    shifted = module._state(module.close(dae, inputs, 5), start, 0.0)
+    shifted = shifted._replace(z=shifted.z + 1e-3)
+    monkeypatch.setattr(module, "_state", lambda *_: shifted)
+    run = simulate(dae, start, inputs, t, tolerance=1e-6)
+    assert first
+    for name in ("x", "y", "heading"):
+        assert_allclose(run[name], plain[name], atol=1e-5)
+
+
+def test_the_integrator_takes_the_jacobian_that_it_is_given(monkeypatch):
+    """CasADi would say nothing if it expected it under another name, and form its own."""
+    dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), Analytic(hills))
+    start, inputs = settle(dae), dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
+    integrator, made = ca.integrator, []
+
+    def watched(*arguments):
+        made.append((integrator(*arguments), arguments))
+        return made[-1][0]
+
+    monkeypatch.setattr(ca, "integrator", watched)
+    simulate(dae, start, inputs, np.linspace(0, 1, 3))
+    solver, (*given, options) = made[0]
+    own = options.pop("cache")["jacF"]
+    assert hash(solver.get_function("jacF")) == hash(own)
+    other = integrator(*given, options).get_function("jacF")
+    assert hash(other) != hash(own)
+    assert (other.name_in(), other.name_out()) == (own.name_in(), own.name_out())
+    loop = module.close(dae, inputs, 2)
+    z = dae.rows("z", start, -1)[: loop.moving]
+    at = [0.0, dae.rows("x", start, -1), z, [], loop.u[:, 0]]
+    for one, two in zip(own.call(at), other.call(at), strict=True):
+        assert_allclose(np.array(ca.DM(one)), np.array(ca.DM(two)), rtol=1e-12, atol=1e-12)
+
+
+def test_inputs_that_are_linear_in_time_keep_their_slopes_beside_laws():
+    """Wheels whose rates grow with time, one of them by a law that says the same."""
+    dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), Analytic(hills))
+    start, t = settle(dae), np.linspace(0, 1, 5)
+    grows = PiecewiseLinear(np.full(4, 0.1), np.full(4, 0.3))
+    rates = {"right_rate": grows, "left_rate": grows, "steer_rate": 0.0}
+    alone = simulate(dae, start, dae.inputs(**rates), t)
+    beside = simulate(dae, start, dae.inputs(**rates | {"left_rate": 0.1 + 0.3 * dae.t}), t)
+    assert alone["wheel_angle"][-1, 0] > 0.2
+    for name in ("x", "y", "heading", "right_rate", "left_rate"):
+        assert_allclose(beside[name], alone[name], atol=1e-7)
