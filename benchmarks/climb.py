@@ -72,7 +72,8 @@ SETS = {  # friction and torque on ramp and step, and the lab's slip/true/distur
          "sensed": (14.3, 7.9, 3.2)},
     ),
     "B": (
-        (CompliantContact(static=1.0, dynamic=0.75), 5.0), (CompliantContact(static=1.0, dynamic=0.75), 5.0),
+        (CompliantContact(static=1.0, dynamic=0.75), 5.0),
+        (CompliantContact(static=1.0, dynamic=0.75), 5.0),
         {"fixed": (4.7, 2.6, 3.1), "exact": (3.9, 0.1, 1.2), "exact .95": (3.8, 0.1, 1.5),
          "sensed": (3.9, 0.3, 1.3), "printed (6)+(8)": (9.1, 7.3, 4.4),
          "printed (16)": (11.7, 10.1, 2.3)},

@@ -34,15 +34,18 @@ TAKES = {
     "dict[str, NonNegative]": "a table of numbers by name",
     "dict[str, Range]": "a table by name: numbers, or `[low, high]`",
     "dict[str, PiecewiseConstant]": "a table by name: numbers, or `[[time, value], ...]`",
-    "dict[str, TimeFunction]": "a table by name: numbers, `[[time, value], ...]`, or formulas of `t`",
-    "tuple[dict[str, Bound], ...]": "an array of tables by name, each with its `at`",
+    "dict[str, TimeFunction]": (
+        "a table by name: numbers, `[[time, value], ...]`, or formulas of `t`"
+    ),
+    "tuple[dict[str, Range], ...]": "an array of tables by name, each with its `at`",
 }
 
 
 def _modules(package: str) -> str:
     """Return a section for every module of a package."""
     folder = DOCS.parent / "src" / package.replace(".", "/")
-    files = (path for path in folder.rglob("*.py") if path.stem[0] != "_")
+    found = folder.glob("*.py") if package == "slipfree" else folder.rglob("*.py")
+    files = (path for path in found if path.stem[0] != "_")
     names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in files)
     return "\n".join(
         f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {package}.{name}\n   :members:\n```\n"

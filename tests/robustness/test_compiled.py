@@ -144,8 +144,8 @@ def test_a_compiled_program_is_the_interpreted_one_on_every_ground(folder, monke
     files = sorted(folder.iterdir())
     assert len(files) == 2  # one of the motion, one of the program
     code = (
-        "from test_compiled import QUICK, compiled, program\n"
-        "compiled.FLAGS = QUICK\n"
+        "from test_compiled import QUICK, codegen_cache, program\n"
+        "codegen_cache.FLAGS = QUICK\n"
         "print(program(3, build=True).compiled)"
     )
     path = os.pathsep.join([os.path.dirname(__file__), *sys.path])  # noqa: PTH120

@@ -218,7 +218,7 @@ def test_at_the_entry_of_a_step(method, monkeypatch):
 @pytest.mark.parametrize(
     ("where", "name"),
     [(simulate._Spy, "has_eval_buffer"), (simulate._Spy, "get_sparsity_in"),
-     (simulate, "close"), (simulate, "table")],
+     (simulate, "with_inputs"), (simulate, "table")],
 )  # fmt: skip
 def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
     pressed, _ = pressing(getattr(where, name))

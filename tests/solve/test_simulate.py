@@ -281,7 +281,7 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
         return attempted(task, at, t, u, given)
 
     monkeypatch.setattr(module, "_attempted", rejecting)
-    shifted = module._state(module.close(dae, inputs, 5), start, 0.0)
+    shifted = module._state(module.with_inputs(dae, inputs, 5), start, 0.0)
     shifted = shifted._replace(z=shifted.z + 1e-3)
     monkeypatch.setattr(module, "_state", lambda *_: shifted)
     run = simulate(dae, start, inputs, t, tolerance=1e-6)
@@ -308,7 +308,7 @@ def test_the_integrator_takes_the_jacobian_that_it_is_given(monkeypatch):
     other = integrator(*given, options).get_function("jacF")
     assert hash(other) != hash(own)
     assert (other.name_in(), other.name_out()) == (own.name_in(), own.name_out())
-    loop = module.close(dae, inputs, 2)
+    loop = module.with_inputs(dae, inputs, 2)
     z = dae.rows("z", start, -1)[: loop.moving]
     at = [0.0, dae.rows("x", start, -1), z, [], loop.u[:, 0]]
     for one, two in zip(own.call(at), other.call(at), strict=True):

@@ -117,8 +117,8 @@ def course(plans: Sequence[tuple[Climb, Array]]) -> Course:
     Parameters
     ----------
     plans : sequence of (Climb, ndarray)
-        Every leg's program from `slipfree.climb.time_scaling.climb`, and its solution; all but the last
-        one planned with a halt.
+        Every leg's program from `slipfree.climb.time_scaling.climb`, and its solution; all but the
+        last one planned with a halt.
 
     Raises
     ------

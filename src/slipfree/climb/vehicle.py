@@ -131,7 +131,8 @@ def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     """Return the step climber of Chugo et al. (2009), in the plane.
 
     It is `slipfree.vehicle.catalogue.step_climber.seven_wheels` seen from the side. What the
-    paper's text leaves open is assumed: inertias of boxes 250 mm high, and the wheels' inertias with their rotors'.
+    paper's text leaves open is assumed: inertias of boxes 250 mm high, and the wheels' inertias
+    with their rotors'.
 
     Parameters
     ----------

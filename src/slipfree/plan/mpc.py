@@ -251,8 +251,9 @@ def _along(
     nodes, n_z = t + span * mesh.nodes, layout.unknowns.shape[2]
     ends = t + span * (mesh.ends if len(layout.inputs) == mesh.ends.size
                        else (mesh.ends[1:] + mesh.ends[:-1]) / 2)  # fmt: skip
-    states, unknown, inputs = (_joined(motions, at, read) for at, read in (
-        (nodes, PolynomialMotion.states), (nodes, PolynomialMotion.algebraic), (ends, PolynomialMotion.inputs)))  # fmt: skip
+    states = _joined(motions, nodes, PolynomialMotion.states)
+    unknown = _joined(motions, nodes, PolynomialMotion.algebraic)
+    inputs = _joined(motions, ends, PolynomialMotion.inputs)
     unknowns[layout.first] = states[:, 0]
     unknowns[layout.states] = states[:, 1:].T.reshape(layout.states.shape)
     unknowns[layout.unknowns] = unknown[:n_z, 1:].T.reshape(layout.unknowns.shape)

@@ -45,7 +45,8 @@ def consistent(
     x, z, u : ndarray, shape (n_x,), (n_z,) and (n_u,)
         States, first guess of the unknowns, and inputs.
     eased : bool
-        Whether to go through all stages of the continuation, or to begin at the last, near a solution.
+        Whether to go through all stages of the continuation, or to begin at the last, near a
+        solution.
 
     Raises
     ------
@@ -69,9 +70,9 @@ def _eased(
     loop: System, block: Block, point: tuple[float, Array, Array, Array],
     stage: tuple[float, float], depth: int,
 ) -> Array:  # fmt: skip
-    """Return the unknowns at the second continuation from those at the first, by way of others if needed.
+    """Return the unknowns at the second value of the continuation from those at the first.
 
-    Others lie at the geometric mean, ``depth`` times at most.
+    If needed, it goes by way of others at the geometric mean, at most ``depth`` times.
     """
     t, x, z, u = point
     try:

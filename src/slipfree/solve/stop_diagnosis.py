@@ -1,4 +1,4 @@
-"""Why a motion whose start takes continuation does not go on: no solution, or one that is a jump away."""
+"""Why a motion whose start takes a continuation stops: no solution, or one a jump away."""
 
 from __future__ import annotations
 

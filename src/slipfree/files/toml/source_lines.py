@@ -180,6 +180,7 @@ def loaded(path: Path, text: str) -> dict[str, Any]:
 
 
 def read_text(path: Path) -> str:
+    """Return the text of a file of TOML; ProblemError if it cannot be read or is none in UTF-8."""
     try:
         with regular_file(path, "a problem file") as size:
             if size > MOST_BYTES:
