@@ -8,6 +8,7 @@ without such a place, there is nothing compiled: callers do without, and a warni
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
 import platform
 import shlex
@@ -33,6 +34,7 @@ FOLDER = "SLIPFREE_CACHE"  # variable of the environment: another folder; empty 
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
 NO_COMPILER = "no C compiler was found: cc, gcc, clang, or what CC names"
 PATIENCE = 300.0  # with the compiler [s]
+LARGE = 300  # operations from which on functions are worth compiling
 KEPT = 64  # libraries; about a megabyte each
 SCRATCH = "making-"  # how folders begin in which a compiler works
 DIGEST = 32  # digits in a name
@@ -73,6 +75,32 @@ def library(
     except _NothingError as error:
         warnings.warn(f"equations are interpreted, not compiled: {error}", stacklevel=1)
     return None
+
+
+def compiled_functions(
+    key: ca.Function,
+    names: Sequence[str],
+    make: Callable[[], Sequence[ca.Function]],
+    *,
+    compiled: bool,
+) -> tuple[ca.Function, ...]:
+    """Return functions that follow from another one, compiled if asked for and worth it.
+
+    Parameters
+    ----------
+    key : casadi Function
+        Of SX; functions made of the same operations are the same.
+    names : sequence of str
+        Of the functions.
+    make : callable
+        Returns them.
+    compiled : bool
+        Whether to compile them where a compiler is found.
+    """
+    if not compiled or key.n_instructions() < LARGE:
+        return tuple(make())
+    code = Path(inspect.getfile(make)).read_text(encoding="utf-8")
+    return library("\n".join([code, source([key])]), names, make) or tuple(make())
 
 
 def obstacle() -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError
+from slipfree.lookups import Lookup, lookup_function
 from slipfree.records import Array, Label, leaves, pack, unpack
 from slipfree.trajectory import Trajectory
 
@@ -143,6 +144,8 @@ class Dae(Generic[X, Z, Q, U, Y]):
     compiled : bool
         Whether to compile its equations, and those of plans for it, with the system's C compiler;
         they are kept for the next time. Without a compiler they are interpreted.
+    lookups : tuple of Lookup
+        Numbers of the ground that the expressions contain as symbols; `function` looks them up.
     """
 
     t: ca.SX
@@ -163,6 +166,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
     suppress_algebraic: bool = False
     continuation: Continuation | None = None
     compiled: bool = False
+    lookups: tuple[Lookup, ...] = ()
 
     def __post_init__(self) -> None:
         blocks: Any = self.z
@@ -239,6 +243,26 @@ class Dae(Generic[X, Z, Q, U, Y]):
         if not found:
             raise ModelError(f"the model has no {name!r}; it has {', '.join(sorted(known))}")
         return found
+
+    def function(
+        self,
+        name: str,
+        symbols: Sequence[ca.SX],
+        expressions: Sequence[ca.SX],
+        options: dict[str, Any] | None = None,
+    ) -> ca.Function:
+        """Return expressions of the model as a function of some of its symbols.
+
+        Parameters
+        ----------
+        name : str
+            Of the function.
+        symbols, expressions : sequence of SX
+            Its arguments, and its results.
+        options : dict, optional
+            Of the casadi Function of the expressions.
+        """
+        return lookup_function(self.lookups, name, symbols, expressions, options)
 
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the symbols of ``x``, ``z`` and ``u`` as columns."""

@@ -14,6 +14,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 import slipfree as sf
+from helpers.cases import function_of
 from slipfree.problem.load import read
 from slipfree.problem.solve import run as run_problem
 from slipfree.records import Label
@@ -293,7 +294,7 @@ def test_slope_differs_from_the_pitch_by_reach_times_curvature(ax):
     motion_figures.slope(run, ground, ax)
     rise, pitch = (np.asarray(line.get_ydata()) for line in ax.lines)
     at = ca.SX.sym("x"), ca.SX.sym("y")
-    hessian = ca.Function("hessian", at, [ca.densify(ground.jet(*at).hessian)])
+    hessian = function_of(at, lambda lookups: [ground.jet(*at, lookups).hessian])
     places = zip(run["x"] - ground.origin[0], run["y"] - ground.origin[1], strict=True)
     curvature = max(np.linalg.norm(np.array(hessian(*place)), 2) for place in places)
     reach = np.hypot(run["contact_x"] - run["x"][:, None], run["contact_y"] - run["y"][:, None])

@@ -10,11 +10,19 @@ import casadi as ca
 import numpy as np
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parents[1] / "data"
 PAPER_RATES = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
 # What was compiled of a model serves every motion of it.
 closure_model = lru_cache(maxsize=8)(direct_kinematics)
+
+
+def function_of(symbols, make):
+    """Return a Function of the expressions that ``make`` returns for a table of lookups."""
+    lookups = LookupTable()
+    expressions = [ca.densify(each) for each in make(lookups)]
+    return lookup_function(lookups.lookups, "f", symbols, expressions)
 
 
 def hills(x, y):

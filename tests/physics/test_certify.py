@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 from helpers.cases import hills
 from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.lookups import LookupTable
 from slipfree.terrain.base import jet_of
 
 RADIUS = 0.3
@@ -96,9 +97,9 @@ def test_relative_curvature_equals_montanas_form(rng):
 
     x, y, axle = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("axle", 3)
     ground = Analytic(hills)
-    form = {"jet": lambda _, x, y: jet_of(a * x**2 + b * x * y + c * y**2, x, y)}
+    form = {"jet": lambda _, x, y, _lookups: jet_of(a * x**2 + b * x * y + c * y**2, x, y)}
     quadric = type("Quadric", (), form)()
-    contact = contact_frame(quadric, x, y, axle)
+    contact = contact_frame(quadric, x, y, axle, LookupTable())
     value = ca.Function("k", [x, y, axle, a, b, c], [relative_curvature(wheel, contact)])
     assert ground.domain[0] == -np.inf
     signs = []

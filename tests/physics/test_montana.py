@@ -18,6 +18,7 @@ from helpers.vehicles import four_wheels
 from slipfree import Analytic, Bicubic, Grid, ModelError, settle, simulate, straight, three_wheeler
 from slipfree.contact.montana import ContactCoordinates, pair
 from slipfree.geometry.frame import turn
+from slipfree.lookups import LookupTable
 from slipfree.models.montana import cross_check, montana_kinematics
 
 WHEELS = ("right", "left", "front")
@@ -198,7 +199,7 @@ def platforms(dae, vehicle, ground):
         span = slice(first + 5 * k, first + 5 * k + 5)
         joint = vehicle.joints[k]
         index = first - len(names) + names.index(tilts[wheel.name])
-        pose = pair(wheel, ground, ContactCoordinates(*ca.vertsplit(x[span]))).pose
+        pose = pair(wheel, ground, ContactCoordinates(*ca.vertsplit(x[span])), LookupTable()).pose
         rotation = pose.rotation @ turn(joint.axis, x[index]).rotation.T
         position = pose.origin - rotation @ ca.DM(joint.at)
         own, rates = ca.vertcat(x[span], x[index]), ca.vertcat(dae.ode[span], dae.ode[index])
@@ -262,8 +263,11 @@ def test_twelve_invariants_hold_the_vehicle():
     """Distances and orientations, of 18 states with 6 freedoms; the platform from the triangle."""
     vehicle, ground = three_wheeler(), GROUNDS["hills"]
     q = ca.SX.sym("q", 18)
-    poses = [pair(wheel, ground, ContactCoordinates(*ca.vertsplit(q[5 * k : 5 * k + 5]))).pose
-             for k, wheel in enumerate(vehicle.wheels)]  # fmt: skip
+    spans = [q[5 * k : 5 * k + 5] for k in range(len(vehicle.wheels))]
+    poses = [
+        pair(wheel, ground, ContactCoordinates(*ca.vertsplit(span)), LookupTable()).pose
+        for wheel, span in zip(vehicle.wheels, spans, strict=True)
+    ]
     a, b, c = (pose.origin for pose in poses)
     x, up = (a - b) / ca.norm_2(a - b), ca.cross(a - b, c - a)
     up = up / ca.norm_2(up)

@@ -7,10 +7,11 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from helpers.cases import hills
+from helpers.cases import function_of, hills
 from slipfree import Analytic, Bicubic, Grid
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair, torus
 from slipfree.geometry.surface import Forms, patch
+from slipfree.lookups import LookupTable, lookup_function
 from slipfree.vehicle.wheel import Wheel
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -141,14 +142,16 @@ class Geometry:
     def __init__(self, wheel, ground):
         at, rotation, origin = ca.SX.sym("at", 4), ca.SX.sym("rotation", 3, 3), ca.SX.sym("o", 3)
         on_wheel = patch(torus(wheel, at[0], at[1]), at[:2])
-        on_ground = patch(height_map(ground, at[2:]), at[2:])
+        lookups = LookupTable()
+        on_ground = patch(height_map(ground, at[2:], lookups), at[2:])
         gap = origin + rotation @ on_wheel.point - on_ground.point
         tangents, normal = on_ground.frame[:, :2], rotation @ on_wheel.frame[:, 2]
         residual = ca.vertcat(tangents.T @ gap, tangents.T @ normal)
         turned = on_ground.frame.T @ rotation @ on_wheel.frame
         psi = ca.atan2(-turned[1, 0], turned[0, 0])
         outputs = [residual, ca.jacobian(residual, at), psi]
-        self.functions = ca.Function("contact", [at, rotation, origin], outputs)
+        symbols = [at, rotation, origin]
+        self.functions = lookup_function(lookups.lookups, "contact", symbols, outputs)
 
     def coordinates(self, guess, rotation, origin):
         """Return ``u_w, v_w, u_g, v_g, psi`` of n poses near a guess, shape (n, 5)."""
@@ -163,8 +166,8 @@ class Geometry:
         return np.column_stack([at, psi.ravel()])
 
 
-def height_map(ground, at):
-    return ca.vertcat(at, ground.height(at[0], at[1]))
+def height_map(ground, at, lookups):
+    return ca.vertcat(at, ground.height(at[0], at[1], lookups))
 
 
 def right(on, _=None):
@@ -178,13 +181,15 @@ def rates_function(wheel, ground, forms_w=right, forms_g=right):
     ``q`` and the rates are ordered ``u_w, v_w, u_g, v_g, psi``.
     """
     q, v, omega = ca.SX.sym("q", 5), ca.SX.sym("v", 3), ca.SX.sym("omega", 3)
-    both = pair(wheel, ground, ContactCoordinates(q[2], q[3], q[0], q[1], q[4]))
+    lookups = LookupTable()
+    both = pair(wheel, ground, ContactCoordinates(q[2], q[3], q[0], q[1], q[4]), lookups)
     wheel_forms, ground_forms = forms_w(both.wheel, q[:2]), forms_g(both.ground, q[2:4])
     rates = contact_rates(
         wheel_forms, ground_forms, both.psi, both.frame.T @ v, both.frame.T @ omega
     )
     outputs = [ca.vertcat(*rates), *both.pose, both.ground.point]
-    return ca.Function("rates", [q, v, omega], [ca.densify(each) for each in outputs])
+    outputs = [ca.densify(each) for each in outputs]
+    return lookup_function(lookups.lookups, "rates", [q, v, omega], outputs)
 
 
 def random_motions(rng, ground):
@@ -194,7 +199,8 @@ def random_motions(rng, ground):
     # inside the cells of the rough ground: the rates have a kink on its knots
     places = 0.2 * (rng.integers(-5, 5, (2, STATES)) + rng.uniform(0.05, 0.95, (2, STATES)))
     at = ca.SX.sym("at", 2)
-    normal_of = ca.Function("n", [at], [patch(height_map(ground, at), at).frame[:, 2]])
+    normal_of = function_of([at], lambda lookups: [
+        patch(height_map(ground, at, lookups), at).frame[:, 2]])  # fmt: skip
     n = np.array(normal_of.map(STATES)(places)).T
     v, omega = 0.3 * rng.normal(size=(STATES, 3)), rng.normal(size=(STATES, 3))
     v -= (v * n).sum(axis=1, keepdims=True) * n

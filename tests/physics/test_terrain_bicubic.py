@@ -16,8 +16,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import NdBSpline, RectBivariateSpline
 
+from helpers.cases import function_of
+from slipfree.terrain import bicubic
 from slipfree.terrain.base import Grid
-from slipfree.terrain.bicubic import Bicubic, _look_up
+from slipfree.terrain.bicubic import Bicubic
 
 ORDERS = [(k, n - k) for n in range(5) for k in range(n + 1)]
 
@@ -25,10 +27,14 @@ ORDERS = [(k, n - k) for n in range(5) for k in range(n + 1)]
 def derivatives(ground):
     """Return a Function of local x, y to all derivatives up to the fourth, in ORDERS."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    known = {(0, 0): ground.height(x, y)}
-    for i, j in ORDERS[1:]:
-        known[i, j] = ca.jacobian(known[i - 1, j], x) if i else ca.jacobian(known[i, j - 1], y)
-    return ca.Function("derivatives", [x, y], [ca.densify(known[order]) for order in ORDERS])
+
+    def make(lookups):
+        known = {(0, 0): ground.height(x, y, lookups)}
+        for i, j in ORDERS[1:]:
+            known[i, j] = ca.jacobian(known[i - 1, j], x) if i else ca.jacobian(known[i, j - 1], y)
+        return [known[order] for order in ORDERS]
+
+    return function_of([x, y], make)
 
 
 def evaluate(ground, x, y):
@@ -145,16 +151,27 @@ def test_rounding_beside_a_knot_does_not_change_the_cell():
 
 
 def test_forward_and_reverse_agree_and_never_enter_the_look_up():
+    """In SX, and of a function that looks up, whose derivatives CasADi's MX makes."""
     ground = Bicubic(rough())
     q, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
-    h = ground.height(q[0], q[1])
-    gradient, forward = ca.gradient(h, q), ca.jtimes(h, q, v)
-    curved = ca.jtimes(ca.jtimes(gradient, q, v), q, v)
-    function = ca.Function("all", [q, v], [h, gradient, forward, ca.hessian(h, q)[0], curved])
-    codes = [function.instruction_id(k) for k in range(function.n_instructions())]
-    assert codes.count(ca.OP_CALL) == 1
-    _, slope, along, _, _ = function([0.3, -0.2], [0.7, -1.1])
-    assert_allclose(float(along), float(ca.dot(slope, ca.DM([0.7, -1.1]))), rtol=1e-13)
+
+    def make(lookups):
+        h = ground.height(q[0], q[1], lookups)
+        gradient, forward = ca.gradient(h, q), ca.jtimes(h, q, v)
+        curved = ca.jtimes(ca.jtimes(gradient, q, v), q, v)
+        return h, gradient, forward, ca.hessian(h, q)[0], curved
+
+    function = function_of([q, v], make)
+    at, way = [0.3, -0.2], [0.7, -1.1]
+    h, slope, along, hessian, _ = function(at, way)
+    assert_allclose(float(along), float(ca.dot(slope, ca.DM(way))), rtol=1e-13)
+    symbol = ca.MX.sym("q", 2)
+    again = ca.hessian(function(symbol, way)[0], symbol)
+    found = ca.Function("again", [symbol], [*again, ca.jtimes(function(symbol, way)[0], symbol,
+                                                              ca.DM(way))])(at)  # fmt: skip
+    for one, other in zip(found, (hessian, slope, along), strict=True):
+        assert_allclose(np.array(ca.DM(one)), np.array(ca.DM(other)), rtol=1e-12)
+    assert float(h) != 0
 
 
 def test_elevation_equals_height():
@@ -227,10 +244,11 @@ def test_a_function_of_the_ground_pickles():
         assert float(a) == float(b)
 
 
-def test_both_layouts_of_the_look_up_are_exact():
-    table = np.rint(2.0**51 * np.random.default_rng(6).uniform(-1, 1, (9, 12)))
-    for run in (1, 4):
-        look_up = _look_up(table, run)
+def test_both_layouts_of_the_look_up_are_exact(monkeypatch):
+    table = np.random.default_rng(6).uniform(-1, 1, (9, 12))
+    for largest in (0, table.size):
+        monkeypatch.setattr(bicubic, "LARGE", largest)
+        look_up = bicubic._gather(table)
         for i in range(6):
             for j in range(9):
                 expected = table[i : i + 4, j : j + 4].ravel(order="F")
@@ -246,6 +264,6 @@ def test_size_changes_nothing(n):
     expected = polynomial(weights, p, q)
     assert_allclose(ground.elevation(p, q), expected, rtol=0, atol=1e-13)
     u, v = ca.SX.sym("u"), ca.SX.sym("v")
-    height = ca.Function("height", [u, v], [ground.height(u, v)]).map(p.size)
+    height = function_of([u, v], lambda lookups: [ground.height(u, v, lookups)]).map(p.size)
     found = np.asarray(height((p - 0.5)[None], (q - 0.5)[None])).ravel() + ground.origin[2]
     assert_allclose(found, expected, rtol=0, atol=1e-13)

@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose
 from scipy.interpolate import NdBSpline
 from typer.testing import CliRunner
 
+from helpers.cases import function_of as looked_up
 from helpers.cases import hills
 from slipfree.cli import app
 from slipfree.errors import DataError, ModelError
@@ -54,10 +55,14 @@ GROUNDS = pytest.mark.parametrize("kind", list(grounds(None)))
 def function_of(ground):
     """Return a Function of local x, y to friction, its gradient and its Hessian."""
     q = ca.SX.sym("q", 2)
-    mu = ground.friction(q[0], q[1])
-    assert mu.shape == (1, 1)
-    hessian, gradient = ca.hessian(mu, q)
-    return ca.Function("friction", [q], [ca.densify(each) for each in (mu, gradient, hessian)])
+
+    def make(lookups):
+        mu = ground.friction(q[0], q[1], lookups)
+        assert mu.shape == (1, 1)
+        hessian, gradient = ca.hessian(mu, q)
+        return mu, gradient, hessian
+
+    return looked_up([q], make)
 
 
 def evaluate(ground, x, y):
@@ -190,8 +195,9 @@ def test_a_map_is_twice_continuously_differentiable():
     # The third derivative jumps, so that the knots were met.
     x_0, y_0, _ = ground.origin
     u, v = ca.SX.sym("u"), 2 - y_0
-    third = ca.jacobian(ca.hessian(ground.friction(u, v), u)[0], u)
-    sides = ca.Function("third", [u], [third]).map(2 * mu.x.size)
+    third = looked_up([u], lambda lookups: [
+        ca.jacobian(ca.hessian(ground.friction(u, v, lookups), u)[0], u)])  # fmt: skip
+    sides = third.map(2 * mu.x.size)
     found = np.asarray(sides(np.concatenate([mu.x - step, mu.x + step])[None] - x_0)).ravel()
     assert np.abs(np.diff(found.reshape(2, -1), axis=0)).max() > 0.1
 
@@ -220,7 +226,7 @@ def test_a_surface_between_the_nodes_has_the_same_heights_in_numbers():
     ground = Bicubic(HEIGHTS, (0.2, 0.4), through=False)
     p, q = inside(HEIGHTS)
     u, v = ca.SX.sym("u"), ca.SX.sym("v")
-    height = ca.Function("height", [u, v], [ground.height(u, v)]).map(p.size)
+    height = looked_up([u, v], lambda lookups: [ground.height(u, v, lookups)]).map(p.size)
     x_0, y_0, z_0 = ground.origin
     expected = np.asarray(height((p - x_0)[None], (q - y_0)[None])).ravel() + z_0
     assert_allclose(ground.elevation(p, q), expected, rtol=1e-14)

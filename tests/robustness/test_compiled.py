@@ -1,4 +1,4 @@
-"""Elements with calls, compiled and interpreted: one program; and what is kept of the former."""
+"""Elements that look up, compiled and interpreted: one program; what is kept of the former."""
 
 import os
 import shutil
@@ -18,7 +18,6 @@ from slipfree import (
     Bicubic,
     Grid,
     ModelError,
-    calls,
     codegen_cache,
     direct_kinematics,
     settle,
@@ -27,6 +26,7 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.cli import app
+from slipfree.lookups import LookupTable
 from slipfree.plan.nlp_block import element
 from slipfree.plan.problem import task_of
 from slipfree.plan.sparse_assembly import assembled
@@ -94,39 +94,46 @@ def kept(factor=1.0):
 
 
 @pytest.mark.parametrize("build", [False, pytest.param(True, marks=needs_compiler)])
-def test_calls_are_differentiated_with_the_rest(build, rng, monkeypatch):
-    """Of several matrices, one taking the results of the other, one rounded off."""
-    monkeypatch.setattr(calls, "LARGE", 0)
-    a, b = ca.MX.sym("a", 2, 2), ca.MX.sym("b")
-    first = ca.Function("first", [a, b], [b * a @ a, ca.sum1(ca.sin(a))], {"never_inline": True})
-    other = ca.Function("other", [b], [ca.exp(b / 5) * b], {"never_inline": True})
+def test_lookups_are_constants_of_the_rest(build, rng, monkeypatch):
+    """Of several results, one asked for with the result of another, at places of an element."""
+    monkeypatch.setattr(codegen_cache, "LARGE", 0)
+    a, b = ca.MX.sym("a", 2), ca.MX.sym("b", 3)
+    first = ca.Function("first", [a], [ca.vertcat(ca.floor(3 * a), a[0] * a[1])])
+    other = ca.Function("other", [b], [ca.floor(b[0] + b[2]) + 0.1 * ca.floor(5 * b[1])])
 
-    def formula(v, q, p):
-        product, total = first(ca.reshape(ca.vertcat(v[:2], v[0] * v[2], 0.7), 2, 2), v[3])
-        again = other(product[0, 1] * v[1] + p[0])
-        rows = ca.vertcat(ca.vec(product) * q, again * v[2], ca.floor(3 * other(v[0])) * v[1])
-        return p[1] * ca.sumsqr(total) + again, rows
+    def formula(v, q, p, one, two):
+        rows = ca.vertcat(one * q * v[0] ** 2, two * ca.sin(v[1]) * v[3], v[2])
+        return p[1] * ca.sumsqr(v) * one[0] + two, rows
 
     v, q, p = ca.SX.sym("v", 4), ca.SX.sym("q"), ca.SX.sym("p", 2)
-    cost, rows = formula(v, q, p)
+    lookups = LookupTable()
+    one = lookups.find(first, v[:2])
+    two = lookups.find(other, ca.vertcat(v[2] * q, p[0], one[2]))
+    assert lookups.find(first, v[:2]) is one
+    cost, rows = formula(v, q, p, one, two)
     where, constants = np.array([[0, 1, 2, 3], [3, 2, 1, 1]]), np.array([[1.0], [-2.0]])
-    places, scale = np.arange(12).reshape(2, 6), np.array([1.0, 0.5, 3.0, 1.0])
-    one = element((v, q, p), cost, rows, where, places, constants, compiled=build)
-    assert one.parts.rows.is_a("SXFunction") != build
-    assert [len(call.orders) for call in one.calls] == [3, 3, 1]
-    made = assembled([one], scale, 2)
-    w, p_all = ca.MX.sym("w", 4), ca.MX.sym("p", 2)
-    parts = [formula((w * scale)[row.tolist()], c, p_all)
-             for row, (c,) in zip(where, constants, strict=True)]  # fmt: skip
-    total, g = sum(part[0] for part in parts), ca.vertcat(*(part[1] for part in parts))
-    prices, at = rng.normal(size=12), (rng.normal(size=4), rng.normal(size=2))
+    places, scale = np.arange(10).reshape(2, 5), np.array([1.0, 0.5, 3.0, 1.0])
+    made = element(
+        (v, q, p), cost, rows, lookups.lookups, (where, places), constants, compiled=build
+    )
+    assert made.rows.is_a("SXFunction") != build
+    made = assembled([made], scale, 2)
+    at = rng.normal(size=4), rng.normal(size=2)
+    w, total, g = ca.MX.sym("w", 4), ca.MX(0), list[ca.MX]()
+    for row, (c,) in zip(where, constants, strict=True):
+        here = (at[0] * scale)[row]
+        one = first(here[:2])
+        two = other(ca.vertcat(here[2] * c, at[1][0], one[2]))
+        part = formula((w * scale)[row.tolist()], c, at[1], one, two)
+        total, g = total + part[0], [*g, part[1]]
+    g, prices = ca.vertcat(*g), rng.normal(size=10)
     lagrangian = 0.4 * total + ca.dot(ca.DM(prices), g)
-    expected = ca.Function("e", [w, p_all], [
+    expected = ca.Function("e", [w], [
         total, g, ca.gradient(total, w), ca.jacobian(g, w), ca.triu(ca.hessian(lagrangian, w)[0]),
     ])  # fmt: skip
     values = ca.Function("v", [made.w, made.p], [made.f, made.g])(*at)
     found = [*values, made.gradient(*at)[1], made.jacobian(*at)[1], made.hessian(*at, 0.4, prices)]
-    for one, other in zip(found, expected(*at), strict=True):
+    for one, other in zip(found, expected(at[0]), strict=True):
         assert_allclose(np.array(ca.DM(one)), np.array(ca.DM(other)), rtol=1e-11, atol=1e-12)
 
 
@@ -186,7 +193,7 @@ def test_the_jacobian_of_a_motion_under_a_law_is_that_of_its_expressions():
     m = z[: loop.moving]
     rows = ca.vertcat(dae.ode, ca.vertcat(*dae.alg)[: loop.moving])
     rows = ca.substitute(rows, u, ca.vertcat(*leaves(law)))
-    exact = ca.Function("exact", [dae.t, x, m], [calls.jacobian(rows, ca.vertcat(x, m))])
+    exact = dae.function("exact", [dae.t, x, m], [ca.jacobian(rows, ca.vertcat(x, m))])
     at = [0.4, dae.rows("x", start, -1), dae.rows("z", start, -1)[: loop.moving]]
     t, x, m, u = loop.core.mx_in()
     found = ca.Function("found", [t, x, m], [
@@ -299,20 +306,6 @@ def test_another_process_that_tidies_up_does_no_harm(folder, monkeypatch):
     assert library() is not None
 
 
-@needs_compiler
-def test_calls_that_take_numbers_elsewhere_are_other_functions(monkeypatch):
-    """Of ``f(v, 3)`` and ``f(3, v)`` the sums are the same, and the derivatives are not."""
-    monkeypatch.setattr(calls, "LARGE", 0)
-    a, b = ca.MX.sym("a"), ca.MX.sym("b")
-    power = ca.Function("power", [a, b], [a**2 * b], {"never_inline": True})
-    v, none, at = ca.SX.sym("v"), ca.SX.sym("none", 0), np.zeros((1, 1), dtype=int)
-    for given, slope in (((v, 3.0), 12.0), ((3.0, v), 9.0)):
-        one = element((v, none, none), ca.SX(0), power(*given), at, at, np.zeros((1, 0)),
-                      compiled=True)  # fmt: skip
-        assert not one.parts.rows.is_a("SXFunction")
-        assert float(assembled([one], np.ones(1), 0).jacobian(2.0, [])[1]) == slope
-
-
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize(("verb", "settings"), [
     ("direct", ["time.duration=0.5"]), ("inverse", ["time.duration=0.4"]),
@@ -351,15 +344,18 @@ def test_a_program_without_a_compiler_is_interpreted(monkeypatch):
         assert not program(1, build=True).compiled
 
 
-def test_a_function_whose_slopes_take_its_results_is_refused():
-    p, root = ca.SX.sym("p"), ca.SX.sym("root")
-    slope = ca.Function("jac_root", [p, root], [1 / (2 * root)])
-    options = {"custom_jacobian": slope, "never_inline": True}
-    function = ca.Function("root", [p], [ca.sqrt(p)], options)
-    (call,) = calls.lifted([p], [function.call([p], False, True)[0]]).calls
-    assert len(call.orders(1)) == 2
-    with pytest.raises(ModelError, match="found root, whose Jacobian takes its results"):
-        call.orders(2)
+def test_what_plans_cannot_differentiate_is_refused():
+    v, at = ca.SX.sym("v"), np.zeros((1, 1), dtype=int)
+    none = ca.SX.sym("none", 0)
+    a = ca.MX.sym("a")
+    square = ca.Function("square", [a], [a**2], {"never_inline": True})
+    called = element((v, none, none), ca.SX(0), square(v), (), (at, at), np.zeros((1, 0)))
+    with pytest.raises(ModelError, match="formulas, found a call of 'square'"):
+        assembled([called], np.ones(1), 0)
+    lookups = LookupTable()
+    found = lookups.find(square, v, order=1)
+    with pytest.raises(ModelError, match="derivatives are right up to order 1"):
+        element((v, none, none), ca.SX(0), found * v, lookups.lookups, (at, at), np.zeros((1, 0)))
 
 
 def test_the_cache_is_in_the_folder_of_the_user(monkeypatch):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from slipfree.geometry.frame import Pose
+from slipfree.lookups import LookupTable
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.wheel import Wheel
 
@@ -42,9 +43,11 @@ class ContactFrame(NamedTuple):
     hessian: ca.SX
 
 
-def contact_frame(terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX) -> ContactFrame:
+def contact_frame(
+    terrain: Terrain, x: ca.SX, y: ca.SX, axle: ca.SX, lookups: LookupTable
+) -> ContactFrame:
     """Return the contact frame at a local ground point for a wheel with a given axle."""
-    height, gradient, hessian = terrain.jet(x, y)
+    height, gradient, hessian = terrain.jet(x, y, lookups)
     normal = ca.vertcat(-gradient, 1) / ca.sqrt(1 + ca.sumsqr(gradient))
     forward = ca.cross(normal, axle)
     uprightness = ca.norm_2(forward)

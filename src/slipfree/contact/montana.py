@@ -20,6 +20,7 @@ import casadi as ca
 
 from slipfree.geometry.frame import Pose
 from slipfree.geometry.surface import Forms, Patch, inverse, patch, patch_of
+from slipfree.lookups import LookupTable
 from slipfree.terrain.base import Jet, Terrain
 from slipfree.vehicle.wheel import Wheel
 
@@ -66,10 +67,10 @@ class Pair(NamedTuple):
         return Pose(rotation, self.ground.point - rotation @ self.wheel.point)
 
 
-def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates) -> Pair:
+def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates, lookups: LookupTable) -> Pair:
     """Return both surfaces at the contact point; local coordinates of the terrain."""
     tread = patch(torus(wheel, at.u, at.v), ca.vertcat(at.u, at.v))
-    return Pair(tread, _ground(terrain.jet(at.x, at.y), at.x, at.y), at.psi)
+    return Pair(tread, _ground(terrain.jet(at.x, at.y, lookups), at.x, at.y), at.psi)
 
 
 def _ground(jet: Jet, x: ca.SX, y: ca.SX) -> Patch:

@@ -11,6 +11,7 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame, relative_curvature, wheel_coordinates
 from slipfree.dae import Labels, Limit
 from slipfree.geometry.frame import Pose, platform, quaternion
+from slipfree.lookups import LookupTable, lookup_function
 from slipfree.models.records import (
     Algebraic,
     Configuration,
@@ -92,12 +93,18 @@ def outputs(
 
 
 def touch_function(
-    x: Configuration, z: Algebraic, poses: tuple[Pose, ...], contacts: list[ContactFrame]
+    x: Configuration,
+    z: Algebraic,
+    poses: tuple[Pose, ...],
+    contacts: list[ContactFrame],
+    lookups: LookupTable,
 ) -> list[ca.Function]:
     """Return, for every wheel, centre, rotation and contact point as functions of the states."""
-    inputs = [pack(x), pack(z)]
+    inputs, found = [pack(x), pack(z)], lookups.lookups
     return [
-        ca.Function("wheel", inputs, [carrier.origin, ca.vec(carrier.rotation), contact.point])
+        lookup_function(
+            found, "wheel", inputs, [carrier.origin, ca.vec(carrier.rotation), contact.point]
+        )
         for carrier, contact in zip(poses, contacts, strict=True)
     ]
 

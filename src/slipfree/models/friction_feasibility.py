@@ -11,6 +11,7 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame, contact_frame
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import platform
+from slipfree.lookups import LookupTable, lookup_function
 from slipfree.models.base import carriers
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.labels import labels_of
@@ -58,12 +59,14 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     labels = labels_of(vehicle, "least")
     sought = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
+    lookups = LookupTable()
     contacts = [
-        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0])
+        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0], lookups)
         for place, pose in zip(z.position.contacts, carriers(vehicle, x, z.position), strict=True)
     ]
-    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u)
-    f = ca.Function("hold", [pack((x, z.position, z.rates.motion, u))], _held(parts))
+    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
+    given = [pack((x, z.position, z.rates.motion, u))]
+    f = lookup_function(lookups.lookups, "hold", given, _held(parts))
     origin = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     origin |= {f"contact_{axis}": origin[axis] for axis in ("x", "y")}
     rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(sought)])
@@ -87,6 +90,7 @@ def diagnosis(
     margin: ca.SX,
     x: Configuration,
     z: Algebraic,
+    lookups: LookupTable,
 ) -> Callable[[Array, Array], str]:
     """Return what says, of a state, which friction it would take to hold the vehicle there.
 
@@ -99,7 +103,8 @@ def diagnosis(
     aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
     angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
     lean = ca.acos(ca.fmin(ca.mmin(ca.vertcat(*(each.uprightness for each in contacts))), 1))
-    f = ca.Function("hold", [pack(x), pack(z)], [*_held(parts), *angles, margin, lean])
+    results = [*_held(parts), *angles, margin, lean]
+    f = lookup_function(lookups.lookups, "hold", [pack(x), pack(z)], results)
 
     def describe(x: Array, z: Array) -> str:
         matrix, load, friction, *rest = (np.array(each) for each in f(x, z))

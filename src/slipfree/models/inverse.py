@@ -22,7 +22,6 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobian
 from slipfree.dae import Dae, Labels, Limit, SampledCheck
 from slipfree.errors import ModelError
 from slipfree.models.kinematics import direct_kinematics
@@ -331,7 +330,7 @@ def _outputs(direct: Any, parts: _Parts, *, growth: bool) -> tuple[InverseOutput
     if growth and joints.numel():
         grows = [Label("steering_growth", "s-1", words)]
     elif joints.numel():
-        lever = ca.sqrt(ca.sumsqr(jacobian(direct.alg[1], joints)))
+        lever = ca.sqrt(ca.sumsqr(ca.jacobian(direct.alg[1], joints)))
         text = "slip of steered contacts for each unit of the steering rate"
         levers, lever_labels = [lever], [Label("steering_lever", "m", text)]
     return (

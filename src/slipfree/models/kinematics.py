@@ -11,6 +11,7 @@ from slipfree.contact.closure import ContactFrame, closure, contact_frame
 from slipfree.dae import Dae, Labels
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
+from slipfree.lookups import LookupTable
 from slipfree.models.base import (
     at_rest,
     balance,
@@ -87,9 +88,9 @@ def direct_kinematics(
     _check(vehicle, terrain, slip, traction)
     labels = labels_of(vehicle, slip)
     x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
-    poses = carriers(vehicle, x, z.position)
+    poses, lookups = carriers(vehicle, x, z.position), LookupTable()
     contacts = [
-        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0])
+        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0], lookups)
         for place, pose in zip(z.position.contacts, poses, strict=True)
     ]
     turning, joints = spins(vehicle, z.rates, u), joint_rates(vehicle, z.rates, u)
@@ -97,14 +98,15 @@ def direct_kinematics(
     q_dot = pack((*z.rates[:2], z.rates.heading, joints, z.rates.z, *z.rates[4:7]))
     slips = [slip_velocity(wheel, pose, contact, q, q_dot, spin) for wheel, pose, contact, spin
              in zip(vehicle.wheels, poses, contacts, turning, strict=True)]  # fmt: skip
-    touching = touch_function(x, z, poses, contacts)
+    touching = touch_function(x, z, poses, contacts, lookups)
     scale, shift = sizes(vehicle, terrain, labels)
-    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u)
+    parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
     law = None
     if slip == "traction":
-        law = friction_law(vehicle, traction, parts, contacts, slips, (x, z, u))
+        law = friction_law(vehicle, traction, parts, contacts, slips, (x, z, u), lookups)
     forces = law.forces if law else z.forces
     bears = loads(vehicle, terrain, parts, forces, slips, contacts, (x, z.position, u))
+    guess = _guess(vehicle, terrain, x, labels, lookups)
     return Dae(
         t, x, z, symbols(labels.q), u,
         ode=ca.vertcat(z.rates.x, z.rates.y, z.rates.heading, *joints),
@@ -126,11 +128,12 @@ def direct_kinematics(
             SecondTouch(terrain, wheel, pose)
             for wheel, pose in zip(vehicle.wheels, touching, strict=True)
         ),
-        guess=_guess(vehicle, terrain, x, labels),
+        guess=guess,
         scale=scale,
         shift=shift,
         suppress_algebraic=law is not None,  # rates with friction are too steep for an error test
         continuation=law.continuation if law else None,
+        lookups=lookups.lookups,
     )  # fmt: skip
 
 
@@ -163,12 +166,14 @@ def _closures(
     )
 
 
-def _guess(vehicle: Vehicle, terrain: Terrain, x: Configuration, labels: Labels) -> ca.SX:
+def _guess(
+    vehicle: Vehicle, terrain: Terrain, x: Configuration, labels: Labels, lookups: LookupTable
+) -> ca.SX:
     """Return a level platform at the mean height of its wheels, contacts below their centres."""
     level = Dependent(0, 0, 0, tuple(0 for _ in vehicle.of("suspension")), ())
     centers = [carrier.origin for carrier in carriers(vehicle, x, level)]
     lifts = [
-        terrain.height(c[0], c[1]) + wheel.radius - c[2]
+        terrain.height(c[0], c[1], lookups) + wheel.radius - c[2]
         for c, wheel in zip(centers, vehicle.wheels, strict=True)
     ]
     places = [c[:2] for c in centers]

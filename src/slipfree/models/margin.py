@@ -20,7 +20,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobian
 from slipfree.dae import Dae
 from slipfree.geometry.frame import Pose
 from slipfree.models.kinematics import direct_kinematics
@@ -120,7 +119,7 @@ def rolling(vehicle: Vehicle, direct: Direct) -> Rolling:
         label.full
         for label in leaves((label_of.suspension, label_of.passive, label_of.free, direct.labels.u))
     ]
-    a = jacobian(direct.alg[1], ca.vertcat(*platform, *others))
+    a = ca.jacobian(direct.alg[1], ca.vertcat(*platform, *others))
     size, radius = extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
     to_omega = ca.inv(omega(direct.x.heading, z.position.roll))
     sizes = [1.0] * 3 + [size] * 6 + [1.0 if _slides(vehicle, n) else radius for n in names]
@@ -139,8 +138,8 @@ def _angles(vehicle: Vehicle, direct: Direct) -> tuple[ca.SX, tuple[str, ...]]:
     kept = [c.name for c in vehicle.coordinates if c.kind != "suspension"]
     angles = ca.vertcat(ca.SX(0, 1), *(direct.x.joints[kept.index(name)] for name in names))
     (closure, slip), position = direct.alg[:2], pack(direct.z.position)
-    follows = -ca.solve(jacobian(closure, position), jacobian(closure, angles))
-    return jacobian(slip, angles) + jacobian(slip, position) @ follows, names
+    follows = -ca.solve(ca.jacobian(closure, position), ca.jacobian(closure, angles))
+    return ca.jacobian(slip, angles) + ca.jacobian(slip, position) @ follows, names
 
 
 def _slides(vehicle: Vehicle, rate: str) -> bool:
@@ -253,12 +252,12 @@ def inverse_margin(
     matrix, unknown = parts.matrix(given, steering, speed)
     symbols = [pack(record) for record in model]
     columns = parts.columns[:, [parts.names.index(name) for name in given]]
-    effect = jacobian(direct.alg[1], symbols[2])
+    effect = ca.jacobian(direct.alg[1], symbols[2])
     expressions = [matrix, columns, effect, direct.alg[1] - effect @ symbols[2]]
     if steering == "angle":
         joints = pack(direct.u.joints)
         expressions = ca.substitute(expressions, [joints], [ca.SX.zeros(joints.shape)])
-    function = ca.Function("matrix", symbols, expressions)
+    function = direct.function("matrix", symbols, expressions)
     return InverseMargin(least, tuple(given), tuple(unknown), _reasons(vehicle), function)
 
 
@@ -302,7 +301,7 @@ def conditions(
     speed = ca.sqrt(rates.x**2 + rates.y**2)
     choices = list(combinations((*VELOCITY, *OMEGA), 3))
     matrices = [parts.matrix(given, steering, speed)[0] for given in choices]
-    function = ca.Function("matrices", list(direct.columns()), matrices)
+    function = direct.function("matrices", list(direct.columns()), matrices)
     count = run.t.size
     rows = [np.column_stack([direct.rows(record, run, k) for k in range(count)])
             for record in "xzu"]  # fmt: skip

@@ -27,6 +27,7 @@ from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.dae import Dae, Labels, Limit
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, Twist
+from slipfree.lookups import LookupTable
 from slipfree.models.base import (
     at_rest,
     balance,
@@ -170,12 +171,13 @@ def montana_kinematics(
     like = configuration, Algebraic(position, z.rates, z.forces)
     turning = spins(vehicle, z.rates, u)
     q_dot = ca.vertcat(*z.rates[:6], *joint_rates(vehicle, z.rates, u), *z.rates.suspension)
-    rolls = _rolls(vehicle, terrain, x, q_dot, turning, kappa)
+    lookups = LookupTable()
+    rolls = _rolls(vehicle, terrain, x, q_dot, turning, kappa, lookups)
     contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
     slips = [roll.slip for roll in rolls]
     scale, shift = sizes(vehicle, terrain, labels)
-    touching = touch_function(x, z, poses, contacts)
-    parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u)
+    touching = touch_function(x, z, poses, contacts, lookups)
+    parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u, lookups)
     state = configuration, position, u
     bears = loads(vehicle, terrain, parts, z.forces, slips, contacts, state)
     return Dae(
@@ -203,6 +205,7 @@ def montana_kinematics(
         scale=scale,
         shift=shift,
         suppress_algebraic=True,
+        lookups=lookups.lookups,
     )  # fmt: skip
 
 
@@ -234,23 +237,24 @@ def _rolls(
     q_dot: ca.SX,
     turning: list[ca.SX],
     kappa: float,
+    lookups: LookupTable,
 ) -> list[Rolling]:
     """Return how every wheel rolls; ``q_dot`` are the rates of all states but the contacts."""
     chain, q = carriers(vehicle, *_place(x)), pack(x[:-1])
     return [
-        _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa)
+        _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa, lookups)
         for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True)
     ]
 
 
 def _rolling(
     wheel: Wheel, terrain: Terrain, at: ContactCoordinates,
-    carrier: Pose, twist: Twist, spin: ca.SX, kappa: float,
+    carrier: Pose, twist: Twist, spin: ca.SX, kappa: float, lookups: LookupTable,
 ) -> Rolling:  # fmt: skip
     """Return how a wheel rolls whose hub moves as the chain does, and towards its place there."""
-    both = pair(wheel, terrain, at)
+    both = pair(wheel, terrain, at, lookups)
     pose, frame = both.pose, both.frame
-    contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0])
+    contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
     displacement = pose.origin - carrier.origin
     turn = carrier.rotation @ pose.rotation.T
     rotation = ca.inv_skew((turn - turn.T) / 2)  # sine of the angle times the axis

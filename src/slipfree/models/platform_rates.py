@@ -41,6 +41,7 @@ from slipfree.models.reach import (
     ReachMargin,
     check_given,
     planar_rates,
+    response_matrices,
     response_of,
 )
 from slipfree.models.records import (
@@ -173,8 +174,8 @@ def subset_kinematics(
     )
     dae = _driven(dae, direct.u.joints, tuple(joints))
     response = response_of(vehicle, direct, given)
-    matrices = list(response.matrices(pack(direct.x), pack(direct.z.position)))
-    states = ca.Function("matrices", [pack(dae.x), pack(dae.z)], matrices)
+    matrices = response_matrices(direct, given)
+    states = direct.function("matrices", [pack(dae.x), pack(dae.z)], matrices)
     margin = ReachMargin(response, states)
     return replace(dae, checks=(*(moved(check, direct, dae) for check in direct.checks), margin))
 

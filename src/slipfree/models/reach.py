@@ -13,7 +13,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobians
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.models.margin import extent
@@ -112,14 +111,8 @@ class Response:
 
 def response_of(vehicle: Vehicle, direct: Direct, given: tuple[str, ...]) -> Response:
     """Return the response of a direct model of least slip, for some given rates."""
-    rates, u = pack(direct.z.rates), pack(direct.u)
-    slip = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
-    plane = planar_rates(direct)
-    asked = ca.vertcat(*(plane[name] for name in given))
-    law = direct.alg[1]
-    expressions = jacobians([law, law, slip, slip, asked], [rates, u, rates, u, rates])
-    function = ca.Function(
-        "response", [pack(direct.x), pack(direct.z.position)], [ca.densify(e) for e in expressions]
+    function = direct.function(
+        "response", [pack(direct.x), pack(direct.z.position)], response_matrices(direct, given)
     )
     return Response(
         given,
@@ -129,6 +122,16 @@ def response_of(vehicle: Vehicle, direct: Direct, given: tuple[str, ...]) -> Res
         tuple(wheel.radius for wheel in vehicle.wheels if wheel.driven),
         function,
     )
+
+
+def response_matrices(direct: Direct, given: tuple[str, ...]) -> list[ca.SX]:
+    """Return the matrices of a response, see `Response`, in the symbols of the direct model."""
+    rates, u = pack(direct.z.rates), pack(direct.u)
+    slip = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
+    plane, law = planar_rates(direct), direct.alg[1]
+    asked = ca.vertcat(*(plane[name] for name in given))
+    pairs = [(law, rates), (law, u), (slip, rates), (slip, u), (asked, rates)]
+    return [ca.densify(ca.jacobian(rows, by)) for rows, by in pairs]
 
 
 def check_reach(

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobians
 from slipfree.contact.closure import ContactFrame
 from slipfree.dae import Limit
 from slipfree.geometry.frame import platform
+from slipfree.lookups import LookupTable
 from slipfree.models.base import carriers, joint_rates, margin_to, reach, spins, values_of
 from slipfree.models.records import (
     Configuration,
@@ -79,6 +79,7 @@ def mechanics(
     contacts: Sequence[ContactFrame],
     rates: Rates,
     u: Inputs,
+    lookups: LookupTable,
 ) -> Mechanics:
     """Return what equilibrium is made of, for a vehicle in the given places at the given rates."""
     q = pack((*x, *position[:4]))
@@ -98,14 +99,13 @@ def mechanics(
     # Dampers lose twice the gradient of their dissipation function, half their power.
     lost = power + damped / 2
     slip = ca.vertcat(*slips)
-    by_unknown, by_given = jacobians([slip, slip], [unknown, given])
     return Mechanics(
-        by_unknown,
-        by_given,
+        ca.jacobian(slip, unknown),
+        ca.jacobian(slip, given),
         -ca.gradient(lost, unknown),
         -ca.gradient(lost, given),
         tuple(
-            wheel.grip * terrain.friction(touch.point[0], touch.point[1])
+            wheel.grip * terrain.friction(touch.point[0], touch.point[1], lookups)
             for wheel, touch in zip(vehicle.wheels, contacts, strict=True)
         ),
         vehicle.weight,

@@ -17,6 +17,7 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame
 from slipfree.dae import Continuation, Limit
 from slipfree.errors import ModelError
+from slipfree.lookups import LookupTable
 from slipfree.models.friction_feasibility import diagnosis
 from slipfree.models.records import Algebraic, Configuration, Forces, Inputs, Rates
 from slipfree.models.statics import Mechanics, equilibrium
@@ -88,11 +89,12 @@ def friction_law(
     contacts: Sequence[ContactFrame],
     slips: Sequence[ca.SX],
     state: tuple[Configuration, Algebraic, Inputs],
+    lookups: LookupTable,
 ) -> FrictionLaw:
     """Return what the law of friction makes of a model of the given symbols."""
     x, z, u = state
     margin = tip_over_margin(vehicle, x, z.position, contacts)
-    why = diagnosis(parts, contacts, margin, x, z)
+    why = diagnosis(parts, contacts, margin, x, z, lookups)
     values = [EASIEST]
     while values[-1] > law.creep:
         values.append(max(values[-1] * EASE, law.creep))

@@ -137,7 +137,7 @@ def _outside(task: Task, along: list[_Bounds], role: str, known: Array) -> Itera
         if ca.depends_on(bounds.expression, unknown):
             continue
         # What is not known is not in the expression either, but must be a number.
-        here = ca.Function("here", [xz, u, task.dae.t], [bounds.expression])
+        here = task.dae.function("here", [xz, u, task.dae.t], [bounds.expression])
         value = float(here(np.nan_to_num(known), 0.0, 0.0))
         if max(bounds.lower - value, value - bounds.upper) > WITHIN:
             plain = plain_of(task, bounds.expression) is not None

@@ -119,7 +119,7 @@ def horizon(
     weights = np.array([*(cost.weight for cost in task.costs), task.smooth])
     names = [program.problem[name] for name in "xp"]
     return Horizon(
-        program, plan.course, ca.Function("targets", [x, z[:n_z], u], [asked]), span, weights,
+        program, plan.course, task.dae.function("targets", [x, z[:n_z], u], [asked]), span, weights,
         ca.Function("rows", names, [program.problem["g"]]), kept_going(program, iterations),
     )  # fmt: skip
 

@@ -1,38 +1,63 @@
 """Elements of a program: functions of few unknowns that stand at many places, and derivatives.
 
-An element may call functions that cannot be compiled with it, such as heights of a map. Their
-results and derivatives are arguments of the element's functions instead, which are then free of
-calls: the same for every ground. In them the result of a call is its Taylor polynomial about its
-own arguments, so that derivatives by the unknowns are those of the whole.
+What an element looks up of the ground is an argument of its functions, which are then free of
+calls: the same for every ground, and as often differentiable as CasADi's expressions are.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from slipfree.calls import Lifted, Taylor, built, column, lifted
+from slipfree.codegen_cache import compiled_functions
+from slipfree.lookups import Lookup, check_order, found_column, needed_lookups
 from slipfree.records import Array
 
 Index = npt.NDArray[np.intp]
+ORDER = 4  # derivatives of a ground: two in the model, two more in the Hessian
 
 
-class Parts(NamedTuple):
-    """The functions of an element, all with derivatives with respect to ``v``.
+class Question(NamedTuple):
+    """A lookup of an element.
 
-    ``c`` are results of calls, ``c1`` and ``c2`` their first and second derivatives.
+    Attributes
+    ----------
+    question : casadi Function
+        ``(v, q, p, c) ->`` argument of the lookup, with the results of those before it.
+    function : casadi Function
+        From the argument to the result.
+    """
+
+    question: ca.Function
+    function: ca.Function
+
+
+class Element(NamedTuple):
+    """A function that stands at several places of a program.
+
+    All functions take ``(v, q, p, c)``: unknowns, constants, parameters and results of lookups.
+    Derivatives are those by ``v``.
 
     Attributes
     ----------
     cost, gradient : casadi Function
-        ``(v, q, p, c) ->`` cost; and ``(v, q, p, c, c1) ->`` cost and its gradient.
+        The cost; cost and gradient.
     rows, jacobian : casadi Function
-        The same of the rows.
+        The rows; rows and their Jacobian.
     hessian : casadi Function
-        ``(v, q, p, c, c1, c2, s, l) ->`` upper half of the Hessian of ``s cost + l' rows``.
+        ``(v, q, p, c, s, l) ->`` upper half of the Hessian of ``s cost + l' rows``.
+    questions : tuple of Question
+        The lookups, in order.
+    where : ndarray, shape (n, n_v)
+        Which unknowns of the program ``v`` are, at every place.
+    places : ndarray, shape (n, n_rows)
+        Which rows of the program the rows are.
+    constants : ndarray, shape (n, n_q)
+        Values of ``q``.
     """
 
     cost: ca.Function
@@ -40,53 +65,22 @@ class Parts(NamedTuple):
     rows: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
-
-
-class Called(NamedTuple):
-    """A call in an element.
-
-    Attributes
-    ----------
-    arguments : casadi Function
-        ``(v, q, p, c) ->`` a column of its arguments, with the results of the calls before it.
-    orders : tuple of casadi Function
-        What is called, from column to column; its Jacobian, and the Jacobian of that, which take
-        the results of the functions before them as well. The first alone if derivatives of the
-        element do not depend on them.
-    """
-
-    arguments: ca.Function
-    orders: tuple[ca.Function, ...]
-
-
-class Element(NamedTuple):
-    """A function that stands at several places of a program.
-
-    Attributes
-    ----------
-    parts : Parts
-        Its functions.
-    calls : tuple of Called
-        What they take the results of, in order.
-    where : ndarray, shape (n, n_v)
-        Which unknowns of the program ``v`` are, at every place.
-    rows : ndarray, shape (n, n_rows)
-        Which rows of the program the rows are.
-    constants : ndarray, shape (n, n_q)
-        Values of ``q``.
-    """
-
-    parts: Parts
-    calls: tuple[Called, ...]
+    questions: tuple[Question, ...]
     where: Index
-    rows: Index
+    places: Index
     constants: Array
 
 
 def element(
-    symbols: tuple[ca.SX, ca.SX, ca.SX], cost: ca.SX, rows: ca.SX,
-    where: Index, places: Index, constants: Array, *, compiled: bool = False,
-) -> Element:  # fmt: skip
+    symbols: tuple[ca.SX, ca.SX, ca.SX],
+    cost: ca.SX,
+    rows: ca.SX,
+    lookups: Sequence[Lookup],
+    indices: tuple[Index, Index],
+    constants: Array,
+    *,
+    compiled: bool = False,
+) -> Element:
     """Return an element with its derivatives.
 
     Parameters
@@ -95,47 +89,51 @@ def element(
         Unknowns, constants and parameters, ``v, q, p``.
     cost, rows : SX
         A scalar and a column.
-    where, places, constants : ndarray
+    lookups : sequence of Lookup
+        What they contain of the ground, at questions in these symbols.
+    indices : tuple of two ndarrays
+        ``where`` and ``places`` of `Element`.
+    constants : ndarray
         See `Element`.
     compiled : bool
         Whether to compile what is large.
+
+    Raises
+    ------
+    ModelError
+        If second derivatives of a lookup are not known.
     """
-    whole = lifted(symbols, [ca.densify(cost), ca.densify(rows)])
-    smooth = [whole.matters(k) for k in range(len(whole.calls))]
-    calls = tuple(_call(whole, k, smooth[k]) for k in range(len(smooth)))
-    taylor = Taylor(whole, smooth)
-    large = built(
-        whole, smooth, Parts._fields[2:], lambda: _of_rows(whole, taylor), compiled=compiled
+    lookups = needed_lookups(lookups, [cost, rows])
+    check_order(lookups, ORDER, "a plan")
+    v, given, shared = symbols[0], [*symbols, found_column(lookups)], {"cse": True}
+    cost, rows = ca.densify(cost), ca.cse(ca.densify(rows))
+
+    def large() -> list[ca.Function]:
+        s, multipliers = ca.SX.sym("s"), ca.SX.sym("l", rows.numel())
+        hessian = ca.triu(ca.hessian(s * cost + ca.dot(multipliers, rows), v)[0])
+        return [
+            ca.Function("rows", given, [rows], shared),
+            ca.Function("jacobian", given, [rows, ca.jacobian(rows, v)], shared),
+            ca.Function("hessian", [*given, s, multipliers], [hessian], shared),
+        ]
+
+    key = ca.Function("values", given, [cost, rows], shared)
+    questions = tuple(
+        Question(
+            ca.Function("question", [*symbols, found_column(lookups[:k])], [each.question]),
+            each.function,
+        )
+        for k, each in enumerate(lookups)
     )
-    parts = Parts(*_of_cost(whole, taylor), *large)
-    return Element(parts, calls, where, places, constants)
-
-
-def _call(whole: Lifted, k: int, smooth: bool) -> Called:
-    before = column(call.results for call in whole.calls[:k])
-    arguments = ca.Function("arguments", [*whole.symbols, before], [whole.calls[k].arguments])
-    return Called(arguments, tuple(whole.calls[k].orders(2 if smooth else 0)))
-
-
-def _of_cost(whole: Lifted, taylor: Taylor) -> list[ca.Function]:
-    """Return cost, and cost with gradient."""
-    cost, given = whole.expressions[0], [*whole.symbols, whole.results]
-    gradient = taylor.here(ca.gradient(taylor.linear(cost), whole.symbols[0]))
-    return [ca.Function("cost", given, [cost]),
-            ca.Function("gradient", [*given, taylor.first], [cost, gradient])]  # fmt: skip
-
-
-def _of_rows(whole: Lifted, taylor: Taylor) -> list[ca.Function]:
-    """Return rows, rows with Jacobian, and the Hessian of everything."""
-    v, (cost, rows) = whole.symbols[0], whole.expressions
-    s, multipliers = ca.SX.sym("s"), ca.SX.sym("l", rows.numel())
-    lagrangian = taylor.square(s * cost + ca.dot(multipliers, rows))
-    jacobian = taylor.here(ca.jacobian(taylor.linear(rows), v))
-    hessian = taylor.here(ca.triu(ca.hessian(lagrangian, v)[0]))
-    given, shared = [*whole.symbols, whole.results], {"cse": True}
-    both = [*given, taylor.first, taylor.second, s, multipliers]
-    return [
-        ca.Function("rows", given, [rows], shared),
-        ca.Function("jacobian", [*given, taylor.first], [rows, jacobian], shared),
-        ca.Function("hessian", both, [hessian], shared),
-    ]
+    names = ("rows", "jacobian", "hessian")
+    of_rows, jacobian, hessian = compiled_functions(key, names, large, compiled=compiled)
+    return Element(
+        ca.Function("cost", given, [cost]),
+        ca.Function("gradient", given, [cost, ca.gradient(cost, v)]),
+        of_rows,
+        jacobian,
+        hessian,
+        questions,
+        *indices,
+        constants,
+    )

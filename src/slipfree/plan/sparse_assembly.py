@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse
 
-from slipfree.calls import replayed
+from slipfree.errors import ModelError
 from slipfree.plan.nlp_block import Element, Index
 from slipfree.records import Array
 
@@ -57,7 +57,7 @@ def assembled(elements: Sequence[Element], scale: Array, n_p: int) -> Functions:
     n_p : int
         Number of parameters.
     """
-    n_g = sum(each.rows.size for each in elements)
+    n_g = sum(each.places.size for each in elements)
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", n_g)
     v = w * scale
@@ -71,22 +71,62 @@ def assembled(elements: Sequence[Element], scale: Array, n_p: int) -> Functions:
     )  # fmt: skip
 
 
-def _arguments(each: Element, v: ca.MX, p: ca.MX, order: int) -> list[ca.MX]:
-    """Return what the functions of an element take, ``v, q, p`` and what its calls return.
+def _arguments(each: Element, v: ca.MX, p: ca.MX) -> list[ca.MX]:
+    """Return what the functions of an element take, ``v, q, p`` and what it looks up.
 
-    One row a place; ``p`` is the same for all. Derivatives of calls follow up to an order.
+    One row a place; ``p`` is the same for all.
     """
     count = len(each.where)
-    given = [_picked(v, each.where), ca.MX(ca.DM(each.constants)), p.T]
-    results = [[ca.MX(count, 0)] for _ in range(order + 1)]
-    for call in each.calls:
-        before = ca.horzcat(*results[0])
-        own = _columns(replayed(call.arguments, [*map(_split, [*given, before])], ca.MX), count)[0]
-        found = [ca.reshape(own, count, -1).T]
-        for function, known in zip(call.orders, results, strict=False):
-            found.append(function.map(count).call(found)[0])
-            known.append(ca.reshape(found[-1], -1, count).T)
-    return [*given, *(ca.horzcat(*known) for known in results)]
+    given, found = [_picked(v, each.where), ca.MX(ca.DM(each.constants)), p.T], ca.MX(count, 0)
+    for question, function in each.questions:
+        asked = _columns(_replayed(question, [*map(_split, [*given, found])]), count)[0]
+        results = function.map(count)(ca.reshape(asked, count, -1).T)
+        found = ca.horzcat(found, results.T)
+    return [*given, found]
+
+
+def _replayed(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
+    """Return the results of an SX function for columns of arguments, operation by operation.
+
+    Parameters
+    ----------
+    function : casadi Function
+        Of SX, without calls.
+    arguments : sequence of sequences of MX
+        For each argument each of its entries.
+
+    Returns
+    -------
+    list of lists of MX
+        For each result each of its nonzero entries.
+
+    Raises
+    ------
+    ModelError
+        If the function calls others.
+    """
+    if function.find_functions():
+        name = function.find_functions()[0].name()
+        raise ModelError(
+            f"plan: expected costs and limits that are formulas, found a call of {name!r}; write "
+            "it as an expression, or look it up (slipfree.lookups)"
+        )
+    work: dict[int, ca.MX] = {}
+    results = [[ca.MX(0)] * function.nnz_out(k) for k in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        source, target = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_INPUT:
+            work[target[0]] = arguments[source[0]][source[1]]
+        elif operation == ca.OP_OUTPUT:
+            results[target[0]][target[1]] = work[source[0]]
+        elif operation == ca.OP_CONST:
+            work[target[0]] = ca.MX(function.instruction_constant(k))
+        elif len(source) == 1:
+            work[target[0]] = ca.MX.unary(operation, work[source[0]])
+        else:
+            work[target[0]] = ca.MX.binary(operation, work[source[0]], work[source[1]])
+    return results
 
 
 def _picked(values: ca.MX, where: Index) -> ca.MX:
@@ -103,20 +143,20 @@ def _at_places(f: ca.Function, each: Element, arguments: Sequence[ca.MX]) -> lis
     count = len(each.where)
     if f.is_a("SXFunction"):
         # A loop over a column takes a tenth of the interpreter's time for as many numbers.
-        return _columns(replayed(f, [*map(_split, arguments)], ca.MX), count)
+        return _columns(_replayed(f, [*map(_split, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
     found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
     return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in found]
 
 
 def _cost(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
-    return sum((ca.sum1(_at_places(each.parts.cost, each, _arguments(each, v, p, 0))[0])
+    return sum((ca.sum1(_at_places(each.cost, each, _arguments(each, v, p))[0])
                 for each in elements), ca.MX(0))  # fmt: skip
 
 
 def _rows(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
     return _ordered(elements, [
-        _at_places(each.parts.rows, each, _arguments(each, v, p, 0))[0] for each in elements
+        _at_places(each.rows, each, _arguments(each, v, p))[0] for each in elements
     ])  # fmt: skip
 
 
@@ -124,8 +164,8 @@ def _gradient(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> 
     """Return the cost and its gradient."""
     cost, values, places, factors = ca.MX(0), [], [], []
     for each in elements:
-        own, found = _at_places(each.parts.gradient, each, _arguments(each, v, p, 1))
-        which, _ = _pattern(each.parts.gradient.sparsity_out(1))
+        own, found = _at_places(each.gradient, each, _arguments(each, v, p))
+        which, _ = _pattern(each.gradient.sparsity_out(1))
         rows = each.where.T[which].ravel()
         cost += ca.sum1(own)
         values.append(found)
@@ -136,7 +176,7 @@ def _gradient(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> 
 
 def _ordered(elements: Sequence[Element], parts: Sequence[ca.MX]) -> ca.MX:
     """Return the rows of all elements in the order of the program."""
-    order = np.argsort(np.concatenate([each.rows.T.ravel() for each in elements]))
+    order = np.argsort(np.concatenate([each.places.T.ravel() for each in elements]))
     return ca.vertcat(*parts)[order.tolist()]
 
 
@@ -144,9 +184,9 @@ def _jacobian(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> 
     """Return all rows and their Jacobian."""
     parts, values, places, factors = [], [], [], []
     for each in elements:
-        own, found = _at_places(each.parts.jacobian, each, _arguments(each, v, p, 1))
-        row, column = _pattern(each.parts.jacobian.sparsity_out(1))
-        rows, columns = each.rows.T[row].ravel(), each.where.T[column].ravel()
+        own, found = _at_places(each.jacobian, each, _arguments(each, v, p))
+        row, column = _pattern(each.jacobian.sparsity_out(1))
+        rows, columns = each.places.T[row].ravel(), each.where.T[column].ravel()
         parts.append(own)
         values.append(found)
         places.append((rows, columns))
@@ -161,9 +201,9 @@ def _hessian(
     """Return the upper half of the Lagrangian's Hessian."""
     values, places, factors = [], [], []
     for each in elements:
-        given = [*_arguments(each, v, p, 2), prices[0], _picked(prices[1], each.rows)]
-        (found,) = _at_places(each.parts.hessian, each, given)
-        row, column = _pattern(each.parts.hessian.sparsity_out(0))
+        given = [*_arguments(each, v, p), prices[0], _picked(prices[1], each.places)]
+        (found,) = _at_places(each.hessian, each, given)
+        row, column = _pattern(each.hessian.sparsity_out(0))
         rows, columns = each.where.T[row].ravel(), each.where.T[column].ravel()
         # Where two of its unknowns are one of the program, both entries of the pair meet.
         twice = np.repeat(row != column, len(each.where)) & (rows == columns)

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Limit
+from slipfree.lookups import Lookup, found_column, needed_lookups
 from slipfree.records import Array, Label, leaves
 from slipfree.solve.system import Block, System
 
@@ -42,7 +43,12 @@ class Point(NamedTuple):
     Attributes
     ----------
     function : casadi Function
-        ``(t, x, z, r, u) -> (rates of the states, rows, costs)``, with the unknowns that matter.
+        ``(t, x, z, r, u, c) -> (rates of the states, rows, costs)``, with the unknowns that matter
+        and results of lookups ``c``.
+    symbols : tuple of SX
+        ``t, x, z, r, u``.
+    lookups : tuple of Lookup
+        In these symbols.
     sizes : tuple of 3 ints
         Numbers of states, unknowns and inputs.
     roots : int
@@ -54,6 +60,8 @@ class Point(NamedTuple):
     """
 
     function: ca.Function
+    symbols: tuple[ca.SX, ...]
+    lookups: tuple[Lookup, ...]
     sizes: tuple[int, int, int]
     roots: int
     labels: tuple[Label, ...]
@@ -90,8 +98,10 @@ def point_of(
     own = [Label(f"{label.name}_root", "1", f"root of {label.words}") for label, _ in equations]
     zeros = np.zeros(len(motion) + len(model) + len(own))
     rows = ca.vertcat(alg, *(each for _, each in equations), kept)
+    symbols, results = (dae.t, x, z, r, u), [dae.ode, rows, paid]
+    lookups = needed_lookups(dae.lookups, results)
     return Point(
-        ca.Function("point", [dae.t, x, z, r, u], [dae.ode, rows, paid]),
+        ca.Function("point", [*symbols, found_column(lookups)], results), symbols, lookups,
         (x.numel(), z.numel(), u.numel()), r.numel(),
         (*motion, *model, *own, *(limit.label for limit in limits)),
         np.append(zeros, [limit.lower for limit in limits]),

@@ -16,6 +16,7 @@ import numpy as np
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
+from slipfree.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.plan.nlp_block import Element, element
 from slipfree.plan.nlp_block import Index as Index
 from slipfree.plan.sparse_assembly import Functions, assembled
@@ -228,7 +229,7 @@ def transcribe(task: Task, mesh: Mesh) -> Program:
         made.gradient, made.jacobian, made.hessian, scale, lower, upper,
         np.concatenate([np.tile(each.lower, len(each.where)) for each in pieces]),
         np.concatenate([np.tile(each.upper, len(each.where)) for each in pieces]),
-        _completion(elements[0], made, layout), not elements[0].parts.rows.is_a("SXFunction"),
+        _completion(elements[0], made, layout), not elements[0].rows.is_a("SXFunction"),
     )  # fmt: skip
 
 
@@ -244,7 +245,7 @@ def _completion(points: Element, made: Functions, layout: Layout) -> ca.Function
     """Return the function that finds the roots: what they are, and what their equations miss."""
     n_x, n_r = layout.first.size, layout.roots.shape[2]
     begin = n_x + layout.unknowns.shape[2]
-    rows = points.rows[:, begin : begin + n_r].ravel().tolist()
+    rows = points.places[:, begin : begin + n_r].ravel().tolist()
     all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
     return ca.Function("roots", [made.w],
                        [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])  # fmt: skip
@@ -336,7 +337,9 @@ def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
     q, p = ca.SX.sym("q", 5 + degree), ca.SX.sym("p", len(task.costs) + 1)
     begin, length, at, weight, slopes = q[0], q[1], q[2], q[3], q[4:]
     here = (1 - at) * u + at * after if task.continuous else u
-    ode, rows, paid = point.function((begin + at * length) * duration, x, z, r, here)
+    values = [(begin + at * length) * duration, x, z, r, here]
+    lookups, _, _ = substitute_lookups(point.lookups, point.symbols, values)
+    ode, rows, paid = point.function(*values, found_column(lookups))
     h = length * duration
     inner = np.repeat(np.arange(count), degree)
     where = np.hstack([
@@ -350,7 +353,7 @@ def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
     return element(
         (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
         weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
-        ca.vertcat(nodes @ slopes - h * ode, rows), where, places, _constants(mesh),
+        ca.vertcat(nodes @ slopes - h * ode, rows), lookups, (where, places), _constants(mesh),
         compiled=task.dae.compiled,
     )  # fmt: skip
 
@@ -379,7 +382,7 @@ def _rates(task: Task, mesh: Mesh, layout: Layout, each: int) -> Element:
     places = each * np.arange(1, count + 1)[:, None] + np.arange(-len(jumps), 0)
     return element(
         (ca.vertcat(u, after, duration), length, p), p[-1] * h * ca.sumsqr(change),
-        ca.vertcat(ca.SX(0, 1), *(change[k] for k in jumps)), where, places,
+        ca.vertcat(ca.SX(0, 1), *(change[k] for k in jumps)), (), (where, places),
         np.diff(mesh.ends)[:, None],
     )  # fmt: skip
 
@@ -404,11 +407,15 @@ def _met(task: Task, place: Place, mesh: Mesh, piece: Piece, begin: int) -> Elem
     x, z, u = task.dae.columns()
     p, duration = ca.SX.sym("p", len(task.costs) + 1), ca.SX.sym("duration")
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in place.limits))
-    rows = ca.substitute(rows, task.dae.t, mesh.ends[_nearest(place, mesh) + 1] * duration)
+    time = mesh.ends[_nearest(place, mesh) + 1] * duration
+    lookups, before, after = substitute_lookups(
+        needed_lookups(task.dae.lookups, [rows]), [task.dae.t], [time]
+    )
+    (rows,) = ca.substitute([rows], before, after)
     n_z = piece.where.size - x.numel() - u.numel() - 1
     return element(
-        (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p), ca.SX(0), rows,
-        piece.where, begin + np.arange(len(piece.labels))[None], np.zeros((1, 0)),
+        (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p), ca.SX(0), rows, lookups,
+        (piece.where, begin + np.arange(len(piece.labels))[None]), np.zeros((1, 0)),
     )  # fmt: skip
 
 

@@ -152,7 +152,7 @@ def _values(
 ) -> Array:
     t, x, z, u = samples
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
-    f = ca.Function("limits", [dae.t, *dae.columns()], [rows])
+    f = dae.function("limits", [dae.t, *dae.columns()], [rows])
     return np.array(f.map(t.size)(t[None], x, z, u)).reshape(len(limits), t.size)
 
 

@@ -11,6 +11,7 @@ from matplotlib.colors import LightSource
 from scipy.interpolate import RectBivariateSpline
 
 from slipfree.errors import ModelError
+from slipfree.lookups import LookupTable, lookup_function
 from slipfree.records import Array
 from slipfree.show import style
 from slipfree.terrain.base import Grid, Terrain
@@ -126,7 +127,9 @@ def slope_along(ground: Terrain, x: Array, y: Array, heading: Array) -> Array:
         Angle of the tangent to the surface, positive uphill. [rad]
     """
     at = ca.SX.sym("x"), ca.SX.sym("y")
-    gradient = ca.Function("gradient", at, [ca.densify(ground.jet(*at).gradient)])
+    lookups = LookupTable()
+    expressions = [ca.densify(ground.jet(*at, lookups).gradient)]
+    gradient = lookup_function(lookups.lookups, "gradient", at, expressions)
     x_0, y_0, _ = ground.origin
     rise = gradient(ca.DM(x - x_0).T, ca.DM(y - y_0).T)
     along = np.stack([-np.sin(heading), np.cos(heading)])

@@ -22,6 +22,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError, SolverError
 from slipfree.interrupt import heeded
+from slipfree.lookups import needed_lookups, substitute_lookups
 from slipfree.records import Array, Label, Mask, leaves, unpack
 from slipfree.solve.radau import Basis, basis
 from slipfree.solve.sampling import Samples, followed, table
@@ -161,13 +162,12 @@ class Scheme:
 
 def schemes(loop: System, sought: Mask) -> list[Scheme]:
     """Return the collocations of a DAE under laws at the numbers of points that are tried."""
-    symbols = [
-        ca.SX.sym(name, size)
-        for name, size in (("t", 1), ("x", loop.dae.ode.numel()), ("z", loop.moving))
-    ]
-    ode, alg = loop.core(*symbols, loop.u[:, 0])
-    jacobian = ca.jacobian(ca.vertcat(ode, alg), ca.vertcat(*symbols[1:]))
-    point = ca.Function("point", symbols, [ode, alg, ca.densify(jacobian)], {"cse": True})
+    t, x, z = (ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txz"))
+    u = ca.DM(loop.u[:, 0])
+    ode, alg = loop.core(t, x, z, u)
+    ode_x, alg_x, ode_z, alg_z = loop.jacobian(t, x, z, ca.MX(0, 1), u)
+    slopes = ca.densify(ca.blockcat([[ode_x, ode_z], [alg_x, alg_z]]))
+    point = ca.Function("point", [t, x, z], [ode, alg, slopes])
     return [Scheme(loop, sought, basis(degree), point.map(degree)) for degree in DEGREES]
 
 
@@ -429,7 +429,10 @@ def _exchanged(dae: Model, given: Sequence[str]) -> Model:
     # the first guess of a contact lies a fixed way from the platform's centre
     offsets = ca.substitute([guess[j] for *_, j in contact], [platform], [ca.SX.zeros(2)])
     places = [point - offset for (point, _, _), offset in zip(contact, offsets, strict=True)]
-    guess = ca.substitute(guess, [platform], [ca.vertcat(*places)])
+    own, before, after = substitute_lookups(
+        needed_lookups(dae.lookups, guess), [platform], [ca.vertcat(*places)]
+    )
+    guess = ca.substitute(guess, before, after)
     for (_, _, j), place in zip(contact, places, strict=True):
         guess[j] = place
     return replace(
@@ -442,6 +445,7 @@ def _exchanged(dae: Model, given: Sequence[str]) -> Model:
         guess=ca.vertcat(*guess),
         shift=(x_shift, z_shift),
         checks=(),
+        lookups=(*dae.lookups, *own),
     )
 
 
@@ -484,7 +488,7 @@ def nearest(dae: Model, *, weights: Mapping[str, float] | None = None, **pose: f
     shift = np.concatenate(dae.shift)[: len(names)]
     wish = np.array([asked.get(name, 0.0) for name in names]) - shift
     weight = np.array([weights.get(name, 1.0) * (name in asked) for name in names])
-    guess = np.array(ca.Function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
+    guess = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
     first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
     first[weight > 0] = wish[weight > 0]
     found = _least_change(dae, first, wish, weight) + shift
@@ -520,7 +524,10 @@ def _least_change(dae: Model, first: Array, wish: Array, weight: Array) -> Array
     change = np.where(counts, weight, 0.0)
     cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
     quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
-    problem = {"x": unknowns, "f": cost / 2, "g": dae.alg[0]}
+    rows = dae.function("closure", [unknowns], [dae.alg[0]])
+    symbols = ca.MX.sym("unknowns", unknowns.numel())
+    changed = ca.Function("cost", [unknowns], [cost / 2])
+    problem = {"x": symbols, "f": changed(symbols), "g": rows(symbols)}
     options: dict[str, Any] = {"ipopt": quiet, "print_time": False, "error_on_fail": False}
     solver = ca.nlpsol("nearest", "ipopt", problem, options)
     bound = np.where(counts, np.inf, 0.0)

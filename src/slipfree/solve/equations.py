@@ -1,7 +1,7 @@
 """The equations of a motion, as integrators and Newton's method call them, with their Jacobian.
 
-What follows from the model alone is made once, whatever its inputs, and compiled if the model asks
-for it; the grounds that it calls and the laws of its inputs come in by the chain rule.
+What follows from the model alone is made once, whatever its inputs and its ground, and compiled if
+the model asks for it; laws of the inputs come in by the chain rule.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from slipfree.calls import Lifted, Taylor, built, column, jacobian, lifted
+from slipfree.codegen_cache import compiled_functions
 from slipfree.dae import Dae
+from slipfree.lookups import Lookup, found_column, lookup_results, needed_lookups
 
 
 class Equations(NamedTuple):
@@ -25,32 +26,25 @@ class Equations(NamedTuple):
         ``(t, x, m, u) -> (ode, alg)``; differentiable by ``x`` and ``m``.
     newton : casadi Function
         ``(t, x, m, u) -> (alg, its Jacobian in m)``.
+    jacobian : casadi Function
+        ``(t, x, m, p, u) ->`` derivatives of ``ode`` and ``alg`` by ``x``, then by ``m``, under the
+        names that CasADi's interface to IDAS looks for.
     """
 
     core: ca.Function
     newton: ca.Function
-
-
-class _Stage(NamedTuple):
-    """Calls that can be made together.
-
-    ``arguments`` takes symbols and the results of earlier stages; ``calls`` hold what is called
-    and its Jacobian.
-    """
-
-    arguments: ca.Function
-    calls: tuple[tuple[ca.Function, ...], ...]
+    jacobian: ca.Function
 
 
 class _Model(NamedTuple):
-    """A model's equations without their calls; ``inputs`` tells which inputs they depend on.
+    """A model's equations; ``inputs`` tells which inputs they depend on.
 
-    ``values`` is ``(t, x, m, v, c) -> (ode, alg)``, with results of calls ``c``, and ``slopes``
-    ``(t, x, m, v, c, c1) ->`` its Jacobian in ``x, m, v``, with their derivatives ``c1``.
+    ``values`` is ``(t, x, m, v, c) -> (ode, alg)``, with results of lookups ``c``, and ``slopes``
+    gives its Jacobian in ``x, m, v`` from the same.
     """
 
     inputs: tuple[bool, ...]
-    stages: tuple[_Stage, ...]
+    lookups: tuple[Lookup, ...]
     values: ca.Function
     slopes: ca.Function
 
@@ -77,15 +71,17 @@ def equations(
     used = (each if own else ca.SX(0) for each, own in zip(law, model.inputs, strict=True))
     driven = ca.vertcat(ca.SX(0, 1), *used)
     symbols = [dae.t, x, m, u]
-    inputs = ca.Function("law", symbols, [driven], {"cse": True})
-    turns = ca.Function("law_slopes", symbols, [jacobian(driven, ca.vertcat(x, m))], {"cse": True})
+    turns = ca.jacobian(driven, ca.vertcat(x, m))
+    ruled = dae.function("law", symbols, [driven], {"cse": True})
+    bent = dae.function("law_slopes", symbols, [turns], {"cse": True})
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txmu", symbols, strict=True)]
-    point = [*given[:3], inputs(*given)]
-    ode, alg = model.values(*point, *_results(model, point, 0))
-    slopes = model.slopes(*point, *_results(model, point, 1))
+    found = lookup_results(model.lookups, symbols[:3], given[:3])
+    point = [*given[:3], ruled(*given), found]
+    ode, alg = model.values(*point)
     ends = [0, x.numel(), x.numel() + count]
+    slopes = model.slopes(*point)
     by_state, by_input = ca.horzsplit(slopes, [0, ends[-1], slopes.shape[1]])
-    total = by_state + by_input @ turns(*given)
+    total = by_state + by_input @ bent(*given)
     (ode_x, ode_m), (alg_x, alg_m) = ca.blocksplit(total, ends, ends)
     options: dict[str, Any] = {
         "jac_penalty": 0,
@@ -93,33 +89,13 @@ def equations(
         "is_diff_in": [False, True, True, False],
         "never_inline": True,
     }
+    names = ["jac_ode_x", "jac_alg_x", "jac_ode_z", "jac_alg_z"]  # CasADi's
+    parameters = [*given[:3], ca.MX.sym("p", 0), given[3]]
     return Equations(
         ca.Function("core", given, [ode, alg], options),
         ca.Function("newton", given, [alg, ca.densify(alg_m)]),
+        ca.Function("jacF", parameters, [ode_x, alg_x, ode_m, alg_m], [*"txzpu"], names),
     )
-
-
-def jacobian_option(core: ca.Function) -> dict[str, Any]:
-    """Return the option that gives IDAS the Jacobian as it is.
-
-    CasADi would derive it from the system, and assemble it anew around the one that ``core`` has.
-
-    Parameters
-    ----------
-    core : casadi Function
-        The equations, from `equations`.
-    """
-    t, x, m, u = core.mx_in()
-    unused = [ca.MX(core.sparsity_out(k)) for k in range(core.n_out())]
-    _, ode_x, ode_m, _, _, alg_x, alg_m, _ = core.jacobian().call([t, x, m, u, *unused])
-    given, blocks = [t, x, m, ca.MX.sym("p", 0), u], [ode_x, alg_x, ode_m, alg_m]
-    names = [
-        "jac_ode_x",
-        "jac_alg_x",
-        "jac_ode_z",
-        "jac_alg_z",
-    ]  # CasADi's, as that of the function
-    return {"cache": {"jacF": ca.Function("jacF", given, blocks, [*"txzpu"], names)}}
 
 
 def _jacobian(
@@ -127,8 +103,10 @@ def _jacobian(
 ) -> ca.Function:
     """Return the Jacobian of ``core`` by ``x`` and ``m``, with nothing for ``t`` and ``u``."""
     t, *_, u = given
-    blocks = [[ca.MX(part.numel(), t.numel()), *row, ca.MX(part.numel(), u.numel())]
-              for part, row in zip(parts, slopes, strict=True)]  # fmt: skip
+    blocks = [
+        [ca.MX(part.numel(), t.numel()), *row, ca.MX(part.numel(), u.numel())]
+        for part, row in zip(parts, slopes, strict=True)
+    ]
     results = [ca.MX.sym("result", part.numel()) for part in parts]
     return ca.Function("jac_core", [*given, *results], [each for row in blocks for each in row])
 
@@ -138,57 +116,19 @@ def _model(dae: Dae[Any, Any, Any, Any, Any], count: int) -> _Model:
     """Return the equations of a model, whatever its inputs."""
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.alg)[:count]
-    rows = [dae.ode, alg]
+    rows = ca.densify(ca.vertcat(dae.ode, alg))
     if dae.continuation:
-        rows = ca.substitute(rows, [dae.continuation.symbol], [ca.SX(dae.continuation.values[-1])])
-    whole = lifted([dae.t, x, z[:count], v], [ca.densify(each) for each in rows])
-    smooth = [True] * len(whole.calls)
+        rows = ca.substitute(rows, dae.continuation.symbol, dae.continuation.values[-1])
+    rows = ca.cse(rows)
+    lookups = needed_lookups(dae.lookups, [rows])
+    given = [dae.t, x, z[:count], v, found_column(lookups)]
+    parts = ca.vertsplit(rows, [0, x.numel(), rows.numel()])
+    values = ca.Function("values", given, parts, {"cse": True})
 
     def make() -> list[ca.Function]:
-        return _functions(whole, smooth)
+        slopes = ca.jacobian(rows, ca.vertcat(*given[1:4]))
+        return [values, ca.Function("slopes", given, [slopes])]
 
-    functions = built(whole, smooth, ("values", "slopes"), make, compiled=dae.compiled)
+    functions = compiled_functions(values, ("values", "slopes"), make, compiled=dae.compiled)
     inputs = ca.vertsplit(v) if v.numel() else []
-    return _Model(tuple(ca.depends_on(ca.vertcat(*rows), each) for each in inputs), _stages(whole),
-                  *functions)  # fmt: skip
-
-
-def _functions(whole: Lifted, smooth: Sequence[bool]) -> list[ca.Function]:
-    taylor, given, shared = Taylor(whole, smooth), [*whole.symbols, whole.results], {"cse": True}
-    rows = taylor.linear(ca.vertcat(*whole.expressions))
-    slopes = taylor.here(ca.jacobian(rows, ca.vertcat(*whole.symbols[1:])))
-    return [ca.Function("values", given, [*whole.expressions], shared),
-            ca.Function("slopes", [*given, taylor.first], [slopes])]  # fmt: skip
-
-
-def _stages(whole: Lifted) -> tuple[_Stage, ...]:
-    """Gather calls one after the other, as long as none takes the results of another."""
-    groups = list[list[int]]()
-    for k, call in enumerate(whole.calls):
-        own = column(whole.calls[j].results for j in groups[-1]) if groups else None
-        if own is None or ca.depends_on(call.arguments, own):
-            groups.append([])
-        groups[-1].append(k)
-    stages = list[_Stage]()
-    for group in groups:
-        before = column(call.results for call in whole.calls[: group[0]])
-        calls = [whole.calls[k] for k in group]
-        arguments = [call.arguments for call in calls]
-        stages.append(_Stage(
-            ca.Function("arguments", [*whole.symbols, before], arguments),
-            tuple(tuple(call.orders(1)) for call in calls),
-        ))  # fmt: skip
-    return tuple(stages)
-
-
-def _results(model: _Model, point: Sequence[ca.MX], order: int) -> list[ca.MX]:
-    """Return the results of the calls at a point, and their derivatives up to an order."""
-    found: list[list[ca.MX]] = [[ca.MX(0, 1)] for _ in range(order + 1)]
-    for stage in model.stages:
-        arguments = stage.arguments.call([*point, ca.vertcat(*found[0])])
-        for own, functions in zip(arguments, stage.calls, strict=True):
-            given = [own]
-            for known, function in zip(found, functions, strict=False):
-                given.append(function.call(given)[0])
-                known.append(ca.vec(ca.densify(given[-1])))
-    return [ca.vertcat(*each) for each in found]
+    return _Model(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)

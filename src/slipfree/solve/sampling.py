@@ -134,7 +134,7 @@ def followed(
     for block in loop.blocks:
         report[f"{block.labels[0].name}_residual"] = _largest(left[block.span])
     if loop.after:
-        guess = ca.Function("guess", [loop.dae.columns()[0]], [loop.dae.guess]).map(count)
+        guess = loop.dae.function("guess", [loop.dae.columns()[0]], [loop.dae.guess]).map(count)
         z[n:] = np.array(guess(samples.x))[n:]
     for block in loop.after:
         z, rest = _solved(block, samples._replace(z=z), loop.dae.scale[block.span, None])

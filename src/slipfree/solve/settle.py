@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae, Limit
@@ -52,7 +51,7 @@ def settle(
 
 def first_guess(dae: Dae[Any, Any, Any, Any, Any], x: Array, given: Mapping[str, float]) -> Array:
     """Return a first guess of ``z``, local, with what is given by name in map coordinates."""
-    z = np.array(ca.Function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
+    z = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
     for name, value in given.items():
         if name not in names:

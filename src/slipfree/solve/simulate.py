@@ -17,7 +17,6 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.interrupt import InterruptGuard
 from slipfree.records import Array
-from slipfree.solve.equations import jacobian_option
 from slipfree.solve.initial_conditions import consistent
 from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
 from slipfree.solve.settle import first_violation
@@ -353,7 +352,7 @@ def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.F
     }
     if task.method == "idas":
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
-        options |= jacobian_option(loop.core)
+        options |= {"cache": {"jacF": loop.jacobian}}
     else:
         options["quad_err_con"] = True
     return ca.integrator("motion", task.method, system, float(t[0]), t, options)

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.calls import jacobians
 from slipfree.dae import Dae, PiecewiseLinear
 from slipfree.errors import ModelError
+from slipfree.lookups import found_column
 from slipfree.records import Array, Label, leaves, pack
 from slipfree.solve.equations import equations
 
@@ -63,6 +63,8 @@ class System(NamedTuple):
         The algebraic equations of the motion, and those of what follows from it.
     newton : casadi Function
         ``(t, x, m, u) -> (alg, its Jacobian in m)``.
+    jacobian : casadi Function
+        Derivatives of ``core``, as IDAS takes them; see `slipfree.solve.equations.Equations`.
     outputs : casadi Function
         ``(t, x, z, u) -> (outputs, limits, inputs)``.
     margin : casadi Function
@@ -76,6 +78,7 @@ class System(NamedTuple):
     blocks: tuple[Block, ...]
     after: tuple[Block, ...]
     newton: ca.Function
+    jacobian: ca.Function
     outputs: ca.Function
     margin: ca.Function
 
@@ -152,17 +155,18 @@ def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX], u: ca.SX) -> 
     first = _following(ode, parts, z, blocks)
     motion, after = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
-    core, newton = equations(dae, m.numel(), law, u)
+    motion_equations = equations(dae, m.numel(), law, u)
     return System(
         dae,
         np.zeros((u.numel(), 0)),
-        core,
+        motion_equations.core,
         _quadratures(dae, [dae.t, x, z, u], quad, after),
         motion,
         after,
-        newton,
-        ca.Function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
-        ca.Function("margin", [dae.t, x, m, u], [_least(dae, bounds, z[m.numel() :])]),
+        motion_equations.newton,
+        motion_equations.jacobian,
+        dae.function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
+        dae.function("margin", [dae.t, x, m, u], [_least(dae, bounds, z[m.numel() :])]),
     )
 
 
@@ -188,14 +192,14 @@ def _quadratures(
     t, x, z, u = symbols
     count = after[0].span.start if after else z.numel()
     if not after or not ca.depends_on(quad, z[count:]):
-        return ca.Function("quad", [t, x, z[:count], u], [quad])
+        return dae.function("quad", [t, x, z[:count], u], [quad])
     sizes = [each.numel() for each in (t, x, z[:count], u)]
     given = [ca.MX.sym(name, size) for name, size in zip("txmu", sizes, strict=True)]
-    guess = ca.Function("guess", [x], [dae.guess[count:]])
+    guess = dae.function("guess", [x], [dae.guess[count:]])
     found = ca.vertcat(given[2], guess(given[1]))
     for block in after:
         found = _followed(block, [given[0], given[1], found, given[3]])
-    rates = ca.Function("rates", symbols, [quad])
+    rates = dae.function("rates", symbols, [quad])
     return ca.Function("quad", given, [rates(given[0], given[1], found, given[3])])
 
 
@@ -243,7 +247,9 @@ def _checked(dae: Dae[Any, Any, Any, Any, Any], label: Label, law: ca.SX) -> ca.
         raise ModelError(f"input {label.full}: expected a scalar expression, found {law.shape}")
     if ca.depends_on(law, u):
         raise ModelError(f"input {label.full}: a law cannot contain the inputs themselves")
-    free = ca.Function("law", [dae.t, x, z], [law], {"allow_free": True}).free_sx()
+    free = ca.Function(
+        "law", [dae.t, x, z, found_column(dae.lookups)], [law], {"allow_free": True}
+    ).free_sx()
     if free:
         raise ModelError(f"input {label.full}: {free[0]} is not a symbol of the model")
     return law
@@ -270,19 +276,18 @@ def _blocks(
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
     spans = [slice(*ends[k : k + 2]) for k in range(len(parts))]
     blocks = list[Block]()
-    every = zip(parts, spans, jacobians(parts, [z[span] for span in spans]), dae.labels.alg,
-                strict=True)  # fmt: skip
-    for rows, span, slopes, labels in every:
+    for rows, span, labels in zip(parts, spans, dae.labels.alg, strict=True):
         if not labels:
             continue
+        slopes = ca.jacobian(rows, z[span])
         if ca.depends_on(rows, z[span.stop :]):
             raise ModelError("a block of equations depends on the unknowns of a later one")
         eased = dae.continuation is not None and ca.depends_on(rows, continuation)
         blocks.append(
             Block(
                 span,
-                ca.Function("residual", symbols, [rows]),
-                ca.Function("jacobian", symbols, [ca.densify(slopes)]),
+                dae.function("residual", symbols, [rows]),
+                dae.function("jacobian", symbols, [ca.densify(slopes)]),
                 not ca.depends_on(slopes, z[span]),
                 dae.continuation.values if dae.continuation and eased else (0.0,),
                 labels,

@@ -12,6 +12,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
 from slipfree.interrupt import InterruptGuard
+from slipfree.lookups import found_column
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.sampling import Samples, table
 from slipfree.solve.settle import first_violation
@@ -101,10 +102,10 @@ def _opened(
     if ca.depends_on(ca.SX(rules), ca.SX(held)):
         raise ModelError("inputs: the law of a held input contains a held input")
     column = ca.vertcat(*(given[k] if is_law else symbols[k] for k, is_law in enumerate(laws)))
-    function = ca.Function("law", [dae.t, x, u], [column], {"allow_free": True})
-    if function.has_free():
-        raise ModelError(f"inputs: {function.free_sx()[0]} is not a symbol of the model")
-    return loop, function
+    known = [dae.t, x, u, found_column(dae.lookups)]
+    if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
+        raise ModelError(f"inputs: {free[0]} is not a symbol of the model")
+    return loop, dae.function("law", known[:3], [column])
 
 
 def _marched(

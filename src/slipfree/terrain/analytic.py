@@ -12,8 +12,16 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError
+from slipfree.lookups import LookupTable
 from slipfree.records import Array
-from slipfree.terrain.base import Jet, check_formula, jet_of
+from slipfree.terrain.base import (
+    TAYLOR,
+    Jet,
+    check_formula,
+    jet_of,
+    polynomial_jet,
+    taylor_function,
+)
 from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain
 
@@ -86,17 +94,21 @@ class Analytic:
         """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
         return map_domain(self.mu)
 
-    def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
+    def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the height at a point [m]."""
-        return ca.SX(self.function(x, y))
+        return (
+            ca.SX(self.function(x, y)) if self._taylor is None else self.jet(x, y, lookups).height
+        )
 
-    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
+    def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
         """Return height, gradient and Hessian at a point, two symbols."""
-        return jet_of(self.height(x, y), x, y)
+        if self._taylor is None:
+            return jet_of(ca.SX(self.function(x, y)), x, y)
+        return polynomial_jet(lookups.find(self._taylor, ca.vertcat(x, y), order=4), TAYLOR, x, y)
 
-    def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
+    def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a point; one where none was given [1]."""
-        return coefficient(self.mu, self._friction_map, self.origin, x, y)
+        return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights at points of equal shape [m]."""
@@ -111,7 +123,12 @@ class Analytic:
         return friction_map(self.mu, (0.0, 0.0))
 
     @cached_property
+    def _taylor(self) -> ca.Function | None:
+        """Function that looks up a height which calls functions."""
+        return taylor_function(self.function)
+
+    @cached_property
     def _numeric(self) -> ca.Function:
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        height = ca.Function("elevation", [x, y], [ca.densify(self.height(x, y))])
+        height = ca.Function("elevation", [x, y], [ca.densify(ca.SX(self.function(x, y)))])
         return height.map(CHUNK)

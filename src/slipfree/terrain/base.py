@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
+from slipfree.lookups import LookupTable
 from slipfree.records import Array, Mask
 
 HIGHEST = 1e9  # height of a ground [m]
@@ -48,17 +49,86 @@ def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
     return Jet(height, gradient, ca.jacobian(gradient, place))
 
 
+def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y: ca.SX) -> Jet:
+    """Return the jet of a polynomial.
+
+    Parameters
+    ----------
+    found : SX, shape (2 + n, 1)
+        Its centre, and its derivatives there.
+    orders : sequence of pairs of int
+        Orders of these derivatives in x and in y.
+    x, y : SX, shape (1, 1)
+        Local point. [m]
+    """
+    values = dict(zip(orders, ca.vertsplit(found[2:]), strict=True))
+    most = max(n for _, n in orders)
+    # Along x in every row of derivatives, then along y: Horner's scheme over the factorials.
+    rows = [
+        _sums([values[m, n] for m in range(most + 1) if (m, n) in values], x - found[0])
+        for n in range(most + 1)
+    ]
+    h, h_y, h_yy = _sums([row[0] for row in rows], y - found[1])
+    h_x, h_xy, _ = _sums([row[1] for row in rows], y - found[1])
+    h_xx = _sums([row[2] for row in rows], y - found[1])[0]
+    return Jet(h, ca.vertcat(h_x, h_y), ca.blockcat([[h_xx, h_xy], [h_xy, h_yy]]))
+
+
+def _sums(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return a Taylor polynomial and its first two derivatives."""
+    found = []
+    for order in range(3):
+        total = ca.SX(0)
+        for k in reversed(range(order, len(derivatives))):
+            total = derivatives[k] + away / (k - order + 1) * total
+        found.append(total)
+    return found[0], found[1], found[2]
+
+
+TAYLOR = tuple((m, n) for n in range(5) for m in range(5 - n))  # orders of derivatives up to four
+
+
+def taylor_function(formula: Callable[[Any, Any], Any]) -> ca.Function | None:
+    """Return the function that looks up a formula; None for one that calls no functions.
+
+    CasADi does not differentiate through calls in SX graphs as often as plans need.
+
+    Parameters
+    ----------
+    formula : callable
+        Of two SX scalars.
+
+    Returns
+    -------
+    casadi Function or None
+        From a point to the point and the derivatives `TAYLOR` there, shape (17, 1).
+    """
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    height = ca.Function("height", [x, y], [ca.densify(ca.SX(formula(x, y)))])
+    if not height.find_functions():
+        return None
+    at = ca.MX.sym("at", 2)
+    values = {(0, 0): height(at[0], at[1])}
+    for m, n in TAYLOR[1:]:
+        below, k = ((m - 1, n), 0) if m else ((m, n - 1), 1)
+        values[m, n] = ca.jacobian(values[below], at)[k]
+    found = ca.vertcat(at, *(values[orders] for orders in TAYLOR))
+    return ca.Function("taylor", [at], [ca.densify(found)])
+
+
 class Terrain(Protocol):
     """A ground given by its height and its coefficient of friction.
 
     1. *Map* coordinates are those of the user's data. *Local* coordinates are map coordinates
        minus ``origin``; models use local ones, so that large map coordinates cost no digits.
-    2. ``height(x, y)`` is an SX expression of local coordinates, at least twice continuously
-       differentiable inside the domain, and continues smoothly for a margin outside.
-       ``jet(x, y)`` is the height with its first and second derivatives, by two symbols:
-       `jet_of` makes it of any height.
+    2. ``height(x, y, lookups)`` is an SX expression of local coordinates, at least twice
+       continuously differentiable inside the domain, and continues smoothly for a margin outside.
+       ``jet(x, y, lookups)`` is the height with its first and second derivatives, at two symbols:
+       `jet_of` makes it of any height. What cannot be written as an expression is looked up:
+       `LookupTable.find` returns the numbers that a function gives at the point as symbols, of
+       which `polynomial_jet` makes the height.
     3. ``elevation(x, y)`` is the same surface, numeric and vectorised, in map coordinates.
-    4. ``friction(x, y)`` is an SX expression of local coordinates; a map makes it twice
+    4. ``friction(x, y, lookups)`` is an SX expression of local coordinates; a map makes it twice
        continuously differentiable. It is one if no friction was given.
     5. An instance is immutable and can be pickled.
     """
@@ -79,13 +149,13 @@ class Terrain(Protocol):
     def friction_domain(self) -> tuple[float, float, float, float] | None:
         """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
 
-    def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
+    def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the local height at a local point [m]."""
 
-    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
+    def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
         """Return height, gradient and Hessian at a local point, two symbols."""
 
-    def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
+    def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a local point [1]."""
 
     def elevation(self, x: Array, y: Array) -> Array:

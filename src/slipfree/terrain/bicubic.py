@@ -9,13 +9,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from slipfree.lookups import LookupTable
 from slipfree.records import Array
-from slipfree.terrain.base import Grid, Jet, jet_of
+from slipfree.terrain.base import Grid, Jet, polynomial_jet
 from slipfree.terrain.friction import Friction, bordered, check_friction, coefficient, map_domain
 from slipfree.terrain.kernel import Layout, Opened, opened
 
 ON_KNOT = 1e-10  # a point nearer to a knot than this, in cells, lies on it
 CHUNK = 8192  # points evaluated at once: the temporaries stay in the cache
+CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
 LARGE = 2**21  # coefficients above which the look-up stores them once, not four times
 
 
@@ -57,17 +59,12 @@ class Bicubic:
     Notes
     -----
     CasADi's own spline nodes cannot be used: on a knot their third derivatives write beyond their
-    memory, and their fourth derivatives do so everywhere (3.8.2). Here only the 16 spline
-    coefficients of a cell are looked up, and the rest is an SX polynomial.
+    memory, and their fourth derivatives do so everywhere (3.8.2). Here the middle of the cell and
+    the 16 derivatives there are looked up (`slipfree.lookups`), and the rest is an SX polynomial.
 
-    The coefficients are rounded to whole multiples of a unit, 2**-52 of the largest one or less,
-    so that ``floor`` returns them unchanged: its derivative is zero, and no derivative ever
-    enters the look-up. (A look-up with an empty Jacobian would do the same, but forward
-    differentiation of an SX graph leaves NaN or numbers of other variables in its place.)
-
-    Where a compiler was found when the package was installed, `jet` and `elevation` call the C of
-    `slipfree.terrain.kernel`; these expressions are what it is tested against, and what a ground
-    keeps to that was made while 64 others were in use.
+    Where a compiler was found when the package was installed, the C of `slipfree.terrain.kernel`
+    looks them up; a table of CasADi's is what it is tested against, and what a ground keeps to
+    that was made while 64 others were in use.
 
     One instance must not be evaluated by two threads at once; give each its own unpickled copy.
     """
@@ -108,32 +105,18 @@ class Bicubic:
         """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
         return map_domain(self.mu)
 
-    def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
+    def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the local height at a local point [m]."""
-        a, b = self._in_cells(x, y)
-        (i_0, i_last), (j_0, j_last) = self._cells
-        i = ca.fmin(ca.fmax(ca.floor(a + ON_KNOT), -i_0), i_last - i_0)
-        j = ca.fmin(ca.fmax(ca.floor(b + ON_KNOT), -j_0), j_last - j_0)
-        # Four sums of four, then one: half the operations of a sum of sixteen products.
-        c = ca.reshape(ca.floor(self._gather(ca.vertcat(i + i_0, j + j_0))), 4, 4)
-        lines = ca.mtimes(ca.horzcat(*_basis(a - i)), c)
-        height: ca.SX = self._table[1] * ca.mtimes(lines, ca.vertcat(*_basis(b - j)))
-        return height
+        return self.jet(x, y, lookups).height
 
-    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
-        """Return height, gradient and Hessian at a local point, two symbols.
+    def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
+        """Return height, gradient and Hessian at a local point."""
+        cell, key = self._cell
+        return polynomial_jet(lookups.find(cell, ca.vertcat(x, y, key)), CUBIC, x, y)
 
-        Where a compiler was found when this was installed, they can be differentiated twice more;
-        else as often as the height.
-        """
-        if self._kernel is None:
-            return jet_of(self.height(x, y), x, y)
-        h, h_x, h_y, h_xx, h_xy, h_yy = ca.vertsplit(self._kernel.jet(x, y))
-        return Jet(h, ca.vertcat(h_x, h_y), ca.blockcat([[h_xx, h_xy], [h_xy, h_yy]]))
-
-    def friction(self, x: ca.SX, y: ca.SX) -> ca.SX:
+    def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a local point; one where none was given [1]."""
-        return coefficient(self.mu, self._friction_map, self.origin, x, y)
+        return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def elevation(self, x: Array, y: Array) -> Array:
         """Return the heights in map coordinates at map points of equal shape [m]."""
@@ -174,7 +157,7 @@ class Bicubic:
         i = np.fmin(np.fmax(np.floor(a + ON_KNOT), -i_0), i_last - i_0)
         j = np.fmin(np.fmax(np.floor(b + ON_KNOT), -j_0), j_last - j_0)
         rows, columns = _basis(a - i), _basis(b - j)
-        table, unit = self._table
+        table = self._table
         width = table.shape[1]
         first = (i + i_0).astype(np.intp) * width + (j + j_0).astype(np.intp)
         heights = np.zeros(x.size)
@@ -183,11 +166,11 @@ class Bicubic:
             for n, column in enumerate(columns):
                 line += column * table.reshape(-1).take(first + (m * width + n))
             heights += row * line
-        return heights * unit
+        return heights
 
     @cached_property
-    def _table(self) -> tuple[Array, float]:
-        """Spline coefficients as whole numbers, shape (n_x + 2, n_y + 2), and their unit [m]."""
+    def _table(self) -> Array:
+        """Spline coefficients, shape (n_x + 2, n_y + 2) [m]."""
         values = self.grid.z - self.origin[2]
         if self.through:
             along_x = _solve_not_a_knot(values)
@@ -195,23 +178,39 @@ class Bicubic:
         else:
             coefficients = np.ascontiguousarray(np.pad(values, 1, mode="edge"))
         coefficients /= 36  # the bases are kept free of their factors 1/6
-        exponent = int(np.frexp(np.abs(coefficients).max())[1])
-        unit = float(np.ldexp(1.0, exponent - 52))
-        coefficients /= unit
-        return np.rint(coefficients, out=coefficients), unit
+        return coefficients
 
     @cached_property
     def _kernel(self) -> Opened | None:
         (x_0, y_0, _), (i, j) = self.origin, (cell[0] for cell in self._cells)
-        table, unit = self._table
         place = float(self.grid.x[i] - x_0), float(self.grid.y[j] - y_0)
         last = self._cells[0][1], self._cells[1][1]
-        return opened(table, Layout(unit, place, self.grid.spacing, (i, j), last))
+        return opened(self._table, Layout(place, self.grid.spacing, (i, j), last))
 
     @cached_property
-    def _gather(self) -> ca.Function:
-        table = self._table[0]
-        return _look_up(table, 4 if table.size <= LARGE else 1)
+    def _cell(self) -> tuple[ca.Function, float]:
+        """Function from a local point and a number to the polynomial there, and the number."""
+        if self._kernel is not None:
+            return self._kernel.function, self._kernel.key
+        return self._interpolated_cell(), 0.0
+
+    def _interpolated_cell(self) -> ca.Function:
+        """Return what the compiled evaluator does, of CasADi's look-up of a table."""
+        (i_0, i_last), (j_0, j_last) = self._cells
+        x_0, y_0, _ = self.origin
+        h_x, h_y = self.grid.spacing
+        at = ca.MX.sym("at", 3)
+        a, b = self._in_cells(at[0], at[1])
+        i = ca.fmin(ca.fmax(ca.floor(a + ON_KNOT), -i_0), i_last - i_0)
+        j = ca.fmin(ca.fmax(ca.floor(b + ON_KNOT), -j_0), j_last - j_0)
+        c = ca.reshape(_gather(self._table)(ca.vertcat(i + i_0, j + j_0)), 4, 4)
+        left, right = (ca.DM(_middle() / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
+        # NaN is put into a valid cell, whose polynomial returns NaN about a centre that is NaN.
+        center = [
+            self.grid.x[i_0] - x_0 + (i + 0.5) * h_x + 0 * at[0],
+            self.grid.y[j_0] - y_0 + (j + 0.5) * h_y + 0 * at[1],
+        ]
+        return ca.Function("cell", [at], [ca.vertcat(*center, ca.vec(left @ c @ right.T))])
 
     @cached_property
     def _friction_map(self) -> Bicubic | None:
@@ -262,16 +261,29 @@ def _solve_not_a_knot(values: Array) -> Array:
     return solution
 
 
-def _look_up(table: Array, run: int) -> ca.Function:
+def _middle() -> Array:
+    """Return the four B-splines times six, and their derivatives, in the middle of a cell.
+
+    Shape (4, 4), a row for every order; by the place counted in cells.
+    """
+    u = v = 0.5
+    return np.array(
+        [
+            [v**3, 4 + 3 * (u**3 - 2 * u**2), 4 + 3 * (v**3 - 2 * v**2), u**3],
+            [-3 * v**2, 3 * u * (3 * u - 4), 3 * v * (4 - 3 * v), 3 * u**2],
+            [6 * v, 18 * u - 12, 18 * v - 12, 6 * u],
+            [-6.0, 18.0, -18.0, 6.0],
+        ]
+    )
+
+
+def _gather(table: Array) -> ca.Function:
     """Return the function that finds the 16 entries of a table that belong to a cell.
 
     Parameters
     ----------
     table : ndarray, shape (n_x + 2, n_y + 2)
         The entries.
-    run : {1, 4}
-        How many neighbours along x are stored together: 4 makes a cell cost 4 interpolations
-        instead of 16, and the table four times as large.
 
     Returns
     -------
@@ -279,6 +291,7 @@ def _look_up(table: Array, run: int) -> ca.Function:
         From ``[i, j]``, whole numbers, to ``table[i : i + 4, j : j + 4]`` as a column, i fastest.
     """
     columns = np.ascontiguousarray(table.T)
+    run = 4 if table.size <= LARGE else 1  # neighbours stored together: 4 look-ups instead of 16
     runs = np.lib.stride_tricks.sliding_window_view(columns, run, axis=1)
     axes = [list(range(runs.shape[1])), list(range(runs.shape[0]))]
     # At its nodes a linear interpolant returns their values without rounding.

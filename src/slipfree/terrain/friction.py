@@ -18,8 +18,16 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
+from slipfree.lookups import LookupTable
 from slipfree.records import Array
-from slipfree.terrain.base import Grid, Terrain, check_formula
+from slipfree.terrain.base import (
+    TAYLOR,
+    Grid,
+    Terrain,
+    check_formula,
+    polynomial_jet,
+    taylor_function,
+)
 
 # A number, a function of two SX scalars in map coordinates, a map, or none: then it is one. [1]
 Friction = float | Callable[[Any, Any], Any] | Grid | None
@@ -60,6 +68,7 @@ def coefficient(
     origin: tuple[float, float, float],
     x: ca.SX,
     y: ca.SX,
+    lookups: LookupTable,
 ) -> ca.SX:
     """Return the coefficient of friction at a local point [1].
 
@@ -73,12 +82,22 @@ def coefficient(
         Map coordinates of the local origin. [m]
     x, y : SX, shape (1, 1)
         Local coordinates. [m]
+    lookups : LookupTable
+        Of the model.
     """
     if isinstance(mu, float | int):
         return ca.SX(mu)
     if callable(mu):
-        return ca.SX(mu(x + origin[0], y + origin[1]))
-    return ca.SX(1.0) if surface is None else surface.height(x, y) + surface.origin[2]
+        here = x + origin[0], y + origin[1]
+        taylor = taylor_function(mu)
+        if taylor is None:
+            return ca.SX(mu(*here))
+        return polynomial_jet(
+            lookups.find(taylor, ca.vertcat(*here), order=4), TAYLOR, *here
+        ).height
+    if surface is None:
+        return ca.SX(1.0)
+    return surface.height(x, y, lookups) + surface.origin[2]
 
 
 def map_domain(mu: Friction) -> tuple[float, float, float, float] | None:

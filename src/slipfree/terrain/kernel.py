@@ -1,7 +1,7 @@
 """The compiled evaluator of bicubic grounds, where a compiler was found when this was installed.
 
-`kernel.c` does what `slipfree.terrain.bicubic` does with CasADi's expressions, six times as
-fast. CasADi calls it as an external function, with first and second Jacobians of its own.
+`kernel.c` looks up the polynomial of a cell, as `slipfree.terrain.bicubic` does with CasADi's
+tables. CasADi calls it as an external function.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from slipfree.records import Array
 
 KEY_BITS = 52  # whole numbers that a double holds
-LAYOUT = 1  # of what `kernel.c` is given; an older library is left alone
+LAYOUT = 2  # of what `kernel.c` is given; an older library is left alone
 
 
 class Layout(NamedTuple):
@@ -28,8 +28,6 @@ class Layout(NamedTuple):
 
     Attributes
     ----------
-    unit : float
-        What the whole numbers of the table count. [m]
     place : tuple of 2 floats
         Local coordinates of the node nearest to the local origin. [m]
     spacing : tuple of 2 floats
@@ -38,7 +36,6 @@ class Layout(NamedTuple):
         Numbers of that node and of the last cell, along x and y.
     """
 
-    unit: float
     place: tuple[float, float]
     spacing: tuple[float, float]
     node: tuple[int, int]
@@ -55,8 +52,9 @@ class Opened(NamedTuple):
     key : float
         What tells it from others of that number.
     function : casadi Function
-        ``[x, y, key] -> [h, h_x, h_y, h_xx, h_xy, h_yy]``, local. While it or anything made of it
-        lives, the number is not given to another ground.
+        ``[x, y, key] -> [x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the middle of the cell
+        and the 16 derivatives there, local. While it or anything made of it lives, the number is
+        not given to another ground.
     library : ctypes.CDLL
         Where it is.
     """
@@ -65,11 +63,6 @@ class Opened(NamedTuple):
     key: float
     function: ca.Function
     library: ctypes.CDLL
-
-    def jet(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return height and derivatives at a local point, shape (6, 1) [m, 1, 1/m]."""
-        jet: ca.SX = self.function(ca.vertcat(x, y, self.key))
-        return jet
 
     def heights(self, x: Array, y: Array) -> Array:
         """Return the local heights at local points, shape (n,) [m]."""
@@ -86,7 +79,7 @@ def opened(table: Array, layout: Layout) -> Opened | None:
     Parameters
     ----------
     table : ndarray, shape (n_x + 2, n_y + 2)
-        Coefficients of the spline as whole numbers; kept while the ground is in use.
+        Coefficients of the spline; kept while the ground is in use. [m]
     layout : Layout
         Where its cells lie.
     """
@@ -94,8 +87,9 @@ def opened(table: Array, layout: Layout) -> Opened | None:
     if compiled is None:
         return None
     key = float(secrets.randbits(KEY_BITS))
-    numbers = np.array([layout.unit, key, *layout.place, *layout.spacing, *layout.node,
-                        *layout.last], dtype=float)  # fmt: skip
+    numbers = np.array(
+        [key, *layout.place, *layout.spacing, *layout.node, *layout.last], dtype=float
+    )
     with _LOCK:
         free = [slot for slot in range(compiled.kernel_slots()) if not compiled.kernel_in_use(slot)]
         for slot in free:
