@@ -21,9 +21,9 @@ import casadi as ca
 import numpy as np
 from direct import Stock
 from reference import heading
+from slipfree.calls import jacobian
 
 from slipfree import Bicubic, Grid
-from slipfree.calls import jacobian
 from slipfree.terrain import kernel
 from slipfree.terrain.base import Jet, jet_of
 

@@ -10,6 +10,10 @@ compares what is there.
 cases below with the interpreters of two environments in which the package is installed. One
 process each stays open, and they are called alternately, so that both see the same load. It prints
 the least CPU time of each and the ratio of these minima.
+
+``python benchmarks/versions.py points --old PYTHON [--new PYTHON]`` evaluates residuals, Jacobians
+and the Hessians of plans at random points, for all models on all kinds of ground, and prints the
+largest difference over the largest entry.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import argparse
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -161,6 +166,127 @@ for _ in sys.stdin:
 """
 
 
+POINTS = r"""
+import sys
+from dataclasses import replace
+import casadi as ca, numpy as np
+import slipfree as sf
+from slipfree.terrain import kernel
+try:
+    from slipfree.models.inverse import inverse_kinematics
+    from slipfree.models.kinematics import direct_kinematics
+    from slipfree.models.montana import montana_kinematics
+    from slipfree.models.platform_rates import subset_kinematics
+    from slipfree.plan.problem import task_of
+    from slipfree.plan.transcription import Mesh, transcribe
+    from slipfree.records import leaves
+    from slipfree.solve.system import with_inputs
+    from slipfree.terrain.rolled import rolled
+except ModuleNotFoundError:  # version 0.1.0
+    from slipfree.kinematics.inverse import inverse_kinematics
+    from slipfree.kinematics.montana import montana_kinematics
+    from slipfree.kinematics.rolling import direct_kinematics
+    from slipfree.kinematics.subset import subset_kinematics
+    from slipfree.named import leaves
+    from slipfree.plan.task import task_of
+    from slipfree.plan.transcribe import Mesh, transcribe
+    from slipfree.solve.loop import close as with_inputs
+    from slipfree.terrain.rolled import rolled
+
+x = np.linspace(-6, 6, 121)
+z = 0.1 * np.sin(1.3 * x)[:, None] * np.cos(0.9 * x) + 0.02 * np.sin(4 * x)[:, None]
+mu = 0.6 + 0.1 * np.sin(x)[:, None] * np.cos(x)
+a = ca.MX.sym("a")
+wave = ca.Function("wave", [a], [0.1 * ca.sin(1.3 * a)], {"never_inline": True})
+grids = sf.Grid(x, x, z), sf.Grid(x, x, mu)
+table, library = kernel.library(), kernel.library
+GROUNDS = {
+    "formula": lambda: sf.Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y), mu=0.6),
+    "formula that calls": lambda: sf.Analytic(lambda x, y: wave(x) * ca.cos(0.9 * y), mu=0.6),
+    "map": lambda: sf.Bicubic(grids[0], mu=0.6),
+    "map without kernel": lambda: sf.Bicubic(grids[0], mu=0.6),
+    "rolled map": lambda: sf.Bicubic(rolled(grids[0], 0.3).grid, mu=0.6),
+    "map of friction": lambda: sf.Bicubic(grids[0], mu=grids[1]),
+    "formula of friction": lambda: sf.Bicubic(grids[0], mu=lambda x, y: 0.6 + 0.1 * ca.sin(x)),
+}
+three, rover = sf.three_wheeler(), sf.rocky7()
+MODELS = {
+    "least slip": lambda g: direct_kinematics(three, g),
+    "least slip, rover": lambda g: direct_kinematics(rover, g),
+    "rolling": lambda g: direct_kinematics(three, g, slip="rolling"),
+    "traction": lambda g: direct_kinematics(sf.three_wheeler(axle="fixed"), g, slip="traction"),
+    "Montana": lambda g: montana_kinematics(three, g),
+    "inverse, steering rate": lambda g: inverse_kinematics(three, g),
+    "inverse, steering angle": lambda g: inverse_kinematics(three, g, steering="angle"),
+    "platform rates, rover": lambda g: subset_kinematics(rover, g),
+}
+found = {}
+for ground_name, make in GROUNDS.items():
+    kernel.library = (lambda: None) if "without" in ground_name else library
+    ground = make()
+    stand = sf.settle(direct_kinematics(three, ground), heading=0.2)
+    for model_name, of in MODELS.items():
+        dae, rng = of(ground), np.random.default_rng(7)
+        law = dae.inputs(**{each.full: 0.0 for each in leaves(dae.labels.u)})
+        system = with_inputs(dae, law, 0)
+        n_x, n_z = dae.ode.numel(), system.moving
+        start = 0.3 * rng.normal(size=n_x), 0.3 * rng.normal(size=n_z)
+        if model_name == "Montana":  # contacts of wheels that stand
+            start = np.array([stand.of(each)[0] if each.full in stand.columns or each.name in
+                              stand.columns else 0.1 for each in leaves(dae.labels.x)]), start[1]
+            start = start[0] - dae.shift[0], start[1]
+        for k in range(5):
+            off = rng.normal(size=n_x), rng.normal(size=n_z), rng.normal(size=system.u.shape[0])
+            at = [0.3, start[0] + 0.05 * off[0], start[1] + 0.05 * off[1], 0.3 * off[2]]
+            key = f"{model_name} | {ground_name} | {k}"
+            for name, each in zip(("ode", "residual"), system.core(*at)):
+                found[f"{key} | {name}"] = np.array(ca.DM(each))
+            slopes = system.core.jacobian()(*at, *(0 for _ in range(system.core.n_out())))
+            whole = [np.array(ca.DM(slopes[j])).ravel() for j in (1, 2, 5, 6)]
+            found[f"{key} | Jacobian"] = np.concatenate(whole)
+    for slip in ("least", "traction"):
+        dae = direct_kinematics(sf.three_wheeler(axle="fixed"), ground, slip=slip)
+        task = task_of(dae, sf.settle(dae), goal={"y": 1.0}, costs={"slip": 1.0, "effort": 0.01},
+                       duration=(4.0, 6.0), limits={"steer": (-1.0, 1.0)})
+        program, rng = transcribe(task, Mesh(np.linspace(0, 1, 3), 2)), np.random.default_rng(3)
+        for k in range(3):
+            w = 0.3 * rng.normal(size=program.scale.size)
+            p = rng.uniform(size=3)
+            w[program.layout.duration] = 4.5
+            prices = rng.normal(size=program.g_lower.size)
+            key = f"plan, {slip} | {ground_name} | {k}"
+            found[f"{key} | Jacobian"] = np.array(ca.DM(program.jacobian(w, p)[1]))
+            found[f"{key} | Hessian"] = np.array(ca.DM(program.hessian(w, p, 0.4, prices)))
+np.savez(sys.argv[1], **found)
+"""
+
+
+def print_points(old: str, new: str) -> None:
+    """Print the largest differences of two versions at random points."""
+    with tempfile.TemporaryDirectory() as folder:
+        before, after = (Path(folder) / f"{name}.npz" for name in ("old", "new"))
+        for python, file in ((old, before), (new, after)):
+            subprocess.run([python, "-c", POINTS, str(file)], check=True)
+        one, other = np.load(before), np.load(after)
+        worst = dict[tuple[str, str, str], float]()
+        for name in one:
+            model, ground, _, what = name.split(" | ")
+            a, b = one[name], other[name]
+            finite = np.isfinite(a)
+            same = np.array_equal(finite, np.isfinite(b))
+            size = np.abs(a[finite]).max(initial=0.0) or 1.0
+            gap = np.abs(a[finite] - b[finite]).max(initial=0.0) / size if same else np.inf
+            key = model, ground, what
+            worst[key] = max(worst.get(key, 0.0), float(gap))
+    grounds = list(dict.fromkeys(ground for _, ground, _ in worst))
+    for model in dict.fromkeys(model for model, _, _ in worst):
+        for what in dict.fromkeys(w for m, _, w in worst if m == model):
+            gaps = "  ".join(f"{worst[model, ground, what]:.0e}" for ground in grounds)
+            print(f"{model:24} {what:9} {gaps}")
+    print("grounds:", ", ".join(grounds))
+    print(f"largest: {max(worst.values()):.1e}")
+
+
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -176,8 +302,14 @@ def main() -> None:
     times.add_argument("--new", default=sys.executable)
     times.add_argument("--cases", nargs="*", default=CASES)
     times.add_argument("--repeats", type=int, default=REPEATS)
+    points = commands.add_parser("points")
+    points.add_argument("--old", required=True)
+    points.add_argument("--new", default=sys.executable)
     asked = parser.parse_args()
     heading()
+    if asked.command == "points":
+        print_points(asked.old, asked.new)
+        return
     if asked.command == "times":
         print_times(asked.old, asked.new, asked.cases, asked.repeats)
         return
