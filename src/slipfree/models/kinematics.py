@@ -10,6 +10,7 @@ from slipfree.contact.certify import SecondTouch
 from slipfree.contact.closure import ContactFrame, closure, contact_frame
 from slipfree.dae import Dae, Labels
 from slipfree.errors import ModelError
+from slipfree.forks import computing
 from slipfree.geometry.frame import Pose
 from slipfree.lookups import LookupTable
 from slipfree.models.base import (
@@ -17,6 +18,7 @@ from slipfree.models.base import (
     balance,
     carriers,
     contact_limits,
+    extent,
     joint_rates,
     outputs,
     sizes,
@@ -42,6 +44,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 
+@computing
 def direct_kinematics(
     vehicle: Vehicle,
     terrain: Terrain,
@@ -99,7 +102,7 @@ def direct_kinematics(
     slips = [slip_velocity(wheel, pose, contact, q, q_dot, spin) for wheel, pose, contact, spin
              in zip(vehicle.wheels, poses, contacts, turning, strict=True)]  # fmt: skip
     touching = touch_function(x, z, poses, contacts, lookups)
-    scale, shift = sizes(vehicle, terrain, labels)
+    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
     law = None
     if slip == "traction":
@@ -125,12 +128,13 @@ def direct_kinematics(
             *(law.limits if law else ()),
         ),
         checks=tuple(
-            SecondTouch(terrain, wheel, pose)
+            SecondTouch(terrain, wheel, pose, size)
             for wheel, pose in zip(vehicle.wheels, touching, strict=True)
         ),
         guess=guess,
         scale=scale,
         shift=shift,
+        size=size,
         suppress_algebraic=law is not None,  # rates with friction are too steep for an error test
         continuation=law.continuation if law else None,
         lookups=lookups.lookups,

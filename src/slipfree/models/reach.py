@@ -15,7 +15,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.models.margin import extent
+from slipfree.models.base import extent
 from slipfree.records import Array, Label, leaves, pack
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle

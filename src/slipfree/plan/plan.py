@@ -17,6 +17,7 @@ import numpy as np
 
 from slipfree.dae import Limit
 from slipfree.errors import ModelError
+from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.plan.constraints import WITHIN
 from slipfree.plan.explanation import explanation
@@ -133,6 +134,7 @@ class _Search(NamedTuple):
     run: Trajectory | None = None
 
 
+@computing
 @heeded
 def plan(
     dae: Model,

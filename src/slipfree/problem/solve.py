@@ -10,6 +10,7 @@ from typing import NamedTuple
 from slipfree.errors import SolverError
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.errors import ProblemError
+from slipfree.forks import computing
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.montana import Difference, cross_check
 from slipfree.models.records import is_determinate
@@ -50,6 +51,7 @@ class Outcome(NamedTuple):
     arrays: Mapping[str, Array] = NOTHING
 
 
+@computing
 def build(problem: Problem[schema.Motion]) -> Setup:
     """Return the model, the start and the inputs of a problem.
 
@@ -69,6 +71,7 @@ def build(problem: Problem[schema.Motion]) -> Setup:
     raise TypeError(f"expected a problem of a motion, found {spec.verb!r}")
 
 
+@computing
 def run(
     problem: Problem[schema.Motion] | Problem[schema.Climb],
     progress: Progress | None = None,

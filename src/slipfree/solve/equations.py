@@ -15,10 +15,11 @@ import casadi as ca
 from slipfree.codegen_cache import compiled_functions
 from slipfree.dae import Dae
 from slipfree.lookups import Lookup, found_column, lookup_results, needed_lookups
+from slipfree.records import Array
 
 
 class Equations(NamedTuple):
-    """Equations of a motion under inputs; ``m`` are its unknowns.
+    """Equations of a motion under inputs; ``m`` are its unknowns, ``alg`` is without unit.
 
     Attributes
     ----------
@@ -98,6 +99,25 @@ def equations(
     )
 
 
+def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.Function:
+    """Return the Jacobian for states and unknowns that are counted in other units.
+
+    Parameters
+    ----------
+    jacobian : casadi Function
+        From `equations`.
+    x_size, m_size : ndarray, shape (n_x,) and (n_m,)
+        Units of the states and the unknowns.
+    """
+    t, x, m, p, u = jacobian.mx_in()
+    by_x, by_m = ca.DM(x_size), ca.DM(m_size)
+    ode_x, alg_x, ode_m, alg_m = jacobian(t, x * by_x, m * by_m, p, u)
+    ode_x, alg_x = (part @ ca.diag(by_x) for part in (ca.diag(1 / by_x) @ ode_x, alg_x))
+    ode_m, alg_m = (part @ ca.diag(by_m) for part in (ca.diag(1 / by_x) @ ode_m, alg_m))
+    names = jacobian.name_in(), jacobian.name_out()
+    return ca.Function("jacF", [t, x, m, p, u], [ode_x, alg_x, ode_m, alg_m], *names)
+
+
 def _jacobian(
     given: Sequence[ca.MX], parts: Sequence[ca.MX], slopes: Sequence[Sequence[ca.MX]]
 ) -> ca.Function:
@@ -115,7 +135,7 @@ def _jacobian(
 def _model(dae: Dae[Any, Any, Any, Any, Any], count: int) -> _Model:
     """Return the equations of a model, whatever its inputs."""
     x, z, v = dae.columns()
-    alg = ca.vertcat(ca.SX(0, 1), *dae.alg)[:count]
+    alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]
     rows = ca.densify(ca.vertcat(dae.ode, alg))
     if dae.continuation:
         rows = ca.substitute(rows, dae.continuation.symbol, dae.continuation.values[-1])

@@ -9,6 +9,7 @@ import numpy as np
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
+from slipfree.forks import computing
 from slipfree.records import Array, Mask, leaves, unpack
 from slipfree.solve.initial_conditions import consistent, limit_words
 from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
@@ -16,6 +17,7 @@ from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Stop, Trajectory
 
 
+@computing
 def settle(
     dae: Dae[Any, Any, Any, Any, Any], *, guess: Mapping[str, float] | None = None, **start: float
 ) -> Trajectory:
@@ -73,7 +75,8 @@ def first_violation(
 ) -> tuple[int, Stop] | None:
     """Return the first sample that breaks a limit or fails a check, and the stop it means.
 
-    ``unsolved`` is the residual of the motion's equations from which on they count as not solved.
+    ``unsolved`` is the residual, without unit, of the motion's equations from which on they count
+    as not solved.
     """
     found: tuple[int, Stop] | None = None
 
@@ -94,7 +97,8 @@ def first_violation(
     for block in (*loop.blocks, *loop.after):
         if not block.linear or block in loop.after:
             label = run.columns[f"{block.labels[0].name}_residual"].label
-            values, most = run.of(label), UNSOLVED if block in loop.after else unsolved
+            most = UNSOLVED if block in loop.after else unsolved
+            values, most = run.of(label), most * loop.dae.size_of(block.labels[0])
             consider(
                 ~(values <= most),
                 label.name,
