@@ -25,8 +25,8 @@ class Block(NamedTuple):
     span : slice
         Its unknowns among those of ``z``.
     residual, jacobian : casadi Function
-        Of ``t, x, z, u`` and the continuation; the Jacobian is with respect to the unknowns of
-        to the unknowns of the block.
+        Of ``t, x, z, u`` and the continuation; the residual is without unit, the Jacobian with
+        respect to the unknowns of the block.
     linear : bool
         Whether the block is linear in its unknowns.
     stages : tuple of float
