@@ -22,8 +22,8 @@ import numpy as np
 from reference import heading
 
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
+from slipfree.lookups import LookupTable
 from slipfree.records import leaves
-from slipfree.solve.equations import jacobian_option
 from slipfree.solve.initial_conditions import consistent
 from slipfree.solve.system import System, with_inputs
 from slipfree.terrain.base import Jet, jet_of
@@ -48,15 +48,15 @@ class Stock:
         self.domain = (0.0, EXTENT, 0.0, EXTENT)
         self.elevation = Bicubic(grid).elevation  # for the check of the start only
 
-    def height(self, x: ca.SX, y: ca.SX) -> ca.SX:
+    def height(self, x: ca.SX, y: ca.SX, _lookups: LookupTable | None = None) -> ca.SX:
         """Return the height as a call of the node. [m]."""
         return self.function(ca.vertcat(x, y))
 
-    def jet(self, x: ca.SX, y: ca.SX) -> Jet:
+    def jet(self, x: ca.SX, y: ca.SX, _lookups: LookupTable | None = None) -> Jet:
         """Return height, gradient and Hessian, by CasADi's differentiation of the node."""
         return jet_of(self.height(x, y), x, y)
 
-    def friction(self, _x: ca.SX, _y: ca.SX) -> ca.SX:
+    def friction(self, _x: ca.SX, _y: ca.SX, _lookups: LookupTable) -> ca.SX:
         """Return one; nothing asks for it. [1]."""
         return ca.SX(1)
 
@@ -74,7 +74,7 @@ def wrapped(loop: System) -> tuple[dict[str, Any], dict[str, Any]]:
     symbols = [ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txzu")]
     ode, alg = loop.core(*symbols)
     system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
-    return system, jacobian_option(loop.core, loop.dae.sizes.x, loop.dae.sizes.z[: loop.moving])
+    return system, {"cache": {"jacF": loop.jacobian}}
 
 
 def written_out(loop: System, law: Any) -> dict[str, Any]:

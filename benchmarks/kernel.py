@@ -2,9 +2,10 @@
 
 ``python benchmarks/kernel.py`` prints nanoseconds of CPU for one point, the least of many runs over
 1000 points, along a driven path and at random points of the map, for maps of 20 x 20 to 4000 x 4000
-nodes: a loop over the same C code without CasADi; that code called by CasADi, as `Bicubic.jet` has
-it; CasADi's expressions, which stand in where there is no compiler; and the B-spline that CasADi
-offers, differentiated by CasADi. With the Jacobian of the six numbers, as Newton's methods need it.
+nodes: a loop over the same C code without CasADi; the cells that this code looks up for CasADi, as
+`Bicubic.jet` has it; cells from CasADi's tables, which stand in where there is no compiler; and the
+B-spline that CasADi offers, differentiated by CasADi. With the Jacobian of the six numbers, as
+Newton's methods need it.
 """
 
 from __future__ import annotations
@@ -21,11 +22,10 @@ import casadi as ca
 import numpy as np
 from direct import Stock
 from reference import heading
-from slipfree.calls import jacobian
 
 from slipfree import Bicubic, Grid
-from slipfree.terrain import kernel
-from slipfree.terrain.base import Jet, jet_of
+from slipfree.lookups import LookupTable, lookup_function
+from slipfree.terrain import bicubic, kernel
 
 SIZES = (20, 200, 1000, 4000)
 STOCK = 200  # nodes a side up to which the stock spline is fitted
@@ -33,11 +33,26 @@ SPACING, COUNT, REPEATS, SECONDS = 0.1, 1000, 200, 1.0
 SOURCE = Path(kernel.__file__).with_name("kernel.c")
 LOOP = f"""#include "{SOURCE}"
 API double loop(long long n, const double *at) {{
-  double d[4][4], sum = 0;
+  double found[18], point[3], a, b, line[3][4], sum = 0, *d;
+  const double *arg[] = {{point}};
   long long k;
+  int i, j;
   for (k = 0; k < n; k++) {{
-    derivatives(&grounds[0], at[2 * k], at[2 * k + 1], 2, d);
-    sum += d[0][0] + d[1][0] + d[0][1] + d[2][0] + d[1][1] + d[0][2];
+    point[0] = at[2 * k], point[1] = at[2 * k + 1], point[2] = 0;
+    polynomial(&grounds[0], arg, found);
+    a = point[0] - found[0], b = point[1] - found[1];
+    for (j = 0; j < 4; j++) {{
+      d = found + 2 + 4 * j;
+      line[0][j] = d[0] + a * (d[1] + a / 2 * (d[2] + a / 3 * d[3]));
+      line[1][j] = d[1] + a * (d[2] + a / 2 * d[3]);
+      line[2][j] = d[2] + a * d[3];
+    }}
+    for (i = 0; i < 3; i++) {{
+      d = line[i];
+      sum += d[0] + b * (d[1] + b / 2 * (d[2] + b / 3 * d[3]));
+      if (i < 2) sum += d[1] + b * (d[2] + b / 2 * d[3]);
+      if (i < 1) sum += d[2] + b * d[3];
+    }}
   }}
   return sum;
 }}
@@ -63,10 +78,10 @@ def plain(ground: Bicubic, folder: str) -> Callable[[np.ndarray], Callable[[], o
     subprocess.run(["cc", "-O2", "-fPIC", "-shared", code, "-o", file, "-lm"], check=True)
     library = ctypes.CDLL(str(file))
     library.loop.restype = ctypes.c_double
-    table, unit = ground._table
+    table = ground._table
     (i, last_i), (j, last_j) = ground._cells
     place = ground.grid.x[i] - ground.origin[0], ground.grid.y[j] - ground.origin[1]
-    numbers = np.array([unit, 0, *place, *ground.grid.spacing, i, j, last_i, last_j], dtype=float)
+    numbers = np.array([0, *place, *ground.grid.spacing, i, j, last_i, last_j], dtype=float)
     library.kernel_open(0, table.ctypes.data_as(ctypes.c_void_p),
                         ctypes.c_longlong(table.shape[1]),
                         numbers.ctypes.data_as(ctypes.c_void_p))  # fmt: skip
@@ -80,12 +95,14 @@ def plain(ground: Bicubic, folder: str) -> Callable[[np.ndarray], Callable[[], o
 
 
 def called(
-    jet: Jet, x: ca.SX, y: ca.SX, *, slopes: bool
+    ground: Bicubic | Stock, *, slopes: bool
 ) -> Callable[[np.ndarray], Callable[[], object]]:
     """Return what makes a run of CasADi over points, of a jet or of its Jacobian."""
+    x, y, lookups = ca.SX.sym("x"), ca.SX.sym("y"), LookupTable()
+    jet = ground.jet(x, y, lookups)
     values = ca.vertcat(jet.height, jet.gradient, *(jet.hessian[k] for k in (0, 1, 3)))
-    found = [values, jacobian(values, ca.vertcat(x, y))] if slopes else [values]
-    function = ca.Function("jet", [x, y], found).map(COUNT)
+    found = [values, ca.jacobian(values, ca.vertcat(x, y))] if slopes else [values]
+    function = lookup_function(lookups.lookups, "jet", [x, y], found).map(COUNT)
 
     def over(at: np.ndarray) -> Callable[[], object]:
         buffer, run = function.buffer()
@@ -100,6 +117,17 @@ def called(
     return over
 
 
+def without_kernel(grid: Grid) -> Bicubic:
+    """Return a ground that does without the kernel."""
+    opened, bicubic.opened = bicubic.opened, lambda *_: None
+    try:
+        ground = Bicubic(grid)
+        ground.jet(ca.SX.sym("x"), ca.SX.sym("y"), LookupTable())
+    finally:
+        bicubic.opened = opened
+    return ground
+
+
 def main() -> None:
     """Print the table."""
     heading()
@@ -107,7 +135,6 @@ def main() -> None:
         sys.exit("slipfree was installed without a C compiler; install it again where there is one")
     print("ns a point                    jet: path  random    with Jacobian: path  random")
     rng = np.random.default_rng(0)
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
     with tempfile.TemporaryDirectory() as folder:
         for size in SIZES:
             axis = SPACING * np.arange(size)
@@ -118,15 +145,14 @@ def main() -> None:
             half = 0.499 * SPACING * (size - 1)
             kinds = {
                 "a loop in C": (plain(ground, folder), None),
-                "compiled": (called(ground.jet(x, y), x, y, slopes=False),
-                             called(ground.jet(x, y), x, y, slopes=True)),
-                "interpreted": tuple(called(jet_of(ground.height(x, y), x, y), x, y, slopes=slopes)
+                "compiled": tuple(called(ground, slopes=slopes) for slopes in (False, True)),
+                "interpreted": tuple(called(without_kernel(grid), slopes=slopes)
                                      for slopes in (False, True)),
             }  # fmt: skip
             if size <= STOCK:
                 stock = Stock(grid)
                 kinds["CasADi's B-spline"] = tuple(
-                    called(stock.jet(x, y), x, y, slopes=slopes) for slopes in (False, True)
+                    called(stock, slopes=slopes) for slopes in (False, True)
                 )
             for name, (values, slopes) in kinds.items():
                 corner = ground.origin[:2] if name == "CasADi's B-spline" else (0.0, 0.0)
