@@ -21,7 +21,7 @@ from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.plan.constraints import WITHIN
 from slipfree.plan.explanation import explanation
-from slipfree.plan.ipopt import Iterate, Solution, solve, violation
+from slipfree.plan.ipopt import CAUTIOUS, STUCK, Iterate, Solution, solve, violation
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
     carried,
@@ -309,9 +309,16 @@ def _solved(
     warm: Solution | None = None,
 ) -> _Search:
     look = None if progress is None else lambda iterate: progress(words, iterate)
-    found = solve(program, _weights(program, part), first, warm=warm, look=look)
-    stage = Stage(words, found.iterations, found.status, found.seconds, found.cost)
-    return _Search(program, found, first, (stage,))
+    weights = _weights(program, part)
+    found = solve(program, weights, first, warm=warm, look=look)
+    stages = [Stage(words, found.iterations, found.status, found.seconds, found.cost)]
+    if found.status in STUCK:  # which rounding decides on long plans: it may have gone astray
+        again = solve(program, weights, first, warm=warm, look=look, growth=CAUTIOUS)
+        words = f"{words}, again"
+        stages.append(Stage(words, again.iterations, again.status, again.seconds, again.cost))
+        if again.success or violation(program, again.rows) < violation(program, found.rows):
+            found = again
+    return _Search(program, found, first, tuple(stages))
 
 
 def _weights(program: Program, part: float) -> Array:
