@@ -32,6 +32,7 @@ from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "physics"))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 import climb_random
 import climb_track

@@ -59,6 +59,7 @@ from slipfree.plan.transcription import transcribe
 from slipfree.plan.verification import rerun
 from slipfree.trajectory import Trajectory, path_length
 
+sys.path.insert(0, str(File(__file__).parent.parent / "tests" / "physics"))
 sys.path.insert(0, str(File(__file__).parent.parent / "tests"))
 import test_climb
 

@@ -38,6 +38,7 @@ from slipfree.terrain.rolled import rolled
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.catalogue.rovers import rocky7
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "physics"))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from test_rovers import (
     CATALOG,
