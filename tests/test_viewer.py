@@ -329,11 +329,11 @@ def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: P
 @pytest.fixture
 def server() -> Iterator[Any]:
     pytest.importorskip("viser")
-    from slipfree.show import viewer
+    from slipfree.show import guard, viewer
 
     found = viewer._server(0)
     yield found
-    viewer._stop(found)
+    guard.stop(found)
 
 
 def test_parts_may_be_called_like_nodes_of_the_page(files: list[Path], server: Any) -> None:
@@ -423,6 +423,12 @@ def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) 
     assert panel.time.value == pytest.approx(1)
     panel.advance(2)
     assert panel.time.value == 0
+    for far in (-1e300, 1e300):
+        panel.time.value = far
+        panel.stage.show(far)
+        panel.advance(0.5)
+        panel.advance(0.5)
+        assert 0 <= panel.time.value <= 4
     panel.stage.show(2.0)
     moved = server.scene.get_handle_by_name("/world/run 1/body 1")
     middle = scene.actors[0].t.size // 2

@@ -70,7 +70,7 @@ def show(
         if html is None and animation is None:
             from slipfree.show.viewer import serve
 
-            serve(scene, _title(found), color, port, lambda url: _ready(url, browser))
+            serve(scene, _title(found), color, port, warn, lambda url: _ready(url, browser))
 
 
 def _check_places(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:

@@ -5,11 +5,9 @@ viser draws; it is needed here alone and imported late.
 
 from __future__ import annotations
 
-import io
 import threading
 import time
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +15,13 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.named import Array
+from slipfree.show.guard import HOST, Guard, stop
 from slipfree.show.page import legend, swatch, warned, with_legend
 from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Layer, Scene, scale_words
 
 if TYPE_CHECKING:
     import viser
 
-HOST = "127.0.0.1"  # nobody else on the network sees the page
 RATE = 25.0  # pictures in a second
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x", "50x")
 LONGEST = 60.0  # that a saved page plays; longer motions are sped up [s]
@@ -37,8 +35,13 @@ WORLD = "/world"  # what moves under the camera that follows
 
 
 def serve(
-    scene: Scene, title: str, color: str, port: int, ready: Callable[[str], None]
-) -> None:  # fmt: skip
+    scene: Scene,
+    title: str,
+    color: str,
+    port: int,
+    warn: Callable[[str], None],
+    ready: Callable[[str], None],
+) -> None:
     """Show a scene in a web page on this machine, until Ctrl-C.
 
     Parameters
@@ -51,6 +54,8 @@ def serve(
         By which layer the ground is colored at first.
     port : int
         Where; zero for any that is free.
+    warn : callable
+        Called, from any thread, with a warning of requests and values that are refused.
     ready : callable
         Called with the address when the page can be opened.
 
@@ -59,7 +64,7 @@ def serve(
     DataError
         If viser is not installed, or the port is taken.
     """
-    server = _server(port)
+    server = _server(port, warn)
     try:
         stage = Stage(server, scene, color)
         panel = _Panel(server, stage, scene, title)
@@ -70,7 +75,7 @@ def serve(
     except KeyboardInterrupt:
         pass
     finally:
-        _stop(server)
+        stop(server)
 
 
 def page(scene: Scene, title: str, color: str) -> str:
@@ -95,28 +100,21 @@ def page(scene: Scene, title: str, color: str) -> str:
             recording.insert_sleep(1 / RATE)
         html = recording.as_html()
     finally:
-        _stop(server)
+        stop(server)
     words = [f"Played {speed:.3g} times as fast as it happened."] if speed > 1 else []
     words += [f"The view follows {scene.actors[0].name}."] if scene.is_far else []
     return with_legend(html, scene, title, color, words)
 
 
-def _server(port: int) -> viser.ViserServer:
+def _server(port: int, warn: Callable[[str], None] = lambda _: None) -> viser.ViserServer:
     try:
-        import viser
+        server = Guard(warn).start(port)
     except ImportError as error:
         raise DataError("show needs viser: pip install 'slipfree[view]'") from error
-    with redirect_stdout(io.StringIO()):  # it prints a banner, whatever it is asked
-        server = viser.ViserServer(host=HOST, port=port, verbose=False)
     if port and server.get_port() != port:
-        _stop(server)
+        stop(server)
         raise DataError(f"--port: expected a free port, found {port} taken; leave it out for any")
     return server
-
-
-def _stop(server: viser.ViserServer) -> None:
-    with redirect_stdout(io.StringIO()):
-        server.stop()
 
 
 class Stage:
@@ -350,7 +348,8 @@ class _Panel:
         """Let time go on if it is to, from the end back to the start."""
         if self.playing.value:
             first, last = self.ends
-            t = self.time.value + seconds * float(self.speed.value.removesuffix("x"))
+            t = max(first, self.time.value)  # a page may send any number
+            t += seconds * float(self.speed.value.removesuffix("x"))
             self.time.value = first if t > last else t
 
     def _choose_ground(self, gui: Any, scene: Scene) -> None:

@@ -1,0 +1,169 @@
+"""Checks of the requests and values that reach the viewer.
+
+viser answers every request to its port and stores every value that it receives. A page of another
+site can send both from the user's browser: directly, or under a name of its own that resolves to
+this machine (DNS rebinding).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import logging
+import math
+from collections.abc import Callable, Mapping
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING, Any
+
+from slipfree.errors import DataError
+
+if TYPE_CHECKING:
+    import viser
+
+HOST = "127.0.0.1"  # nobody else on the network reaches the viewer
+NAMES = (HOST, "localhost", "[::1]")  # of this machine
+DEFAULT_PORT = 80  # of http, which browsers leave out
+MOST = 20  # warnings
+LONGEST = 60  # characters of a value in a warning
+
+
+class Guard:
+    """Start viser's server so that it answers and obeys its own page only.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with each warning, with equal ones once; from any thread.
+    """
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell, self._told, self._is_used = tell, set[str](), False
+
+    def start(self, port: int) -> viser.ViserServer:
+        """Return a server on this machine; zero is any free port.
+
+        Raises
+        ------
+        ImportError
+            If viser is not installed.
+        DataError
+            If this version of viser starts its server in a way that cannot be guarded.
+        """
+        import viser
+        from websockets.asyncio import server as web
+
+        serve = web.serve
+
+        def guarded(*words: Any, **options: Any) -> Any:
+            self._is_used = True
+            asyncio.get_running_loop().set_exception_handler(self._report)
+            answer = options["process_request"]
+
+            def check(connection: Any, request: Any) -> Any:
+                return self._refusal(connection, request) or answer(connection, request)
+
+            options |= {"process_request": check, "logger": self._logger()}
+            return serve(*words, **options)
+
+        web.serve = guarded  # type: ignore[assignment, misc]  # viser has no option for it
+        try:
+            with redirect_stdout(io.StringIO()):  # it prints a banner, whatever it is asked
+                server = viser.ViserServer(host=HOST, port=port, verbose=False)
+        finally:
+            web.serve = serve  # type: ignore[misc]
+        if not self._is_used:
+            stop(server)
+            raise DataError(
+                "show: expected a version of viser whose requests can be checked, found "
+                f"{viser.__version__}; pip install 'slipfree[view]'"
+            )
+        self._check_values(server)
+        return server
+
+    def warn(self, words: str) -> None:
+        """Pass on a warning that is new, if there were not many."""
+        if words not in self._told and len(self._told) < MOST:
+            self._told.add(words)
+            more = "; further warnings are not shown" if len(self._told) == MOST else ""
+            self._tell(words + more)
+
+    def _refusal(self, connection: Any, request: Any) -> Any:
+        """Return the response to a request for another host or from a foreign page, else None."""
+        port = connection.local_address[1]
+        hosts = [each.lower() for each in request.headers.get_all("Host")]
+        origins = [each.lower() for each in request.headers.get_all("Origin")]
+        own = {f"{name}:{port}" for name in NAMES}
+        own |= {*NAMES} if port == DEFAULT_PORT else set()
+        if len(hosts) == 1 and hosts[0] in own and origins in ([], [f"http://{hosts[0]}"]):
+            return None
+        expected = f"expected one for http://{HOST}:{port} from its own page"
+        self.warn(
+            f"refused a request: {expected}, found host {_short(', '.join(hosts))}, origin "
+            f"{_short(', '.join(origins))}"
+        )
+        return connection.respond(403, f"refused: {expected}; open that address in the browser\n")
+
+    def _check_values(self, server: viser.ViserServer) -> None:
+        """Let only values that fit reach the controls of the page."""
+        from viser._messages import GuiUpdateMessage, ShareUrlRequest
+
+        gui, socket = server.gui, server._websock_server
+
+        async def update(client: Any, message: Any) -> None:
+            control = gui._gui_input_handle_from_uuid.get(message.uuid)
+            if control is None:
+                return
+            if words := _misfit(control, message.updates):
+                self.warn(f"ignored a value of {control.label!r}: {words}")
+                return
+            await gui._handle_gui_updates(client, message)
+
+        socket.unregister_handler(GuiUpdateMessage)
+        socket.register_handler(GuiUpdateMessage, update)
+        socket.unregister_handler(ShareUrlRequest)  # which publishes the page by another host
+
+    def _report(self, _loop: object, context: Mapping[str, Any]) -> None:
+        """Report an error in a task of the server, which goes on."""
+        self.warn(f"ignored a message: {_short(context.get('exception', context['message']))}")
+
+    def _logger(self) -> logging.Logger:
+        """Return a logger that reports errors of connections without tracebacks."""
+        logger, handler = logging.Logger("slipfree.show", logging.WARNING), logging.Handler()
+        handler.emit = self._log  # type: ignore[method-assign]
+        logger.addHandler(handler)
+        return logger
+
+    def _log(self, record: logging.LogRecord) -> None:
+        from websockets.exceptions import InvalidStatus
+
+        error = record.exc_info[1] if record.exc_info else ""
+        if isinstance(error, InvalidStatus):
+            return  # a response was sent, which websockets before version 14 reports
+        self.warn(f"closed a connection: {record.getMessage()}: {_short(error)}")
+
+
+def stop(server: viser.ViserServer) -> None:
+    """Stop a server without its words."""
+    with redirect_stdout(io.StringIO()):
+        server.stop()
+
+
+def _misfit(control: Any, updates: object) -> str | None:
+    """Return what is wrong with the update of a control, None if nothing is."""
+    if not isinstance(updates, Mapping) or set(updates) != {"value"}:
+        return f"expected a value, found {_short(updates)}"
+    value = updates["value"]
+    if isinstance(control.value, bool):
+        fits, expected = isinstance(value, bool), "true or false"
+    elif isinstance(control.value, str):
+        fits, expected = value in control.options, f"one of {', '.join(control.options)}"
+    else:
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        fits, expected = is_number and math.isfinite(value), "a finite number"
+    return None if fits else f"expected {expected}, found {_short(value)}"
+
+
+def _short(value: object) -> str:
+    """Return a value as one short line without control characters."""
+    words = ascii(value)
+    return words if len(words) <= LONGEST else f"{words[:LONGEST]}..."

@@ -1,0 +1,283 @@
+"""The viewer answers its own page alone, and no value that reaches it ends it."""
+
+from __future__ import annotations
+
+import http.client
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.errors import DataError
+from slipfree.show.guard import Guard, stop
+from test_cli import PROBLEM
+
+viser = pytest.importorskip("viser")
+msgpack = pytest.importorskip("msgspec.msgpack")  # which viser needs, as the others
+zstandard = pytest.importorskip("zstandard")
+errors = pytest.importorskip("websockets.exceptions")
+client = pytest.importorskip("websockets.sync.client")
+
+PATIENCE = 30.0  # [s]
+EVIL = "http://evil.example"
+SLIDER = (float("nan"), float("inf"), None, "boom", True, [1.0], {"a": 1}, b"1")
+WRONG = {
+    "speed": ("boom", "", None, 1.0, float("nan"), ["1x"], True),
+    "time [s]": SLIDER,
+    "play": ("boom", None, 1, 0.0, [], float("nan")),
+}
+
+
+@pytest.fixture
+def told() -> list[str]:
+    return []
+
+
+@pytest.fixture
+def server(told: list[str]) -> Iterator[Any]:
+    found = Guard(told.append).start(0)
+    yield found
+    stop(found)
+
+
+def _get(port: int, **headers: str) -> tuple[int, str]:
+    """Return the status and the text of a request that has only these headers."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE)
+    connection.putrequest("GET", "/", skip_host=True, skip_accept_encoding=True)
+    for name, value in headers.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    response = connection.getresponse()
+    found = response.status, response.read().decode()
+    connection.close()
+    return found
+
+
+def _joined(port: int, host: str | None = None, origin: str | None = None) -> Any:
+    """Return a connection of WebSocket that names a host and an origin."""
+    return client.connect(
+        f"ws://{host or f'127.0.0.1:{port}'}/", sock=socket.create_connection(("127.0.0.1", port)),
+        origin=origin, subprotocols=[f"viser-v{viser.__version__}"], open_timeout=PATIENCE,
+        max_size=None,
+    )  # fmt: skip
+
+
+def _await(is_so: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def _messages(page: Any) -> Iterator[dict[str, Any]]:
+    """Yield the messages of the server."""
+    while True:
+        data = page.recv(timeout=PATIENCE)
+        size = int.from_bytes(data[8:16], "little")
+        yield from msgpack.decode(zstandard.ZstdDecompressor().decompress(data[16 : 16 + size]))[
+            "messages"
+        ]
+
+
+def _update(uuid: object, updates: object) -> bytes:
+    return msgpack.encode({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "[::1]", "LocalHost"])
+def test_own_pages_are_answered(server: Any, told: list[str], name: str) -> None:
+    port = server.get_port()
+    host = f"{name}:{port}"
+    for headers in ({"Host": host}, {"Host": host, "Origin": f"http://{host}"}):
+        status, text = _get(port, **headers)
+        assert status == 200
+        assert "<title>Viser</title>" in text
+    for origin in (None, f"http://{host}"):
+        with _joined(port, host, origin) as page:
+            assert next(_messages(page))["type"]
+    assert told == []
+
+
+FOREIGN = {
+    "rebound": ("evil.example:{}", None),
+    "rebound, with its origin": ("evil.example:{}", f"{EVIL}:{{}}"),
+    "another page": ("127.0.0.1:{}", EVIL),
+    "a page of this port's number": ("127.0.0.1:{}", f"{EVIL}:{{}}"),
+    "a file or a sandbox": ("127.0.0.1:{}", "null"),
+    "no origin": ("127.0.0.1:{}", ""),
+    "another server here": ("localhost:{}", "http://localhost:1"),
+    "another scheme": ("127.0.0.1:{}", "https://127.0.0.1:{}"),
+    "no port": ("127.0.0.1", None),
+    "another port": ("127.0.0.1:1", None),
+    "a longer name": ("127.0.0.1.evil.example:{}", None),
+    "a user": ("127.0.0.1:{}@evil.example", None),
+}
+
+
+@pytest.mark.parametrize(("host", "origin"), FOREIGN.values(), ids=FOREIGN)
+def test_foreign_pages_are_refused(
+    server: Any, told: list[str], host: str, origin: str | None
+) -> None:
+    port = server.get_port()
+    headers = {"Host": host.format(port)}
+    if origin is not None:
+        headers["Origin"] = origin.format(port)
+    status, text = _get(port, **headers)
+    assert (status, text) == (
+        403,
+        f"refused: expected one for http://127.0.0.1:{port} from its own page; open that address "
+        "in the browser\n",
+    )
+    (words,) = told
+    assert words.startswith("refused a request: expected one for http://127.0.0.1:")
+    assert headers["Host"] in words
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+               "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}  # fmt: skip
+    assert _get(port, **headers, **upgrade)[0] == 403
+    assert server.get_clients() == {}
+
+
+def test_a_foreign_socket_gets_nothing(server: Any) -> None:
+    port = server.get_port()
+    for host, origin in ((f"evil.example:{port}", None), (None, EVIL)):
+        with pytest.raises(errors.InvalidStatus, match="403"):
+            _joined(port, host, origin)
+
+
+def test_requests_without_or_with_two_hosts_are_refused(server: Any, told: list[str]) -> None:
+    port = server.get_port()
+    assert _get(port)[0] == 403
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE)
+    connection.putrequest("GET", "/")
+    connection.putheader("Host", "evil.example")
+    connection.endheaders()
+    assert connection.getresponse().status == 403
+    connection.close()
+    assert len(told) == 2
+
+
+def test_warnings_are_few_and_plain(server: Any, told: list[str]) -> None:
+    for number in range(40):
+        _get(server.get_port(), Host=f"{number}\x9b2J{'x' * 500}")
+    assert len(told) == 20
+    assert told[-1].endswith("; further warnings are not shown")
+    assert all(words.isprintable() and words.isascii() and len(words) < 300 for words in told)
+
+
+def test_values_that_fit_no_control_are_ignored(
+    server: Any, told: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slipfree.show.guard.MOST", 100)
+    gui = server.gui
+    controls = {
+        "speed": gui.add_dropdown("speed", ("1x", "2x"), initial_value="1x"),
+        "time [s]": gui.add_slider("time [s]", 0.0, 4.0, 0.1, 0.0),
+        "play": gui.add_checkbox("play", False),
+    }
+    before = {name: control.value for name, control in controls.items()}
+    with _joined(server.get_port()) as page:
+        for name, values in WRONG.items():
+            uuid = controls[name]._impl.uuid
+            for value in values:
+                told.clear()
+                page.send(_update(uuid, {"value": value}))
+                _await(lambda: bool(told))
+                (words,) = told
+                assert words.startswith(f"ignored a value of {name!r}: expected "), words
+            for updates in ({"update_cb": 1}, {"value": before[name], "gui_api": 1}, {}, None, 1):
+                told.clear()
+                page.send(_update(uuid, updates))
+                _await(lambda: bool(told))
+                assert f"ignored a value of {name!r}: expected a value, found " in told[0]
+        assert {name: control.value for name, control in controls.items()} == before
+        told.clear()
+        for name, value in (("speed", "2x"), ("time [s]", 3), ("play", True)):
+            page.send(_update(controls[name]._impl.uuid, {"value": value}))
+            _await(lambda name=name, value=value: controls[name].value == value)
+    assert told == []
+    assert isinstance(controls["time [s]"].value, float)
+
+
+def test_what_is_no_message_closes_its_connection_alone(server: Any, told: list[str]) -> None:
+    box = server.gui.add_checkbox("play", False)
+    with _joined(server.get_port()) as good:
+        for data in (b"", b"\xc1", b"\x01", "text", msgpack.encode({"type": "Nothing"})):
+            told.clear()
+            with _joined(server.get_port()) as bad:
+                bad.send(data)
+                with pytest.raises(errors.ConnectionClosed):
+                    for _ in _messages(bad):
+                        pass
+            _await(lambda: bool(told))
+            assert told[0].startswith("closed a connection: connection handler failed: ")
+        told.clear()
+        good.send(_update(["no", "name"], {"value": 1}))
+        _await(lambda: bool(told))
+        assert told[0].startswith("ignored a message: TypeError")
+        good.send(_update(box._impl.uuid, {"value": True}))
+        _await(lambda: box.value)
+
+
+def test_nobody_can_ask_for_a_public_address(server: Any) -> None:
+    names = {each.__name__ for each in server._websock_server._incoming_handlers}
+    assert "GuiUpdateMessage" in names
+    assert not any("Share" in name and "Request" in name for name in names)
+
+
+def test_a_server_that_cannot_be_guarded_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = []
+
+    class Other:
+        def __init__(self, **_: Any) -> None:
+            pass
+
+        def stop(self) -> None:
+            ended.append(self)
+
+    monkeypatch.setattr(viser, "ViserServer", Other)
+    with pytest.raises(DataError, match="expected a version of viser whose requests can be"):
+        Guard(print).start(0)
+    assert len(ended) == 1
+
+
+def test_no_value_ends_the_command(tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text(PROBLEM, encoding="utf-8")
+    out = tmp_path / "p.nc"
+    words = ["run", str(tmp_path / "p.toml"), "-o", str(out), "--no-draw"]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    command = [sys.executable, "-m", "slipfree", "show", str(out), "--no-browser"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stderr is not None
+            port = int(process.stderr.readline().split()[0].rpartition(":")[2])
+            with _joined(port) as page:
+                found = {}
+                for message in _messages(page):
+                    if "uuid" in message and "value" in message:
+                        found[message["props"]["label"]] = message["uuid"]
+                    if {*WRONG} <= {*found}:
+                        break
+                page.send(_update(found["play"], {"value": True}))
+                for name, values in WRONG.items():
+                    for value in values:
+                        page.send(_update(found[name], {"value": value}))
+                for message in _messages(page):  # it plays on
+                    if message["type"] == "GuiUpdateMessage" and message["updates"]["value"] > 0.2:
+                        break
+            assert process.poll() is None
+            process.send_signal(signal.SIGINT)
+            told = process.stderr.read()
+            assert process.wait(PATIENCE) == 0
+        finally:
+            process.kill()
+    assert "Traceback" not in told
+    assert "warning: ignored a value of 'speed': expected one of 0.1x, " in told
+    assert told.count("ignored a value") == 20  # and the others are not shown
+    assert "found 'boom'" in told
