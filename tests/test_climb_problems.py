@@ -346,7 +346,8 @@ def test_commands_for_other_problems_say_so():
         (("run", "p.toml", "--set", "profile={file='x.csv'}", "--csv", "x.csv"),
          "found the input x.csv"),
         (("check", "p.toml", "--set", "profile={file='x.csv'}"),
-         "--set profile: profile.file: x.csv: expected corners of solids as CSV, found no text"),
+         "--set profile: profile.file: x.csv: expected corners of solids as CSV, found that it "
+         "cannot be read (No such file or directory)"),
     ):  # fmt: skip
         result = _invoke(*words)
         assert result.exit_code == 2, (words, result.output)

@@ -381,7 +381,9 @@ def test_bad_grounds(changes: dict[str, object], words: str, tmp_path: Path) -> 
 
 def test_ground_file_that_is_not_there(tmp_path: Path) -> None:
     problem = _read(tmp_path, FILE)
-    with pytest.raises(DataError, match=r"p\.toml:4: terrain\.file: .*g\.npz: expected a file"):
+    with pytest.raises(
+        DataError, match=r"p\.toml:4: terrain\.file: .*g\.npz: expected a map, found"
+    ):
         build(problem)
 
 

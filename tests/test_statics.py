@@ -675,7 +675,8 @@ def test_dissipation_is_what_slip_and_dampers_take():
     rates = damped["tilt_right_rate"] ** 2 + damped["tilt_left_rate"] ** 2
     assert_allclose(damped["dissipation"], 5.0 * rates, rtol=0, atol=1e-10)
     wrong = damped["work"] - gained(damped) - lost(damped)
-    assert np.abs(wrong).max() < 1e-6 * np.abs(lost(damped)).max()
+    # Integrated at 1e-12: judged by the energy that is exchanged, 1e4 times what is lost.
+    assert np.abs(wrong).max() < 1e3 * 1e-12 * np.abs(damped["work"]).max()
 
 
 @pytest.mark.parametrize(
