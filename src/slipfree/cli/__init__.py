@@ -32,7 +32,10 @@ from slipfree.cli.voice import (
     Verbose,
     ask,
     complain,
+    fail,
     print_json,
+    say,
+    visible,
     voiced,
 )
 
@@ -58,11 +61,14 @@ class _Commands(TyperGroup):
         except KeyboardInterrupt as error:  # before or after what a command does
             complain("interrupted")
             raise typer.Exit(INTERRUPTED) from error
+        except OSError as error:  # of stdout or stderr
+            fail(error)
         except UsageError as error:
             if "--json" in words:
                 names = [word for word in words if not word.startswith("-")]
                 name = next((word for word in names if word in self.commands), [*names, ""][0])
                 print_json(name, BAD_INPUT, {"errors": [error.format_message()]})
+            error.message = visible(error.message)
             raise
 
 
@@ -89,7 +95,7 @@ def _version(ctx: typer.Context, wanted: bool) -> None:
     if "--json" in ctx.obj:
         print_json("--version", DONE, {"version": slipfree.__version__})
     else:
-        typer.echo(f"slipfree {slipfree.__version__}")
+        say(f"slipfree {slipfree.__version__}")
     raise typer.Exit
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli.voice import BAD_INPUT as BAD_INPUT
-from slipfree.cli.voice import INTERRUPTED, complain, detail, put_facts
+from slipfree.cli.voice import INTERRUPTED, complain, detail, fail, put_facts, say, visible
 from slipfree.cli.voice import STOPPED as STOPPED
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import check_name, regular_file, resolve_links
@@ -55,6 +55,8 @@ def reported() -> Iterator[None]:
     except SlipfreeError as error:
         complain(str(error))
         raise typer.Exit(STOPPED) from error
+    except OSError as error:
+        fail(error)
     except MemoryError as error:
         complain(NO_MEMORY)
         raise typer.Exit(STOPPED) from error
@@ -271,7 +273,7 @@ def show(facts: list[tuple[str, str]]) -> None:
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in facts)
         for name, value in facts:
-            typer.echo(f"{name:{width}}  {value}")
+            say(f"{name:{width}}  {value}")
         return
     from rich.console import Console
     from rich.table import Table
@@ -281,5 +283,5 @@ def show(facts: list[tuple[str, str]]) -> None:
     table.add_column(style="bold")
     table.add_column()
     for name, value in facts:
-        table.add_row(Text(name), Text(value))
+        table.add_row(Text(visible(name)), Text(visible(value)))
     Console().print(table)

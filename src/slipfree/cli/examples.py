@@ -11,7 +11,7 @@ import typer
 
 from slipfree.cli.common import reported
 from slipfree.cli.new import place
-from slipfree.cli.voice import put
+from slipfree.cli.voice import put, say
 from slipfree.errors import DataError
 from slipfree.files import check_name
 
@@ -79,8 +79,8 @@ def _list(shipped: Mapping[str, Traversable]) -> None:
     )
     width = max(len(name) for name, *_ in rows)
     for name, verb, title in rows:
-        typer.echo(f"{name:{width}}  {verb:8} {title}")
-    typer.echo("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
+        say(f"{name:{width}}  {verb:8} {title}")
+    say("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
@@ -111,7 +111,7 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
                 f"({error.strerror}); choose another place"
             ) from error
         place(text, out, force)
-        typer.echo(f"wrote {out}")
+        say(f"wrote {out}")
 
 
 def _files(table: Any) -> Iterator[str]:

@@ -20,7 +20,7 @@ from slipfree.cli.common import (
     show,
     tell,
 )
-from slipfree.cli.voice import complain, detail, has_bar, put, put_file
+from slipfree.cli.voice import complain, detail, has_bar, put, put_file, say, visible
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def check(file: File, settings: Settings = None) -> None:
             ("samples", _samples(problem, setup)),
         ]
         tell(facts)
-        typer.echo("ok")
+        say("ok")
 
 
 def _samples(problem: Problem[Motion], setup: Setup) -> str:
@@ -75,7 +75,7 @@ def _check_climb(problem: Problem[Climb]) -> None:
     place = ", ".join(f"{name} {setup.start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
     samples = f"{setup.t.size} to {setup.t[-1]:g} s"
     tell([*setup.facts, ("start", f"{place} (m, m/s)"), ("samples", samples)])
-    typer.echo("ok")
+    say("ok")
 
 
 def vehicle(
@@ -89,7 +89,7 @@ def vehicle(
         from slipfree.problem.describe import describe
 
         found = describe(file, settings or [])
-        typer.echo("\n".join([*found.tree, ""]))
+        say("\n".join([*found.tree, ""]))
         put("tree", lambda: found.tree)
         tell(found.facts)
         if found.faults:
@@ -107,7 +107,7 @@ def compare(file: File, settings: Settings = None) -> None:
 
         def told(name: str) -> None:
             if sys.stderr.isatty() and has_bar():
-                typer.echo(f"  {name}", err=True)
+                say(f"  {name}", err=True)
             detail(f"vehicle {name}")
 
         refuse_result(file)
@@ -119,13 +119,13 @@ def compare(file: File, settings: Settings = None) -> None:
             ("at the same rates", [row.same for row in rows]),
             ("at the rates of the driving law", [row.fitting for row in rows]),
         ):
-            typer.echo(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
+            say(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
             head = f"{'rank':6}{'along':18}{'across':18}{'measured on the poses':27}"
-            typer.echo(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
+            say(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
             for row, drive in zip(rows, drives, strict=True):
                 rank = f"{row.rank}/{row.conditions}"
-                typer.echo(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
-        typer.echo("\n* largest coefficient of friction that a wheel needs, load-weighted")
+                say(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
+        say("\n* largest coefficient of friction that a wheel needs, load-weighted")
 
 
 def _drive(drive: Drive) -> str:
@@ -157,12 +157,12 @@ def info(
             if text is None:
                 raise DataError(f"{file}: holds no problem file: it was not written by run")
             put("problem", lambda: text)
-            typer.echo(text, nl=False)
+            typer.echo(visible(text) if sys.stdout.isatty() else text, nl=False)
             return
         facts = motion_facts(motion)
         words = [(name.replace("_", " "), value) for name, value in attributes.items()]
         tell([each for each in words if each not in facts] + facts)
-        typer.echo()
+        say()
         put("attributes", lambda: attributes)
         put("result", lambda: motion_answer(motion))
         show(ranges(motion))
@@ -188,4 +188,4 @@ def export(
             if out is not None:
                 write(file, out)
                 put_file(out)
-                typer.echo(f"wrote {out}")
+                say(f"wrote {out}")

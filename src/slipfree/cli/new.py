@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from slipfree.cli.common import check_place, reported
-from slipfree.cli.voice import put_file
+from slipfree.cli.voice import put_file, say
 from slipfree.errors import DataError
 
 FOLDER = "starters"  # in the package
@@ -41,7 +41,7 @@ def new(
         text = (files("slipfree") / FOLDER / f"{kind}.toml").read_text(encoding="utf-8")
         word = shlex.quote(str(out))
         place(text.replace(f" {HOLE}", f" {word}"), out, force)
-        typer.echo(f"wrote {out}: slipfree check {word} && slipfree run {word}")
+        say(f"wrote {out}: slipfree check {word} && slipfree run {word}")
 
 
 def place(text: str, out: Path, force: bool) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from slipfree.cli.common import about, check_page, reported
-from slipfree.cli.voice import detail, put_file, warn
+from slipfree.cli.voice import detail, put_file, say, warn
 from slipfree.files import regular_file
 
 
@@ -39,7 +39,7 @@ def report(
         text = page(found)
         replaced(target, lambda part: _write(part, text))
         put_file(target)
-        typer.echo(f"wrote {target}")
+        say(f"wrote {target}")
 
 
 def _write(part: Path, text: str) -> None:

@@ -24,7 +24,17 @@ from slipfree.cli.common import (
     tell,
     throttled,
 )
-from slipfree.cli.voice import complain, detail, has_bar, is_verbose, put, put_file, warn
+from slipfree.cli.voice import (
+    complain,
+    detail,
+    has_bar,
+    is_verbose,
+    put,
+    put_file,
+    say,
+    visible,
+    warn,
+)
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
@@ -118,6 +128,7 @@ def output_of(problem: Problem[Motion] | Problem[Climb]) -> str:
 def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> Outcome:
     """Return the outcome; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
     from slipfree.problem.run import run as solve
@@ -133,7 +144,7 @@ def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> O
                 "solving", total=None if problem.spec.verb == "plan" else problem.spec.time.duration
             )
             show = throttled(lambda t: bar.update(task, completed=t))
-            show_line = throttled(lambda line: bar.update(task, description=line))
+            show_line = throttled(lambda line: bar.update(task, description=escape(visible(line))))
 
             def progress(t: float) -> None:
                 poll()
@@ -195,7 +206,7 @@ def _wrote(*files: Path) -> None:
     for file in files:
         put_file(file)
     names = ", ".join(map(str, files))
-    typer.echo(f"wrote {names}")
+    say(f"wrote {names}")
     detail(f"wrote {names}")
 
 
@@ -254,7 +265,7 @@ def _drew(files: list[Path], folder: Path) -> None:
     """Say which figures were drawn."""
     for file in files:
         put_file(file)
-    typer.echo(f"drew {len(files)} figures in {folder}")
+    say(f"drew {len(files)} figures in {folder}")
     detail(f"drew {len(files)} figures in {folder}")
 
 
@@ -264,9 +275,7 @@ def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
 
     other = other_formulation(check_cross(problem))
     differences = sorted(cross(problem, outcome), key=lambda each: -each.size)
-    typer.echo(
-        f"largest differences from formulation = {other!r}, of {len(differences)} quantities:"
-    )
+    say(f"largest differences from formulation = {other!r}, of {len(differences)} quantities:")
     put("cross_check", lambda: [
         {"name": each.label.full, "unit": each.label.unit, "difference": each.size, "time": each.t}
         for each in differences

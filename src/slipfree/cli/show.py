@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slipfree.cli.common import about, check_apart, check_page, check_place, reported
-from slipfree.cli.voice import put_file, warn
+from slipfree.cli.voice import put_file, say, warn
 from slipfree.errors import DataError
 from slipfree.files import escape_name
 
@@ -66,7 +66,7 @@ def show(
             text = page(scene, _title(found), color)
             replaced(html, lambda part: _write(part, text))
             put_file(html)
-            typer.echo(f"wrote {html}, {len(text) / 1e6:.1f} MB")
+            say(f"wrote {html}, {len(text) / 1e6:.1f} MB")
         if html is None and animation is None:
             from slipfree.show.viewer import serve
 
@@ -136,15 +136,15 @@ def _film(found: list[Driven] | list[Climbed], file: Path) -> None:
         raise DataError(f"--animation: expected one climb, found {len(climbs)}")
     if climbs:
         animate(climbs[0].run, climbs[0].climber, climbs[0].profile, file)
-        typer.echo(f"wrote {file}")
+        say(f"wrote {file}")
         return
     words = animate_drives([each for each in found if not isinstance(each, Climbed)], file)
-    typer.echo(f"wrote {file}, {words}")
+    say(f"wrote {file}, {words}")
 
 
 def _ready(url: str, browser: bool) -> None:
     """Say where the page is, however quiet all else is, and open it if somebody can see it."""
-    typer.echo(f"{url} shows it; Ctrl-C ends it", err=True)
+    say(f"{url} shows it; Ctrl-C ends it", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipfree.cli.common import STOPPED, File, Settings, interruptible, reported, tell
-from slipfree.cli.voice import detail, has_bar, put_file, warn
+from slipfree.cli.voice import detail, has_bar, put_file, say, warn
 from slipfree.errors import DataError
 from slipfree.files import check_name
 
@@ -89,7 +89,7 @@ def sweep(
         names = chosen(plan, rows, figures or [])
         tell(facts(plan, rows, names))
         put_file(folder / NAME)
-        typer.echo(f"wrote {folder / NAME}")
+        say(f"wrote {folder / NAME}")
         if keep:
             _tell_missing(plan, rows, folder)
         if draw:
@@ -190,10 +190,10 @@ def _draw(plan: Sweep, rows: Sequence[Row], names: Sequence[str], folder: Path) 
     from slipfree.sweep.table import drawn
 
     if len(plan.axes) > MOST_KEYS:
-        typer.echo(f"no figures: {len(plan.axes)} keys are varied, and figures have at most two")
+        say(f"no figures: {len(plan.axes)} keys are varied, and figures have at most two")
         return
     if plan.count > 1:
         paths = save_sweep_figures(drawn(plan, rows, names), folder)
         for path in paths:
             put_file(path)
-        typer.echo(f"drew {len(paths)} files in {folder}")
+        say(f"drew {len(paths)} files in {folder}")

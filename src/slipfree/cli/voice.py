@@ -2,23 +2,27 @@
 
 Whatever a command prints stands on stdout; with ``--quiet`` nothing does, with ``--json`` one
 object: what was told as facts, what the command added by `put`, and the meaning of its exit code.
-Errors, warnings and details are lines on stderr.
+Errors, warnings and details are lines on stderr. All text passes `say`, which escapes control
+characters: names and titles in files must not steer the terminal.
 """
 
 from __future__ import annotations
 
+import errno
 import inspect
 import io
 import json as to_json
 import math
+import re
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import wraps
-from typing import Annotated, Any, NamedTuple, TextIO, get_type_hints
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NoReturn, TextIO, get_type_hints
 
 import typer
 
@@ -29,6 +33,12 @@ MEANINGS = {
     BAD_INPUT: "bad input, or an extra that is not installed",
     INTERRUPTED: "interrupted",
 }
+
+# C0 but for tab and the ends of lines, delete, C1, separators, directions of writing, surrogates
+CONTROL = re.compile(
+    r"[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
+    r"\ud800-\udfff]|\r(?!\n)"
+)
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Verbose = Annotated[
@@ -92,6 +102,7 @@ def voiced(command: Callable[..., None]) -> Callable[..., None]:
         before = _asked[0]
         voice = Voice(quiet or before.quiet, verbose or before.verbose, json or before.json)
         with _speaking(command.__name__, voice):
+            _check_folder()
             if voice.quiet and voice.verbose:
                 complain("expected --quiet or --verbose, found both")
                 raise typer.Exit(BAD_INPUT)
@@ -129,10 +140,46 @@ def _speaking(name: str, voice: Voice) -> Iterator[None]:
             print_json(name, code, answer.content)
 
 
+def _check_folder() -> None:
+    """Refuse to work in a folder that is gone: libraries ask for its name."""
+    try:
+        Path.cwd()
+    except OSError as error:
+        complain(
+            f"expected a current folder, found none ({error.strerror}): it was removed; change to "
+            "another one"
+        )
+        raise typer.Exit(BAD_INPUT) from error
+
+
+def visible(text: str) -> str:
+    r"""Return a text with its control characters escaped: ``\x1b`` stands for the byte 0x1b."""
+    return CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def say(words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | None = None) -> None:
+    """Print text on stdout, stderr or another stream, control characters escaped."""
+    try:
+        typer.echo(visible(words), nl=nl, err=err, file=file)
+    except OSError as error:
+        error.filename = error.filename or ("stderr" if err or file else "stdout")
+        raise
+
+
+def fail(error: OSError) -> NoReturn:
+    """Report a system error that has no message of its own: a full disk, a medium that fails."""
+    if error.errno == errno.EPIPE:  # whoever read the output is gone: typer ends without a word
+        raise error
+    name = f"{error.filename}: " if error.filename else ""
+    complain(f"{name}reading or writing failed ({error.strerror or error})")
+    raise typer.Exit(STOPPED) from error
+
+
 def print_json(command: str, code: int, content: Mapping[str, Any]) -> None:
     """Print the JSON object of a command."""
     head = {"command": command, "exit_code": code, "meaning": MEANINGS[code]}
-    typer.echo(to_json.dumps(plain({**head, **content})))
+    text = to_json.dumps(plain({**head, **content}))
+    say(text.replace("\x7f", r"\u007f"))
 
 
 def put(name: str, make: Callable[[], Any]) -> None:
@@ -165,7 +212,7 @@ def warn(words: str) -> None:
     """Print a warning on stderr, unless only errors are wanted."""
     put_lines("warnings", words)
     if not _said().voice.quiet:
-        typer.echo(f"warning: {words}", err=True)
+        say(f"warning: {words}", err=True)
 
 
 def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -177,7 +224,8 @@ def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
 def complain(words: str) -> None:
     """Print an error on stderr."""
     put_lines("errors", words)
-    typer.echo(words, err=True)
+    with suppress(OSError):  # of a stderr that is full: the exit code still tells
+        say(words, err=True)
 
 
 def detail(words: str) -> None:
@@ -185,7 +233,7 @@ def detail(words: str) -> None:
     answer = _said()
     if answer.voice.verbose:
         elapsed = time.perf_counter() - answer.began
-        typer.echo(f"[{elapsed:8.3f} s] {words}", file=answer.stderr)
+        say(f"[{elapsed:8.3f} s] {words}", file=answer.stderr)
 
 
 def has_bar() -> bool:
