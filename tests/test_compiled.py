@@ -238,7 +238,9 @@ def test_only_the_newest_are_kept(folder, monkeypatch):
 
 @pytest.mark.parametrize(("what", "words"), [
     ("no compiler", "no C compiler was found"), ("one that fails", "false did not do its work"),
+    ("one that does nothing", "true: expected a C compiler, found that it made no library"),
     ("no folder", "SLIPFREE_CACHE is empty"), ("no place", "File exists"),
+    ("nobody's home", "expected a folder, found '~no user/x' of a user who has no home folder"),
     ("open to others", "others cannot write to"),
 ])  # fmt: skip
 def test_where_nothing_can_be_compiled_a_warning_says_why(what, words, folder, monkeypatch):
@@ -246,6 +248,11 @@ def test_where_nothing_can_be_compiled_a_warning_says_why(what, words, folder, m
         monkeypatch.setattr(shutil, "which", lambda _: None)
     elif what == "one that fails":
         monkeypatch.setenv("CC", "false")
+    elif what == "one that does nothing":
+        monkeypatch.setenv("CC", "true")
+    elif what == "nobody's home":
+        monkeypatch.setenv(compiled.FOLDER, "~no user/x")
+        assert words in compiled.obstacle()
     elif what == "no folder":
         monkeypatch.setenv(compiled.FOLDER, "")
     elif what == "no place":

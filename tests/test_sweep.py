@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -704,6 +705,14 @@ def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> N
     result = _sweep(file.parent, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
     assert "expected the address of a running Dask scheduler" in result.stderr
+    for address, found in {
+        "nonsense": "ValueError: missing port", "a:b:c": "ValueError: invalid address",
+        "foo://x:1": "ValueError: unknown address scheme", "tls://127.0.0.1:1": "TypeError: TLS",
+    }.items():  # fmt: skip
+        result = _sweep(file.parent, "--scheduler", address)
+        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        assert f"--scheduler {address}: expected the address of a running" in result.stderr
+        assert f"found none ({found}" in result.stderr
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = _sweep(file.parent, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
@@ -768,6 +777,17 @@ def test_figures_that_cannot_be_drawn() -> None:
 def test_a_bad_grid_names_the_value(file: Path) -> None:
     with pytest.raises(ProblemError, match=r"--set time.step: expected a number greater than 0"):
         sweep_of(file, ["time.step=0.1,-0.1"])
+
+
+def test_a_scheduler_that_does_not_answer(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pools, "CONNECT", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as dead:
+        address = f"tcp://127.0.0.1:{dead.getsockname()[1]}"
+        begun = time.monotonic()
+        result = _sweep(file.parent, "--scheduler", address)
+        assert time.monotonic() - begun < 10
+    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    assert f"--scheduler {address}: expected the address of a running" in result.stderr
 
 
 def test_a_scheduler_that_goes_away(file: Path) -> None:

@@ -502,3 +502,8 @@ def test_only_files_of_a_kind_are_read(tmp_path):
     assert "expand it first: xacro" in faults(tmp_path / "cart.urdf.xacro")
     with pytest.raises(DataError, match="found that it cannot be read"):
         read_vehicle(tmp_path / "no.urdf")
+
+
+def test_a_document_type_is_refused_as_such(tmp_path):
+    told = faults(changed(tmp_path, "cart", ('<robot name="cart">', "<!DOCTYPE robot><robot>")))
+    assert told.startswith("cart.urdf:3: expected XML without a document type")

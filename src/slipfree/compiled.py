@@ -57,9 +57,9 @@ def library(
     tuple of casadi Function, or None
         None if they are not there and cannot be compiled; a warning says why.
     """
-    place, key = folder(), _key(text)
+    key = _key(text)
     try:
-        if place is None:
+        if (place := folder()) is None:
             raise _NothingError(f"{FOLDER} is empty")
         _prepare(place)
         if found := _kept(place, key, names):
@@ -77,8 +77,11 @@ def library(
 
 def obstacle() -> str | None:
     """Return why nothing can be compiled here, None if nothing is seen that is in the way."""
-    if folder() is None:
-        return f"{FOLDER} is empty"
+    try:
+        if folder() is None:
+            return f"{FOLDER} is empty"
+    except _NothingError as error:
+        return str(error)
     return NO_COMPILER if compiler() is None else None
 
 
@@ -104,7 +107,12 @@ def folder() -> Path | None:
     given = os.environ.get(FOLDER)
     if given is None:
         return platformdirs.user_cache_path("slipfree") / "compiled"
-    return Path(given).expanduser() if given else None
+    try:
+        return Path(given).expanduser() if given else None
+    except RuntimeError as error:  # of ~NAME
+        raise _NothingError(
+            f"{FOLDER}: expected a folder, found {given!r} of a user who has no home folder"
+        ) from error
 
 
 def _prepare(place: Path) -> None:
@@ -169,6 +177,11 @@ def _compile(
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
             text.write_text(source(functions), encoding="utf-8")
             _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
+            if not file.exists():
+                raise _NothingError(
+                    f"{shlex.join(command)}: expected a C compiler, found that it made no library; "
+                    "name another one in CC"
+                )
             file.chmod(0o700)
             file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
     except OSError as error:

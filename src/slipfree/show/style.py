@@ -29,6 +29,7 @@ STYLE = {
     "legend.handlelength": 1.8,
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
+    "text.usetex": False,  # names in files are no LaTeX, which may not be installed either
 }
 DPI = 200
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito

@@ -65,6 +65,8 @@ def parse(data: bytes, name: str) -> Element:
     except expat.ExpatError as error:
         words = expat.ErrorString(error.code)
         raise DataError(f"{name}:{error.lineno}: expected XML, found {words}") from error
+    except DataError:  # of a document type; it is a ValueError
+        raise
     except (LookupError, ValueError) as error:
         raise DataError(f"{name}: expected XML in an encoding that is known ({error})") from error
     return top.children[0]
