@@ -74,7 +74,7 @@ def wrapped(loop: Loop) -> tuple[dict[str, Any], dict[str, Any]]:
     symbols = [ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txzu")]
     ode, alg = loop.core(*symbols)
     system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
-    return system, jacobian_option(loop.core)
+    return system, jacobian_option(loop.core, loop.dae.sizes.x, loop.dae.sizes.z[: loop.moving])
 
 
 def written_out(loop: Loop, law: Any) -> dict[str, Any]:

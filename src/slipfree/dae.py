@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import casadi as ca
@@ -100,6 +103,20 @@ class Labels(NamedTuple):
     alg: tuple[tuple[Label, ...], ...]
 
 
+class Sizes(NamedTuple):
+    """Units in which the solvers count: metres replaced by the size of the vehicle.
+
+    Attributes
+    ----------
+    x, z, alg : ndarray, shape (n_x,), (n_z,) and (n_z,)
+        Of the states, the unknowns, and the residuals.
+    """
+
+    x: Array
+    z: Array
+    alg: Array
+
+
 @dataclass(frozen=True, eq=False)
 class Dae(Generic[X, Z, Q, U, Y]):
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
@@ -135,6 +152,9 @@ class Dae(Generic[X, Z, Q, U, Y]):
         Typical sizes of ``z``.
     shift : tuple of two ndarrays, shapes (n_x,) and (n_z,)
         Map minus local values.
+    size : float
+        Length that the solvers count in; the extent of a vehicle. Tolerances, residuals and rank
+        decisions do not change if all lengths of a problem are scaled with it. [m]
     suppress_algebraic : bool
         Whether the integrator's error test leaves out ``z``; for models whose ``z`` carries
         stabilising terms that are noise to that test.
@@ -160,6 +180,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
     guess: ca.SX
     scale: Array
     shift: tuple[Array, Array]
+    size: float = 1.0
     suppress_algebraic: bool = False
     easing: Easing | None = None
     compiled: bool = False
@@ -174,10 +195,32 @@ class Dae(Generic[X, Z, Q, U, Y]):
             count = len(list(leaves(record)))
             if rows.shape != (count, 1):
                 raise ModelError(f"{name} has shape {rows.shape}, its unknowns number {count}")
+        if not 0 < self.size < float("inf"):
+            raise ModelError(f"size: expected a positive length in metres, found {self.size}")
         names = [label.full for label in leaves(tuple(self.labels[:5]))]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise ModelError(f"the model uses the name {min(twice)} twice: rename a coordinate")
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """Units in which the solvers count the states, the unknowns and the residuals."""
+        labels = self.labels
+        return Sizes(*(
+            np.array([self.size_of(label) for label in leaves(record)])
+            for record in (labels.x, labels.z, labels.alg)
+        ))  # fmt: skip
+
+    def size_of(self, label: Label) -> float:
+        """Return the unit in which the solvers count a quantity, in the label's unit."""
+        return float(self.size ** power_of_length(label.unit))
+
+    @property
+    def residuals(self) -> tuple[ca.SX, ...]:
+        """The blocks of ``alg`` without unit, divided by their sizes."""
+        ends = np.cumsum([0, *(rows.numel() for rows in self.alg)]).tolist()
+        sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
+        return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
 
     def inputs(self, **values: Any) -> U:
         """Return the record of inputs from values by name.
@@ -243,6 +286,12 @@ class Dae(Generic[X, Z, Q, U, Y]):
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Return the symbols of ``x``, ``z`` and ``u`` as columns."""
         return pack(self.x), pack(self.z), pack(self.u)
+
+
+def power_of_length(unit: str) -> int:
+    """Return the exponent of metres in a unit such as ``"rad s-1"`` or ``"m2 s-1"``."""
+    factors = (re.fullmatch(r"m(-?\d+)?", factor) for factor in unit.split())
+    return sum(int(factor[1] or 1) for factor in factors if factor)
 
 
 def _same_names(

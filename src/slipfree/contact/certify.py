@@ -19,7 +19,7 @@ from slipfree.vehicle.wheel import Wheel
 RIM = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # around the wheel, from the contact
 SPACING = np.deg2rad(3.0)  # of points on the tread, in rolling radii
 CHUNK = 256  # samples looked at together, for the sake of memory
-TOLERANCE = 1e-7  # penetration that counts as touching [m]
+TOLERANCE = 1e-7  # penetration that counts as touching [size]
 NONE = 1.0  # clearance reported where the ground comes near at no second place [m]
 
 
@@ -39,11 +39,14 @@ class SecondTouch:
         The wheel.
     pose : casadi Function
         Centre, rotation (column by column) and contact point from ``x`` and ``z``, local.
+    size : float
+        Length in which `TOLERANCE` counts. [m]
     """
 
     terrain: Terrain
     wheel: Wheel
     pose: ca.Function
+    size: float = 1.0
 
     @property
     def label(self) -> Label:
@@ -75,13 +78,14 @@ class SecondTouch:
         gap = points[..., 2] - height
         low = _second_minima(gap)
         # what lies in the ground counts wherever it is, also right beside the contact
-        values = np.where(low | (gap < -TOLERANCE), gap, NONE)
+        touching = TOLERANCE * self.size
+        values = np.where(low | (gap < -touching), gap, NONE)
         for k, i, j in zip(*np.nonzero(low & (gap < self.wheel.radius / 10)), strict=True):
             values[k, i, j] = _vertex(gap[k], i, j)
         flat = values.reshape(len(values), -1)
         best = flat.argmin(axis=1)
         rows = np.arange(len(values))
-        return flat[rows, best] + TOLERANCE, points.reshape(len(values), -1, 3)[rows, best]
+        return flat[rows, best] + touching, points.reshape(len(values), -1, 3)[rows, best]
 
     def _surface(self, x: Array, z: Array) -> Array:
         """Return points on the tread in map coordinates, shape (n, rim, tube, 3)."""

@@ -36,8 +36,8 @@ from slipfree.vehicle.chain import Vehicle
 Steering = Literal["rate", "angle"]
 PLANAR = ("velocity_x", "velocity_y", "heading_rate")
 LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates still count as determining
-ELSEWHERE = 1e-6  # distance of path and start that counts [m, rad]
-STANDING = 1e-6  # speed below which a steering angle has no effect [m/s]
+ELSEWHERE = 1e-6  # distance of path and start that counts [size, rad]
+STANDING = 1e-6  # speed below which a steering angle has no effect [size/s]
 
 
 class Given(NamedTuple):
@@ -298,7 +298,7 @@ def _by_angle(
         labels=labels,
         limits=(
             *(limit._replace(expression=held(limit.expression)) for limit in direct.limits),
-            Limit(slow, speed, STANDING, np.inf),
+            Limit(slow, speed, STANDING * direct.size, np.inf),
         ),
         **_starting(direct, z_labels, direct.shift[0][rows], angles),
     )
@@ -411,9 +411,9 @@ def along(
     for name, rate, value in zip(("x", "y", "heading"), PLANAR, (x, y, heading), strict=True):
         first, rates[rate] = _path_rate(name, value, dae.t, t, begin)
         there = float(start[name][-1])
-        gap = first - there
+        gap = (first - there) / dae.size
         if name == "heading":
-            gap = (gap + np.pi) % (2 * np.pi) - np.pi
+            gap = (first - there + np.pi) % (2 * np.pi) - np.pi
         if not abs(gap) < ELSEWHERE:
             wrong.append(f"{name} = {first:.6g}, the vehicle stands at {there:.6g}")
     if wrong:

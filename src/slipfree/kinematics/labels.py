@@ -157,11 +157,16 @@ def _equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
     )  # fmt: skip
 
 
+def slip_unit(unit: str) -> str:
+    """Return the unit of the derivative of a squared slip velocity in a rate of another unit."""
+    return {"m s-1": "m s-1", "rad s-1": "m2 s-1", "m2 s-1": "rad s-1"}[unit]
+
+
 def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Label, ...]:
     """Return the labels of the equations for the rates; refuse what cannot roll."""
     if slip == "least":
         return tuple(
-            Label("least_slip", "m s-1", f"least slip with respect to {label.full}")
+            Label("least_slip", slip_unit(label.unit), f"least slip with respect to {label.full}")
             for label in leaves(rates)
         )
     if slip == "traction":

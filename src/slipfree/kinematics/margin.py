@@ -22,7 +22,7 @@ import numpy as np
 
 from slipfree.calls import jacobian
 from slipfree.dae import Dae
-from slipfree.geometry.frame import Pose
+from slipfree.kinematics.model import extent
 from slipfree.kinematics.rolling import direct_kinematics
 from slipfree.named import Array, Label, leaves, pack
 from slipfree.terrain.base import Terrain
@@ -146,13 +146,6 @@ def _angles(vehicle: Vehicle, direct: Direct) -> tuple[ca.SX, tuple[str, ...]]:
 def _slides(vehicle: Vehicle, rate: str) -> bool:
     name = rate.removesuffix("_rate")
     return any(name in j.coordinates and j.motion == "slide" for j in vehicle.joints)
-
-
-def extent(vehicle: Vehicle) -> float:
-    """Return how far wheels are from the platform's centre, right or ahead. [m]."""
-    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
-    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
-    return max(float(np.abs(np.array(ca.evalf(pose.origin))).max()) for pose in poses)
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,6 +172,17 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
     return scale, (shift[0], shift[1])
 
 
+def extent(vehicle: Vehicle) -> float:
+    """Return the largest coordinate of a wheel's centre from the platform's; at least a radius.
+
+    It is the size of the vehicle, in which its models count lengths. [m]
+    """
+    rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
+    poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
+    arms = [float(np.abs(np.array(ca.evalf(pose.origin))).max()) for pose in poses]
+    return max(*arms, *(wheel.radius for wheel in vehicle.wheels))
+
+
 def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
     """Return a first guess of rates and forces: none, but that every wheel bears its share."""
     share = vehicle.weight / len(vehicle.wheels)

@@ -33,6 +33,7 @@ from slipfree.kinematics.model import (
     balance,
     carriers,
     contact_limits,
+    extent,
     joint_rates,
     outputs,
     sizes,
@@ -173,7 +174,7 @@ def montana_kinematics(
     rolls = _rolls(vehicle, terrain, x, q_dot, turning, kappa)
     contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
     slips = [roll.slip for roll in rolls]
-    scale, shift = sizes(vehicle, terrain, labels)
+    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     touching = touch_function(x, z, poses, contacts)
     parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u)
     state = configuration, position, u
@@ -196,12 +197,13 @@ def montana_kinematics(
             *bears.limits,
         ),
         checks=tuple(
-            SecondTouch(terrain, wheel, pose)
+            SecondTouch(terrain, wheel, pose, size)
             for wheel, pose in zip(vehicle.wheels, touching, strict=True)
         ),
         guess=at_rest(vehicle, labels.z),
         scale=scale,
         shift=shift,
+        size=size,
         suppress_algebraic=True,
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ import numpy as np
 from slipfree.calls import jacobians
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.kinematics.margin import extent
+from slipfree.kinematics.model import extent
 from slipfree.named import Array, Label, leaves, pack
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.chain import Vehicle

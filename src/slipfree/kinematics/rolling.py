@@ -17,6 +17,7 @@ from slipfree.kinematics.model import (
     balance,
     carriers,
     contact_limits,
+    extent,
     joint_rates,
     outputs,
     sizes,
@@ -98,7 +99,7 @@ def direct_kinematics(
     slips = [slip_velocity(wheel, pose, contact, q, q_dot, spin) for wheel, pose, contact, spin
              in zip(vehicle.wheels, poses, contacts, turning, strict=True)]  # fmt: skip
     touching = touch_function(x, z, poses, contacts)
-    scale, shift = sizes(vehicle, terrain, labels)
+    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u)
     law = None
     if slip == "traction":
@@ -123,12 +124,13 @@ def direct_kinematics(
             *(law.limits if law else ()),
         ),
         checks=tuple(
-            SecondTouch(terrain, wheel, pose)
+            SecondTouch(terrain, wheel, pose, size)
             for wheel, pose in zip(vehicle.wheels, touching, strict=True)
         ),
         guess=_guess(vehicle, terrain, x, labels),
         scale=scale,
         shift=shift,
+        size=size,
         suppress_algebraic=law is not None,  # rates with friction are too steep for an error test
         easing=law.easing if law else None,
     )  # fmt: skip

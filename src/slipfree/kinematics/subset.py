@@ -31,7 +31,7 @@ import numpy as np
 from slipfree.dae import Dae, Labels
 from slipfree.geometry.frame import Pose
 from slipfree.kinematics.inverse import moved
-from slipfree.kinematics.margin import extent
+from slipfree.kinematics.labels import slip_unit
 from slipfree.kinematics.model import values_of
 from slipfree.kinematics.reach import (
     DEFAULT,
@@ -58,7 +58,7 @@ from slipfree.vehicle.chain import Kind, Vehicle
 
 GAIN = 5.0  # at which the error of a steering angle decays [1/s]
 FASTEST = 1.0  # rate of a steered joint that the law asks for at most [rad/s, m/s]
-STILL = 1e-4  # speed of a wheel below which it is not steered [m/s]
+STILL = 1e-4  # speed of a wheel below which it is not steered [size/s]
 LOOSE = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # weights of rates not given [1]
 NEAR = 1e-9  # effect of a joint on a wheel's direction that is none [1, 1/m]
 
@@ -219,12 +219,15 @@ def _guide(
     labels = Guide(
         tuple(replace(label, name=f"guide_{label.name}") for label in _motion(names)),
         tuple(replace(label, name="guide_multiplier") for label in names.multipliers),
-        tuple(replace(SUBSET[name], name=f"guide_multiplier_{name}") for name in given),
+        tuple(
+            Label(f"guide_multiplier_{name}", slip_unit(SUBSET[name].unit), SUBSET[name].words)
+            for name in given
+        ),
     )
     guide = symbols(labels)
     across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
     plane = planar_rates(direct)
-    sizes = {"yaw_rate": extent(vehicle)}
+    sizes = {"yaw_rate": direct.size}
     loose = [LOOSE[name] * (sizes.get(name, 1.0) * rate) ** 2 for name, rate in plane.items()]
     count = len(rates.multipliers)
     lagrangian = 0.5 * sum((*loose, *(slip**2 for slip in across)))
@@ -261,7 +264,7 @@ def _steering_errors(vehicle: Vehicle, direct: Direct, guide: Any) -> dict[str, 
     for name, effects in steered(vehicle, direct).items():
         wheels = [(direct.y.slip_along[k], direct.y.slip_across[k]) for k in effects]
         moving = iter(_guided(direct, guide, [part for wheel in wheels for part in wheel]))
-        sine, cosine = ca.SX(0), ca.SX(STILL**2)
+        sine, cosine = ca.SX(0), ca.SX((STILL * direct.size) ** 2)
         for effect, along, across in zip(effects.values(), moving, moving, strict=True):
             sine -= 2 * effect * along * across
             cosine += effect**2 * (along**2 - across**2)
@@ -287,8 +290,9 @@ def _rates(
         direct.labels.u.wheels,
         tuple(replace(label, name=f"response_{label.name}") for label in leaves(names)),
         tuple(
-            Label(f"multiplier_{name}", "m s-1", f"multiplier of the given rate {name}: no rates "
-                  "of the driven wheels bring it about here beside the others; leave it out")
+            Label(f"multiplier_{name}", slip_unit(SUBSET[name].unit),
+                  f"multiplier of the given rate {name}: no rates of the driven wheels bring it "
+                  "about here beside the others; leave it out")
             for name in given
         ),
     )  # fmt: skip
@@ -320,7 +324,7 @@ def _labels(
               for name in errors),
     )  # fmt: skip
     guiding, balance = (
-        tuple(Label(name, "m s-1", f"{what} with respect to {label.full}")
+        tuple(Label(name, slip_unit(label.unit), f"{what} with respect to {label.full}")
               for label in leaves(record))
         for name, what, record in (
             ("guide", "least slip across wheels that are not steered", guide),

@@ -239,7 +239,8 @@ def conditioning(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Facts:
     moving = {*leaves(dae.labels.z.position), *leaves(dae.labels.z.rates.motion)}
     for name, block in zip(("position", "rates"), loop.blocks, strict=False):
         point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
-        _, values, right = np.linalg.svd(np.array(block.jacobian(*point)))
+        jacobian = np.array(block.jacobian(*point)) * dae.sizes.alg[block.span, None]
+        _, values, right = np.linalg.svd(jacobian)
         size = [abs(part) if label in moving else 0.0
                 for part, label in zip(right[-1], labels[block.span], strict=True)]  # fmt: skip
         weak = [labels[block.span][k].full for k in np.argsort(size)[::-1]

@@ -33,6 +33,7 @@ from slipfree.problem.schema_ground import Terrain as Terrain
 
 VERB = "what is asked for"
 TOLERANCE = "of the integrator, absolute and relative [1]"
+SIZED = "of the integrator, absolute and relative; that of lengths in sizes of the vehicle [1]"
 COMPILED = "whether to compile the equations, seconds once a vehicle; they are kept"
 SLIP = "law of slip: the least that kinematics allows, none at all, or what friction makes of it"
 LAW = "the law of friction, for slip = 'traction'"
@@ -89,7 +90,7 @@ class Time(Record):
 class Solver(Record):
     """What is asked of the integrator."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(default=1e-8, description=TOLERANCE)
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(default=1e-8, description=SIZED)
     compiled: bool = Field(default=False, description=COMPILED)
 
 

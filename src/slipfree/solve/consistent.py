@@ -14,7 +14,7 @@ from slipfree.solve.loop import Block, Loop
 LARGEST_STEP = 0.25  # of an unknown's typical size, in one Newton step
 STEPS = 100
 BETWEEN = 3  # times that a stage of the easing is divided where Newton's method does not take it
-CONVERGED = 1e-13
+CONVERGED = 1e-13  # residual without unit
 SINGULAR = 1e-10  # smallest singular value of a block, relative to the largest
 
 
@@ -114,6 +114,8 @@ def _solve(loop: Loop, block: Block, point: tuple[Any, ...], *, check: bool) -> 
     jacobian = np.array(block.jacobian(*point))
     if not np.isfinite(jacobian).all() or not np.isfinite(residual).all():
         return np.full(residual.shape, np.nan)
+    size = loop.dae.sizes.z[block.span]
+    jacobian = jacobian * size
     if check:
         _, values, right = np.linalg.svd(jacobian)
         if values[-1] < SINGULAR * values[0]:
@@ -123,7 +125,7 @@ def _solve(loop: Loop, block: Block, point: tuple[Any, ...], *, check: bool) -> 
                 f"the model is singular here: nothing determines {weakest.full} ({weakest.words}), "
                 f"singular value {values[-1]:.1e} of {values[0]:.1e}"
             )
-    return np.asarray(np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
+    return np.asarray(size * np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
 
 
 def _unsettled(loop: Loop, block: Block, point: tuple[Any, ...], first: Array) -> str:
@@ -138,7 +140,7 @@ def _unsettled(loop: Loop, block: Block, point: tuple[Any, ...], first: Array) -
     worst = block.labels[int(residual.argmax())]
     message = (
         f"the vehicle cannot stand at the start: {worst.full}, the {worst.words}, misses by "
-        f"{residual.max():.2g} {worst.unit}"
+        f"{residual.max() * loop.dae.size_of(worst):.2g} {worst.unit}"
     )
     for state in (first, z):
         words = _violated(loop, x, state, u)

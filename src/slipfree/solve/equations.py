@@ -14,10 +14,11 @@ import casadi as ca
 
 from slipfree.calls import Lifted, Taylor, built, column, jacobian, lifted
 from slipfree.dae import Dae
+from slipfree.named import Array
 
 
 class Equations(NamedTuple):
-    """Equations of a motion under inputs; ``m`` are its unknowns.
+    """Equations of a motion under inputs; ``m`` are its unknowns, ``alg`` is without unit.
 
     Attributes
     ----------
@@ -99,7 +100,7 @@ def equations(
     )
 
 
-def jacobian_option(core: ca.Function) -> dict[str, Any]:
+def jacobian_option(core: ca.Function, x_size: Array, m_size: Array) -> dict[str, Any]:
     """Return the option that gives IDAS the Jacobian as it is.
 
     CasADi would derive it from the system, and assemble it anew around the one that ``core`` has.
@@ -108,10 +109,16 @@ def jacobian_option(core: ca.Function) -> dict[str, Any]:
     ----------
     core : casadi Function
         The equations, from `equations`.
+    x_size, m_size : ndarray, shape (n_x,) and (n_m,)
+        Units in which IDAS has the states and the unknowns.
     """
     t, x, m, u = core.mx_in()
+    by_x, by_m = ca.DM(x_size), ca.DM(m_size)
     unused = [ca.MX(core.sparsity_out(k)) for k in range(core.n_out())]
-    _, ode_x, ode_m, _, _, alg_x, alg_m, _ = core.jacobian().call([t, x, m, u, *unused])
+    found = core.jacobian().call([t, x * by_x, m * by_m, u, *unused])
+    _, ode_x, ode_m, _, _, alg_x, alg_m, _ = found
+    ode_x, alg_x = (part @ ca.diag(by_x) for part in (ca.diag(1 / by_x) @ ode_x, alg_x))
+    ode_m, alg_m = (part @ ca.diag(by_m) for part in (ca.diag(1 / by_x) @ ode_m, alg_m))
     given, blocks = [t, x, m, ca.MX.sym("p", 0), u], [ode_x, alg_x, ode_m, alg_m]
     names = [
         "jac_ode_x",
@@ -137,7 +144,7 @@ def _jacobian(
 def _model(dae: Dae[Any, Any, Any, Any, Any], count: int) -> _Model:
     """Return the equations of a model, whatever its inputs."""
     x, z, v = dae.columns()
-    alg = ca.vertcat(ca.SX(0, 1), *dae.alg)[:count]
+    alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]
     rows = [dae.ode, alg]
     if dae.easing:
         rows = ca.substitute(rows, [dae.easing.symbol], [ca.SX(dae.easing.values[-1])])

@@ -36,7 +36,7 @@ MOST_ELEMENTS = 4096
 NOISY = 3.0  # growth of the difference of degrees that shows amplified noise
 PATIENCE = 2  # numbers of elements tried in vain before the best counts as the best
 NEWTON = 20  # steps at most on one element
-CONVERGED = 1e-13  # residual of an element's equations
+CONVERGED = 1e-13  # residual of an element's equations, without unit
 ROUNDING = 1e-10  # the same, if it does not become less
 WEAK = 1e-2  # relative singular value below which a rate stays out of the first guess
 
@@ -125,13 +125,14 @@ class Scheme:
         ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
         slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
         slope[self.sought] = element.x[self.sought] @ free.T
-        residual = np.concatenate([(slope - h * ode).ravel(), alg.ravel()])
+        size = self.loop.dae.sizes.x
+        residual = np.concatenate([((slope - h * ode) / size[:, None]).ravel(), alg.ravel()])
         jac = jac.reshape(n, k, n)
-        jac[:n_x] *= -h
+        jac[:n_x] *= -h / size[:, None, None]
         matrix = np.zeros((n, k, n, k))
         matrix[:, np.arange(k), :, np.arange(k)] = jac.transpose(1, 0, 2)
         for i in range(n_x):
-            matrix[i, :, i, :] += free if self.sought[i] else tied[:, 1:]
+            matrix[i, :, i, :] += (free if self.sought[i] else tied[:, 1:]) / size[i]
         return residual, matrix.reshape(n * k, n * k)
 
     def samples(self, elements: Sequence[Element], t: Array) -> Samples:
@@ -216,7 +217,8 @@ def drive(
     sought : sequence of str
         States without an initial value.
     tolerance : float
-        Of the sought states, and of the integrator in the replay. [m, rad]
+        Of the sought states, and of the integrator in the replay; lengths in sizes of the vehicle.
+        [size, rad]
 
     Raises
     ------
@@ -269,7 +271,7 @@ def _finest(
             except SolverError as problem:
                 failure = problem
                 break
-            values = each.samples(elements, t).x[sought]
+            values = each.samples(elements, t).x[sought] / loop.dae.sizes.x[sought, None]
             if former is not None:
                 error = float(np.abs(values - former[2]).max(initial=0.0))
                 if best is None or error < best[2]:
@@ -293,7 +295,9 @@ def _guess(loop: Loop, t: float, x: Array, z: Array) -> Array:
             z[block.span] = 0.0
             point = (t, x, z, loop.u[:, 0], block.stages[-1])
             jacobian, residual = np.array(block.jacobian(*point)), np.array(block.residual(*point))
-            z[block.span] = -np.linalg.lstsq(jacobian, residual.ravel(), rcond=WEAK)[0]
+            size = loop.dae.sizes.z[block.span]
+            step = np.linalg.lstsq(jacobian * size, residual.ravel(), rcond=WEAK)[0]
+            z[block.span] = -size * step
     return z
 
 

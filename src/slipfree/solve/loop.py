@@ -25,8 +25,8 @@ class Block(NamedTuple):
     span : slice
         Its unknowns among those of ``z``.
     residual, jacobian : casadi Function
-        Of ``t, x, z, u`` and the easing; the Jacobian is with respect to the unknowns of the
-        block.
+        Of ``t, x, z, u`` and the easing; the residual is without unit, the Jacobian with respect
+        to the unknowns of the block.
     linear : bool
         Whether the block is linear in its unknowns.
     stages : tuple of float
@@ -56,7 +56,7 @@ class Loop(NamedTuple):
         Values of the inputs at every interval, unused where an expression rules; with slopes after
         them if inputs are linear in time.
     core : casadi Function
-        ``(t, x, m, u) -> (ode, alg)``, the equations of the motion.
+        ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit.
     quad : casadi Function
         ``(t, x, m, u) -> quad``.
     blocks, after : tuple of Block
@@ -66,7 +66,8 @@ class Loop(NamedTuple):
     outputs : casadi Function
         ``(t, x, z, u) -> (outputs, limits, inputs)``.
     margin : casadi Function
-        ``(t, x, m, u) ->`` least distance to a limit of the motion, negative beyond one.
+        ``(t, x, m, u) ->`` least distance to a limit of the motion, negative beyond one; lengths
+        in sizes of the vehicle.
     """
 
     dae: Dae[Any, Any, Any, Any, Any]
@@ -138,9 +139,9 @@ def _sloping(dae: Dae[Any, Any, Any, Any, Any]) -> Loop:
 def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX], u: ca.SX) -> Loop:
     """Compile a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
     x, z, inputs = dae.columns()
-    limits = [limit.expression for limit in dae.limits]
+    limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
     easing = ca.SX.sym("easing") if dae.easing is None else dae.easing.symbol
-    eased = [dae.ode, dae.quad, pack(dae.y), ca.vertcat(ca.SX(0, 1), *limits), inputs, *dae.alg]
+    eased = [dae.ode, dae.quad, pack(dae.y), limits, inputs, *dae.residuals]
     eased = ca.substitute(eased, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
     meant = ca.SX(dae.easing.values[-1] if dae.easing else 0.0)
     ode, quad, y, bounds, driven, *parts = (
@@ -228,10 +229,11 @@ def _least(dae: Dae[Any, Any, Any, Any, Any], bounds: ca.SX, following: ca.SX) -
     for limit, value in zip(dae.limits, ca.vertsplit(bounds) if dae.limits else [], strict=True):
         if ca.depends_on(value, following):
             continue
+        size = dae.size_of(limit.label)
         if np.isfinite(limit.lower):
-            least = ca.fmin(least, value - limit.lower)
+            least = ca.fmin(least, (value - limit.lower) / size)
         if np.isfinite(limit.upper):
-            least = ca.fmin(least, limit.upper - value)
+            least = ca.fmin(least, (limit.upper - value) / size)
     return least
 
 

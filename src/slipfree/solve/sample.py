@@ -17,7 +17,7 @@ from slipfree.trajectory import Column, Trajectory
 AXES = ("time", "wheel")  # of results: no quantity is called so
 
 CORRECTIONS = 10  # Newton steps on a sample at most
-ENOUGH = 1e-12  # residual at which a sample needs no further step
+ENOUGH = 1e-12  # residual, without unit, at which a sample needs no further step
 UNSOLVED = 1e-10  # residual of a sample that is no rounding any more
 ROUNDING = 1e-13  # step, in typical sizes, that only rounding is left of
 
@@ -126,20 +126,26 @@ def followed(
     """
     count, n, z = samples.t.size, loop.moving, samples.z.copy()
     left, jac = known or _linearised(loop, samples)
+    jac = jac * loop.dae.sizes.z[:n]
     finite = np.isfinite(jac).all(axis=(1, 2))
     if not finite.any():
         raise SolverError("the motion cannot be told: its equations give no finite numbers")
     report = {"singular_value": np.full(count, np.nan)}
     report["singular_value"][finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]
     for block in loop.blocks:
-        report[f"{block.labels[0].name}_residual"] = _largest(left[block.span])
+        report[f"{block.labels[0].name}_residual"] = _missed(loop, block, left[block.span])
     if loop.after:
         guess = ca.Function("guess", [loop.dae.columns()[0]], [loop.dae.guess]).map(count)
         z[n:] = np.array(guess(samples.x))[n:]
     for block in loop.after:
         z, rest = _solved(block, samples._replace(z=z), loop.dae.scale[block.span, None])
-        report[f"{block.labels[0].name}_residual"] = _largest(rest)
+        report[f"{block.labels[0].name}_residual"] = _missed(loop, block, rest)
     return samples._replace(z=z), report
+
+
+def _missed(loop: Loop, block: Block, residual: Array) -> Array:
+    """Return the largest residuals of a block, in the unit of its first equation."""
+    return _largest(residual) * loop.dae.size_of(block.labels[0])
 
 
 def _solved(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
@@ -252,7 +258,8 @@ def _report_label(loop: Loop, name: str) -> Label:
     units = {f"{block.labels[0].name}_residual": block.labels[0].unit for block in blocks}
     words = {
         "newton_step": "largest change of a position by the Newton step on the sample",
-        "singular_value": "smallest singular value of the Jacobian of the algebraic equations",
+        "singular_value": "smallest singular value of the Jacobian of the algebraic equations, "
+        "lengths in sizes of the vehicle",
     }
     return Label(
         name,

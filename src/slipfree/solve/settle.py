@@ -74,7 +74,8 @@ def first_violation(
 ) -> tuple[int, Stop] | None:
     """Return the first sample that breaks a limit or fails a check, and the stop it means.
 
-    ``unsolved`` is the residual of the motion's equations from which on they count as not solved.
+    ``unsolved`` is the residual, without unit, of the motion's equations from which on they count
+    as not solved.
     """
     found: tuple[int, Stop] | None = None
 
@@ -95,7 +96,8 @@ def first_violation(
     for block in (*loop.blocks, *loop.after):
         if not block.linear or block in loop.after:
             label = run.columns[f"{block.labels[0].name}_residual"].label
-            values, most = run.of(label), UNSOLVED if block in loop.after else unsolved
+            most = UNSOLVED if block in loop.after else unsolved
+            values, most = run.of(label), most * loop.dae.size_of(block.labels[0])
             consider(
                 ~(values <= most),
                 label.name,

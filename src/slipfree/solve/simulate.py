@@ -30,7 +30,7 @@ REFINED = 64  # sub-intervals in which a crossing is sought at a time
 CROSSING = 1e-6  # to which a crossing is located [s]
 FINEST = 1e-14  # tolerance below which rounding rules
 LEEWAY = 100.0  # tolerances by which an eased model's equations may be missed at a sample
-BEYOND = 1e-6  # in a limit's unit; what is nearer is left to the samples
+BEYOND = 1e-6  # of a limit's unit or size; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
 NO_START = "no consistent start was found"
 CHUNK = 2000  # samples looked at together, for the sake of memory
@@ -66,7 +66,8 @@ def simulate(
     t : ndarray, shape (n,)
         Ascending times of the samples. [s]
     tolerance : float
-        Relative and absolute tolerance of the integrator. [m, rad]
+        Relative and absolute tolerance of the integrator; the absolute one of lengths is in sizes
+        of the vehicle (``dae.size``). [size, rad]
     method : {"idas", "cvodes"}, optional
         CVODES by default where the motion has no algebraic unknowns, which it cannot solve for;
         its error test then includes the quadratures. IDAS otherwise.
@@ -309,7 +310,8 @@ def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[s
         except ModelError:
             raise error from None
     rates = loop.core(begin, x, z[: loop.moving], u[:, 0])[0]
-    kept = {"calc_ic": False, "init_xdot": np.array(rates).ravel().tolist()}
+    slopes = np.array(rates).ravel() / loop.dae.sizes.x
+    kept = {"calc_ic": False, "init_xdot": slopes.tolist()}
     return _attempted(task, at._replace(z=z[:, None]), t, u, kept)
 
 
@@ -319,15 +321,18 @@ def _attempted(
     """Integrate with options for the start."""
     loop, spy = task.loop, _Spy(task)  # which lives as long as the integrator
     integrator = _integrator(task, spy, t, given)
+    x_size, m_size = (size[:, None] for size in _sizes(loop))
     try:
         # one column for each output time, that of the interval which it ends
         with hushed():
-            found = integrator(x0=at.x, z0=at.z[: loop.moving], u=np.column_stack([u[:, :1], u]))
+            found = integrator(x0=at.x / x_size, z0=at.z[: loop.moving] / m_size,
+                               u=np.column_stack([u[:, :1], u]))  # fmt: skip
     except RuntimeError as error:
         task.heed.check()
         raise SolverError(reason(str(error))) from error
     task.heed.check()
     x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
+    x, z = x * x_size, z * m_size
     z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
     x[:, :1], z[:, :1] = at.x, at.z
     statistics = integrator.stats()
@@ -337,13 +342,17 @@ def _attempted(
 
 
 def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.Function:
-    """Return the integrator over all of ``t``."""
+    """Return the integrator over all of ``t``, of states and unknowns divided by their sizes."""
     loop, dae = task.loop, task.loop.dae
-    sizes = [dae.ode.numel(), loop.moving, loop.u.shape[0]]
-    symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", sizes, strict=True))]
-    ode, alg = loop.core(*symbols)
-    quad = ca.vertcat(loop.quad(*symbols), spy(ca.vertcat(symbols[0], loop.margin(*symbols))))
-    system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg, "quad": quad}
+    x_size, m_size = _sizes(loop)
+    counts = [x_size.size, m_size.size, loop.u.shape[0]]
+    symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", counts, strict=True))]
+    t_0, x, m, u = symbols
+    point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
+    ode, alg = loop.core(*point)
+    quad = ca.vertcat(loop.quad(*point), spy(ca.vertcat(t_0, loop.margin(*point))))
+    system = dict(zip("txzu", symbols, strict=True))
+    system |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
     options: dict[str, Any] = {
         "reltol": task.tolerance,
         "abstol": task.tolerance,
@@ -353,10 +362,15 @@ def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.F
     }
     if task.method == "idas":
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
-        options |= jacobian_option(loop.core)
+        options |= jacobian_option(loop.core, x_size, m_size)
     else:
         options["quad_err_con"] = True
     return ca.integrator("motion", task.method, system, float(t[0]), t, options)
+
+
+def _sizes(loop: Loop) -> tuple[Array, Array]:
+    """Return the units in which the integrator has the states and the unknowns of the motion."""
+    return loop.dae.sizes.x, loop.dae.sizes.z[: loop.moving]
 
 
 @contextmanager

@@ -1,0 +1,166 @@
+"""Motions of vehicles of any size: all lengths of a problem times a scale."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from cases import PAPER_RATES, hills
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    Trajectory,
+    Vehicle,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
+from slipfree.dae import power_of_length
+from slipfree.kinematics.inverse import along, inverse_kinematics
+from slipfree.kinematics.montana import montana_kinematics
+from slipfree.kinematics.subset import subset_kinematics
+from slipfree.solve.inverse import drive, settle_contact
+from slipfree.vehicle.rovers import open_source_rover
+
+TOLERANCE = 1e-8
+KINEMATIC = {"m", "m2", "m-1", "rad", "s-1", "1"}  # units without force
+SIDE = np.linspace(-5.0, 5.0, 41)  # nodes of the map at scale 1 [m]
+
+
+def scaled(vehicle: Vehicle, scale: float) -> Vehicle:
+    """Return a vehicle with all its lengths times a scale; its masses stay."""
+
+    def times(place: tuple[float, float, float]) -> tuple[float, float, float]:
+        return place[0] * scale, place[1] * scale, place[2] * scale
+
+    return replace(
+        vehicle,
+        joints=tuple(
+            replace(j, at=times(j.at), body=replace(j.body, at=times(j.body.at)))
+            for j in vehicle.joints
+        ),
+        wheels=tuple(
+            replace(w, at=times(w.at), r1=w.r1 * scale, r2=w.r2 * scale) for w in vehicle.wheels
+        ),
+        body=replace(vehicle.body, at=times(vehicle.body.at)),
+    )
+
+
+def formula(scale: float) -> Analytic:
+    return Analytic(lambda x, y: scale * hills(x / scale, y / scale))
+
+
+@lru_cache
+def grid() -> Grid:
+    x, y = np.meshgrid(SIDE, SIDE, indexing="ij")
+    return Grid(SIDE, SIDE, Analytic(hills).elevation(x, y))
+
+
+def bicubic(scale: float) -> Bicubic:
+    nodes = grid()
+    return Bicubic(Grid(nodes.x * scale, nodes.y * scale, nodes.z * scale))
+
+
+Ground = Callable[[float], Analytic | Bicubic]
+
+
+def direct(scale: float, ground: Ground, slip: str = "least", end: float = 6.0) -> Trajectory:
+    dae = direct_kinematics(scaled(three_wheeler(), scale), ground(scale), slip=slip)
+    start = settle(dae, x=0.3 * scale, heading=0.2)
+    t = np.linspace(0, end, 121)
+    return simulate(dae, start, dae.inputs(**PAPER_RATES), t, tolerance=TOLERANCE)
+
+
+def to_the_edge(scale: float) -> Trajectory:
+    """Drive off the map, which ends the motion."""
+    dae = direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
+    start = settle(dae, x=0.3 * scale, y=3.5 * scale)
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
+    return simulate(dae, start, inputs, np.linspace(0, 6, 121), tolerance=TOLERANCE)
+
+
+def montana(scale: float) -> Trajectory:
+    vehicle, ground = scaled(three_wheeler(), scale), bicubic(scale)
+    start = settle(direct_kinematics(vehicle, ground), x=0.3 * scale, heading=0.2)
+    dae = montana_kinematics(vehicle, ground)
+    inputs = dae.inputs(**PAPER_RATES)
+    return simulate(dae, start, inputs, np.linspace(0, 6, 121), tolerance=TOLERANCE)
+
+
+def inverse(scale: float, steering: str) -> Trajectory:
+    """Follow the paper's platform rates, from a start that moves."""
+    vehicle, ground = scaled(three_wheeler(), scale), bicubic(scale)
+    dae = direct_kinematics(vehicle, ground, slip="rolling")
+    inputs = dae.inputs(right_rate=0.45, left_rate=0.42, steer_rate=0.0)
+    start = simulate(dae, settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
+    back = inverse_kinematics(vehicle, ground, steering=steering)
+    given = back.inputs(velocity_x=0.01255 * scale, velocity_y=0.12865 * scale, heading_rate=0.0159)
+    return simulate(back, start, given, np.linspace(0, 4, 41), tolerance=TOLERANCE)
+
+
+def path(scale: float, ground: Ground) -> Trajectory:
+    """Follow a circle by collocation."""
+    vehicle, place = scaled(three_wheeler(), scale), ground(scale)
+    dae = direct_kinematics(vehicle, place)
+    back = inverse_kinematics(vehicle, place, least_margin=0.0)
+    start = settle(dae, x=-scale, heading=1.0)
+    heading, radius = 1.0 + 0.02 * back.t, 6.75 * scale
+    x = -scale + radius * (ca.cos(heading) - np.cos(1.0))
+    y = radius * (ca.sin(heading) - np.sin(1.0))
+    t = np.linspace(0, 6, 61)
+    inputs = along(back, start, x, y, heading)
+    return drive(back, dae, start, inputs, t, tolerance=TOLERANCE).run
+
+
+def rover(scale: float) -> Trajectory:
+    """Drive a rover with six wheels, four steered, at given forward speed and yaw rate."""
+    dae = subset_kinematics(scaled(open_source_rover(), scale), bicubic(scale))
+    start = settle(dae, heading=0.1)
+    inputs = dae.inputs(forward=0.1 * scale, yaw_rate=0.05)
+    return simulate(dae, start, inputs, np.linspace(0, 3, 31), tolerance=TOLERANCE)
+
+
+def from_a_contact(scale: float) -> Trajectory:
+    dae = direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
+    place = {"contact_x": 0.2 * scale, "contact_y": 0.8 * scale}
+    return settle_contact(dae, "front", heading=0.1, **place)
+
+
+CASES: dict[str, Callable[[float], Trajectory]] = {
+    "direct, formula": lambda scale: direct(scale, formula),
+    "direct, map": lambda scale: direct(scale, bicubic),
+    "direct, no slip": lambda scale: direct(scale, bicubic, "rolling"),
+    "direct, to the edge": to_the_edge,
+    "Montana": montana,
+    "inverse, steering rate": lambda scale: inverse(scale, "rate"),
+    "inverse, steering angle": lambda scale: inverse(scale, "angle"),
+    "path, formula": lambda scale: path(scale, formula),
+    "path, map": lambda scale: path(scale, bicubic),
+    "rover, speed and yaw": rover,
+    "start from a contact": from_a_contact,
+}
+
+
+def difference(first: Trajectory, run: Trajectory, scale: float) -> tuple[str, float]:
+    """Return the quantity that differs most from the motion at scale 1, scaled, and by how much.
+
+    In units of the tolerance; a stop, whose time is located to a microsecond, is left out.
+    """
+    count = min(first.t.size, run.t.size) - (first.stop is not None)
+    worst = "", 0.0
+    for name in first:
+        unit = first.columns[name].label.unit
+        exact = name.endswith("_residual") or name in ("newton_step", "clearance")
+        if exact or not set(unit.split()) <= KINEMATIC:
+            continue
+        values = run[name][:count] / scale ** power_of_length(unit)
+        gap = float(np.abs(values - first[name][:count]).max()) / TOLERANCE
+        if not gap <= worst[1]:
+            worst = name, gap
+    return worst
