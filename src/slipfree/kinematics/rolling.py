@@ -10,6 +10,7 @@ from slipfree.contact.certify import SecondTouch
 from slipfree.contact.closure import Touch, closure, touch
 from slipfree.dae import Dae, Labels
 from slipfree.errors import ModelError
+from slipfree.forks import computing
 from slipfree.geometry.frame import Pose
 from slipfree.kinematics.labels import labels_of
 from slipfree.kinematics.model import (
@@ -42,6 +43,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.chain import Vehicle
 
 
+@computing
 def direct_kinematics(
     vehicle: Vehicle,
     terrain: Terrain,

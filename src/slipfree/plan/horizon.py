@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import ModelError, SolverError
+from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.named import Array
 from slipfree.plan.course import Course, course
@@ -82,6 +83,7 @@ class Cycle(NamedTuple):
     violation: float
 
 
+@computing
 def horizon(
     plan: Plan, *, span: float, intervals: int = 20, degree: int = 3, iterations: int = 1
 ) -> Horizon:
@@ -149,6 +151,7 @@ def begin(window: Horizon) -> Cycle:
     return advance(patient, blank, 0.0, first[layout.first])
 
 
+@computing
 @heeded
 def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     """Return the next cycle.

@@ -17,6 +17,7 @@ import numpy as np
 
 from slipfree.dae import Limit
 from slipfree.errors import ModelError
+from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.named import Array
 from slipfree.plan.course import Course, carried, course, nearest, sampled, unknowns_of
@@ -126,6 +127,7 @@ class _Search(NamedTuple):
     run: Trajectory | None = None
 
 
+@computing
 @heeded
 def plan(
     dae: Model,

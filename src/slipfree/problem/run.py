@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from slipfree.errors import SolverError
 from slipfree.files import escape_name
+from slipfree.forks import computing
 from slipfree.kinematics.hold import BEST, best_utilisation
 from slipfree.kinematics.montana import Difference, cross_check
 from slipfree.kinematics.records import is_determinate
@@ -50,6 +51,7 @@ class Outcome(NamedTuple):
     arrays: Mapping[str, Array] = NOTHING
 
 
+@computing
 def build(problem: Problem[schema.Motion]) -> Setup:
     """Return the model, the start and the inputs of a problem.
 
@@ -69,6 +71,7 @@ def build(problem: Problem[schema.Motion]) -> Setup:
     raise TypeError(f"expected a problem of a motion, found {spec.verb!r}")
 
 
+@computing
 def run(
     problem: Problem[schema.Motion] | Problem[schema.Climb],
     progress: Progress | None = None,

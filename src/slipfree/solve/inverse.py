@@ -21,6 +21,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError, SolverError
+from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.named import Array, Label, Mask, leaves, unpack
 from slipfree.solve.loop import Loop, close
@@ -193,6 +194,7 @@ class Drive(NamedTuple):
     difference: dict[str, float]
 
 
+@computing
 def drive(
     inverse: Model, direct: Model, start: Trajectory, inputs: Any, t: Array, *,
     sought: Sequence[str] = ("steer",), tolerance: float = 1e-8,
@@ -449,6 +451,7 @@ def _exchanged(dae: Model, given: Sequence[str]) -> Model:
     )
 
 
+@computing
 @heeded
 def nearest(dae: Model, *, weights: Mapping[str, float] | None = None, **pose: float) -> Trajectory:
     """Return the vehicle standing in the pose nearest to a given one.

@@ -10,6 +10,7 @@ import numpy as np
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
+from slipfree.forks import computing
 from slipfree.named import Array, Mask, leaves, unpack
 from slipfree.solve.consistent import consistent, limit_words
 from slipfree.solve.loop import Loop, close
@@ -17,6 +18,7 @@ from slipfree.solve.sample import UNSOLVED, Samples, corrected, table
 from slipfree.trajectory import Stop, Trajectory
 
 
+@computing
 def settle(
     dae: Dae[Any, Any, Any, Any, Any], *, guess: Mapping[str, float] | None = None, **start: float
 ) -> Trajectory:

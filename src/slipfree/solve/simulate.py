@@ -15,6 +15,7 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SolverError
+from slipfree.forks import computing
 from slipfree.interrupt import Heed
 from slipfree.named import Array
 from slipfree.solve.consistent import consistent
@@ -38,6 +39,7 @@ Progress = Callable[[float], None]
 Method = Literal["idas", "cvodes"]
 
 
+@computing
 def simulate(
     dae: Dae[Any, Any, Any, Any, Any],
     start: Trajectory,

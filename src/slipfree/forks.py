@@ -1,0 +1,100 @@
+"""Forks of the process wait until no other thread computes.
+
+A forked child has one thread, but also the locks of CasADi, functools and the linear algebra as the
+others held them: nobody will ever release these. OpenBLAS can even hang in ``fork`` itself, where
+it waits for threads that compute.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+from slipfree.errors import SlipfreeError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+PATIENCE = 10.0  # of a fork with the other threads [s]
+
+
+class _Forks:
+    """The threads that compute, and whether a fork waits for them."""
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.depths: dict[int, int] = {}  # of nested calls, by thread
+        self.waiting = 0
+        self.unsafe = False
+
+    def enter(self) -> None:
+        me = threading.get_ident()
+        with self.changed:
+            if me not in self.depths:
+                self.changed.wait_for(lambda: not self.waiting)
+            self.depths[me] = self.depths.get(me, 0) + 1
+
+    def leave(self) -> None:
+        me = threading.get_ident()
+        with self.changed:
+            self.depths[me] -= 1
+            if not self.depths[me]:
+                del self.depths[me]
+                self.changed.notify_all()
+
+    def before(self) -> None:
+        self.changed.acquire()
+        self.waiting += 1
+        self.changed.wait_for(self._is_alone, PATIENCE)
+
+    def in_parent(self) -> None:
+        self.waiting -= 1
+        self.changed.notify_all()
+        self.changed.release()
+
+    def in_child(self) -> None:
+        me = threading.get_ident()
+        unsafe = self.unsafe or not self._is_alone()
+        self.changed = threading.Condition()
+        self.depths = {each: depth for each, depth in self.depths.items() if each == me}
+        self.waiting, self.unsafe = 0, unsafe
+
+    def _is_alone(self) -> bool:
+        return self.depths.keys() <= {threading.get_ident()}
+
+
+_forks = _Forks()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=_forks.before,
+        after_in_parent=_forks.in_parent,
+        after_in_child=_forks.in_child,
+    )
+
+
+def computing(function: Callable[P, R]) -> Callable[P, R]:
+    """Return the same function, which forks in other threads wait for, 10 s at most.
+
+    Raises
+    ------
+    SlipfreeError
+        By the function: in a process that was forked while another thread computed for longer.
+    """
+
+    @wraps(function)
+    def alone(*args: P.args, **more: P.kwargs) -> R:
+        if _forks.unsafe:
+            raise SlipfreeError(
+                "expected a process whose locks are free, found one that was forked while another "
+                "thread computed; start it by multiprocessing.get_context('spawn')"
+            )
+        _forks.enter()
+        try:
+            return function(*args, **more)
+        finally:
+            _forks.leave()
+
+    return alone
