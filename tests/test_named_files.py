@@ -32,6 +32,11 @@ KINDS = {
     "long": "found that it cannot be read (File name too long)",
 }
 
+WHY = {
+    "loop": "Too many levels of symbolic links",
+    "long": "File name too long",
+}
+
 
 @pytest.fixture(autouse=True)
 def limited() -> Iterator[None]:
@@ -133,6 +138,29 @@ def test_a_urdf_named_in_a_vehicle_file_that_is_none(kind: str) -> None:
     told = _refused("vehicle", "v.toml")
     assert "expected a URDF (urdf of v.toml), found" in told
     assert KINDS[kind] in told
+
+
+@pytest.mark.parametrize("kind", ["loop", "long"])
+def test_an_output_whose_name_cannot_be_used(folder: Path, kind: str) -> None:
+    run = CliRunner().invoke(app, ["run", "p.toml", "-o", "x.nc", "--no-draw"])
+    assert run.exit_code == 0, run.output
+    before = sorted(folder.iterdir())
+    for words, ending in {
+        "run p.toml --no-draw -o": ".nc", "run p.toml --no-draw --csv": ".csv",
+        "run p.toml --figures": "", "export x.nc --path": ".csv", "export x.nc --rates": ".csv",
+        "report x.nc -o": ".html", "show x.nc --html": ".html", "show x.nc --animation": ".gif",
+        "new direct": ".toml", "examples paper_direct --to": "",
+        "sweep p.toml --vary time.duration=0.1,0.2 -o": "",
+    }.items():  # fmt: skip
+        name = f"{'n' * 5000}{ending}"
+        if kind == "loop":
+            name = f"loop{ending}"
+            Path(name).symlink_to(name)
+        told = _refused(*words.split(), name)
+        assert f"({WHY[kind]})" in told, words
+        if kind == "loop":
+            Path(name).unlink()
+    assert sorted(folder.iterdir()) == before
 
 
 @pytest.mark.usefixtures("folder")

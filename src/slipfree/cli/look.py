@@ -14,6 +14,7 @@ from slipfree.cli.common import (
     File,
     Settings,
     about,
+    check_place,
     read_problem,
     refuse_result,
     reported,
@@ -186,6 +187,7 @@ def export(
             raise DataError("export: expected --path, --rates or both, found neither")
         for out, write in ((path, export_path), (rates, export_rates)):
             if out is not None:
+                check_place(out)
                 write(file, out)
                 put_file(out)
                 say(f"wrote {out}")
