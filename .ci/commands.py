@@ -1,0 +1,165 @@
+"""Run every command and every shipped problem in the environment of this Python.
+
+``python .ci/commands.py`` works in a temporary folder, on all cores, and prints a line for each
+command. After the first that fails it prints what that printed, and ends with exit code 1.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from importlib.metadata import version
+from pathlib import Path
+
+SLIPFREE = Path(sys.executable).with_name("slipfree")
+STOPS_EARLY = ("paper_inverse", "traction_ice")  # exit code 1, as the README says
+PACKAGES = (
+    "slipfree", "casadi", "numpy", "scipy", "matplotlib", "pydantic", "typer", "rich",
+    "platformdirs", "rasterio", "viser", "distributed",
+)  # fmt: skip
+
+# Commands that need the result of a problem, by its name: they follow its run, one after another.
+AFTER = {
+    "real_dem_direct": [
+        "info real_dem_direct.nc",
+        "info real_dem_direct.nc --problem",
+        "report real_dem_direct.nc",
+        "export real_dem_direct.nc --path path.csv --rates rates.csv",
+        "export real_dem_direct.nc --path path.geojson",
+        "show real_dem_direct.nc --html real_dem_direct_scene.html",
+    ],
+    "plan_rigid_hills": [
+        "run problems/plan_rigid_hills.toml --resume plan_rigid_hills.nc -o again.nc"
+    ],
+    "plan_tilt_limits": ["export plan_tilt_limits.nc --rates plan_rates.csv"],
+}
+OTHERS = [
+    ["--version"],
+    ["--json check problems/rover_inverse.toml"],
+    ["check problems/plan_crater_field.toml"],
+    ["vehicle problems/rover_inverse.toml"],
+    ["vehicle problems/vehicles/trailer.toml"],
+    ["vehicle problems/vehicles/trike.toml"],
+    *(
+        [f"new {kind} {kind}", f"run {kind}.toml"]
+        for kind in ("direct", "inverse", "plan", "climb")
+    ),
+    ["run problems/paper_direct.toml --cross-check --csv table.csv --no-draw -o crossed.nc"],
+    ["run problems/paper_direct.toml --set solver.compiled=true --no-draw -o compiled.nc"],
+    ["run problems/traction_ice.toml --set terrain.friction=0.9 --no-draw -o arrives.nc"],
+    ["run problems/climb_step.toml --animation climb_step.gif --no-draw -o animated.nc"],
+    [
+        "sweep problems/paper_direct.toml --vary inputs.left_rate=0.3:0.5:3"
+        " --vary vehicle.axle=tilting,fixed --set time.duration=2 --processes 2 -o axles"
+    ],
+]
+# The same in Python, for what needs an extra: a map to read, and a cluster to sweep on.
+GEOTIFF = """
+import numpy, rasterio
+x, y = numpy.meshgrid(numpy.linspace(-4, 4, 81), numpy.linspace(4, -4, 81))
+place = {"crs": "EPSG:32633", "transform": rasterio.Affine(0.1, 0, -4.05, 0, -0.1, 4.05)}
+shape = {"width": 81, "height": 81, "count": 1, "dtype": "float32"}
+with rasterio.open("problems/site.tif", "w", driver="GTiff", **shape, **place) as file:
+    file.write((0.05 * numpy.sin(x) * numpy.cos(y)).astype("float32"), 1)
+"""
+SCHEDULER = """
+import subprocess, sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+        command = [*sys.argv[1:], "--scheduler", cluster.scheduler_address]
+        sys.exit(subprocess.run(command).returncode)
+"""
+MAP = "--set terrain.synthetic= --set terrain.file=site.tif"
+SWEEP = "sweep problems/paper_direct.toml --repeat 2 --set time.duration=2 -o clustered"
+
+
+def slipfree(line: str, code: int = 0) -> Callable[[], None]:
+    """Return the run of a command line of slipfree."""
+    return lambda: run(line, [str(SLIPFREE), *shlex.split(line)], code)
+
+
+def python(name: str, code: str, *words: str) -> Callable[[], None]:
+    """Return the run of a piece of Python."""
+    return lambda: run(name, [sys.executable, "-c", code, *words], 0)
+
+
+def run(name: str, words: list[str], code: int) -> None:
+    """Run one command; raise what it printed, if it ends otherwise than with the code expected."""
+    begun = time.perf_counter()
+    done = subprocess.run(words, text=True, capture_output=True)
+    print(f"{time.perf_counter() - begun:6.1f} s  {name}", flush=True)
+    if done.returncode != code or (code == 1 and "stopped early" not in done.stderr):
+        told = f"exit code {done.returncode}, expected {code}: {name}"
+        raise SystemExit(f"{done.stdout}{done.stderr}{told}")
+    for line in done.stderr.splitlines():
+        if "Warning" in line:
+            print(f"          {line}", flush=True)
+
+
+def problem(file: Path) -> list[Callable[[], None]]:
+    """Return the commands of a shipped problem."""
+    name = file.stem
+    verb = tomllib.loads(file.read_text("utf-8"))["verb"]
+    if verb == "compare":
+        return [slipfree(f"compare problems/{file.name}")]
+    first = slipfree(f"run problems/{file.name}", int(name in STOPS_EARLY))
+    return [first, *(slipfree(line) for line in AFTER.get(name, []))]
+
+
+def all_commands() -> list[list[Callable[[], None]]]:
+    """Return the commands, in groups of some that follow one another; slow groups first."""
+    shipped = sorted(
+        Path("problems").glob("*.toml"), key=lambda file: (file.stem[:4] != "plan", file)
+    )
+    return [
+        *map(problem, shipped),
+        *([slipfree(line) for line in lines] for lines in OTHERS),
+        [
+            python("write a GeoTIFF", GEOTIFF),
+            slipfree(f"run problems/paper_direct.toml {MAP} --no-draw -o site.nc"),
+        ],
+        [python(f"{SWEEP} --scheduler ...", SCHEDULER, str(SLIPFREE), *SWEEP.split())],
+    ]
+
+
+def in_turn(group: list[Callable[[], None]]) -> None:
+    """Run commands one after another."""
+    for command in group:
+        command()
+
+
+def versions() -> str:
+    """Return the versions of Python and of what the commands use."""
+    return ", ".join(
+        [f"Python {platform.python_version()}", *(f"{n} {version(n)}" for n in PACKAGES)]
+    )
+
+
+def main() -> None:
+    """Run all commands."""
+    begun = time.perf_counter()
+    print(versions())
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        os.chdir(folder)
+        os.environ["SLIPFREE_CACHE"] = str(Path(folder, "cache"))  # nothing compiled before
+        slipfree("examples --to problems")()
+        groups = all_commands()
+        try:
+            for group in as_completed([pool.submit(in_turn, group) for group in groups]):
+                group.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+    print(f"{sum(map(len, groups)) + 1} commands, {time.perf_counter() - begun:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
