@@ -104,6 +104,23 @@ def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
     assert not found.accurate
 
 
+def test_a_search_that_gets_stuck_is_made_again_with_a_tighter_filter(model, monkeypatch):
+    growths, solve = [], planning.solve
+
+    def stuck(*args, growth=100.0, **options):
+        growths.append(growth)
+        found = solve(*args, growth=growth, **options)
+        failed = {"status": "Restoration_Failed", "success": False}
+        return found._replace(**failed) if len(growths) == 1 else found
+
+    monkeypatch.setattr(planning, "solve", stuck)
+    plan = asked(model)
+    assert growths[:2] == [100.0, planning.CAUTIOUS]
+    assert [stage.words for stage in plan.stages[:2]] == ["slip left out", "slip left out, again"]
+    assert plan.stages[0].status == "Restoration_Failed"
+    assert plan.run.stop is None
+
+
 def test_intervals_are_halved():
     mesh = Mesh(np.array([0.0, 0.5, 1.0]), 2)
     assert_allclose(refined(mesh, np.array([False, True])).ends, [0, 0.5, 0.75, 1])

@@ -25,7 +25,7 @@ from slipfree.plan.explain import explanation
 from slipfree.plan.groups import WITHIN
 from slipfree.plan.proof import Proof, inputs_along, prove, refined
 from slipfree.plan.saved import Saved, local, saved
-from slipfree.plan.solver import Iterate, Solution, solve, violation
+from slipfree.plan.solver import CAUTIOUS, STUCK, Iterate, Solution, solve, violation
 from slipfree.plan.task import Range, task_of
 from slipfree.plan.transcribe import Cost, Mesh, Model, Program, Task, transcribe
 from slipfree.trajectory import Stop, Trajectory
@@ -302,9 +302,16 @@ def _solved(
     warm: Solution | None = None,
 ) -> _Search:
     look = None if progress is None else lambda iterate: progress(words, iterate)
-    found = solve(program, _weights(program, part), first, warm=warm, look=look)
-    stage = Stage(words, found.iterations, found.status, found.seconds, found.cost)
-    return _Search(program, found, first, (stage,))
+    weights = _weights(program, part)
+    found = solve(program, weights, first, warm=warm, look=look)
+    stages = [Stage(words, found.iterations, found.status, found.seconds, found.cost)]
+    if found.status in STUCK:  # which rounding decides on long plans: it may have gone astray
+        again = solve(program, weights, first, warm=warm, look=look, growth=CAUTIOUS)
+        words = f"{words}, again"
+        stages.append(Stage(words, again.iterations, again.status, again.seconds, again.cost))
+        if again.success or violation(program, again.rows) < violation(program, found.rows):
+            found = again
+    return _Search(program, found, first, tuple(stages))
 
 
 def _weights(program: Program, part: float) -> Array:

@@ -15,6 +15,8 @@ from slipfree.plan.transcribe import Program, completed
 INFEASIBLE = "Infeasible_Problem_Detected"
 ITERATIONS = 500
 GROWTH = 100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
+CAUTIOUS = 10.0  # the same where a search got stuck
+STUCK = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 TOLERANCE = 1e-8
 NEARBY = 1e-5  # barrier of a start from a solution nearby
 PUSH = 1e-9  # from the bounds in a warm start
@@ -141,6 +143,7 @@ def violation(program: Program, rows: Array) -> float:
 def solve(
     program: Program, weights: Array, first: Array, *,
     warm: Solution | None = None, iterations: int = ITERATIONS, look: Look | None = None,
+    growth: float = GROWTH,
 ) -> Solution:  # fmt: skip
     """Return the solution of a program, or else the iterate that violates it least.
 
@@ -160,13 +163,15 @@ def solve(
         Most iterations.
     look : callable, optional
         Called with every iterate; the iteration ends where it returns False.
+    growth : float
+        How much the violation may grow at most, over that of the first guess.
     """
     given = {"x0": completed(program, first) / program.scale, "p": weights,
              "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
              "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
     if warm is not None:
         given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
-    ipopt = ({} if warm is None else WARM) | {"max_iter": iterations}
+    ipopt = ({} if warm is None else WARM) | {"max_iter": iterations, "theta_max_fact": growth}
     with Heed() as heed:
         watch = _Watch(program, look or (lambda _: True), heed)
         solver = _ready(program, ipopt, {"iteration_callback": watch})
