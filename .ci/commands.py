@@ -22,9 +22,19 @@ from pathlib import Path
 SLIPFREE = Path(sys.executable).with_name("slipfree")
 STOPS_EARLY = ("paper_inverse", "traction_ice")  # exit code 1, as the README says
 PACKAGES = (
-    "slipfree", "casadi", "numpy", "scipy", "matplotlib", "pydantic", "typer", "rich",
-    "platformdirs", "rasterio", "viser", "distributed",
-)  # fmt: skip
+    "slipfree",
+    "casadi",
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "pydantic",
+    "typer",
+    "rich",
+    "platformdirs",
+    "rasterio",
+    "viser",
+    "distributed",
+)
 
 # Commands that need the result of a problem, by its name: they follow its run, one after another.
 AFTER = {

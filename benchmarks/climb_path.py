@@ -27,12 +27,24 @@ from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 
 HEIGHT, NODES, MARGIN = 0.09, 60, 1.03
-PROFILES = {"ramp": ramp(np.pi / 4, HEIGHT),
-            **{f"{mm} mm": step(mm / 1000) for mm in (50, 90, 128)}}  # fmt: skip
-SLOW = {("ramp", 0.0): 0.323, ("50 mm", 0.0): 0.543, ("90 mm", 0.0): 0.71, ("128 mm", 0.0): 0.71,
-        ("90 mm", 0.06): 0.68, ("90 mm", 0.126): 0.90}  # fmt: skip
-LEAST = {"ramp": (0.251, 0.323, 0.249), "50 mm": (0.460, 0.542, 0.539),
-         "90 mm": (0.579, 0.630, 0.677), "128 mm": (0.579, 0.608, 0.624)}  # fmt: skip
+PROFILES = {
+    "ramp": ramp(np.pi / 4, HEIGHT),
+    **{f"{mm} mm": step(mm / 1000) for mm in (50, 90, 128)},
+}
+SLOW = {
+    ("ramp", 0.0): 0.323,
+    ("50 mm", 0.0): 0.543,
+    ("90 mm", 0.0): 0.71,
+    ("128 mm", 0.0): 0.71,
+    ("90 mm", 0.06): 0.68,
+    ("90 mm", 0.126): 0.90,
+}
+LEAST = {
+    "ramp": (0.251, 0.323, 0.249),
+    "50 mm": (0.460, 0.542, 0.539),
+    "90 mm": (0.579, 0.630, 0.677),
+    "128 mm": (0.579, 0.608, 0.624),
+}
 SECONDS = (0.63, 0.73, 0.89)
 
 
@@ -70,9 +82,11 @@ def planned() -> Iterator[str]:
     for name, profile in PROFILES.items():
         for leg, expected in zip(legs(climber, profile), LEAST[name], strict=True):
             told = solved(climber, profile, leg, "friction", s=NODES).statistics
-            yield (f"  {name:7s} {leg.axle:6s}  {told['mu']:.4f} ({expected:.3f})  "
-                   f"{told['mu'] - expected:+.4f}  {told['took']:.2f} s, "
-                   f"{told['count']:.0f} iterations")  # fmt: skip
+            yield (
+                f"  {name:7s} {leg.axle:6s}  {told['mu']:.4f} ({expected:.3f})  "
+                f"{told['mu'] - expected:+.4f}  {told['took']:.2f} s, "
+                f"{told['count']:.0f} iterations"
+            )
 
 
 def risen(climber: Climber, profile: Profile, leg: Leg) -> Array:
@@ -99,8 +113,10 @@ def fastest() -> Iterator[str]:
                 mu = solved(climber, profile, leg, "friction", s=s).statistics["mu"]
                 run = solved(climber, profile, leg, "time", mu=MARGIN * mu, s=s)
                 found.append(run.statistics["duration"])
-        yield (f"  {leg.axle:6s} ({SECONDS[k]})  wheels with inertia {found[0]:.3f}, on the "
-               f"study's part {found[1]:.3f}; without {found[2]:.3f}, {found[3]:.3f}")  # fmt: skip
+        yield (
+            f"  {leg.axle:6s} ({SECONDS[k]})  wheels with inertia {found[0]:.3f}, on the "
+            f"study's part {found[1]:.3f}; without {found[2]:.3f}, {found[3]:.3f}"
+        )
 
 
 def meshes() -> Iterator[str]:
@@ -109,11 +125,15 @@ def meshes() -> Iterator[str]:
     climber, profile = seven_wheels(), PROFILES["90 mm"]
     leg = legs(climber, profile)[-1]
     for nodes in (30, 60, 120, 480):
-        told = [solved(climber, profile, leg, "friction", s=nodes, speed=speed).statistics["mu"]
-                for speed in (0.25, 0.001)]  # fmt: skip
+        told = [
+            solved(climber, profile, leg, "friction", s=nodes, speed=speed).statistics["mu"]
+            for speed in (0.25, 0.001)
+        ]
         run = solved(climber, profile, leg, "time", mu=0.7, s=nodes)
-        yield (f"  {nodes:3d}  at 0.25: {told[0]:.4f}, at 0.001: {told[1]:.4f};  "
-               f"{run.statistics['duration']:.4f}")  # fmt: skip
+        yield (
+            f"  {nodes:3d}  at 0.25: {told[0]:.4f}, at 0.001: {told[1]:.4f};  "
+            f"{run.statistics['duration']:.4f}"
+        )
 
 
 if __name__ == "__main__":

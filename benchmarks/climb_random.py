@@ -29,10 +29,12 @@ def one(seed: int) -> dict[str, object]:
     run = drive(case)
     told = outcome(run, case.climber, case.profile)
     return {
-        "name": told.name if finite(run) else "not finite", "words": told.words,
-        "seconds": time.process_time() - clock, "real": float(run.t[-1]),
+        "name": told.name if finite(run) else "not finite",
+        "words": told.words,
+        "seconds": time.process_time() - clock,
+        "real": float(run.t[-1]),
         "sampled": case.period is not None,
-    }  # fmt: skip
+    }
 
 
 def apart(seed: int) -> dict[str, object]:
@@ -59,8 +61,10 @@ def random(count: int = COUNT) -> None:
     for sampled in (False, True):
         factors = [each["real"] / each["seconds"] for each in done if each["sampled"] == sampled]
         if factors:
-            print(f"  {'sampled' if sampled else 'continuous'}: {len(factors)}, times real time "
-                  f"{min(factors):.1f} to {max(factors):.1f}")  # fmt: skip
+            print(
+                f"  {'sampled' if sampled else 'continuous'}: {len(factors)}, times real time "
+                f"{min(factors):.1f} to {max(factors):.1f}"
+            )
     for seed, each in enumerate(found):
         if each["name"] not in ("climbs", "stalls", "slides back", "tips over"):
             print(f"  seed {seed}: {each['name']}: {each['words']}")

@@ -106,15 +106,22 @@ def robustness() -> None:
     for name, course in (("plan for 0.69", planned(STEP, 0.69)), ("least mu", planned(STEP))):
         base = Tracking(course)
         print(f"\n{name}: what climbs, and what does not")
-        _line("true mu_s", ((mu, base, STEP, mu, CLIMBER)
-                            for mu in (0.70, 0.72, 0.74, 0.8, 0.9, 1.0, 1.2)))  # fmt: skip
+        _line(
+            "true mu_s",
+            ((mu, base, STEP, mu, CLIMBER) for mu in (0.70, 0.72, 0.74, 0.8, 0.9, 1.0, 1.2)),
+        )
         for field, factor, values in (
-            ("lead", 1e-3, (0.2, 0.5, 1, 2, 3, 5)), ("spare", 1e-3, (1, 2, 3, 4, 6, 8, 20)),
+            ("lead", 1e-3, (0.2, 0.5, 1, 2, 3, 5)),
+            ("spare", 1e-3, (1, 2, 3, 4, 6, 8, 20)),
             ("proportional", 1, (2, 4, 8, 20, 60)),
-        ):  # fmt: skip
-            _line(f"{field} [{factor:g}], mu_s .74",
-                  ((value, replace(base, **{field: factor * value}), STEP, 0.74, CLIMBER)
-                   for value in values))  # fmt: skip
+        ):
+            _line(
+                f"{field} [{factor:g}], mu_s .74",
+                (
+                    (value, replace(base, **{field: factor * value}), STEP, 0.74, CLIMBER)
+                    for value in values
+                ),
+            )
         heights = ((mm, base, step(mm / 1000), 0.76, CLIMBER) for mm in (80, 85, 88, 92, 95))
         _line("height [mm], mu_s .76", heights)
         centers = ((mm, base, STEP, 0.76, _shifted(mm / 1000)) for mm in (-20, -10, 10, 20))
@@ -140,16 +147,34 @@ def noise() -> None:
     print(
         "\nnoise of tilts [rad], their rates, wheels' rates [rad/s]: slip, true slip, disturbance"
     )
-    sizes = ((0.0, 0.0, 0.0), (0.0, 0.03, 0.0), (0.0, 0.1, 0.0), (0.0, 0.3, 0.0),
-             (0.0, 0.0, 0.1), (0.0, 0.0, 0.3), (0.01, 0.1, 0.1))  # fmt: skip
+    sizes = (
+        (0.0, 0.0, 0.0),
+        (0.0, 0.03, 0.0),
+        (0.0, 0.1, 0.0),
+        (0.0, 0.3, 0.0),
+        (0.0, 0.0, 0.1),
+        (0.0, 0.0, 0.3),
+        (0.01, 0.1, 0.1),
+    )
     for name, profile, contact in (("ramp", RAMP, TABLE_I), ("step", STEP, TWICE)):
         for control in (FIXED, SENSED):
             for each in sizes:
-                rows = [climb(profile, replace(control, noise=Noise(*each, seed=seed)), contact)
-                        .metrics for seed in range(3)]  # fmt: skip
-                words = [f"{100 * min(values):5.1f} - {100 * max(values):4.1f}" for values in zip(
-                    *((row.slip.mean(), row.true_slip.mean(), row.disturbance.mean())
-                      for row in rows), strict=True)]  # fmt: skip
+                rows = [
+                    climb(profile, replace(control, noise=Noise(*each, seed=seed)), contact).metrics
+                    for seed in range(3)
+                ]
+                words = [
+                    f"{100 * min(values):5.1f} - {100 * max(values):4.1f}"
+                    for values in zip(
+                        *(
+                            (row.slip.mean(), row.true_slip.mean(), row.disturbance.mean())
+                            for row in rows
+                        ),
+                        strict=True,
+                    )
+                ]
                 up = sum(row.window.climbed for row in rows)
-                print(f"  {name} {control.law:10} {each!s:18} {'  '.join(words)}  {up} of 3 climb",
-                      flush=True)  # fmt: skip
+                print(
+                    f"  {name} {control.law:10} {each!s:18} {'  '.join(words)}  {up} of 3 climb",
+                    flush=True,
+                )

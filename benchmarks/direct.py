@@ -125,8 +125,10 @@ def ratio(ours: list[tuple[float, float]], stock: list[tuple[float, float]]) -> 
     low, high = max(error[0], error_s[0]), min(error[-1], error_s[-1])
     at = np.linspace(low, high, 9)
     ratios = np.exp(np.interp(at, error_s, cpu_s) - np.interp(at, error, cpu))
-    return f"{ratios.min():.1f} to {ratios.max():.1f} times, at errors {np.exp(low):.0e} to " \
-           f"{np.exp(high):.0e} m"  # fmt: skip
+    return (
+        f"{ratios.min():.1f} to {ratios.max():.1f} times, at errors {np.exp(low):.0e} to "
+        f"{np.exp(high):.0e} m"
+    )
 
 
 def main() -> None:
@@ -150,9 +152,11 @@ def main() -> None:
                 cpu, steps, residuals, end = runs[tolerance]
                 error = float(np.abs(np.subtract(end, exact)).max())
                 lines[kind].append((error, cpu))
-                print(f"{nodes:4}^2       {kind:8} {found['built']:7.2f} {found['peak']:8.0f}  "
-                      f"{tolerance:.0e} {steps:5} {residuals:10} {1e3 * cpu / DISTANCE:9.2f} "
-                      f"  {error:.1e}")  # fmt: skip
+                print(
+                    f"{nodes:4}^2       {kind:8} {found['built']:7.2f} {found['peak']:8.0f}  "
+                    f"{tolerance:.0e} {steps:5} {residuals:10} {1e3 * cpu / DISTANCE:9.2f} "
+                    f"  {error:.1e}"
+                )
         if len(lines) == 2:
             print(f"{nodes:4}^2  stock takes {ratio(lines['ours'], lines['stock'])}")
 

@@ -137,19 +137,25 @@ def limits() -> None:
     for axle in ("tilting", "sliding"):
         apart, _ = zip(*from_rolling(axle, sizes), strict=True)
         words = ", ".join(f"{each:.1e}" for each in apart)
-        print(f"{axle}: from rolling after 10 s of hills, eps 1e-3 to 1e-6: {words} m or rad; "
-              f"order {order(sizes, apart):.3f}")  # fmt: skip
+        print(
+            f"{axle}: from rolling after 10 s of hills, eps 1e-3 to 1e-6: {words} m or rad; "
+            f"order {order(sizes, apart):.3f}"
+        )
     scale = np.array([1.0, 10.0, 100.0])
     for name, ground in (("level ground", flat), ("hills", hills)):
         errors = [from_linear(ground, mu) for mu in scale]
         words = ", ".join(f"{each:.1e}" for each in errors)
         law = "least slip by load" if ground is flat else "linear law with gravity"
-        print(f"fixed axle, {name}: from the {law}, mu 1, 10, 100 at fixed eps/mu: {words}; "
-              f"order {order(1 / scale, errors):.2f}")  # fmt: skip
+        print(
+            f"fixed axle, {name}: from the {law}, mu 1, 10, 100 at fixed eps/mu: {words}; "
+            f"order {order(1 / scale, errors):.2f}"
+        )
     found = [dissipation(eps) for eps in sizes[1:]]
     words = ", ".join(f"{each.gap / each.cost(each.rates):.1e}" for each in found)
-    print(f"fixed axle: above the least dissipation at most, eps 1e-4 to 1e-6: {words} of it; "
-          f"order {order(sizes[1:], [each.gap for each in found]):.2f}")  # fmt: skip
+    print(
+        f"fixed axle: above the least dissipation at most, eps 1e-4 to 1e-6: {words} of it; "
+        f"order {order(sizes[1:], [each.gap for each in found]):.2f}"
+    )
 
 
 def starts() -> None:
@@ -171,8 +177,10 @@ def steps() -> None:
     """Print the steps of 10 s of hills at tolerance 1e-8."""
     sizes = (1e-3, 1e-4, 1e-5, 1e-6)
     for axle in ("tilting", "sliding", "fixed", "prismatic"):
-        runs = [moved(three_wheeler(axle=axle), Analytic(hills, mu=0.6), Traction(eps), T, **PLACE)
-                for eps in sizes]  # fmt: skip
+        runs = [
+            moved(three_wheeler(axle=axle), Analytic(hills, mu=0.6), Traction(eps), T, **PLACE)
+            for eps in sizes
+        ]
         words = ", ".join(f"{run.statistics['steps']:.0f}" for run in runs)
         print(f"{axle}: steps for 10 s of hills, eps 1e-3 to 1e-6: {words}")
 

@@ -65,10 +65,14 @@ def between(dae: Any, here: Any, window: Horizon, cycle: Cycle, span: tuple[floa
 
 def table(found: Plan) -> None:
     """Print slip and times of traverses."""
-    print(f"{INTERVALS} intervals of degree 3 over {SPAN:g} s, {CYCLES} cycles of "
-          f"{DURATION / CYCLES:g} s")  # fmt: skip
-    print(f"{'':49}rms slip   from goal  largest    ms a cycle\n"
-          f"{'':49}[m/s]      [mm]       violation  median, 95 %")  # fmt: skip
+    print(
+        f"{INTERVALS} intervals of degree 3 over {SPAN:g} s, {CYCLES} cycles of "
+        f"{DURATION / CYCLES:g} s"
+    )
+    print(
+        f"{'':49}rms slip   from goal  largest    ms a cycle\n"
+        f"{'':49}[m/s]      [mm]       violation  median, 95 %"
+    )
     away = np.hypot(found.replay["x"][-1] - GOAL[0], found.replay["y"][-1] - GOAL[1])
     print(f"{'the plan':49}{rms_slip(found.replay):.3e}  {1e3 * away:9.4f}")
     for start in STARTS:
@@ -77,8 +81,10 @@ def table(found: Plan) -> None:
             window = horizon(found, span=SPAN, intervals=INTERVALS, iterations=iterations)
             made = drive(found, window, start)
             median, most = 1e3 * np.quantile(made.seconds, (0.5, 0.95))
-            print(f"{where + ': ' + words:49}{made.slip:.3e}  {1e3 * made.away:9.4f}  "
-                  f"{made.violation:.1e}    {median:6.1f} {most:6.1f}")  # fmt: skip
+            print(
+                f"{where + ': ' + words:49}{made.slip:.3e}  {1e3 * made.away:9.4f}  "
+                f"{made.violation:.1e}    {median:6.1f} {most:6.1f}"
+            )
 
 
 def growth(found: Plan) -> None:

@@ -88,8 +88,10 @@ def condition_table() -> None:
     """Print the condition numbers of all choices, on flat ground and on hills."""
     rng = np.random.default_rng(SEED)
     names = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
-    poses = [dict(zip(names, rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4], strict=True))
-             for _ in range(POSES)]  # fmt: skip
+    poses = [
+        dict(zip(names, rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4], strict=True))
+        for _ in range(POSES)
+    ]
     found: dict[str, Any] = {}
     for ground, height, where in (("flat", GROUNDS["flat"], [{}]), ("hills", rough, poses)):
         terrain = Analytic(height)
@@ -174,8 +176,10 @@ def pointwise() -> None:
                 continue
             back = consistent(loop, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), loop.u[:, 0])
             worst, returned = max(worst, float(np.abs(back - z).max())), returned + 1
-    print(f"{'pointwise':28}{worst:.1e} m/s, rad/s: {returned} of all choices at states whose "
-          f"margin exceeds {DETERMINED:g}, {left_out} below it left out")  # fmt: skip
+    print(
+        f"{'pointwise':28}{worst:.1e} m/s, rad/s: {returned} of all choices at states whose "
+        f"margin exceeds {DETERMINED:g}, {left_out} below it left out"
+    )
 
 
 def in_time() -> None:
@@ -198,8 +202,10 @@ def in_time() -> None:
             back = simulate(dae, begin, inputs, t, tolerance=1e-10)
         error = max(float(np.abs(back[name] - run[name]).max()) for name in WHEEL_RATES)
         growth = back["steering_growth"]
-        print(f"{words:28}{error:.1e} rad/s over {t[-1]:g} s; steering growth "
-              f"{growth.min():.3g} to {growth.max():.3g} 1/s{replay}")  # fmt: skip
+        print(
+            f"{words:28}{error:.1e} rad/s over {t[-1]:g} s; steering growth "
+            f"{growth.min():.3g} to {growth.max():.3g} 1/s{replay}"
+        )
 
 
 def main() -> None:

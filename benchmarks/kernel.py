@@ -82,9 +82,12 @@ def plain(ground: Bicubic, folder: str) -> Callable[[np.ndarray], Callable[[], o
     (i, last_i), (j, last_j) = ground._cells
     place = ground.grid.x[i] - ground.origin[0], ground.grid.y[j] - ground.origin[1]
     numbers = np.array([0, *place, *ground.grid.spacing, i, j, last_i, last_j], dtype=float)
-    library.kernel_open(0, table.ctypes.data_as(ctypes.c_void_p),
-                        ctypes.c_longlong(table.shape[1]),
-                        numbers.ctypes.data_as(ctypes.c_void_p))  # fmt: skip
+    library.kernel_open(
+        0,
+        table.ctypes.data_as(ctypes.c_void_p),
+        ctypes.c_longlong(table.shape[1]),
+        numbers.ctypes.data_as(ctypes.c_void_p),
+    )
 
     def over(at: np.ndarray) -> Callable[[], object]:
         points = np.ascontiguousarray(at.T)
@@ -146,9 +149,10 @@ def main() -> None:
             kinds = {
                 "a loop in C": (plain(ground, folder), None),
                 "compiled": tuple(called(ground, slopes=slopes) for slopes in (False, True)),
-                "interpreted": tuple(called(without_kernel(grid), slopes=slopes)
-                                     for slopes in (False, True)),
-            }  # fmt: skip
+                "interpreted": tuple(
+                    called(without_kernel(grid), slopes=slopes) for slopes in (False, True)
+                ),
+            }
             if size <= STOCK:
                 stock = Stock(grid)
                 kinds["CasADi's B-spline"] = tuple(
@@ -157,8 +161,12 @@ def main() -> None:
             for name, (values, slopes) in kinds.items():
                 corner = ground.origin[:2] if name == "CasADi's B-spline" else (0.0, 0.0)
                 places = [np.array([way, way]), rng.uniform(-half, half, (2, COUNT))]
-                times = [least(make(at + np.reshape(corner, (2, 1))))
-                         for make in (values, slopes) if make for at in places]  # fmt: skip
+                times = [
+                    least(make(at + np.reshape(corner, (2, 1))))
+                    for make in (values, slopes)
+                    if make
+                    for at in places
+                ]
                 row = "".join(f"{each:10.0f}" for each in times)
                 print(f"{size:5d}^2  {name:18s}{row}", flush=True)
 

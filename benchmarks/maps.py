@@ -99,15 +99,27 @@ def write_map(path: Path) -> None:
     first = round((2500.0 - WRITTEN / 2) / CELL) // TILE * TILE
     count = -(-round(WRITTEN / CELL) // TILE) * TILE + TILE
     with rasterio.open(
-        path, "w", driver="GTiff", width=CELLS, height=CELLS, count=1, dtype="float32",
-        crs="EPSG:32633", transform=Affine(CELL, 0, WEST, 0, -CELL, SOUTH + CELLS * CELL),
-        tiled=True, blockxsize=TILE, blockysize=TILE, compress="deflate", SPARSE_OK=True,
-    ) as file:  # fmt: skip
+        path,
+        "w",
+        driver="GTiff",
+        width=CELLS,
+        height=CELLS,
+        count=1,
+        dtype="float32",
+        crs="EPSG:32633",
+        transform=Affine(CELL, 0, WEST, 0, -CELL, SOUTH + CELLS * CELL),
+        tiled=True,
+        blockxsize=TILE,
+        blockysize=TILE,
+        compress="deflate",
+        SPARSE_OK=True,
+    ) as file:
         s = 2 * np.pi * CELL * (first + np.arange(count)) / 20
         file.write(
-            (0.3 * np.sin(s)[:, None] * np.cos(s)).astype(np.float32), 1,
+            (0.3 * np.sin(s)[:, None] * np.cos(s)).astype(np.float32),
+            1,
             window=((first, first + count), (first, first + count)),
-        )  # fmt: skip
+        )
 
 
 def drive(path: str, width: float) -> dict[str, float]:
@@ -123,9 +135,12 @@ def drive(path: str, width: float) -> dict[str, float]:
     found = simulate(dae, start, law, np.linspace(0, DURATION, 81))
     assert found.stop is None, found.stop  # noqa: S101
     return {
-        "nodes": terrain.grid.z.size, "read": read_in, "all": time.perf_counter() - began,
-        "end": float(found["y"][-1] - y), "memory": peak(),
-    }  # fmt: skip
+        "nodes": terrain.grid.z.size,
+        "read": read_in,
+        "all": time.perf_counter() - began,
+        "end": float(found["y"][-1] - y),
+        "memory": peak(),
+    }
 
 
 def peak() -> float:
@@ -147,15 +162,21 @@ def windows() -> None:
         path = Path(folder) / "map.tif"
         write_map(path)
         whole = CELLS**2 * 8 / 2**20
-        print(f"GeoTIFF of {CELLS} x {CELLS} cells of {CELL} m, {path.stat().st_size / 2**20:.1f} "
-              f"MB on disk, {whole:.0f} MB in memory as doubles")  # fmt: skip
-        print(f"{'window [m]':>12}{'nodes':>10}{'read [s]':>10}{'in all [s]':>12}"
-              f"{'peak [MB]':>11}{'end, north [m]':>16}")  # fmt: skip
+        print(
+            f"GeoTIFF of {CELLS} x {CELLS} cells of {CELL} m, {path.stat().st_size / 2**20:.1f} "
+            f"MB on disk, {whole:.0f} MB in memory as doubles"
+        )
+        print(
+            f"{'window [m]':>12}{'nodes':>10}{'read [s]':>10}{'in all [s]':>12}"
+            f"{'peak [MB]':>11}{'end, north [m]':>16}"
+        )
         print(f"{'none read':>12}{'':32}{part('nothing')['memory']:11.0f}")
         for width in WINDOWS:
             f = part(str(path), str(width))
-            print(f"{width:12g}{f['nodes']:10.0f}{f['read']:10.2f}{f['all']:12.2f}"
-                  f"{f['memory']:11.0f}{f['end']:16.6f}")  # fmt: skip
+            print(
+                f"{width:12g}{f['nodes']:10.0f}{f['read']:10.2f}{f['all']:12.2f}"
+                f"{f['memory']:11.0f}{f['end']:16.6f}"
+            )
         try:
             read_map(path)
         except SlipfreeError as error:
@@ -200,9 +221,12 @@ def errors() -> None:
             ended = [each for each in runs if each.stop is None]
             off = [np.hypot(*(each[name][-1] - plan[name][-1] for name in "xy")) for each in ended]
             used = np.median([each["utilisation"].max() for each in runs])
-            print(f"{reserve:8g}{rms:14g}{f'{good} of {len(runs)}':>15}{len(runs) - len(ended):9}"
-                  f"{used:14.3f}{np.sqrt(np.mean(np.square(off))):18.4f}{max(off):13.4f}"
-                  f"{time.perf_counter() - began:10.1f}", flush=True)  # fmt: skip
+            print(
+                f"{reserve:8g}{rms:14g}{f'{good} of {len(runs)}':>15}{len(runs) - len(ended):9}"
+                f"{used:14.3f}{np.sqrt(np.mean(np.square(off))):18.4f}{max(off):13.4f}"
+                f"{time.perf_counter() - began:10.1f}",
+                flush=True,
+            )
     print("* largest of a motion, median over the errors")
 
 

@@ -127,7 +127,7 @@ def buffered(f: ca.Function, size: int) -> Callable[[float, np.ndarray], list[np
     """Return a function of time and one column, called without conversions."""
     buffer, trigger = f.buffer()
     t, x = np.zeros(1), np.zeros(size)
-    results = [np.zeros(f.nnz_out(k)) for k in range(f.n_out())]  # fmt: skip
+    results = [np.zeros(f.nnz_out(k)) for k in range(f.n_out())]
     buffer.set_arg(0, memoryview(t))
     buffer.set_arg(1, memoryview(x))
     for k, result in enumerate(results):
@@ -158,10 +158,15 @@ def by_scipy(kind: str, rates: ca.Function, at: dict[str, Any]) -> Callable[[flo
     def run(tolerance: float) -> tuple[float, np.ndarray]:
         cpu, found = least(
             lambda: solve_ivp(
-                lambda t, x: call(t, x)[0].copy(), (0.0, DURATION), at["x0"],
-                method=kind, t_eval=T, rtol=max(tolerance, 3e-14), atol=tolerance,
+                lambda t, x: call(t, x)[0].copy(),
+                (0.0, DURATION),
+                at["x0"],
+                method=kind,
+                t_eval=T,
+                rtol=max(tolerance, 3e-14),
+                atol=tolerance,
             )
-        )  # fmt: skip
+        )
         if not found.success:
             raise RuntimeError(found.message)
         return cpu, found.y[:2]
@@ -211,8 +216,14 @@ def by_ida(loop: System, at: dict[str, Any]) -> Callable[[float], Any]:
     rates = np.append(call(0.0, first)[0][:n], np.zeros(m))
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
-        solver = IDA(missed, rtol=tolerance, atol=tolerance, jacfn=linearised,
-                     algebraic_idx=list(range(n, n + m)), max_num_steps=10**6)  # fmt: skip
+        solver = IDA(
+            missed,
+            rtol=tolerance,
+            atol=tolerance,
+            jacfn=linearised,
+            algebraic_idx=list(range(n, n + m)),
+            max_num_steps=10**6,
+        )
         cpu, found = least(lambda: solver.solve(T, first, rates))
         return cpu, found.y.T[:2]
 
@@ -289,13 +300,18 @@ def mujoco(rough: float) -> dict[str, Any]:
     low, relief = float(grid.z.min()), float(np.ptp(grid.z))
     turn = np.array(run["heading"][0])
     placed = {
-        "n": NODES, "half": grid.x[-1] / 2, "relief": relief, "low": low,
-        "x": run["x"][0], "y": run["y"][0], "z": run["z"][0] + 0.003,
+        "n": NODES,
+        "half": grid.x[-1] / 2,
+        "relief": relief,
+        "low": low,
+        "x": run["x"][0],
+        "y": run["y"][0],
+        "z": run["z"][0] + 0.003,
         "quaternion": f"{np.cos(turn / 2)} 0 0 {np.sin(turn / 2)}",
         "rear": WHEEL.format(name="right", at="1 -0.5 0")
         + WHEEL.format(name="left", at="-1 -0.5 0"),
         "front": WHEEL.format(name="front", at="0 0 0"),
-    }  # fmt: skip
+    }
 
     def drive(step: float) -> tuple[float, np.ndarray]:
         model = mj.MjModel.from_xml_string(BODY.format(step=step, **placed))
@@ -392,8 +408,9 @@ def measured(rough: float) -> dict[str, Line]:
         least = at_error(lines[own], level)
         others = ", ".join(
             f"{name} {beside(at_error(line, level) / least)}"
-            for name, line in lines.items() if name not in OURS
-        )  # fmt: skip
+            for name, line in lines.items()
+            if name not in OURS
+        )
         print(f"at an error of {level:.0e} m: {own} {least:.2f} ms/m; {others}")
     print(
         f"MuJoCo, at its smallest step, ends {gap:.3f} m from ours with the rigid axle", flush=True

@@ -102,9 +102,14 @@ def level(x: Any, _y: Any) -> Any:
 
 
 def planned(
-    terrain: Any, *, vehicle: Any = None, goal: tuple[float, float] = GOAL,
-    rates: tuple[float, float] = STARTS[0], compiled: bool = False, **options: Any,
-) -> tuple[Plan, float]:  # fmt: skip
+    terrain: Any,
+    *,
+    vehicle: Any = None,
+    goal: tuple[float, float] = GOAL,
+    rates: tuple[float, float] = STARTS[0],
+    compiled: bool = False,
+    **options: Any,
+) -> tuple[Plan, float]:
     """Return the plan of the task on a ground, and its wall time. [s].
 
     Inputs are constant on every interval, as the prototype's are, if not asked otherwise.
@@ -117,9 +122,16 @@ def planned(
     given = {"costs": WEIGHTS, "smooth": SMOOTH, "intervals": INTERVALS, "continuous": False}
     begin = time.perf_counter()
     found = plan(
-        dae, start, guess, goal=dict(zip("xy", goal, strict=True)), duration=DURATION,
-        inputs=RATES, limits=STEER, degree=DEGREE, **(given | options),
-    )  # fmt: skip
+        dae,
+        start,
+        guess,
+        goal=dict(zip("xy", goal, strict=True)),
+        duration=DURATION,
+        inputs=RATES,
+        limits=STEER,
+        degree=DEGREE,
+        **(given | options),
+    )
     return found, time.perf_counter() - begin
 
 
@@ -156,8 +168,9 @@ def rows() -> list[Row]:
 def by_plan(found: Plan) -> Drive:
     """Return the way to drive that replays a plan."""
     step = DURATION / INTERVALS / SAMPLES
-    return lambda dae, start, tolerance: rerun(dae, start, found.course, step=step,
-                                               tolerance=tolerance)  # fmt: skip
+    return lambda dae, start, tolerance: rerun(
+        dae, start, found.course, step=step, tolerance=tolerance
+    )
 
 
 def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
@@ -170,8 +183,12 @@ def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
 
 def frictional(creep: float) -> Any:
     """Return the model under traction."""
-    return direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills, mu=MU), slip="traction",
-                             traction=Traction(creep))  # fmt: skip
+    return direct_kinematics(
+        three_wheeler(axle="fixed"),
+        Analytic(hills, mu=MU),
+        slip="traction",
+        traction=Traction(creep),
+    )
 
 
 def by_friction(drive: Drive, creep: float) -> tuple[float, str]:
@@ -198,11 +215,15 @@ def table() -> None:
         run = way.drive(dae, start, TOLERANCE)
         away = 1e3 * np.hypot(run["x"][-1] - GOAL[0], run["y"][-1] - GOAL[1])
         slips[k, 0], (slips[k, 1], why) = rms_slip(run), by_friction(way.drive, CREEP)
-        print(f"{way.words:33}{slips[k, 0]:.2e}  {sliding(run):7.3f}  {effort(run):6.2f}  "
-              f"{away:10.4f}  {cost(way)}  {why or format(slips[k, 1], '.2e')}")  # fmt: skip
+        print(
+            f"{way.words:33}{slips[k, 0]:.2e}  {sliding(run):7.3f}  {effort(run):6.2f}  "
+            f"{away:10.4f}  {cost(way)}  {why or format(slips[k, 1], '.2e')}"
+        )
     ratios = slips[-1] / slips[0]
-    print(f"follow slips {ratios[0]:.1f} times as much as the plan where slip is least, "
-          f"{ratios[1]:.1f} times by traction")  # fmt: skip
+    print(
+        f"follow slips {ratios[0]:.1f} times as much as the plan where slip is least, "
+        f"{ratios[1]:.1f} times by traction"
+    )
     floors(ways[0].drive, dae)
 
 
@@ -222,8 +243,10 @@ def search(found: Plan) -> float:
 
 def floors(drive: Drive, dae: Any) -> None:
     """Print the slip of a plan by traction over the creep, and that of gravity alone."""
-    print("the plan of the first row by traction: rms slip [m/s], and that at rest in its poses, "
-          "by gravity alone")  # fmt: skip
+    print(
+        "the plan of the first row by traction: rms slip [m/s], and that at rest in its poses, "
+        "by gravity alone"
+    )
     run = drive(dae, settle(dae), TOLERANCE)
     for creep in CREEPS:
         slip, why = by_friction(drive, creep)
@@ -232,8 +255,10 @@ def floors(drive: Drive, dae: Any) -> None:
             pose = {name: run[name][k] for name in ("x", "y", "heading", "steer")}
             rest = settle(model, **pose)
             squares.append((rest["slip_along"] ** 2 + rest["slip_across"] ** 2).mean())
-        print(f"  creep {creep:g} m/s: {why or format(slip, '.2e')}, at rest "
-              f"{np.sqrt(np.mean(squares)):.2e}")  # fmt: skip
+        print(
+            f"  creep {creep:g} m/s: {why or format(slip, '.2e')}, at rest "
+            f"{np.sqrt(np.mean(squares)):.2e}"
+        )
 
 
 def prototype() -> None:
@@ -242,9 +267,13 @@ def prototype() -> None:
         print("prototype: it is not beside the project")
         return
     done = subprocess.run(
-        [sys.executable, str(PROTOTYPE), str(INTERVALS)], capture_output=True, text=True,
-        check=True, cwd=PROTOTYPE.parent, timeout=PATIENCE,
-    )  # fmt: skip
+        [sys.executable, str(PROTOTYPE), str(INTERVALS)],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=PROTOTYPE.parent,
+        timeout=PATIENCE,
+    )
     stages = [[float(word) for word in words] for words in LINE.findall(done.stdout)]
     *staged, cold = stages
     total = sum(stage[1] for stage in staged)
@@ -256,16 +285,20 @@ def prototype() -> None:
         measured(words, lab_counts, seconds, part[-1][2:4])
     counts = [stage.iterations for stage in best.stages]
     measured("ours, its weights", counts, ours, [slip, best.costs["effort"]])
-    print(f"the prototype takes {total / ours:.2f} times as long as ours, all stages of both, and "
-          f"{(total + cold[1]) / ours:.2f} times\nif it plans in both ways, as its file does; "
-          f"{to_equal(staged, cold, slip) / ours:.2f} times to our slip within 2 %")  # fmt: skip
+    print(
+        f"the prototype takes {total / ours:.2f} times as long as ours, all stages of both, and "
+        f"{(total + cold[1]) / ours:.2f} times\nif it plans in both ways, as its file does; "
+        f"{to_equal(staged, cold, slip) / ours:.2f} times to our slip within 2 %"
+    )
 
 
 def measured(words: str, counts: list[int], seconds: float, reached: list[float]) -> None:
     """Print what a search took and reached."""
-    print(f"{words:22}{'+'.join(map(str, counts)):18} {seconds:7.2f}  "
-          f"{1e3 * seconds / sum(counts):7.1f}  {reached[0]:.2e}        "
-          f"{reached[1]:.2f}")  # fmt: skip
+    print(
+        f"{words:22}{'+'.join(map(str, counts)):18} {seconds:7.2f}  "
+        f"{1e3 * seconds / sum(counts):7.1f}  {reached[0]:.2e}        "
+        f"{reached[1]:.2f}"
+    )
 
 
 def to_equal(staged: list[list[float]], cold: list[float], slip: float) -> float:
@@ -279,29 +312,38 @@ def grown(intervals: int) -> dict[str, float]:
     """Return what a plan on a number of intervals took."""
     found, seconds = planned(Analytic(hills), costs=EASY, intervals=intervals, compiled=True)
     count = sum(stage.iterations for stage in found.stages)
-    parts = {part: 1e3 * sum(stage.seconds[part] for stage in found.stages) / count
-             for part in ("functions", "rest")}  # fmt: skip
+    parts = {
+        part: 1e3 * sum(stage.seconds[part] for stage in found.stages) / count
+        for part in ("functions", "rest")
+    }
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {
-        "unknowns": found.program.scale.size, "rows": found.program.g_lower.size,
-        "iterations": count, "outside": seconds - search(found), "peak": peak,
-        "success": found.success, **parts,
-    }  # fmt: skip
+        "unknowns": found.program.scale.size,
+        "rows": found.program.g_lower.size,
+        "iterations": count,
+        "outside": seconds - search(found),
+        "peak": peak,
+        "success": found.success,
+        **parts,
+    }
 
 
 def called(ground: str, intervals: int, *, compiled: bool) -> dict[str, Any]:
     """Return what a plan of continuous inputs took, as it is called."""
     terrain = Analytic(hills) if ground == "hills" else Bicubic(surface())
     found, seconds = planned(terrain, intervals=intervals, continuous=True, compiled=compiled)
-    parts = {part: sum(stage.seconds[part] for stage in found.stages)
-             for part in ("functions", "total")}  # fmt: skip
+    parts = {
+        part: sum(stage.seconds[part] for stage in found.stages) for part in ("functions", "total")
+    }
     begin = time.perf_counter()
     transcribe(found.program.task, found.program.mesh)
     return {
-        "iterations": "+".join(str(stage.iterations) for stage in found.stages), **parts,
-        "seconds": seconds, "build": time.perf_counter() - begin,
+        "iterations": "+".join(str(stage.iterations) for stage in found.stages),
+        **parts,
+        "seconds": seconds,
+        "build": time.perf_counter() - begin,
         "compiled": found.program.compiled,
-    }  # fmt: skip
+    }
 
 
 def calls() -> None:
@@ -319,20 +361,25 @@ def calls() -> None:
                     print(f"{ground:5} {intervals:4} {words:25} {found}")
                     continue
                 rest = found["seconds"] - found["total"] - found["build"]
-                print(f"{ground:5} {intervals:4} {words:25} {found['iterations']:10}  "
-                      f"{found['seconds']:5.2f}  {found['total']:5.2f}  "
-                      f"{100 * found['functions'] / found['total']:7.0f} %  "
-                      f"{found['build']:8.2f}  {rest:5.2f}", flush=True)  # fmt: skip
+                print(
+                    f"{ground:5} {intervals:4} {words:25} {found['iterations']:10}  "
+                    f"{found['seconds']:5.2f}  {found['total']:5.2f}  "
+                    f"{100 * found['functions'] / found['total']:7.0f} %  "
+                    f"{found['build']:8.2f}  {rest:5.2f}",
+                    flush=True,
+                )
             shutil.rmtree(folder)
     os.environ.pop(FOLDER)
 
 
 def growth() -> None:
     """Print time and memory of an iteration over the number of intervals."""
-    print("intervals  unknowns  rows    iterations  functions  linear solver and rest  all   "
-          "outside  peak\n"
-          "                                         [ms an iteration]                       "
-          "[s]      [MB]")  # fmt: skip
+    print(
+        "intervals  unknowns  rows    iterations  functions  linear solver and rest  all   "
+        "outside  peak\n"
+        "                                         [ms an iteration]                       "
+        "[s]      [MB]"
+    )
     sizes, times = [], []
     for size in SIZES:
         found = apart("growth", str(size))
@@ -343,9 +390,11 @@ def growth() -> None:
         sizes.append(size)
         times.append(each)
         mark = "" if found["success"] else "  not solved"
-        print(f"{size:9}  {found['unknowns']:8}  {found['rows']:6}  {found['iterations']:10}  "
-              f"{found['functions']:9.1f}  {found['rest']:22.1f}  {each:5.1f}  "
-              f"{found['outside']:6.1f}  {found['peak']:6.0f}{mark}")  # fmt: skip
+        print(
+            f"{size:9}  {found['unknowns']:8}  {found['rows']:6}  {found['iterations']:10}  "
+            f"{found['functions']:9.1f}  {found['rest']:22.1f}  {each:5.1f}  "
+            f"{found['outside']:6.1f}  {found['peak']:6.0f}{mark}"
+        )
     slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
     print(f"time of an iteration grows with the intervals to the power {slope:.2f}")
 
@@ -361,10 +410,14 @@ def warm() -> None:
         ("60 intervals", GOAL, 60),
     ):
         cold, resumed = (
-            sum(stage.iterations for stage in planned(
-                Analytic(hills), goal=goal, intervals=intervals, resume=former)[0].stages)
+            sum(
+                stage.iterations
+                for stage in planned(
+                    Analytic(hills), goal=goal, intervals=intervals, resume=former
+                )[0].stages
+            )
             for former in (None, first.saved)
-        )  # fmt: skip
+        )
         print(f"{words:46} {cold:16}  {resumed:13}")
 
 
@@ -372,15 +425,21 @@ def ramp() -> None:
     """Print the climb of a ramp of 20 degrees with a coefficient of friction of 0.5."""
     flat, law = test_climb.model("least"), test_climb.model("traction")
     places = [settle(flat, x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
-    best = [best_utilisation(test_climb.VEHICLE, test_climb.GROUND, place)["utilisation_best"][0]
-            for place in places]  # fmt: skip
+    best = [
+        best_utilisation(test_climb.VEHICLE, test_climb.GROUND, place)["utilisation_best"][0]
+        for place in places
+    ]
     print(
         f"straight up: friction needed over that of the ground, load-weighted "
         f"{max(place['utilisation'].max() for place in places):.3f}, at best {max(best):.3f}"
     )
     task = test_climb.Task(test_climb.START, test_climb.GOAL, test_climb.DURATION, 24, 3)
-    for words, ways in (("straight", (0.0,)), ("bow to the right", (2.0,)),
-                        ("bow to the left", (-2.0,)), ("all three", (0.0, 2.0, -2.0))):  # fmt: skip
+    for words, ways in (
+        ("straight", (0.0,)),
+        ("bow to the right", (2.0,)),
+        ("bow to the left", (-2.0,)),
+        ("all three", (0.0, 2.0, -2.0)),
+    ):
         begin = time.perf_counter()
         found = test_climb.planned(task, [test_climb.bow(way) for way in ways])
         seconds, run = time.perf_counter() - begin, found.run
@@ -431,13 +490,21 @@ class StockMap(Stock):
 
 def plain(hessian: str) -> dict[str, Any]:
     """Return what the plain way takes on the task, on the map."""
-    dae = direct_kinematics(three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0),
-                            StockMap(surface()))  # fmt: skip
+    dae = direct_kinematics(
+        three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0), StockMap(surface())
+    )
     opti, slips = written(dae, ca.collocation_points(DEGREE, "radau"))
-    opti.solver("ipopt", {"print_time": False}, {
-        "print_level": 0, "sb": "yes", "max_iter": MOST, "max_wall_time": 0.75 * PATIENCE,
-        "hessian_approximation": hessian,
-    })  # fmt: skip
+    opti.solver(
+        "ipopt",
+        {"print_time": False},
+        {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": MOST,
+            "max_wall_time": 0.75 * PATIENCE,
+            "hessian_approximation": hessian,
+        },
+    )
     begin = time.perf_counter()
     with contextlib.suppress(RuntimeError):  # what was reached is looked at below
         opti.solve_limited()
@@ -448,8 +515,12 @@ def plain(hessian: str) -> dict[str, Any]:
 
 def report(status: str, iterations: int, seconds: float, integral: float) -> dict[str, Any]:
     """Return what is printed of a way to plan; the slip is that at the points of collocation."""
-    return {"status": status, "iterations": iterations, "seconds": seconds,
-            "slip": float(np.sqrt(integral / DURATION / 3))}  # fmt: skip
+    return {
+        "status": status,
+        "iterations": iterations,
+        "seconds": seconds,
+        "slip": float(np.sqrt(integral / DURATION / 3)),
+    }
 
 
 def written(dae: Any, points: list[float]) -> tuple[ca.Opti, ca.MX]:
@@ -471,8 +542,9 @@ def written(dae: Any, points: list[float]) -> tuple[ca.Opti, ca.MX]:
             opti.subject_to(alg == 0)
             slips += h * weights[j] * square
     change = ca.sumsqr(inputs[:, 1:] - inputs[:, :-1]) / h
-    opti.minimize(WEIGHTS["slip"] * slips + WEIGHTS["effort"] * h * ca.sumsqr(inputs)
-                  + SMOOTH * change)  # fmt: skip
+    opti.minimize(
+        WEIGHTS["slip"] * slips + WEIGHTS["effort"] * h * ca.sumsqr(inputs) + SMOOTH * change
+    )
     opti.subject_to(opti.bounded(-2, inputs, 2))
     opti.subject_to(opti.bounded(-1, states[3, 1:], 1))
     opti.subject_to(states[:2, -1] == ca.DM(GOAL))
@@ -485,8 +557,12 @@ def guessed(dae: Any, opti: ca.Opti, unknowns: tuple[ca.MX, ca.MX, ca.MX], point
     nodes = (np.arange(INTERVALS)[:, None] + np.array(points)).ravel() / INTERVALS
     start, right_left = settle(dae), STARTS[0]
     given = (*right_left, 0.0)
-    run = simulate(dae, start, dae.inputs(**dict(zip(RATES, given, strict=True))),
-                   np.concatenate([[0.0], DURATION * nodes]))  # fmt: skip
+    run = simulate(
+        dae,
+        start,
+        dae.inputs(**dict(zip(RATES, given, strict=True))),
+        np.concatenate([[0.0], DURATION * nodes]),
+    )
     states, algebraic, inputs = unknowns
     opti.subject_to(states[:, 0] == dae.rows("x", run, 0))
     count = range(run.t.size)
@@ -497,8 +573,9 @@ def guessed(dae: Any, opti: ca.Opti, unknowns: tuple[ca.MX, ca.MX, ca.MX], point
 
 def ours() -> dict[str, Any]:
     """Return what our way takes on the task, on the map."""
-    found, _ = planned(Bicubic(surface()),
-                       vehicle=three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0))  # fmt: skip
+    found, _ = planned(
+        Bicubic(surface()), vehicle=three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0)
+    )
     count = sum(stage.iterations for stage in found.stages)
     return report(found.stages[-1].status, count, search(found), found.costs["slip"])
 
@@ -506,8 +583,10 @@ def ours() -> dict[str, Any]:
 def beside() -> None:
     """Print the plain way beside ours."""
     print(f"on a map of {SPACING} m, at most {MOST} iterations of the plain way")
-    print("                                     status                       iterations  "
-          "ms each  seconds  rms slip at the points [m/s]")  # fmt: skip
+    print(
+        "                                     status                       iterations  "
+        "ms each  seconds  rms slip at the points [m/s]"
+    )
     each, totals = [], []
     for words, arguments in (
         ("ours, bicubic, in stages", ("ours",)),
@@ -520,11 +599,15 @@ def beside() -> None:
             continue
         each.append(1e3 * found["seconds"] / max(found["iterations"], 1))
         totals.append(found["seconds"])
-        print(f"{words:36} {found['status']:28} {found['iterations']:10}  {each[-1]:7.1f}  "
-              f"{found['seconds']:7.1f}  {found['slip']:.2e}")  # fmt: skip
+        print(
+            f"{words:36} {found['status']:28} {found['iterations']:10}  {each[-1]:7.1f}  "
+            f"{found['seconds']:7.1f}  {found['slip']:.2e}"
+        )
     if len(each) == 3:
-        print(f"with the exact Hessian the plain way takes {each[2] / each[0]:.1f} times as long "
-              f"an iteration, {totals[2] / totals[0]:.1f} times in all")  # fmt: skip
+        print(
+            f"with the exact Hessian the plain way takes {each[2] / each[0]:.1f} times as long "
+            f"an iteration, {totals[2] / totals[0]:.1f} times in all"
+        )
 
 
 def main() -> None:

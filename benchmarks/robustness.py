@@ -125,8 +125,9 @@ def table(found: list[dict[str, Any]]) -> None:
         print(f"{ground:9}" + "".join(f"{grounds[ground, kind]:10}" for kind in kinds))
     print("\nmeasure                     runs    median   largest  seed")
     for name in sorted({name for each in found for name in each["measures"]}):
-        values = [(each["measures"][name], each["seed"]) for each in found
-                  if name in each["measures"]]  # fmt: skip
+        values = [
+            (each["measures"][name], each["seed"]) for each in found if name in each["measures"]
+        ]
         middle, (most, seed) = float(np.median([value for value, _ in values])), max(values)
         print(f"{name:26} {len(values):5} {middle:9.1e} {most:9.1e} {seed:5}")
     bad = [each for each in found if each["faults"]]

@@ -63,16 +63,20 @@ WEIGHTS = {"slip": 100.0, "effort": 0.01}
 def quickest(*tasks: Callable[[], Trajectory]) -> list[Trajectory]:
     """Return the run of least CPU of each task, of several that are made in turn."""
     runs = [[task() for task in tasks] for _ in range(TURNS)]
-    return [min(each, key=lambda run: run.statistics["cpu_seconds"])
-            for each in zip(*runs, strict=True)]  # fmt: skip
+    return [
+        min(each, key=lambda run: run.statistics["cpu_seconds"]) for each in zip(*runs, strict=True)
+    ]
 
 
 def cost(run: Trajectory, short: Trajectory) -> str:
     """Return what a run takes in all, and on its way: more than one a tenth as long."""
     cpu = run.statistics["cpu_seconds"]
     way = (cpu - short.statistics["cpu_seconds"]) / 0.9
-    told = (f"{1e3 * way:.1f} ms, {run.t[-1] / way:.0f} times real time" if way > TOLD else
-            f"below {1e3 * TOLD:g} ms")  # fmt: skip
+    told = (
+        f"{1e3 * way:.1f} ms, {run.t[-1] / way:.0f} times real time"
+        if way > TOLD
+        else f"below {1e3 * TOLD:g} ms"
+    )
     return f"{run.statistics['steps']:.0f} steps, {1e3 * cpu:.0f} ms; the way {told}"
 
 
@@ -100,8 +104,9 @@ def rocky() -> None:
         for tolerance, compiled in product(TOLERANCES, (False, True)):
             model = replace(dae, compiled=compiled)
             drive = partial(simulate, model, start, inputs, tolerance=tolerance)
-            run, short = quickest(*(partial(drive, np.linspace(0, each, 101))
-                                    for each in (10.0, 1.0)))  # fmt: skip
+            run, short = quickest(
+                *(partial(drive, np.linspace(0, each, 101)) for each in (10.0, 1.0))
+            )
             words = "compiled" if compiled else f"{tolerance:.0e}"
             print(f"    {words:8}: error {gap(run, exact):.1e} m, {cost(run, short)}")
 
@@ -127,8 +132,10 @@ def noise() -> None:
             except SlipfreeError as error:
                 told = f"no start: {error}"
             print(f"  {1e3 * size:g} mm, {words:6}: {told}")
-        print(f"    rolling changes heights by {1e3 * felt.largest:.1f} mm at most, rms "
-              f"{1e3 * felt.rms:.2f} mm")  # fmt: skip
+        print(
+            f"    rolling changes heights by {1e3 * felt.largest:.1f} mm at most, rms "
+            f"{1e3 * felt.rms:.2f} mm"
+        )
 
 
 def planned(continuous: bool) -> None:
@@ -149,30 +156,47 @@ def planned(continuous: bool) -> None:
     ]
     begin = time.process_time()
     found = plan(
-        dae, start, guess, goal=GOAL, costs=costs, duration=DURATION, smooth=1e-3,
-        continuous=continuous, intervals=INTERVALS, degree=3, accuracy=1e-2,
+        dae,
+        start,
+        guess,
+        goal=GOAL,
+        costs=costs,
+        duration=DURATION,
+        smooth=1e-3,
+        continuous=continuous,
+        intervals=INTERVALS,
+        degree=3,
+        accuracy=1e-2,
         limits=dict.fromkeys(steering, (-0.8, 0.8)),
         inputs=dict.fromkeys(wheels, (-10.0, 10.0))
         | {f"{name}_rate": (-0.5, 0.5) for name in steering},
-    )  # fmt: skip
+    )
     cpu = time.process_time() - begin
-    below = [motion["center_z"] - Bicubic(rover_ground()).elevation(motion["center_x"],
-             motion["center_y"]) for motion in (found.run, found.replay)]  # fmt: skip
+    below = [
+        motion["center_z"]
+        - Bicubic(rover_ground()).elevation(motion["center_x"], motion["center_y"])
+        for motion in (found.run, found.replay)
+    ]
     rms = np.sqrt(found.costs["slip"] / DURATION / len(vehicle.wheels))
     counts = " + ".join(f"{stage.iterations}" for stage in found.stages)
     seconds = sum(stage.seconds["total"] for stage in found.stages)
-    print(f"  inputs {'continuous' if continuous else 'that jump'}: {counts} iterations in "
-          f"{seconds:.1f} s, {cpu:.1f} s CPU in all; slip {rms:.2e} m/s, effort "
-          f"{found.costs['effort']:.2f}; simulation within "
-          f"{max(found.difference[name] for name in ('x', 'y')):.1e} m; "
-          f"{sum(int((part < 0).sum()) for part in below)} wheels below ground")  # fmt: skip
+    print(
+        f"  inputs {'continuous' if continuous else 'that jump'}: {counts} iterations in "
+        f"{seconds:.1f} s, {cpu:.1f} s CPU in all; slip {rms:.2e} m/s, effort "
+        f"{found.costs['effort']:.2f}; simulation within "
+        f"{max(found.difference[name] for name in ('x', 'y')):.1e} m; "
+        f"{sum(int((part < 0).sum()) for part in below)} wheels below ground"
+    )
 
 
 if __name__ == "__main__":
     heading()
     for words, part in (
-        ("conditions", conditions), ("Rocky 7 on the grid of wmrde", rocky), ("hills", hills),
-        ("noise", noise), ("a plan", lambda: [planned(way) for way in (False, True)]),
-    ):  # fmt: skip
+        ("conditions", conditions),
+        ("Rocky 7 on the grid of wmrde", rocky),
+        ("hills", hills),
+        ("noise", noise),
+        ("a plan", lambda: [planned(way) for way in (False, True)]),
+    ):
         print(words)
         part()

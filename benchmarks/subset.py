@@ -83,8 +83,11 @@ def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, 
     slips = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
     # They are linear, whatever rates their Jacobian is asked for at.
     rates = [pack(direct.z.rates.motion), pack(direct.u)]
-    function = ca.Function("rows", [pack(direct.x), pack(direct.z.position), *rates],
-                           [ca.jacobian(slips, unknown), ca.jacobian(kept, unknown)])  # fmt: skip
+    function = ca.Function(
+        "rows",
+        [pack(direct.x), pack(direct.z.position), *rates],
+        [ca.jacobian(slips, unknown), ca.jacobian(kept, unknown)],
+    )
     pose = direct.rows("z", stand, -1)[: len(list(leaves(direct.z.position)))]
     a, c = (np.array(part) for part in function(direct.rows("x", stand, -1), pose, 0, 0))
     matrix = np.block([[a.T @ a, c.T], [c, np.zeros((len(c), len(c)))]])
@@ -124,8 +127,10 @@ def in_time(terrain: Terrain) -> None:
     spent = time.process_time() - begin
     begin = time.process_time()
     again = replay(direct, run)
-    print(f"10 s, forward 0.1 m/s, yaw rate 0.05 rad/s: {spent:.2f} s CPU, the direct model alone "
-          f"{time.process_time() - begin:.2f} s")  # fmt: skip
+    print(
+        f"10 s, forward 0.1 m/s, yaw rate 0.05 rad/s: {spent:.2f} s CPU, the direct model alone "
+        f"{time.process_time() - begin:.2f} s"
+    )
     total = np.sqrt(np.mean(run["slip_along"] ** 2 + run["slip_across"] ** 2))
     off = max(np.abs(run[name]).max() for name in errors)
     print(f"slip {total:.1e} m/s rms a wheel; steering off by {off:.1e} rad at most")

@@ -31,9 +31,19 @@ TICK = 0.02  # between two looks at the log [s]
 def command(folder: Path, processes: int, runs: int) -> list[str]:
     """Return the command of the sweep."""
     return [
-        sys.executable, "-m", "slipfree", "sweep", str(PROBLEM), "--repeat", str(runs),
-        "--processes", str(processes), "--no-draw", "-o", str(folder),
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "slipfree",
+        "sweep",
+        str(PROBLEM),
+        "--repeat",
+        str(runs),
+        "--processes",
+        str(processes),
+        "--no-draw",
+        "-o",
+        str(folder),
+    ]
 
 
 def rows(folder: Path) -> list[dict[str, object]]:

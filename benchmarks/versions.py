@@ -334,13 +334,17 @@ def run_problems(out: Path, only: list[str], *, compiled: bool) -> None:
         begin = time.perf_counter()
         done = subprocess.run(
             [*command, "--no-draw", "-o", str(out / f"{name}.nc"), *more],
-            check=False, capture_output=True, text=True,
-        )  # fmt: skip
+            check=False,
+            capture_output=True,
+            text=True,
+        )
         if done.returncode == 2 and more:  # a step climber, which is not compiled
             done = subprocess.run(
                 [*command, "--no-draw", "-o", str(out / f"{name}.nc")],
-                check=False, capture_output=True, text=True,
-            )  # fmt: skip
+                check=False,
+                capture_output=True,
+                text=True,
+            )
         seconds = time.perf_counter() - begin
         print(f"{name:22} exit code {done.returncode}, {seconds:6.1f} s", flush=True)
 

@@ -193,8 +193,10 @@ def measure(name: str, drive: Drive) -> tuple[dict[tuple[str, str], list[Point]]
         for kind in INTEGRATORS:
             points = lines[formulation, kind] = line(kind, dae, drive, stand, exact)
             for p in points:
-                print(f"{formulation:16} {kind:10} {p.tolerance:7.0e} {p.steps:6.0f} "
-                      f"{1e3 * p.cpu / metres:9.2f}  {p.error:.1e}")  # fmt: skip
+                print(
+                    f"{formulation:16} {kind:10} {p.tolerance:7.0e} {p.steps:6.0f} "
+                    f"{1e3 * p.cpu / metres:9.2f}  {p.error:.1e}"
+                )
     return lines, metres
 
 

@@ -210,10 +210,12 @@ class Dae(Generic[X, Z, Q, U, Y]):
     def sizes(self) -> Sizes:
         """Units in which the solvers count the states, the unknowns and the residuals."""
         labels = self.labels
-        return Sizes(*(
-            np.array([self.size_of(label) for label in leaves(record)])
-            for record in (labels.x, labels.z, labels.alg)
-        ))  # fmt: skip
+        return Sizes(
+            *(
+                np.array([self.size_of(label) for label in leaves(record)])
+                for record in (labels.x, labels.z, labels.alg)
+            )
+        )
 
     def size_of(self, label: Label) -> float:
         """Return the unit in which the solvers count a quantity, in the label's unit."""
@@ -277,8 +279,9 @@ class Dae(Generic[X, Z, Q, U, Y]):
         """
         found, known = [], set()
         for record in ("x", "z", "u", "y"):
-            pairs = zip(leaves(getattr(self.labels, record)), leaves(getattr(self, record)),
-                        strict=True)  # fmt: skip
+            pairs = zip(
+                leaves(getattr(self.labels, record)), leaves(getattr(self, record)), strict=True
+            )
             for label, expression in pairs:
                 known.add(label.name)
                 if name in (label.name, label.full):

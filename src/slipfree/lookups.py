@@ -164,9 +164,12 @@ def _stages(lookups: Sequence[Lookup]) -> Iterator[range]:
 
 
 def lookup_function(
-    lookups: Sequence[Lookup], name: str, symbols: Sequence[ca.SX], expressions: Sequence[ca.SX],
+    lookups: Sequence[Lookup],
+    name: str,
+    symbols: Sequence[ca.SX],
+    expressions: Sequence[ca.SX],
     options: dict[str, Any] | None = None,
-) -> ca.Function:  # fmt: skip
+) -> ca.Function:
     """Return expressions as a function that looks up what they need.
 
     Parameters

@@ -55,10 +55,20 @@ def test_run_writes_the_result_and_draws(folder: Path) -> None:
     result = _invoke("run", "p.toml")
     assert result.exit_code == 0, result.output
     for words in (
-        "ground height ", "three_wheeler: right 0.3 m driven", "path length ", "end place ",
-        "a lower bound, not a prediction", "wheel front", "closure residual", "x the tolerance",
-        "certificate  ", "; a sample every ", "steps, ", "reached the time asked for", "wrote p.nc",
-    ):  # fmt: skip
+        "ground height ",
+        "three_wheeler: right 0.3 m driven",
+        "path length ",
+        "end place ",
+        "a lower bound, not a prediction",
+        "wheel front",
+        "closure residual",
+        "x the tolerance",
+        "certificate  ",
+        "; a sample every ",
+        "steps, ",
+        "reached the time asked for",
+        "wrote p.nc",
+    ):
         assert words in result.stdout, words
     motion = netcdf.read("p.nc")
     assert motion.t[-1] == 0.5
@@ -284,8 +294,9 @@ def test_formulations_agree_at_the_shell() -> None:
     result = _invoke("run", "p.toml", "--no-draw", "--cross-check", "--set", "time.duration=0.5")
     assert result.exit_code == 0
     assert "largest differences from formulation = 'montana'" in result.stdout
-    montana = _invoke("run", "p.toml", "--no-draw", "--set", "formulation=montana",
-                      "--set", "time.duration=0.5")  # fmt: skip
+    montana = _invoke(
+        "run", "p.toml", "--no-draw", "--set", "formulation=montana", "--set", "time.duration=0.5"
+    )
     assert montana.exit_code == 0
     assert "drift of the assembly" in montana.stdout
 

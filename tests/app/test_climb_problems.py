@@ -103,12 +103,16 @@ def test_run_tells_and_keeps_what_matters():
     result = _invoke("run", RAMP_FILE, "--no-draw", "-o", "r.nc", "--csv", "r.csv")
     assert result.exit_code == 0, result.output
     for words in (
-        "profile                  ramp of 45 degrees, 0.09 m high", "climbs: at t = 2.86 s",
+        "profile                  ramp of 45 degrees, 0.09 m high",
+        "climbs: at t = 2.86 s",
         "t = 0.150 to 2.958 s: from 50 ms before the front wheels first touch more",
         "  slip, eq. (20)         front 6.1 %, middle 3.2 %, rear 4.7 %; mean 4.6 %",
-        "needs a coefficient of 0.323, where the middle wheels climb", "there is 0.4 at rest",
-        "x real time", "balance within", "wrote r.nc, r.csv",
-    ):  # fmt: skip
+        "needs a coefficient of 0.323, where the middle wheels climb",
+        "there is 0.4 at rest",
+        "x real time",
+        "balance within",
+        "wrote r.nc, r.csv",
+    ):
         assert words in result.output, words
     kept = read_result("r.nc")
     assert kept.wheels == AXLES
@@ -126,8 +130,17 @@ def test_what_does_not_climb_is_told():
     assert result.exit_code == 0  # the motion is whole
     assert "stalls: from t = 0.2" in result.output
     assert "needs a coefficient of 0.711" in result.output
-    result = _invoke("run", STEP_FILE, "--no-draw", "--set", "profile.step.height=0.3",
-                     "--set", "friction.static=2", "--set", "friction.kinetic=2")  # fmt: skip
+    result = _invoke(
+        "run",
+        STEP_FILE,
+        "--no-draw",
+        "--set",
+        "profile.step.height=0.3",
+        "--set",
+        "friction.static=2",
+        "--set",
+        "friction.kinetic=2",
+    )
     assert result.exit_code == 1
     assert "tips over: at t = 1." in result.output
     assert "climb: the vehicle gets stuck with the front wheels climbing" in result.output
@@ -162,10 +175,18 @@ def test_solids_here_and_in_a_file_are_a_step(folder):
 
 
 def test_what_the_vehicle_s_table_replaces():
-    setup = build_climb(read(STEP_FILE, [
-        "vehicle.joint=0.06", "vehicle.radius=0.07", "vehicle.rear_body={mass=10, above=0}",
-        "vehicle.front={wheels=4}", "vehicle.torque=",
-    ]))  # fmt: skip
+    setup = build_climb(
+        read(
+            STEP_FILE,
+            [
+                "vehicle.joint=0.06",
+                "vehicle.radius=0.07",
+                "vehicle.rear_body={mass=10, above=0}",
+                "vehicle.front={wheels=4}",
+                "vehicle.torque=",
+            ],
+        )
+    )
     plain = seven_wheels(0.06)
     assert setup.climber.radius == 0.07
     assert setup.climber.torque == math.inf
@@ -228,20 +249,25 @@ def test_a_plan_climbs_where_references_do_not(tmp_path):
 def test_there_is_no_plan_without_enough_friction():
     result = _invoke("run", PLAN_FILE, "--no-draw", "--set", "plan.friction=0.6")
     assert result.exit_code == 1
-    assert ("plan, leg 3, on which the rear wheels climb: needs a coefficient of friction of at "
-            "least 0.67") in result.stderr  # fmt: skip
+    assert (
+        "plan, leg 3, on which the rear wheels climb: needs a coefficient of friction of at "
+        "least 0.67"
+    ) in result.stderr
 
 
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
         ("plan.friction=2", "--set plan.friction: expected at most friction.static, 0.75, found 2"),
-        ("control.law=fixed", "--set control.law: expected speed and proportional alone beside "
-         "[plan], which is tracked, found fixed"),
+        (
+            "control.law=fixed",
+            "--set control.law: expected speed and proportional alone beside "
+            "[plan], which is tracked, found fixed",
+        ),
         ("plan.cost=fee", "--set plan.cost: expected 'time', 'friction' or 'slip', found 'fee'"),
         ("plan.nodes=19", "--set plan.nodes: expected a number of at least 20, found 19"),
     ],
-)  # fmt: skip
+)
 def test_plans_that_cannot_be(setting, words):
     with pytest.raises(ProblemError) as caught:
         build_climb(read(PLAN_FILE, [setting]))
@@ -261,61 +287,136 @@ def test_the_least_friction_takes_no_coefficient():
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[2, 0.09], [0, 0.09]", "[1, -0.5], [2, 0.09], [0, 0.09]",
-         "p.toml:6: profile.solids[1]: solid: not convex at point 2"),
-        ("[2, -1], [2, 0.09]", "[2, 0.09], [2, -1]",
-         "p.toml:6: profile.solids[1]: solid: not convex at point"),  # two faces cross
-        ("[[0, -1], [2, -1], [2, 0.09], [0, 0.09]]",
-         "[[0, 1], [0.6, -0.8], [-1, 0.3], [1, 0.3], [-0.6, -0.8]]",
-         "p.toml:6: profile.solids[1]: solid: its faces cross one another"),
+        (
+            "[2, 0.09], [0, 0.09]",
+            "[1, -0.5], [2, 0.09], [0, 0.09]",
+            "p.toml:6: profile.solids[1]: solid: not convex at point 2",
+        ),
+        (
+            "[2, -1], [2, 0.09]",
+            "[2, 0.09], [2, -1]",
+            "p.toml:6: profile.solids[1]: solid: not convex at point",
+        ),  # two faces cross
+        (
+            "[[0, -1], [2, -1], [2, 0.09], [0, 0.09]]",
+            "[[0, 1], [0.6, -0.8], [-1, 0.3], [1, 0.3], [-0.6, -0.8]]",
+            "p.toml:6: profile.solids[1]: solid: its faces cross one another",
+        ),
         ("[2, 0.09], [0, 0.09]", "[2, -1]", "p.toml:6: profile.solids[1]: solid: points 1 and 2"),
-        ("mass = 13.8", "mass = -1", "p.toml:14: vehicle.rear_body.mass: expected a number greater "
-         "than 0, found -1"),
-        ("static = 0.9", "static = 0", "p.toml:17: friction.static: expected a number greater "
-         "than 0, found 0"),
-        ("kinetic = 0.675", "kinetic = 1", "p.toml:16: friction: contact: expected damping from 0 "
-         "on and static friction not below the dynamic one"),
-        ("speed = 0.25", "speed = 0.25\nperiod = 0.005", "p.toml:22: control.period: period: "
-         "expected a time between 0 and 0.0025 s = 2 J / (n kp), at which the rear axle"),
-        ("speed = 0.25", "speed = 0.25\nperiod = 0.0015", "p.toml:29: time.step: expected a "
-         "multiple of control.period, 0.0015 s, found 0.01"),
-        ("speed = 0.25", "speed = 0.25\nperiod = 0.002\n[solver]\nmethod = 'idas'",
-         "p.toml:24: solver.method: expected 'cvodes' for a sampled controller, found 'idas'"),
-        ("distance = 0.05", "distance = -0.02", "p.toml:24: start.distance: expected at least 0 m, "
-         "so that the vehicle starts outside of all solids, found -0.02 m: the front wheels, at "
-         "x = -0.046 m, 20 mm inside solid 1"),
-        ("distance = 0.05", "distance = -1", "the front wheels, at x = 0.934 m, 90.4 mm "
-         "inside solid 1"),
+        (
+            "mass = 13.8",
+            "mass = -1",
+            "p.toml:14: vehicle.rear_body.mass: expected a number greater than 0, found -1",
+        ),
+        (
+            "static = 0.9",
+            "static = 0",
+            "p.toml:17: friction.static: expected a number greater than 0, found 0",
+        ),
+        (
+            "kinetic = 0.675",
+            "kinetic = 1",
+            "p.toml:16: friction: contact: expected damping from 0 "
+            "on and static friction not below the dynamic one",
+        ),
+        (
+            "speed = 0.25",
+            "speed = 0.25\nperiod = 0.005",
+            "p.toml:22: control.period: period: "
+            "expected a time between 0 and 0.0025 s = 2 J / (n kp), at which the rear axle",
+        ),
+        (
+            "speed = 0.25",
+            "speed = 0.25\nperiod = 0.0015",
+            "p.toml:29: time.step: expected a multiple of control.period, 0.0015 s, found 0.01",
+        ),
+        (
+            "speed = 0.25",
+            "speed = 0.25\nperiod = 0.002\n[solver]\nmethod = 'idas'",
+            "p.toml:24: solver.method: expected 'cvodes' for a sampled controller, found 'idas'",
+        ),
+        (
+            "distance = 0.05",
+            "distance = -0.02",
+            "p.toml:24: start.distance: expected at least 0 m, "
+            "so that the vehicle starts outside of all solids, found -0.02 m: the front wheels, at "
+            "x = -0.046 m, 20 mm inside solid 1",
+        ),
+        (
+            "distance = 0.05",
+            "distance = -1",
+            "the front wheels, at x = 0.934 m, 90.4 mm inside solid 1",
+        ),
         ("torque = 8", "joint = 0.3", "p.toml:9: vehicle: climber: expected the rear axle behind"),
-        ("[control]", "[contact]\nstiffness = 1e3\n[control]", "p.toml:21: contact.stiffness: "
-         "expected at least 4.69e+04 N/m, so that wheels sink in by 2 mm at most, found 1000"),
-        ("torque = 8", "torque = 8\nradius = 66", "p.toml:9: vehicle: climber: expected a radius "
-         "below the distance of front and rear axle, 0.47 m, found 66 m; in metres?"),
-        ("[2, 0.09], [0, 0.09]]", "[2, 0.09], [0, 0.09]]\nheight = 1",
-         "p.toml:8: profile.solids[1].height: expected one of points, found the unknown key"),
-        ("points = [[0, -1]", "corners = [[0, -1]",
-         "profile.solids[1].points: expected a value, found none"),
-        ("[2, 0.09], [0, 0.09]", "[1e9, 0.09], [0, 0.09]",
-         "p.toml:6: profile.solids[1]: solid: expected points within 10000 m of the origin"),
-        ("speed = 0.25", "speed = 0.25\nintegral = 8000\nperiod = 0.002",
-         "expected a time between 0 and 0.001 s = 2 kp / ki"),
-        ("speed = 0.25", "speed = 0.25\nnoise = { tilt = -1 }",
-         "control.noise.tilt: expected a number of at least 0, found -1"),
-        ("mass = 13.8", "mass = 13.8\nahead = 0.1", "p.toml:9: vehicle: expected centers of mass "
-         "such that all axles bear on a level floor, found -63 N on the rear axle"),
+        (
+            "[control]",
+            "[contact]\nstiffness = 1e3\n[control]",
+            "p.toml:21: contact.stiffness: "
+            "expected at least 4.69e+04 N/m, so that wheels sink in by 2 mm at most, found 1000",
+        ),
+        (
+            "torque = 8",
+            "torque = 8\nradius = 66",
+            "p.toml:9: vehicle: climber: expected a radius "
+            "below the distance of front and rear axle, 0.47 m, found 66 m; in metres?",
+        ),
+        (
+            "[2, 0.09], [0, 0.09]]",
+            "[2, 0.09], [0, 0.09]]\nheight = 1",
+            "p.toml:8: profile.solids[1].height: expected one of points, found the unknown key",
+        ),
+        (
+            "points = [[0, -1]",
+            "corners = [[0, -1]",
+            "profile.solids[1].points: expected a value, found none",
+        ),
+        (
+            "[2, 0.09], [0, 0.09]",
+            "[1e9, 0.09], [0, 0.09]",
+            "p.toml:6: profile.solids[1]: solid: expected points within 10000 m of the origin",
+        ),
+        (
+            "speed = 0.25",
+            "speed = 0.25\nintegral = 8000\nperiod = 0.002",
+            "expected a time between 0 and 0.001 s = 2 kp / ki",
+        ),
+        (
+            "speed = 0.25",
+            "speed = 0.25\nnoise = { tilt = -1 }",
+            "control.noise.tilt: expected a number of at least 0, found -1",
+        ),
+        (
+            "mass = 13.8",
+            "mass = 13.8\nahead = 0.1",
+            "p.toml:9: vehicle: expected centers of mass "
+            "such that all axles bear on a level floor, found -63 N on the rear axle",
+        ),
         ("torque = 8", "torque = 0", "p.toml:11: vehicle.torque: expected a number greater than 0"),
-        ("[5, 0], [-5, 0]", "[5, 0.1], [-5, 0.1]", "p.toml:3: profile: expected the first solid to "
-         "be a floor, level at height 0 under the vehicle, found the front wheels, at x = -0.116 "
-         "m, 100 mm inside it"),
-        ("[2, 0.09], [0, 0.09]", "[2, -0.1], [0, -0.1]", "p.toml:3: profile: profile: expected a "
-         "solid in the way of wheels on the floor"),
-        ("[-5, -1], [5, -1], [5, 0], [-5, 0]", "[-0.2, -1], [5, -1], [5, 0], [-0.2, 0]",
-         "p.toml:3: profile: expected the first solid to be a floor, level at height 0 under the "
-         "vehicle, found the middle wheels, at x = -0.371 m, 118 mm above it"),
-        ('verb = "climb"\n', 'verb = "climb"\nprofile.step = { height = 0.1 }\n',
-         "expected exactly one of ramp, step, kerb, stairs, solids, file, found step and solids"),
+        (
+            "[5, 0], [-5, 0]",
+            "[5, 0.1], [-5, 0.1]",
+            "p.toml:3: profile: expected the first solid to "
+            "be a floor, level at height 0 under the vehicle, found the front wheels, at x = "
+            "-0.116 m, 100 mm inside it",
+        ),
+        (
+            "[2, 0.09], [0, 0.09]",
+            "[2, -0.1], [0, -0.1]",
+            "p.toml:3: profile: profile: expected a solid in the way of wheels on the floor",
+        ),
+        (
+            "[-5, -1], [5, -1], [5, 0], [-5, 0]",
+            "[-0.2, -1], [5, -1], [5, 0], [-0.2, 0]",
+            "p.toml:3: profile: expected the first solid to be a floor, level at height 0 under "
+            "the vehicle, found the middle wheels, at x = -0.371 m, 118 mm above it",
+        ),
+        (
+            'verb = "climb"\n',
+            'verb = "climb"\nprofile.step = { height = 0.1 }\n',
+            "expected exactly one of ramp, step, kerb, stairs, solids, file, found step and solids",
+        ),
     ],
-)  # fmt: skip
+)
 def test_refused_by_name_with_its_bound(old, new, words, tmp_path):
     assert SOLIDS.count(old) == 1, old
     assert words in _faults(tmp_path, SOLIDS.replace(old, new))
@@ -335,20 +436,28 @@ def test_wheels_inside_what_is_behind(tmp_path):
 def test_commands_for_other_problems_say_so():
     path = str(RAMP_FILE)
     for words, expected in (
-        (("check", path, "--set", "control.period=0.005"), "--set control.period: period: expected "
-         "a time between 0 and 0.0025 s"),
+        (
+            ("check", path, "--set", "control.period=0.005"),
+            "--set control.period: period: expected a time between 0 and 0.0025 s",
+        ),
         (("vehicle", path), "use slipfree run"),
         (("run", path, "--cross-check"), "expected 'direct' for --cross-check, found 'climb'"),
         (("run", path, "--animation", "a.mp4"), "a.mp4: expected a name that ends in .gif"),
         (("run", path, "--animation", path), "expected a file of its own"),
-        (("run", str(PROBLEMS / "paper_direct.toml"), "--animation", "a.gif"),
-         "expected 'climb' for --animation, found 'direct'"),
-        (("run", "p.toml", "--set", "profile={file='x.csv'}", "--csv", "x.csv"),
-         "found the input x.csv"),
-        (("check", "p.toml", "--set", "profile={file='x.csv'}"),
-         "--set profile: profile.file: x.csv: expected corners of solids as CSV, found that it "
-         "cannot be read (No such file or directory)"),
-    ):  # fmt: skip
+        (
+            ("run", str(PROBLEMS / "paper_direct.toml"), "--animation", "a.gif"),
+            "expected 'climb' for --animation, found 'direct'",
+        ),
+        (
+            ("run", "p.toml", "--set", "profile={file='x.csv'}", "--csv", "x.csv"),
+            "found the input x.csv",
+        ),
+        (
+            ("check", "p.toml", "--set", "profile={file='x.csv'}"),
+            "--set profile: profile.file: x.csv: expected corners of solids as CSV, found that it "
+            "cannot be read (No such file or directory)",
+        ),
+    ):
         result = _invoke(*words)
         assert result.exit_code == 2, (words, result.output)
         assert expected in result.stderr, words

@@ -109,9 +109,7 @@ def axle_mismatch(run, rates):
     redundant (it may turn about the line of contacts), so one condition on the rates is left.
     """
     heading, roll = run["heading"][0], run["roll"][0]
-    axle = np.array([
-        np.cos(heading) * np.cos(roll), np.sin(heading) * np.cos(roll), -np.sin(roll)
-    ])  # fmt: skip
+    axle = np.array([np.cos(heading) * np.cos(roll), np.sin(heading) * np.cos(roll), -np.sin(roll)])
     rows, spin = [], []
     for wheel, rate in zip(("right", "left"), rates, strict=True):
         contact = np.array([run[f"contact_{a}", wheel][0] for a in "xyz"])

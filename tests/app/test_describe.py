@@ -48,9 +48,13 @@ def test_a_urdf_by_itself_is_drawn_with_what_it_lacks():
 
 @pytest.mark.parametrize(
     ("build", "position", "rates", "weakest"),
-    [(differential_drive, 8, 1.2e3, "caster_angle_rate"), (ackermann, 8, 5e2, "front_left_rate"),
-     (skid_steer, 9, 3e1, "rock_rate"), (rocky7, 30, 8e1, "bogie_left_rate")],
-)  # fmt: skip
+    [
+        (differential_drive, 8, 1.2e3, "caster_angle_rate"),
+        (ackermann, 8, 5e2, "front_left_rate"),
+        (skid_steer, 9, 3e1, "rock_rate"),
+        (rocky7, 30, 8e1, "bogie_left_rate"),
+    ],
+)
 def test_conditions_on_level_ground(build, position, rates, weakest):
     """As measured with another program, to one digit."""
     dae = direct_kinematics(build(), Analytic(lambda x, _: 0 * x))

@@ -160,8 +160,13 @@ def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
 
 @pytest.mark.usefixtures("file")
 def test_no_equilibrium_tells_how_far_a_wheel_leans():
-    settings = ("vehicle.axle=tilting", "terrain.friction=0.2", "inputs.left_rate=0.4",
-                "start.y=-2.5", "time.duration=4")  # fmt: skip
+    settings = (
+        "vehicle.axle=tilting",
+        "terrain.friction=0.2",
+        "inputs.left_rate=0.4",
+        "start.y=-2.5",
+        "time.duration=4",
+    )
     result = called("run", *settings, code=1)
     run = netcdf.read(Path("p.nc"))
     assert run.stop.name == "no_equilibrium"
@@ -175,22 +180,28 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["slip=least", "traction={ creep = 1e-3 }"],
-         "traction: expected slip = 'traction', found 'least'"),
+        (
+            ["slip=least", "traction={ creep = 1e-3 }"],
+            "traction: expected slip = 'traction', found 'least'",
+        ),
         (["terrain.friction="], "p.toml:2: slip: traction: the ground has no friction"),
         (["vehicle.mass=0", "vehicle.wheel_mass=0"], "three_wheeler with fixed axle has no mass"),
         (["traction={ creep = 0.0 }"], "traction.creep: expected a number greater than 0"),
         (["traction={ grip = 1.0 }"], "traction.grip: expected one of creep, reserve"),
         (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
-        (["vehicle.actuated=['tilt_right']"],
-         "expected one of the passive coordinates (there is none), found 'tilt_right'"),
+        (
+            ["vehicle.actuated=['tilt_right']"],
+            "expected one of the passive coordinates (there is none), found 'tilt_right'",
+        ),
         (["vehicle.mass=-1"], "vehicle.mass: expected a number of at least 0, found -1"),
-        (["vehicle.center_of_mass=[0, 0]"],
-         "vehicle.center_of_mass[2]: expected a number, found none"),
+        (
+            ["vehicle.center_of_mass=[0, 0]"],
+            "vehicle.center_of_mass[2]: expected a number, found none",
+        ),
         (["formulation='montana'"], "takes slip = 'least' or 'rolling', found 'traction'"),
         (["terrain.synthetic.ramp.rise=20.0", "start.y=1.5"], "no quasi-static equilibrium"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_told_with_its_place(file, settings, words):
     with pytest.raises(ProblemError) as error:
         build(read(file, settings))
@@ -198,17 +209,27 @@ def test_what_is_wrong_is_told_with_its_place(file, settings, words):
 
 
 def test_springs_masses_and_actuators_reach_the_vehicle(file):
-    settings = ["vehicle.axle=tilting", "vehicle.stiffness=60", "vehicle.damping=5",
-                "vehicle.bump=100", "vehicle.mass=50", "vehicle.center_of_mass=[0, 0.1, 0.2]",
-                "vehicle.wheel_mass=3", "vehicle.grip=0.9"]  # fmt: skip
+    settings = [
+        "vehicle.axle=tilting",
+        "vehicle.stiffness=60",
+        "vehicle.damping=5",
+        "vehicle.bump=100",
+        "vehicle.mass=50",
+        "vehicle.center_of_mass=[0, 0.1, 0.2]",
+        "vehicle.wheel_mass=3",
+        "vehicle.grip=0.9",
+    ]
     vehicle = build(read(file, settings)).vehicle
     tilt = vehicle.of("passive")[0]
     assert (tilt.stiffness, tilt.damping, tilt.bump) == (60, 5, 100)
     assert (vehicle.body.mass, vehicle.body.at) == (50, (0, 0.1, 0.2))
     assert {(w.mass, w.grip) for w in vehicle.wheels} == {(3, 0.9)}
-    settings = ["vehicle.axle=tilting", "vehicle.actuated=['tilt_right', 'tilt_left']",
-                "inputs={ right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0, "
-                "tilt_right_rate = 0.0, tilt_left_rate = 0.0 }"]  # fmt: skip
+    settings = [
+        "vehicle.axle=tilting",
+        "vehicle.actuated=['tilt_right', 'tilt_left']",
+        "inputs={ right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0, "
+        "tilt_right_rate = 0.0, tilt_left_rate = 0.0 }",
+    ]
     motion = run(read(file, settings)).trajectory
     assert np.abs(motion["tilt_right"]).max() < 1e-12
     assert np.abs(motion["tilt_right_torque"]).max() > 0

@@ -91,10 +91,17 @@ def test_given_rates(folder: Path) -> None:
     result = _invoke("run", "p.toml", "--csv", "p.csv")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     for words in (
-        "driven by  ", "velocity_x 0.01255 m/s, velocity_y 0.12865 m/s, heading_rate 0.0159 rad/s",
-        "the steering angle is unknown", "rate of wheel right ", "rad/s at the end", "margin ",
-        "steering angle ", "steering slip ", "reached the time asked for", "drew ",
-    ):  # fmt: skip
+        "driven by  ",
+        "velocity_x 0.01255 m/s, velocity_y 0.12865 m/s, heading_rate 0.0159 rad/s",
+        "the steering angle is unknown",
+        "rate of wheel right ",
+        "rad/s at the end",
+        "margin ",
+        "steering angle ",
+        "steering slip ",
+        "reached the time asked for",
+        "drew ",
+    ):
         assert words in result.stdout, words
     motion = netcdf.read("p.nc")
     assert_allclose(motion["x"][-1], 0.5 * 0.01255, atol=1e-9)
@@ -138,8 +145,12 @@ def test_check_and_vehicle() -> None:
 def test_along_a_path(folder: Path, file: str) -> None:
     result = _invoke("run", file, "--no-draw", *_set("time.duration=1", LOOSE, RIDGES))
     assert (result.exit_code, result.stderr) == (0, ""), result.output
-    for words in ("path of 6 way-points in 5 s", "collocation ", "replay by the direct model  ",
-                  "differs by at most x "):  # fmt: skip
+    for words in (
+        "path of 6 way-points in 5 s",
+        "collocation ",
+        "replay by the direct model  ",
+        "differs by at most x ",
+    ):
         assert words in result.stdout, words
     motion = netcdf.read(folder / file.replace("toml", "nc"))
     assert_allclose(motion["y"], 0.135 * motion.t, atol=1e-6)
@@ -237,33 +248,50 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["given.heading_rate="], "p.toml:14: given: expected three rates of the platform, found "
-         "2: velocity_x, velocity_y"),
+        (
+            ["given.heading_rate="],
+            "p.toml:14: given: expected three rates of the platform, found "
+            "2: velocity_x, velocity_y",
+        ),
         (["given={}"], "--set given: expected three rates of the platform, found 0"),
-        (["given.velocity_x=", "given.velocity_u=1"], "--set given.velocity_u: expected one of "
-         "velocity_x, velocity_y, velocity_z, omega_x, omega_y, omega_z, heading_rate, roll_rate, "
-         "pitch_rate, forward, right, yaw_rate, found the unknown key 'velocity_u'; did you mean "
-         "'velocity_"),
-        (["given.velocity_x=", "given.omega_x=0"], "given: expected some of omega_x, omega_y, "
-         "omega_z or some of heading_rate, roll_rate, pitch_rate, not of both, found heading_rate, "
-         "omega_x"),
+        (
+            ["given.velocity_x=", "given.velocity_u=1"],
+            "--set given.velocity_u: expected one of "
+            "velocity_x, velocity_y, velocity_z, omega_x, omega_y, omega_z, heading_rate, "
+            "roll_rate, pitch_rate, forward, right, yaw_rate, found the unknown key "
+            "'velocity_u'; did you "
+            "mean 'velocity_",
+        ),
+        (
+            ["given.velocity_x=", "given.omega_x=0"],
+            "given: expected some of omega_x, omega_y, "
+            "omega_z or some of heading_rate, roll_rate, pitch_rate, not of both, found "
+            "heading_rate, omega_x",
+        ),
         (["given.velocity_x=[[0, 1]]"], "--set given.velocity_x: expected a number, found"),
-        (["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"], "given: the "
-         "model is singular here: nothing determines steer (steering angle"),
+        (
+            ["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"],
+            "given: the model is singular here: nothing determines steer (steering angle",
+        ),
         (["path.file=way.csv"], "expected exactly one of given, path, found given and path"),
         (["given="], "p.toml:1: expected exactly one of given, path, found none"),
         (["steering=torque"], "--set steering: expected 'rate' or 'angle', found 'torque'"),
-        (["steering=rate"], "p.toml:14: given: the model is singular here: nothing determines "
-         "steer_rate"),
+        (
+            ["steering=rate"],
+            "p.toml:14: given: the model is singular here: nothing determines steer_rate",
+        ),
         (["vehicle.axle=fixed"], "axle cannot roll without slip, as inverse"),
         (["vehicle.axle=prismatic"], "axle cannot roll without slip, as inverse"),
         (["start.sail=1"], "--set start.sail: expected one of x, y, heading, tilt_right"),
         (["inputs.right_rate=1"], "--set inputs: expected one of verb, title, "),
-        (["verb=drive"], "--set verb: expected 'direct' or 'inverse' or 'plan' or 'climb' for this "
-         "command, found 'drive'\n"),
+        (
+            ["verb=drive"],
+            "--set verb: expected 'direct' or 'inverse' or 'plan' or 'climb' for this "
+            "command, found 'drive'\n",
+        ),
         (["verb=compare"], "found 'compare'; use slipfree compare p.toml"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None:
     for command in ("run", "check"):
         assert words in _refused(command, "p.toml", *_set(*settings))
@@ -273,25 +301,38 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["path.y="], "--set path.y: expected an array of 6 numbers, one for each of t, "
-         "found none"),
-        (["path.y=[0, 1]"], "--set path.y: expected an array of 6 numbers, one for each of t, "
-         "found 2"),
+        (
+            ["path.y="],
+            "--set path.y: expected an array of 6 numbers, one for each of t, found none",
+        ),
+        (
+            ["path.y=[0, 1]"],
+            "--set path.y: expected an array of 6 numbers, one for each of t, found 2",
+        ),
         (["path.t="], "path.toml:14: path: expected exactly one of t, file, found none"),
         (["path.t=", "path.file=way.csv"], "path.toml:16: path.x: expected no array beside a file"),
-        (["path.t=[0, 1, 1, 3, 4, 5]"], "--set path.t: expected times that ascend from 0, found "
-         "0, 1, 1, 3"),
+        (
+            ["path.t=[0, 1, 1, 3, 4, 5]"],
+            "--set path.t: expected times that ascend from 0, found 0, 1, 1, 3",
+        ),
         (["path.t=[1, 2, 3, 4, 5, 6]"], "--set path.t: expected times that ascend from 0, found 1"),
-        (["time.duration=6"], "--set time.duration: expected at most the time of the last "
-         "way-point, 5 s, found 6"),
-        ([f"path.{name}=[0, 0, 0, 0, 0]" for name in ("t", "x", "y", "heading")], "expected 6 or "
-         "more way-points, found 5"),
-        (["start.x=0.5"], "path.toml:14: path: path: it starts elsewhere than the start: x = 0, "
-         "the vehicle stands at 0.5"),
+        (
+            ["time.duration=6"],
+            "--set time.duration: expected at most the time of the last way-point, 5 s, found 6",
+        ),
+        (
+            [f"path.{name}=[0, 0, 0, 0, 0]" for name in ("t", "x", "y", "heading")],
+            "expected 6 or more way-points, found 5",
+        ),
+        (
+            ["start.x=0.5"],
+            "path.toml:14: path: path: it starts elsewhere than the start: x = 0, "
+            "the vehicle stands at 0.5",
+        ),
         (["steering=rate"], "path.toml:14: path: the model is singular here: nothing determines"),
         (["path.bend=1"], "--set path.bend: expected one of t, x, y, heading, file, found"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
     assert words in _refused("check", "path.toml", *_set(*settings))
 
@@ -304,11 +345,13 @@ def test_what_is_wrong_with_a_path(settings: list[str], words: str) -> None:
         ("", "path.file: expected 6 or more way-points, found 0"),
         (CSV.replace("3,0.0,", "3,"), "way.csv:5: expected four numbers t,x,y,heading, found '3,"),
         (CSV.replace("3,0.0,", "3,nan,"), "way.csv:5: expected four numbers t,x,y,heading"),
-        (CSV.replace("heading", "yaw"), "way.csv:1: expected four numbers t,x,y,heading, found "
-         "'t,x,y,yaw'"),
+        (
+            CSV.replace("heading", "yaw"),
+            "way.csv:1: expected four numbers t,x,y,heading, found 't,x,y,yaw'",
+        ),
         (CSV.replace("3,0.0,", "1,0.0,"), "path.file: expected times that ascend from 0"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_the_file_of_a_path(text: str | None, words: str) -> None:
     Path("way.csv").unlink()
     if text is not None:
@@ -363,7 +406,16 @@ def test_a_path_may_be_sampled_more_coarsely_than_it_is_solved(tmp_path):
     """Elements of the collocation without a sample are no trouble."""
     result = CliRunner().invoke(
         app,
-        ["run", str(PROBLEMS / "path_inverse.toml"), "--no-draw", "-o", str(tmp_path / "p.nc"),
-         "--set", "time.duration=6", "--set", "time.step=6"],
-    )  # fmt: skip
+        [
+            "run",
+            str(PROBLEMS / "path_inverse.toml"),
+            "--no-draw",
+            "-o",
+            str(tmp_path / "p.nc"),
+            "--set",
+            "time.duration=6",
+            "--set",
+            "time.step=6",
+        ],
+    )
     assert result.exit_code == 0, result.stderr

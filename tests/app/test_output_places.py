@@ -73,9 +73,7 @@ def test_the_reproduction_of_the_audit(folder: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("link", ["file", "folder", "figures", "figure"])
-def test_links_lead_nowhere_else(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, link: str
-) -> None:  # fmt: skip
+def test_links_lead_nowhere_else(folder: Path, monkeypatch: pytest.MonkeyPatch, link: str) -> None:
     other = folder.parent / "other"
     other.mkdir()
     name, where, target = {

@@ -15,8 +15,16 @@ from slipfree.problem.solve import build, run
 from slipfree.show.plan_figures import plan_figures
 
 FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"
-SHORT = ("start.y=14.0", "goal.y=24.0", "plan.intervals=12", "time.duration=40.0", "costs.slip=",
-         "start.x=17.5", "goal.x=17.5", "solver.tolerance=1e-6")  # fmt: skip
+SHORT = (
+    "start.y=14.0",
+    "goal.y=24.0",
+    "plan.intervals=12",
+    "time.duration=40.0",
+    "costs.slip=",
+    "start.x=17.5",
+    "goal.x=17.5",
+    "solver.tolerance=1e-6",
+)
 
 
 def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
@@ -77,8 +85,13 @@ def test_a_way_point_is_passed():
         (["way_points=[{ at = 1.0, x = 17.0 }]"], "found at = 1"),
         (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "at 0.5 lies off the map: y is 99 m"),
         (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
-        (['driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
-          'paths = [[[17, 14], [17, 24]]] }'], "expected one of path, paths and file"),
+        (
+            [
+                'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
+                "paths = [[[17, 14], [17, 24]]] }"
+            ],
+            "expected one of path, paths and file",
+        ),
         (["traction={ creep = 1e-3 }"], "traction: expected slip = 'traction', found 'least'"),
         (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map reaches"),
         (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
@@ -87,7 +100,7 @@ def test_a_way_point_is_passed():
         (["costs.foo=1.0"], "the model has no 'foo'"),
         (["goal={}"], "a route needs a goal in x and y"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
     with pytest.raises(ProblemError) as error:
         build(read(FIELD, settings))
@@ -107,9 +120,16 @@ def test_friction_too_low_for_the_slope_is_refused_before_anything_is_solved():
 def test_the_law_of_friction_plans_a_gentle_ground():
     """The motion is a prediction then, so that nothing is left to drive by friction again."""
     hills = FIELD.with_name("plan_rigid_hills.toml")
-    settings = ['slip="traction"', "traction.creep=1e-2", "terrain.friction=0.6",
-                "costs.slip=1e3", "plan.intervals=8", "time.duration=10.0", "goal.x=0.1",
-                "goal.y=1.3"]  # fmt: skip
+    settings = [
+        'slip="traction"',
+        "traction.creep=1e-2",
+        "terrain.friction=0.6",
+        "costs.slip=1e3",
+        "plan.intervals=8",
+        "time.duration=10.0",
+        "goal.x=0.1",
+        "goal.y=1.3",
+    ]
     motion = run(read(hills, settings)).trajectory
     assert motion.stop is None
     assert "friction_used_along" in motion.columns
@@ -126,8 +146,14 @@ def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
 
 
 HILLS = FIELD.with_name("plan_rigid_hills.toml")
-QUICK = ("plan.intervals=8", "time.duration=10.0", "goal.x=0.1", "goal.y=1.3", "costs.slip=1e3",
-         "solver.tolerance=1e-6")  # fmt: skip
+QUICK = (
+    "plan.intervals=8",
+    "time.duration=10.0",
+    "goal.x=0.1",
+    "goal.y=1.3",
+    "costs.slip=1e3",
+    "solver.tolerance=1e-6",
+)
 
 
 def test_of_a_range_what_lies_on_the_map_counts():

@@ -571,8 +571,11 @@ def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):
     at = np.column_stack([loaded["contact_x", "left"], loaded["contact_y", "left"]])
     worst = [piece for piece, much in zip(lines.get_segments(), over, strict=True) if much]
     np.testing.assert_allclose(worst, np.stack([at[9:13], at[10:14]], axis=1))
-    assert labels(ax) == ["start, 0 s", f"largest, left: infinite at {loaded.t[10]:.4g} s",
-                          "beyond friction"]  # fmt: skip
+    assert labels(ax) == [
+        "start, 0 s",
+        f"largest, left: infinite at {loaded.t[10]:.4g} s",
+        "beyond friction",
+    ]
 
 
 def test_the_ground_below_coloured_tracks_is_grey(loaded, grid, ax):
@@ -596,8 +599,10 @@ def test_power_has_the_colours_of_energy(loaded, ax):
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["power"])
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), loaded["dissipation"])
     other = force_figures.energy(loaded, Figure().subplots())
-    colours = [dict(zip(labels(a), (line.get_color() for line in a.lines), strict=False))
-               for a in (ax, other)]  # fmt: skip
+    colours = [
+        dict(zip(labels(a), (line.get_color() for line in a.lines), strict=False))
+        for a in (ax, other)
+    ]
     assert colours[0].items() <= colours[1].items()
 
 

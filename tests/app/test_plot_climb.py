@@ -40,9 +40,11 @@ def test_the_strobe_shows_vehicle_and_ground(case, ax):
     wheels = [patch for patch in ax.patches if isinstance(patch, Circle)]
     assert_allclose(solids[1].get_xy()[:-1], profile.solids[1].points)
     shown = range(0, run.t.size, 500)  # every second: every other dot
-    assert_allclose([wheel.center for wheel in wheels],
-                    [(run["axle_x"][k, i], run["axle_z"][k, i]) for k in shown for i in range(3)],
-                    atol=1e-12)  # fmt: skip
+    assert_allclose(
+        [wheel.center for wheel in wheels],
+        [(run["axle_x"][k, i], run["axle_z"][k, i]) for k in shown for i in range(3)],
+        atol=1e-12,
+    )
     assert {wheel.radius for wheel in wheels} == {climber.radius}
     dots = [line.get_xydata() for line in ax.lines if line.get_marker() == "o"]
     assert len(dots) == 8  # 3.6 s, every 0.5 s
@@ -58,9 +60,10 @@ def test_links_meet_in_the_joint_and_carry_their_centers(case):
     for k in (0, 700, 1500):
         links, centers = show._skeleton(run, climber, k)
         assert_allclose(np.hypot(*np.diff(links)), [-climber.rear.ahead, climber.front.ahead])
-        assert_allclose(np.hypot(*(centers - links[:, 1:2])),
-                        [np.hypot(b.ahead, b.above) for b in (climber.rear_body,
-                                                              climber.front_body)])  # fmt: skip
+        assert_allclose(
+            np.hypot(*(centers - links[:, 1:2])),
+            [np.hypot(b.ahead, b.above) for b in (climber.rear_body, climber.front_body)],
+        )
 
 
 def test_ratios_over_time_average_to_the_metrics(case, ax):
@@ -77,8 +80,9 @@ def test_ratios_over_time_average_to_the_metrics(case, ax):
         expected = metrics(run, climber, profile).true_slip[k]
         assert slipped.sum() / rim.sum() == pytest.approx(expected, rel=0.05)  # cut at 100 %
     lines = named(show.disturbance(run, Figure().subplots()))
-    assert_allclose(lines["rear"].get_ydata(),
-                    np.clip(100 * disturbance_ratio(run)[:, 0], -100, 100))  # fmt: skip
+    assert_allclose(
+        lines["rear"].get_ydata(), np.clip(100 * disturbance_ratio(run)[:, 0], -100, 100)
+    )
 
 
 def test_references_are_rim_speeds(case, ax):
@@ -92,8 +96,9 @@ def test_references_are_rim_speeds(case, ax):
 def test_loads_are_those_of_all_solids_and_the_limit_is_drawn_when_near(case, ax):
     climber, profile, run = case
     show.loads(run, profile, ax)
-    assert_allclose(named(ax)["middle"].get_ydata(),
-                    run["load_0", "middle"] + run["load_1", "middle"])  # fmt: skip
+    assert_allclose(
+        named(ax)["middle"].get_ydata(), run["load_0", "middle"] + run["load_1", "middle"]
+    )
     torques = show.torques(run, climber, Figure().subplots())
     limits = {line.get_ydata()[0] for line in torques.lines[3:]}
     assert limits == {-climber.torque, climber.torque}
@@ -103,13 +108,16 @@ def test_plan_and_motion_over_the_way(case):
     climber, profile, run = case
     n = 4
     plan = Trajectory(
-        np.arange(n), {
+        np.arange(n),
+        {
             "progress": Column(Label("progress", "m", ""), np.linspace(-0.2, 0.4, n)),
             "wheel_rate": Column(Label("wheel_rate", "rad s-1", ""), np.full((n, 3), 2.0)),
             "friction": Column(Label("friction", "N", ""), np.full((n, 3), -30.0)),
             "load": Column(Label("load", "N", ""), np.full((n, 3), 60.0)),
-        }, AXLES, statistics={"mu": 0.6},
-    )  # fmt: skip
+        },
+        AXLES,
+        statistics={"mu": 0.6},
+    )
     lines = named(show.planned_friction(run, plan, profile, Figure().subplots()))
     assert_allclose(lines["rear"].get_xydata(), [[s, 0.5] for s in plan["progress"]])
     driven = show.planned_friction(run, plan, profile, Figure().subplots()).lines[1]

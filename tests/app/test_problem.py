@@ -74,58 +74,126 @@ def test_lines_of_keys() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ('"direct"', '"drive"', "p.toml:1: verb: expected 'direct' or 'inverse' or 'plan' or "
-         "'climb' for this command, found 'drive'"),
-        ("spacing = 0.5", "spacing = -1", "p.toml:6: terrain.synthetic.spacing: expected a number "
-         "greater than 0, found -1"),
-        ("r1 = 0.05", "r1 = -0.05", "p.toml:11: vehicle.r1: expected a number of at least 0, "
-         "found -0.05"),
-        ("r1 = 0.05", "r3 = 0.05", "p.toml:11: vehicle.r3: expected one of catalog, axle, "
-         "half_track, wheelbase, r1, r2, " + OTHERS + ", found the unknown key 'r3'"),
-        ("r1 = 0.05", "wheel_base = 2", "p.toml:11: vehicle.wheel_base: expected one of catalog, "
-         "axle, half_track, wheelbase, r1, r2, " + OTHERS + ", found the unknown key "
-         "'wheel_base'; did you mean 'wheelbase'?"),
+        (
+            '"direct"',
+            '"drive"',
+            "p.toml:1: verb: expected 'direct' or 'inverse' or 'plan' or "
+            "'climb' for this command, found 'drive'",
+        ),
+        (
+            "spacing = 0.5",
+            "spacing = -1",
+            "p.toml:6: terrain.synthetic.spacing: expected a number greater than 0, found -1",
+        ),
+        (
+            "r1 = 0.05",
+            "r1 = -0.05",
+            "p.toml:11: vehicle.r1: expected a number of at least 0, found -0.05",
+        ),
+        (
+            "r1 = 0.05",
+            "r3 = 0.05",
+            "p.toml:11: vehicle.r3: expected one of catalog, axle, "
+            "half_track, wheelbase, r1, r2, " + OTHERS + ", found the unknown key 'r3'",
+        ),
+        (
+            "r1 = 0.05",
+            "wheel_base = 2",
+            "p.toml:11: vehicle.wheel_base: expected one of catalog, "
+            "axle, half_track, wheelbase, r1, r2, " + OTHERS + ", found the unknown key "
+            "'wheel_base'; did you mean 'wheelbase'?",
+        ),
         ("r1 = 0.05", 'r1 = "5 cm"', "p.toml:11: vehicle.r1: expected a number, found '5 cm'"),
         ("x = 0.1", "x = nan", "p.toml:14: start.x: expected a finite number, found nan"),
-        ("x = 0.1", "x = -1e155", "p.toml:14: start.x: expected a number of at most 1e+100 in "
-         "size, found -1e+155"),
-        ("x = [-3, 3]", "x = [-3, 1e200]", "p.toml:4: terrain.synthetic.x[1]: expected a number "
-         "of at most 1e+100 in size, found 1e+200"),
-        ("x = 0.1", f"x = 0x{'f' * 5000}", "p.toml:14: start.x: expected a number, found a whole "
-         "number of 20000 bits"),
+        (
+            "x = 0.1",
+            "x = -1e155",
+            "p.toml:14: start.x: expected a number of at most 1e+100 in size, found -1e+155",
+        ),
+        (
+            "x = [-3, 3]",
+            "x = [-3, 1e200]",
+            "p.toml:4: terrain.synthetic.x[1]: expected a number "
+            "of at most 1e+100 in size, found 1e+200",
+        ),
+        (
+            "x = 0.1",
+            f"x = 0x{'f' * 5000}",
+            "p.toml:14: start.x: expected a number, found a whole number of 20000 bits",
+        ),
         ("x = 0.1", "x = true", "p.toml:14: start.x: expected a number, found true"),
-        ("duration = 1", "duration = 0", "p.toml:23: time.duration: expected a number greater than "
-         "0, found 0"),
+        (
+            "duration = 1",
+            "duration = 0",
+            "p.toml:23: time.duration: expected a number greater than 0, found 0",
+        ),
         ("duration = 1\n", "", "p.toml:22: time.duration: expected a value, found none"),
-        ("step = 0.25", "step = 2", "p.toml:24: time.step: expected at most the duration, 1 s, "
-         "found 2"),
+        (
+            "step = 0.25",
+            "step = 2",
+            "p.toml:24: time.step: expected at most the duration, 1 s, found 2",
+        ),
         ("step = 0.25", "step = 1e-9", "p.toml:24: time.step: expected a step that makes at most"),
-        ("step = 0.25", "step = 1\n[solver]\ntolerance = 0", "p.toml:26: solver.tolerance: "
-         "expected a number greater than 0, found 0"),
-        ("step = 0.25", "step = 1\n[solver]\ntolerance = 1", "p.toml:26: solver.tolerance: "
-         "expected a number less than 1, found 1"),
-        ("step = 0.25", 'step = 1\n[output]\nfile = ""', "p.toml:26: output.file: expected text "
-         "that is not empty, found ''"),
-        ("x = [-3, 3]", "x = [-3]", "p.toml:4: terrain.synthetic.x[1]: expected a number, "
-         "found none"),
-        ("x = [-3, 3]", "x = [-3, 3, 4]", "p.toml:4: terrain.synthetic.x: expected an array of 2, "
-         "found [-3, 3, 4]"),
-        ("x = [-3, 3]", "x = 1979-05-27", "p.toml:4: terrain.synthetic.x: expected an array, "
-         "found 1979-05-27"),
-        ("steer_rate = 0", "steer_rate = [[0, 1], [0, 2]]", "p.toml:20: inputs.steer_rate: "
-         "expected [time, value] pairs whose times ascend from 0, found [[0, 1], [0, 2]]"),
-        ("steer_rate = 0", "steer_rate = [0, 1]", "p.toml:20: inputs.steer_rate: expected a "
-         "number, or an array of [time, value] pairs, found [0, 1]"),
+        (
+            "step = 0.25",
+            "step = 1\n[solver]\ntolerance = 0",
+            "p.toml:26: solver.tolerance: expected a number greater than 0, found 0",
+        ),
+        (
+            "step = 0.25",
+            "step = 1\n[solver]\ntolerance = 1",
+            "p.toml:26: solver.tolerance: expected a number less than 1, found 1",
+        ),
+        (
+            "step = 0.25",
+            'step = 1\n[output]\nfile = ""',
+            "p.toml:26: output.file: expected text that is not empty, found ''",
+        ),
+        (
+            "x = [-3, 3]",
+            "x = [-3]",
+            "p.toml:4: terrain.synthetic.x[1]: expected a number, found none",
+        ),
+        (
+            "x = [-3, 3]",
+            "x = [-3, 3, 4]",
+            "p.toml:4: terrain.synthetic.x: expected an array of 2, found [-3, 3, 4]",
+        ),
+        (
+            "x = [-3, 3]",
+            "x = 1979-05-27",
+            "p.toml:4: terrain.synthetic.x: expected an array, found 1979-05-27",
+        ),
+        (
+            "steer_rate = 0",
+            "steer_rate = [[0, 1], [0, 2]]",
+            "p.toml:20: inputs.steer_rate: "
+            "expected [time, value] pairs whose times ascend from 0, found [[0, 1], [0, 2]]",
+        ),
+        (
+            "steer_rate = 0",
+            "steer_rate = [0, 1]",
+            "p.toml:20: inputs.steer_rate: expected a "
+            "number, or an array of [time, value] pairs, found [0, 1]",
+        ),
         ("[vehicle]", "[extra]\na = 1\n[vehicle]", "p.toml:9: extra: expected one of verb, title,"),
-        ("[vehicle]", "rocks = { count = 2.5, diameters = [1, 2], height_ratio = 1, seed = 1 }\n"
-         "[vehicle]", "p.toml:9: terrain.synthetic.rocks.count: expected a whole number, "
-         "found 2.5"),
-        ("base = 2.0", "ramp = { start = 1, end = 2, rise = 1, smooth = 1 }", "p.toml:7: "
-         "terrain.synthetic.ramp.smooth: expected true or false, found 1"),
-        ("base = 2.0", "power_law = 3", "p.toml:7: terrain.synthetic.power_law: expected a table, "
-         "found 3"),
+        (
+            "[vehicle]",
+            "rocks = { count = 2.5, diameters = [1, 2], height_ratio = 1, seed = 1 }\n[vehicle]",
+            "p.toml:9: terrain.synthetic.rocks.count: expected a whole number, found 2.5",
+        ),
+        (
+            "base = 2.0",
+            "ramp = { start = 1, end = 2, rise = 1, smooth = 1 }",
+            "p.toml:7: terrain.synthetic.ramp.smooth: expected true or false, found 1",
+        ),
+        (
+            "base = 2.0",
+            "power_law = 3",
+            "p.toml:7: terrain.synthetic.power_law: expected a table, found 3",
+        ),
     ],
-)  # fmt: skip
+)
 def test_one_fault(old: str, new: str, fault: str, tmp_path: Path) -> None:
     (found,) = _faults(tmp_path, _changed(old, new))
     assert found.startswith(fault)
@@ -200,9 +268,15 @@ def test_a_byte_order_mark_and_windows_lines_are_fine(tmp_path: Path) -> None:
 
 def test_settings(tmp_path: Path) -> None:
     problem = _read(
-        tmp_path, VALID, "time.duration=2", "title=a b".replace(" ", "-"), "frame='rep103'",
-        "inputs.steer_rate=[[0, 0.1], [1, 0.2]]", "vehicle.r1=", "solver.tolerance=1e-6",
-    )  # fmt: skip
+        tmp_path,
+        VALID,
+        "time.duration=2",
+        "title=a b".replace(" ", "-"),
+        "frame='rep103'",
+        "inputs.steer_rate=[[0, 0.1], [1, 0.2]]",
+        "vehicle.r1=",
+        "solver.tolerance=1e-6",
+    )
     spec = problem.spec
     assert spec.time.duration == 2
     assert (spec.title, spec.frame) == ("a-b", "rep103")
@@ -283,10 +357,16 @@ def test_result_knows_its_problem(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["start.bogus=1"], "--set start.bogus: expected one of x, y, heading, tilt_right, "
-         "tilt_left, steer, found the unknown key 'bogus'"),
-        (["inputs.rigth_rate=1"], "--set inputs.rigth_rate: expected one of right_rate, left_rate, "
-         "steer_rate, found the unknown key 'rigth_rate'; did you mean 'right_rate'?"),
+        (
+            ["start.bogus=1"],
+            "--set start.bogus: expected one of x, y, heading, tilt_right, "
+            "tilt_left, steer, found the unknown key 'bogus'",
+        ),
+        (
+            ["inputs.rigth_rate=1"],
+            "--set inputs.rigth_rate: expected one of right_rate, left_rate, "
+            "steer_rate, found the unknown key 'rigth_rate'; did you mean 'right_rate'?",
+        ),
         (["start.x=50"], "p.toml:13: start: .*leaves the map, which reaches from -3.00 to 3.00 m"),
         (["vehicle.r1=0", "vehicle.r2=0"], r"p.toml:9: vehicle: wheel right: r1 \+ r2 must be pos"),
         (["terrain.synthetic.x=[3, -3]"], "p.toml:3: terrain.synthetic: .*x_range"),
@@ -296,7 +376,7 @@ def test_result_knows_its_problem(tmp_path: Path) -> None:
         (["terrain.window=[7, 8, 7, 8]"], "--set terrain.window: .*at least 4 nodes.*found 0"),
         (["terrain.synthetic.placed_rocks=[[0, 0, 1, 0]]"], "diameter and height must be positive"),
     ],
-)  # fmt: skip
+)
 def test_what_only_the_model_knows(settings: list[str], words: str, tmp_path: Path) -> None:
     problem = _read(tmp_path, VALID, *settings)
     with pytest.raises(ProblemError, match=words):
@@ -369,9 +449,14 @@ def test_a_wheel_over_a_narrow_pit_cannot_stand(tmp_path: Path) -> None:
 
 def test_the_sample_and_rolled(tmp_path: Path) -> None:
     settings = [
-        "terrain.synthetic=", "terrain.sample=jacksboro", "terrain.scale=0.005",
-        "terrain.window=[90, 100, 110, 120]", "terrain.rolled=0.3", "start.x=95", "start.y=115",
-    ]  # fmt: skip
+        "terrain.synthetic=",
+        "terrain.sample=jacksboro",
+        "terrain.scale=0.005",
+        "terrain.window=[90, 100, 110, 120]",
+        "terrain.rolled=0.3",
+        "start.x=95",
+        "start.y=115",
+    ]
     ground = build(_read(tmp_path, VALID, *settings)).ground
     assert ground.rolled is not None
     assert 0 < ground.rolled.rms < ground.rolled.largest < 0.1

@@ -101,8 +101,12 @@ def test_a_page_holds_all_of_a_result(
     for name in ("slipfree", "python", "casadi", "numpy", "scipy"):
         assert motion.attributes[f"{name}_version"] in words
     assert f"slipfree info {file.name} --problem > {kind}_again.toml" in words
-    checks = {"direct": "closure residual", "inverse": "contact certificate",
-              "plan": "differs from the plan by at most", "climb": "balance within"}  # fmt: skip
+    checks = {
+        "direct": "closure residual",
+        "inverse": "contact certificate",
+        "plan": "differs from the plan by at most",
+        "climb": "balance within",
+    }
     assert checks[kind] in words
     _check_alone(seen, text)
     _check_pictures(seen, FIGURES[kind])

@@ -23,8 +23,9 @@ SMALL = ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
 
 def command(out, *options, settings=SMALL):
     words = [word for each in settings for word in ("--set", each)]
-    return CliRunner().invoke(app, ["run", str(HILLS), "-o", str(out), "--no-draw", *options,
-                                    *words])  # fmt: skip
+    return CliRunner().invoke(
+        app, ["run", str(HILLS), "-o", str(out), "--no-draw", *options, *words]
+    )
 
 
 @pytest.fixture(scope="module")

@@ -213,8 +213,10 @@ def test_a_small_part_of_a_large_map_is_drawn(drive: Driven) -> None:
     x = np.linspace(-500, 500, 1001)
     large = Bicubic(Grid(x, x, 0.05 * x[:, None] + 0 * x))
     run = drive.run
-    columns = {**run.columns, "contact_z": run.columns["contact_z"]._replace(
-        values=0.05 * run["contact_x"])}  # fmt: skip
+    columns = {
+        **run.columns,
+        "contact_z": run.columns["contact_z"]._replace(values=0.05 * run["contact_x"]),
+    }
     scene = drive_scene([drive._replace(terrain=large, run=replace(run, columns=columns))])
     assert len(scene.ground.mesh.faces) <= 2 * SIDE**2
     assert np.ptp(scene.ground.mesh.vertices[:, 0]) < 12
@@ -366,8 +368,11 @@ def test_a_plan_is_drawn_beside_its_simulation(file: Path, tmp_path: Path) -> No
     found = shown(out, "planned")
     assert found.plan is not None
     for name in ("x", "heading", "pitch", "contact_y", "contact_z", "wheel_angle"):
-        for column, wanted in zip(found.plan[name].T.reshape(-1, found.plan.t.size),
-                                  run[name].T.reshape(-1, run.t.size), strict=True):  # fmt: skip
+        for column, wanted in zip(
+            found.plan[name].T.reshape(-1, found.plan.t.size),
+            run[name].T.reshape(-1, run.t.size),
+            strict=True,
+        ):
             assert_allclose(column, np.interp(found.plan.t, run.t, wanted), atol=2e-4)
     motion, plan = drive_scene([found]).actors
     assert (plan.name, plan.ghost, motion.ghost) == ("planned: plan", True, False)
@@ -382,8 +387,9 @@ def test_a_solved_plan_is_where_its_simulation_is(tmp_path: Path) -> None:
     assert found.plan is not None
     run = found.run
     for name in ("x", "y", "z", "heading", "pitch", "contact_x", "contact_y", "contact_z"):
-        for planned, motion in zip(np.atleast_2d(found.plan[name].T), np.atleast_2d(run[name].T),
-                                   strict=True):  # fmt: skip
+        for planned, motion in zip(
+            np.atleast_2d(found.plan[name].T), np.atleast_2d(run[name].T), strict=True
+        ):
             assert_allclose(planned, np.interp(found.plan.t, run.t, motion), atol=2e-3)
     motion, plan = drive_scene([found]).actors
     for actor in (motion, plan):  # no wheel touches the ground far from itself

@@ -95,8 +95,10 @@ def test_new_replaces_nothing_unasked() -> None:
 
 def test_examples_are_the_shipped_problems() -> None:
     lines = _invoke("examples").stdout.splitlines()
-    shipped = {path.relative_to(ROOT / "problems").with_suffix("").as_posix(): path
-               for path in (ROOT / "problems").rglob("*.toml")}  # fmt: skip
+    shipped = {
+        path.relative_to(ROOT / "problems").with_suffix("").as_posix(): path
+        for path in (ROOT / "problems").rglob("*.toml")
+    }
     listed = {line.split()[0]: line for line in lines if line and "slipfree" not in line}
     assert listed.keys() == shipped.keys()
     for name, path in shipped.items():
@@ -284,9 +286,12 @@ def _shell(command: str, **more: str) -> str:
     """Return what bash prints for a command line that calls slipfree."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     found = subprocess.run(
-        ["bash", "--norc", "-c", command], env={**os.environ, "PATH": path, **more},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        ["bash", "--norc", "-c", command],
+        env={**os.environ, "PATH": path, **more},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return found.stdout
 
 
@@ -313,7 +318,7 @@ def _printed(stdout: Any, **more: str) -> bytes:
     environment = {name: value for name, value in os.environ.items() if name not in names}
     return subprocess.run(
         command, stdout=stdout, env=environment | {"TERM": "xterm-256color", **more}, check=True
-    ).stdout  # fmt: skip
+    ).stdout
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX terminal")

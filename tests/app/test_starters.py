@@ -19,7 +19,8 @@ RATES = "left_rate=0.4, steer_rate=0.1"
 WAYS = {  # kind, beginning of a comment: settings that do what it says, in each of its ways
     ("direct", "of both tables"): [MAP],
     ("direct", "another one of the catalogue"): [
-        ('vehicle={catalog="rocky7"}',), ('vehicle={file="vehicle.toml"}',),
+        ('vehicle={catalog="rocky7"}',),
+        ('vehicle={file="vehicle.toml"}',),
     ],
     ("direct", "[inputs]"): [
         ("driver=", f"inputs={{right_rate=0.4, {RATES}}}"),
@@ -27,8 +28,12 @@ WAYS = {  # kind, beginning of a comment: settings that do what it says, in each
     ],
     ("inverse", "of both tables"): [MAP],
     ("inverse", "[path]"): [
-        ("given=", f"path={{t={TIMES}, x=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], y={TIMES}, "
-                   "heading=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]}", "time.duration=5"),
+        (
+            "given=",
+            f"path={{t={TIMES}, x=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], y={TIMES}, "
+            "heading=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]}",
+            "time.duration=5",
+        ),
         ("given=", 'path={file="path.csv"}', "time.duration=5"),
     ],
     ("plan", "of both tables"): [MAP],
@@ -39,7 +44,7 @@ WAYS = {  # kind, beginning of a comment: settings that do what it says, in each
         ("profile={kerb={height=0.06, length=0.5}}",),
         ('profile={file="solids.csv"}',),
     ],
-}  # fmt: skip
+}
 
 
 def comments() -> list[tuple[str, str]]:

@@ -101,9 +101,12 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def dask() -> Iterator[str]:
     """The address of a cluster of two processes."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
         host="127.0.0.1",
-    ) as local:  # fmt: skip
+    ) as local:
         yield local.scheduler_address
 
 
@@ -117,8 +120,16 @@ def _sweep(folder: Path, *words: str) -> Any:
 
 def _begun(folder: Path, *words: str) -> subprocess.Popen[str]:
     """Begin a sweep in a process of its own, and return it when some runs are finished."""
-    command = [sys.executable, "-m", "slipfree", "sweep", str(folder / "p.toml"), "-o",
-               str(folder / "out"), *words]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "slipfree",
+        "sweep",
+        str(folder / "p.toml"),
+        "-o",
+        str(folder / "out"),
+        *words,
+    ]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -199,8 +210,11 @@ def test_a_grid_with_seeds(file: Path) -> None:
     assert [run.seeds for run in runs] == [(10, 13), (11, 14), (12, 15)] * 2
     assert runs[4].number == 5
     assert runs[4].settings == (
-        *error, f"{SPEED}=2", "terrain.synthetic.power_law.seed=11", "terrain.error.seed=14",
-    )  # fmt: skip
+        *error,
+        f"{SPEED}=2",
+        "terrain.synthetic.power_law.seed=11",
+        "terrain.error.seed=14",
+    )
 
 
 def test_a_seed_that_the_file_leaves_out_is_found() -> None:
@@ -242,9 +256,16 @@ def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
     folder, result = whole
     assert result.exit_code == 0, result.output
     for words in (
-        "12 of 12: 12 complete", "power_law.seed  ", "1 to 3", "slip_rms ", "m s-1 (12 runs)",
-        "driver.speed = 0.5 ", f"{ROUGH} = 0.02 ", "(6 runs)", "drew 6 files",
-    ):  # fmt: skip
+        "12 of 12: 12 complete",
+        "power_law.seed  ",
+        "1 to 3",
+        "slip_rms ",
+        "m s-1 (12 runs)",
+        "driver.speed = 0.5 ",
+        f"{ROUGH} = 0.02 ",
+        "(6 runs)",
+        "drew 6 files",
+    ):
         assert words in result.stdout, words
     table = _table(folder)
     assert [row["run"] for row in table] == [str(k) for k in range(1, RUNS + 1)]
@@ -254,8 +275,11 @@ def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
     assert {float(row["time reached (s)"]) for row in table} == {0.3}
     assert not any("seconds" in name for name in table[0])
     names = {path.name for path in (folder / "out" / "figures").iterdir()}
-    assert names == {f"{name}.{end}" for name in ("slip_rms", "tilt_largest", "utilisation_largest")
-                     for end in ("png", "pdf")}  # fmt: skip
+    assert names == {
+        f"{name}.{end}"
+        for name in ("slip_rms", "tilt_largest", "utilisation_largest")
+        for end in ("png", "pdf")
+    }
 
 
 def test_the_table_holds_what_the_results_hold(whole: tuple[Path, Any]) -> None:
@@ -413,8 +437,15 @@ def test_the_urdf_of_any_vehicle_file_is_an_input(file: Path) -> None:
 
 
 ROW = Row(1, ("a=1",), "complete", "", 0.5, {"end_x": (1.25, "m")}, 0.1)
-HEAD: dict[str, Any] = {"slipfree": "0", "problem": "", "files": {}, "settings": [], "vary": {},
-                        "repeat": 1, "seeds": {}}  # fmt: skip
+HEAD: dict[str, Any] = {
+    "slipfree": "0",
+    "problem": "",
+    "files": {},
+    "settings": [],
+    "vary": {},
+    "repeat": 1,
+    "seeds": {},
+}
 
 
 def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
@@ -564,8 +595,9 @@ def test_runs_that_fail_are_rows_and_counted_in_the_bar(
 
 
 def _tasks(file: Path, *settings: str) -> list[Task]:
-    return [Task(k, str(file), PROBLEM, (setting,), 1, False) for k, setting in
-            enumerate(settings, 1)]  # fmt: skip
+    return [
+        Task(k, str(file), PROBLEM, (setting,), 1, False) for k, setting in enumerate(settings, 1)
+    ]
 
 
 def test_a_process_that_dies_costs_one_run(file: Path) -> None:
@@ -591,8 +623,19 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
 
 
 def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path) -> None:
-    command = [sys.executable, "-m", "slipfree", "sweep", str(file), "-o", str(file.parent / "out"),
-               "--set", "time.step=0.000001", "--processes", "1"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "slipfree",
+        "sweep",
+        str(file),
+        "-o",
+        str(file.parent / "out"),
+        "--set",
+        "time.step=0.000001",
+        "--processes",
+        "1",
+    ]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         seen, end = psutil.Process(process.pid), time.monotonic() + 60
         while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
@@ -659,16 +702,19 @@ def test_every_verb_has_figures(file: str, settings: tuple[str, ...], figures: s
     assert row.outcome == "complete", row.words
     assert figures <= set(row.figures)
     if "within_limits" in figures:
-        violations = [value for name, (value, _) in row.figures.items()
-                      if name.startswith("plan_violation_")]  # fmt: skip
+        violations = [
+            value for name, (value, _) in row.figures.items() if name.startswith("plan_violation_")
+        ]
         assert row.figures["plan_violation"][0] == max(violations)
         assert row.figures["within_limits"][0] == float(max(violations) <= 1e-3)
 
 
 def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
     sweep = sweep_of(file, [f"{SPEED}=1.0,6.0"])
-    rows = [work(Task(run.number, str(file), PROBLEM, run.settings, 1, False)).row
-            for run in sweep.runs()]  # fmt: skip
+    rows = [
+        work(Task(run.number, str(file), PROBLEM, run.settings, 1, False)).row
+        for run in sweep.runs()
+    ]
     assert [row.outcome for row in rows] == ["complete", "stopped by map_margin[front]"]
     assert "leaves the map" in rows[1].words
     assert rows[1].t == pytest.approx(1.25 / 6.0, abs=1e-3)
@@ -679,16 +725,28 @@ def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
 
 
 def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
-    sets = [f"{SPEED}=1", "traction.creep=1e-3", "slip=traction", "terrain.friction=0.6",
-            "terrain.synthetic.ramp={start=0, end=1, rise=0.1, smooth=true}",
-            "vehicle.stiffness=9.0"]  # fmt: skip
+    sets = [
+        f"{SPEED}=1",
+        "traction.creep=1e-3",
+        "slip=traction",
+        "terrain.friction=0.6",
+        "terrain.synthetic.ramp={start=0, end=1, rise=0.1, smooth=true}",
+        "vehicle.stiffness=9.0",
+    ]
     spec = sweep_of(file, [], sets).problem.spec
     ramp = "terrain.synthetic.ramp."
     for key, unit in {
-        SPEED: "m/s", ROUGH: "m", f"{ramp}start": "m", f"{ramp}end": "m", f"{ramp}smooth": "",
-        "traction.creep": "m/s", "time.duration": "s", "start.heading": "", "nothing.at.all": "",
+        SPEED: "m/s",
+        ROUGH: "m",
+        f"{ramp}start": "m",
+        f"{ramp}end": "m",
+        f"{ramp}smooth": "",
+        "traction.creep": "m/s",
+        "time.duration": "s",
+        "start.heading": "",
+        "nothing.at.all": "",
         "terrain.synthetic.power_law.seed": "",
-    }.items():  # fmt: skip
+    }.items():
         assert unit_of(spec, key) == unit, key
 
 
@@ -706,9 +764,11 @@ def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert result.exit_code == 2
     assert "expected the address of a running Dask scheduler" in result.stderr
     for address, found in {
-        "nonsense": "ValueError: missing port", "a:b:c": "ValueError: invalid address",
-        "foo://x:1": "ValueError: unknown address scheme", "tls://127.0.0.1:1": "TypeError: TLS",
-    }.items():  # fmt: skip
+        "nonsense": "ValueError: missing port",
+        "a:b:c": "ValueError: invalid address",
+        "foo://x:1": "ValueError: unknown address scheme",
+        "tls://127.0.0.1:1": "TypeError: TLS",
+    }.items():
         result = _sweep(file.parent, "--scheduler", address)
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
         assert f"--scheduler {address}: expected the address of a running" in result.stderr
@@ -792,9 +852,13 @@ def test_a_scheduler_that_does_not_answer(file: Path, monkeypatch: pytest.Monkey
 
 def test_a_scheduler_that_goes_away(file: Path) -> None:
     local = distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
-        host="127.0.0.1", protocol="tcp://",
-    )  # fmt: skip
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        protocol="tcp://",
+    )
     looked = []
 
     def poll() -> None:

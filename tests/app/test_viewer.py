@@ -68,8 +68,17 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     found = []
     for axle, x in (("tilting", 0), ("fixed", 3)):  # apart: faces in one place flicker
         found.append(folder / f"{axle}.nc")
-        words = ["run", str(folder / "p.toml"), "-o", str(found[-1]), "--no-draw", "--set",
-                 f"vehicle.axle={axle}", "--set", f"start.x={x}"]  # fmt: skip
+        words = [
+            "run",
+            str(folder / "p.toml"),
+            "-o",
+            str(found[-1]),
+            "--no-draw",
+            "--set",
+            f"vehicle.axle={axle}",
+            "--set",
+            f"start.x={x}",
+        ]
         assert CliRunner().invoke(app, words).exit_code == 0
     return found
 
@@ -87,11 +96,15 @@ def browser() -> Iterator[Any]:
     options = webdriver.ChromeOptions()
     options.binary_location = places[0]
     for word in (
-        "--headless=new", "--no-sandbox", "--disable-dev-shm-usage",
-        "--window-size={},{}".format(*SIZE), "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--window-size={},{}".format(*SIZE),
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--ignore-gpu-blocklist",
         "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
-    ):  # fmt: skip
+    ):
         options.add_argument(word)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     service = webdriver.ChromeService(places[1])
@@ -255,15 +268,16 @@ def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
     assert "Over <hills> & back" in text
     for words in ("height: ", "slip (an arrow of 1 m is", "tilting", "fixed"):
         assert words in text
-    addresses = {each.split("://")[1].split("/")[0] for each in asked(browser)
-                 if not each.startswith(("data:", "blob:"))}  # fmt: skip
+    addresses = {
+        each.split("://")[1].split("/")[0]
+        for each in asked(browser)
+        if not each.startswith(("data:", "blob:"))
+    }
     assert addresses == {address.removeprefix("http://")}
     assert [each for each in complaints(browser) if "WebSocket" not in each] == []
 
 
-def test_a_saved_page_plays_from_disk(
-    files: list[Path], browser: Any, tmp_path: Path
-) -> None:  # fmt: skip
+def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path: Path) -> None:
     out = tmp_path / "page.html"
     words = ["show", *map(str, files), "--html", str(out)]
     done = CliRunner().invoke(app, words)
@@ -286,8 +300,10 @@ def test_a_page_without_vehicles_is_told_from_one_with_them(
     from slipfree.show.viewer import page
 
     scene = scene_of(files)
-    actors = [actor._replace(bodies=tuple(each._replace(meshes=()) for each in actor.bodies))
-              for actor in scene.actors]  # fmt: skip
+    actors = [
+        actor._replace(bodies=tuple(each._replace(meshes=()) for each in actor.bodies))
+        for actor in scene.actors
+    ]
     out = tmp_path / "page.html"
     out.write_text(page(scene._replace(actors=tuple(actors)), "title", "height"), encoding="utf-8")
     browser.get(out.as_uri())
@@ -342,11 +358,15 @@ def test_parts_may_be_called_like_nodes_of_the_page(files: list[Path], server: A
     scene = scene_of(files[:1])
     (actor,) = scene.actors
     names = ("tracks", "name", "here", "here/force", "here/contacts")
-    bodies = tuple(body._replace(name=name) for body, name in
-                   zip(actor.bodies, (*names, *"abcdefgh"), strict=False))  # fmt: skip
+    bodies = tuple(
+        body._replace(name=name)
+        for body, name in zip(actor.bodies, (*names, *"abcdefgh"), strict=False)
+    )
     stage = Stage(server, scene._replace(actors=(actor._replace(bodies=bodies),)), "height")
-    kinds = {name: type(server.scene.get_handle_by_name(f"/world/run 1/{name}")).__name__
-             for name in names[:3]}  # fmt: skip
+    kinds = {
+        name: type(server.scene.get_handle_by_name(f"/world/run 1/{name}")).__name__
+        for name in names[:3]
+    }
     assert kinds == {"tracks": "LineSegmentsHandle", "name": "LabelHandle", "here": "FrameHandle"}
     assert len({node.name for node, _, _ in stage.actors[0].frames}) == len(bodies)
 

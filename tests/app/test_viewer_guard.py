@@ -64,10 +64,13 @@ def _get(port: int, **headers: str) -> tuple[int, str]:
 def _joined(port: int, host: str | None = None, origin: str | None = None) -> Any:
     """Return a connection of WebSocket that names a host and an origin."""
     return client.connect(
-        f"ws://{host or f'127.0.0.1:{port}'}/", sock=socket.create_connection(("127.0.0.1", port)),
-        origin=origin, subprotocols=[f"viser-v{viser.__version__}"], open_timeout=PATIENCE,
+        f"ws://{host or f'127.0.0.1:{port}'}/",
+        sock=socket.create_connection(("127.0.0.1", port)),
+        origin=origin,
+        subprotocols=[f"viser-v{viser.__version__}"],
+        open_timeout=PATIENCE,
         max_size=None,
-    )  # fmt: skip
+    )
 
 
 def _await(is_so: Callable[[], bool]) -> None:
@@ -138,8 +141,12 @@ def test_foreign_pages_are_refused(
     (words,) = told
     assert words.startswith("refused a request: expected one for http://127.0.0.1:")
     assert headers["Host"] in words
-    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
-               "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}  # fmt: skip
+    upgrade = {
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+    }
     assert _get(port, **headers, **upgrade)[0] == 403
     assert server.get_clients() == {}
 

@@ -47,9 +47,16 @@ def _solved(folder: Path, crs: str, transform: Affine, **asked: object) -> Traje
     """Solve a problem on a GeoTIFF of a plane, write its result, and return it."""
     rows = 100 + 0.1 * np.arange(40.0)[:, None] + np.zeros(40)
     with rasterio.open(
-        folder / "map.tif", "w", driver="GTiff", width=40, height=40, count=1, dtype="float64",
-        crs=crs, transform=transform,
-    ) as file:  # fmt: skip
+        folder / "map.tif",
+        "w",
+        driver="GTiff",
+        width=40,
+        height=40,
+        count=1,
+        dtype="float64",
+        crs=crs,
+        transform=transform,
+    ) as file:
         file.write(rows, 1)
     (folder / "p.toml").write_text(PROBLEM.format(**asked))
     found = run(read(folder / "p.toml")).trajectory
@@ -74,16 +81,22 @@ def test_a_path_on_a_projected_map(tmp_path: Path) -> None:
     assert "pixel is area" in found.attributes["ground_map"]
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
     head, rows = _rows(tmp_path / "path.csv")
-    assert head == ["time (s)", "x (m)", "y (m)", "z (m)", "heading (rad)", "pitch (rad)",
-                    "roll (rad)", "yaw (rad)"]  # fmt: skip
+    assert head == [
+        "time (s)",
+        "x (m)",
+        "y (m)",
+        "z (m)",
+        "heading (rad)",
+        "pitch (rad)",
+        "roll (rad)",
+        "yaw (rad)",
+    ]
     names = ("x", "y", "z", "heading", "pitch", "roll", "yaw")
     assert_allclose(rows, np.column_stack([found.t, *(found[name] for name in names)]), rtol=1e-15)
 
     export_path(tmp_path / "out.nc", tmp_path / "path.geojson")
     content = json.loads((tmp_path / "path.geojson").read_text())
-    assert content["crs"] == {
-        "type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32633"}
-    }  # fmt: skip
+    assert content["crs"] == {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::32633"}}
     (feature,) = content["features"]
     assert feature["geometry"]["type"] == "LineString"
     assert_allclose(feature["geometry"]["coordinates"], rows[:, 1:4], rtol=1e-15)
@@ -122,8 +135,12 @@ def test_rates_that_a_robot_plays(tmp_path: Path) -> None:
     found = _utm(tmp_path)
     export_rates(tmp_path / "out.nc", tmp_path / "rates.csv")
     head, rows = _rows(tmp_path / "rates.csv")
-    assert head == ["time (s)", "right_rate (rad s-1)", "left_rate (rad s-1)",
-                    "steer_rate (rad s-1)"]  # fmt: skip
+    assert head == [
+        "time (s)",
+        "right_rate (rad s-1)",
+        "left_rate (rad s-1)",
+        "steer_rate (rad s-1)",
+    ]
     assert_allclose(rows[:, 0], found.t)
     assert set(rows[:, 1]) == {0.5, 0.4}
     assert set(rows[:, 3]) == {0.01}

@@ -89,11 +89,19 @@ def _refused(*words: str) -> str:
 @pytest.mark.parametrize(
     ("command", "ending"),
     [
-        ("run", ".toml"), ("check", ".toml"), ("compare", ".toml"), ("sweep", ".toml"),
-        ("vehicle", ".toml"), ("vehicle", ".urdf"), ("info", ".nc"), ("report", ".nc"),
-        ("show", ".nc"), ("export", ".nc"), ("run p.toml --resume", ".nc"),
+        ("run", ".toml"),
+        ("check", ".toml"),
+        ("compare", ".toml"),
+        ("sweep", ".toml"),
+        ("vehicle", ".toml"),
+        ("vehicle", ".urdf"),
+        ("info", ".nc"),
+        ("report", ".nc"),
+        ("show", ".nc"),
+        ("export", ".nc"),
+        ("run p.toml --resume", ".nc"),
     ],
-)  # fmt: skip
+)
 def test_a_file_on_the_command_line_that_is_none(command: str, ending: str, kind: str) -> None:
     more = {"export": ["--path", "o.csv"], "sweep": ["--vary", "time.duration=1,2"]}
     name = _spoiled(kind, ending)
@@ -109,11 +117,17 @@ def test_a_file_on_the_command_line_that_is_none(command: str, ending: str, kind
 @pytest.mark.parametrize(
     ("table", "key", "ending"),
     [
-        ("terrain", "file", ".npz"), ("terrain", "file", ".asc"), ("terrain", "file", ".tif"),
-        ("terrain", "file", ".png"), ("terrain", "file", ".xyz"), ("terrain", "friction", ".asc"),
-        ("vehicle", "file", ".toml"), ("vehicle", "file", ".urdf"), ("driver", "file", ".csv"),
+        ("terrain", "file", ".npz"),
+        ("terrain", "file", ".asc"),
+        ("terrain", "file", ".tif"),
+        ("terrain", "file", ".png"),
+        ("terrain", "file", ".xyz"),
+        ("terrain", "friction", ".asc"),
+        ("vehicle", "file", ".toml"),
+        ("vehicle", "file", ".urdf"),
+        ("driver", "file", ".csv"),
     ],
-)  # fmt: skip
+)
 def test_a_file_named_in_a_problem_that_is_none(
     table: str, key: str, ending: str, kind: str
 ) -> None:
@@ -147,12 +161,18 @@ def test_an_output_whose_name_cannot_be_used(folder: Path, kind: str) -> None:
     assert run.exit_code == 0, run.output
     before = sorted(folder.iterdir())
     for words, ending in {
-        "run p.toml --no-draw -o": ".nc", "run p.toml --no-draw --csv": ".csv",
-        "run p.toml --figures": "", "export x.nc --path": ".csv", "export x.nc --rates": ".csv",
-        "report x.nc -o": ".html", "show x.nc --html": ".html", "show x.nc --animation": ".gif",
-        "new direct": ".toml", "examples paper_direct --to": "",
+        "run p.toml --no-draw -o": ".nc",
+        "run p.toml --no-draw --csv": ".csv",
+        "run p.toml --figures": "",
+        "export x.nc --path": ".csv",
+        "export x.nc --rates": ".csv",
+        "report x.nc -o": ".html",
+        "show x.nc --html": ".html",
+        "show x.nc --animation": ".gif",
+        "new direct": ".toml",
+        "examples paper_direct --to": "",
         "sweep p.toml --vary time.duration=0.1,0.2 -o": "",
-    }.items():  # fmt: skip
+    }.items():
         name = f"{'n' * 5000}{ending}"
         if kind == "loop":
             name = f"loop{ending}"

@@ -25,9 +25,12 @@ from slipfree.files.maps.elevation import read_grid, read_map
 UTM = "EPSG:32633"
 WEST, NORTH, CELL = 500000.0, 4.5e6, 0.25
 SIZE = 40, 32  # columns, rows
-ROWS = np.round(  # heights that a float32 holds exactly; rows from the north
-    1024 * (0.3 + 0.15 * np.sin(0.5 * np.arange(32.0))[:, None] * np.cos(0.4 * np.arange(40.0)))
-) / 1024  # fmt: skip
+ROWS = (
+    np.round(  # heights that a float32 holds exactly; rows from the north
+        1024 * (0.3 + 0.15 * np.sin(0.5 * np.arange(32.0))[:, None] * np.cos(0.4 * np.arange(40.0)))
+    )
+    / 1024
+)
 
 
 def from_origin(west, north, cell):
@@ -38,9 +41,17 @@ def geotiff(path, rows=ROWS, *, transform=None, crs=UTM, dtype="float32", tags=N
     transform = transform or from_origin(WEST, NORTH, CELL)
     bands = np.atleast_3d(np.asarray(rows, dtype).T).T
     with rasterio.open(
-        path, "w", driver="GTiff", width=bands.shape[2], height=bands.shape[1],
-        count=len(bands), dtype=dtype, crs=crs, transform=transform, **options,
-    ) as file:  # fmt: skip
+        path,
+        "w",
+        driver="GTiff",
+        width=bands.shape[2],
+        height=bands.shape[1],
+        count=len(bands),
+        dtype=dtype,
+        crs=crs,
+        transform=transform,
+        **options,
+    ) as file:
         file.write(bands)
         file.update_tags(**(tags or {}))
     return path
@@ -86,10 +97,17 @@ def test_nodes_are_the_middles_of_pixels_whatever_their_registration(tmp_path):
 def test_pillow_reads_what_rasterio_reads(tmp_path):
     """Expected values are those of the file, since rasterio is hidden here."""
     for registration in ("Area", "Point"):
-        for options in ({}, {"compress": "lzw"}, {"compress": "deflate", "predictor": 3},
-                        {"dtype": "int16"}, {"dtype": "uint16"}, {"dtype": "int32"},
-                        {"dtype": "uint16", "ENDIANNESS": "BIG"}, {"ENDIANNESS": "BIG"},
-                        {"tiled": True, "blockxsize": 16, "blockysize": 16}):  # fmt: skip
+        for options in (
+            {},
+            {"compress": "lzw"},
+            {"compress": "deflate", "predictor": 3},
+            {"dtype": "int16"},
+            {"dtype": "uint16"},
+            {"dtype": "int32"},
+            {"dtype": "uint16", "ENDIANNESS": "BIG"},
+            {"ENDIANNESS": "BIG"},
+            {"tiled": True, "blockxsize": 16, "blockysize": 16},
+        ):
             rows = np.round(1000 * ROWS) if "int" in options.get("dtype", "") else ROWS
             path = geotiff(
                 tmp_path / "map.tif", rows, tags={"AREA_OR_POINT": registration}, **options
@@ -118,7 +136,7 @@ def test_pillow_reads_what_rasterio_reads(tmp_path):
         ({"crs": "EPSG:4326"}, r"found degrees \(EPSG:4326\)"),
         ({"crs": "EPSG:3857"}, r"code 3857, unit 9001, .*'slipfree\[geo\]'"),
     ],
-)  # fmt: skip
+)
 def test_pillow_refuses_what_it_does_not_read_exactly(tmp_path, options, words):
     path = geotiff(tmp_path / "map.tif", **options)
     with pytest.raises(DataError, match=f"map.tif: .*{words}"):
@@ -187,8 +205,14 @@ def test_a_map_at_utm_coordinates_gives_the_motion_of_the_shifted_one(tmp_path):
 
 def test_only_the_window_is_read(tmp_path, monkeypatch):
     rows = np.add.outer(np.arange(512.0), np.arange(512.0)) / 8
-    path = geotiff(tmp_path / "map.tif", rows, tiled=True, blockxsize=64, blockysize=64,
-                   transform=from_origin(0, 512, 1))  # fmt: skip
+    path = geotiff(
+        tmp_path / "map.tif",
+        rows,
+        tiled=True,
+        blockxsize=64,
+        blockysize=64,
+        transform=from_origin(0, 512, 1),
+    )
     asked = []
     read = rasterio.io.DatasetReader.read
 
@@ -282,9 +306,15 @@ def test_damage_outside_the_window_does_not_matter(tmp_path):
     """So no other block is read at all."""
     rows = np.random.default_rng(0).normal(size=(256, 256))
     path = geotiff(
-        tmp_path / "map.tif", rows, dtype="float64", tiled=True, blockxsize=64, blockysize=64,
-        compress="deflate", transform=from_origin(0, 256, 1),
-    )  # fmt: skip
+        tmp_path / "map.tif",
+        rows,
+        dtype="float64",
+        tiled=True,
+        blockxsize=64,
+        blockysize=64,
+        compress="deflate",
+        transform=from_origin(0, 256, 1),
+    )
     data = bytearray(path.read_bytes())
     data[-32000:-2000] = bytes(30000)  # of a block in the south: these come last
     path.write_bytes(data)
@@ -296,9 +326,21 @@ def test_damage_outside_the_window_does_not_matter(tmp_path):
 
 def test_a_large_sparse_map_needs_a_window(tmp_path):
     path = tmp_path / "map.tif"
-    with rasterio.open(path, "w", driver="GTiff", width=20000, height=20000, count=1, crs=UTM,
-                       dtype="float32", tiled=True, blockxsize=256, blockysize=256,
-                       transform=from_origin(0, 20000, 1), SPARSE_OK=True) as file:  # fmt: skip
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=20000,
+        height=20000,
+        count=1,
+        crs=UTM,
+        dtype="float32",
+        tiled=True,
+        blockxsize=256,
+        blockysize=256,
+        transform=from_origin(0, 20000, 1),
+        SPARSE_OK=True,
+    ) as file:
         file.write(np.ones((256, 256), "float32"), 1, window=((0, 256), (0, 256)))
     with pytest.raises(DataError, match=r"found 4e\+08 \(20000 by 20000 .*window = \[x_min"):
         read_grid(path)
@@ -335,20 +377,24 @@ def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
     [
         ({"rows": [ROWS, ROWS, ROWS]}, "one band of heights, found 3 bands; .*gdal_translate -b 1"),
         ({"dtype": "complex64"}, "heights that are numbers, found complex64"),
-        ({"crs": "EPSG:4326", "transform": from_origin(15, 47, 1e-4)},
-         r"found degrees \(EPSG:4326\): x from 15.0+5.*geographic = \"local\""),
+        (
+            {"crs": "EPSG:4326", "transform": from_origin(15, 47, 1e-4)},
+            r"found degrees \(EPSG:4326\): x from 15.0+5.*geographic = \"local\"",
+        ),
         ({"crs": "EPSG:2263"}, "found the unit 'US survey foot' of EPSG:2263; .*gdalwarp"),
         ({"crs": "EPSG:4978"}, "a projected or a geographic reference system, found EPSG:4978"),
         ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "metres, found the unit 'foot'"),
         ({"crs": "EPSG:4807"}, "in degrees, found the unit 'grad' of EPSG:4807"),
-        ({"crs": "+proj=longlat +a=1737400 +b=1737400 +no_defs"},
-         "degrees on the earth, found a body of radius 1737400 m .*gdalwarp"),
+        (
+            {"crs": "+proj=longlat +a=1737400 +b=1737400 +no_defs"},
+            "degrees on the earth, found a body of radius 1737400 m .*gdalwarp",
+        ),
         ({"transform": from_origin(1e9, 1e9, 0.5)}, "one metre is nan m along x"),
         ({"transform": Affine(0.2, 0.1, 5, 0.1, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"transform": Affine(-0.2, 0, 5, 0, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"crs": None, "transform": from_origin(15, 47, 1e-4)}, "seems to be in degrees"),
     ],
-)  # fmt: skip
+)
 def test_geotiffs_refused(tmp_path, options, words):
     path = geotiff(tmp_path / "map.tif", **options)
     with pytest.raises(DataError, match=f"map.tif: expected .*{words}"):
@@ -385,8 +431,17 @@ def test_more_geotiffs_refused(tmp_path):
         read_grid(path)
     points = [GroundControlPoint(r, c, 10 + c, 20 - r) for r, c in ((0, 0), (0, 9), (9, 0))]
     path = tmp_path / "gcp.tif"
-    with rasterio.open(path, "w", driver="GTiff", width=40, height=32, count=1, dtype="float32",
-                       gcps=points, crs=UTM) as file:  # fmt: skip
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=40,
+        height=32,
+        count=1,
+        dtype="float32",
+        gcps=points,
+        crs=UTM,
+    ) as file:
         file.write(ROWS.astype("float32"), 1)
     with pytest.raises(DataError, match="3 ground control points; resample it: gdalwarp"):
         read_grid(path)
@@ -419,8 +474,11 @@ def test_damaged_tiffs_lead_to_one_error(tmp_path, monkeypatch, reader):
 def test_a_picture_needs_cell_and_registration(tmp_path):
     heights = np.arange(20).reshape(4, 5) * 300
     path = plain(tmp_path / "map.png", heights, "I;16")
-    for keys, lacking in (({}, "cell and registration"), ({"cell": 2.0}, "registration"),
-                          ({"registration": "area"}, "cell")):  # fmt: skip
+    for keys, lacking in (
+        ({}, "cell and registration"),
+        ({"cell": 2.0}, "registration"),
+        ({"registration": "area"}, "cell"),
+    ):
         with pytest.raises(
             DataError, match=f"map.png: expected {lacking} for a raster .*give cell"
         ):
@@ -430,8 +488,10 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
     assert_array_equal(point.x, [0, 2, 4, 6, 8])
     assert_array_equal(point.y, [0, 2, 4, 6])
     assert_array_equal(point.z, heights[::-1].T)  # the first row is the northernmost
-    assert_array_equal(read_map(path, cell=1.0, registration="point", window=(1, 4, 0, 3)).grid.z,
-                       heights[::-1].T[1:])  # fmt: skip
+    assert_array_equal(
+        read_map(path, cell=1.0, registration="point", window=(1, 4, 0, 3)).grid.z,
+        heights[::-1].T[1:],
+    )
     for patched in (False, True):
         path = plain(tmp_path / "map.tif", ROWS)
         with pytest.MonkeyPatch.context() as patch:

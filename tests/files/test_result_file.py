@@ -96,8 +96,11 @@ def test_xarray_opens_it(motion: Trajectory, tmp_path: Path) -> None:
     assert data.sizes == {"time": N, "wheel": 3}
     assert data.time.dtype == np.float64
     assert data.time.attrs == {
-        "units": "s", "long_name": "time", "standard_name": "time", "axis": "T"
-    }  # fmt: skip
+        "units": "s",
+        "long_name": "time",
+        "standard_name": "time",
+        "axis": "T",
+    }
     assert data.slip.dims == ("time", "wheel")
     assert data.slip.attrs == {"units": "m s-1", "long_name": "slip of the wheel"}
     assert list(data.wheel.values) == ["right", "left", "front"]

@@ -25,9 +25,13 @@ def written(path, points, delimiter=" ", header=""):
 
 @pytest.mark.parametrize(
     ("name", "delimiter", "header"),
-    [("p.xyz", " ", ""), ("p.txt", "\t", "# measured today"), ("p.csv", ",", "X, Y, Z"),
-     ("p.csv", ";", "easting;northing;height")],
-)  # fmt: skip
+    [
+        ("p.xyz", " ", ""),
+        ("p.txt", "\t", "# measured today"),
+        ("p.csv", ",", "X, Y, Z"),
+        ("p.csv", ";", "easting;northing;height"),
+    ],
+)
 def test_a_plane_is_exact(tmp_path, name, delimiter, header):
     found = read_map(written(tmp_path / name, scattered(), delimiter, header), spacing=0.5)
     x, y = found.grid.x - 500000, found.grid.y - 4.5e6
@@ -54,8 +58,9 @@ def test_points_on_a_grid_keep_their_values(tmp_path):
     """At coordinates whose steps are not exact, no node is lost at the border."""
     x, y = 500000.3 + 0.1 * np.arange(30), 4.5e6 + 0.1 * np.arange(20)
     z = np.random.default_rng(2).normal(size=(30, 20))
-    points = np.column_stack([*(each.reshape(-1) for each in np.meshgrid(x, y, indexing="ij")),
-                              z.reshape(-1)])  # fmt: skip
+    points = np.column_stack(
+        [*(each.reshape(-1) for each in np.meshgrid(x, y, indexing="ij")), z.reshape(-1)]
+    )
     np.random.default_rng(3).shuffle(points)
     found = read_map(written(tmp_path / "p.xyz", points), spacing=0.1).grid
     assert_allclose(found.x, x, atol=1e-8)

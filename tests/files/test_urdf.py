@@ -21,10 +21,13 @@ RIGHT_FORWARD = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # from x forward
 FILES = {
     "cart": {"caster": "caster"},
     "bogie": {
-        "rocker_left": "rocker-left", "bogie_left": "bogie_left", "bogie_right": "bogie_right",
-        "steer_left": "steer_left", "steer_right": "steer_right",
+        "rocker_left": "rocker-left",
+        "bogie_left": "bogie_left",
+        "bogie_right": "bogie_right",
+        "steer_left": "steer_left",
+        "steer_right": "steer_right",
     },
-}  # fmt: skip
+}
 MIMICS = {"bogie": {"rocker_right": ("rocker-left", -1.0)}}
 LINK_OF = re.compile(r'<joint name="([^"]+)".*?<child link="([^"]+)"', re.DOTALL)
 
@@ -75,8 +78,10 @@ def test_poses_and_jacobians_are_those_of_adam(name, rng):
     oracle = adams(name, joints)
     assert sorted(c.name for c in vehicle.coordinates) == sorted(FILES[name])
     for _ in range(10):
-        values, rates = (dict(zip(FILES[name], rng.uniform(-0.8, 0.8, len(FILES[name])),
-                                  strict=True)) for _ in range(2))  # fmt: skip
+        values, rates = (
+            dict(zip(FILES[name], rng.uniform(-0.8, 0.8, len(FILES[name])), strict=True))
+            for _ in range(2)
+        )
         given = {FILES[name][key]: (values[key], rates[key]) for key in values}
         for follower, (leader, factor) in MIMICS.get(name, {}).items():
             given[follower] = tuple(factor * each for each in given[leader])
@@ -184,50 +189,103 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "cart.urdf:27: joint 'left_drive': expected "
-         "an axis other than zero, found 0 0 0; write"),
-        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1"/>', "cart.urdf:27: joint 'left_drive': axis: "
-         "expected three numbers in xyz, found '0 1'"),
+        (
+            '<axis xyz="0 1 0"/>',
+            '<axis xyz="0 0 0"/>',
+            "cart.urdf:27: joint 'left_drive': expected "
+            "an axis other than zero, found 0 0 0; write",
+        ),
+        (
+            '<axis xyz="0 1 0"/>',
+            '<axis xyz="0 1"/>',
+            "cart.urdf:27: joint 'left_drive': axis: expected three numbers in xyz, found '0 1'",
+        ),
         ('<mass value="12"/>', '<mass value="many"/>', "link 'base_link': mass: expected a number"),
         ('<mass value="12"/>', '<mass value="-1"/>', "expected a mass of zero or more kilograms"),
         ('xyz="0 0.25 0"', 'xyz="0 250 0"', "expected xyz in metres, at most 100 (did you mean mi"),
-        ('rpy="0.0 0.0 0.4"', 'rpy="0 0 23"', "cart.urdf:35: joint 'bracket': expected rpy "
-         "in radians (did you mean 23 degrees? write 0.401426), found 23"),
-        (CASTER, REVOLUTE.format(-90, 90), "joint 'caster': expected "
-         "lower in radians (did you mean -90 degrees? write -1.5708), found -90"),
-        (CASTER, REVOLUTE.format(1, 1), "joint 'caster': expected limits of caster that ascend, "
-         'found 1 to 1; write caster = "fixed" in "joints" if it does not move, else its "lower" '
-         'and "upper" there'),
-        (CASTER, CASTER.replace("continuous", "prismatic") + '<limit lower="-150" upper="1"/>',
-         "joint 'caster': expected lower in metres, at most 100 (did you mean millimetres?)"),
-        ('<joint name="lidar_mount" type="revolute">', '<joint name="caster" type="revolute">',
-         "cart.urdf:45: joint 'caster': expected a name of its own, found two"),
-        ('<child link="caster_wheel"/>', '<child link="castor"/>', "cart.urdf:41: joint "
-         "'caster_axle': expected a link of this file as child, found 'castor'"),
-        ('<parent link="base_link"/><child link="lidar"/>', '<parent link="fork"/>'
-         '<child link="left_wheel"/>', "joint 'lidar_mount': expected a tree, found a closed loop: "
-         "link 'left_wheel' hangs on joint 'left_drive' as well; cut"),
-        ('<parent link="base_link"/><child link="swivel"/>', '<parent link="fork"/>'
-         '<child link="swivel"/>', "expected a tree of links, found links in a loop: 'swivel', "),
-        ('<link name="swivel"/>', '<link name="swivel"/><link name="lost"/>', "expected one link "
-         "that carries all others, found 'base_link', 'lost'"),
-        (CASTER, CASTER.replace("continuous", "planar"), "joint 'caster': expected fixed, "
-         "revolute, continuous or prismatic, found planar"),
+        (
+            'rpy="0.0 0.0 0.4"',
+            'rpy="0 0 23"',
+            "cart.urdf:35: joint 'bracket': expected rpy "
+            "in radians (did you mean 23 degrees? write 0.401426), found 23",
+        ),
+        (
+            CASTER,
+            REVOLUTE.format(-90, 90),
+            "joint 'caster': expected "
+            "lower in radians (did you mean -90 degrees? write -1.5708), found -90",
+        ),
+        (
+            CASTER,
+            REVOLUTE.format(1, 1),
+            "joint 'caster': expected limits of caster that ascend, "
+            'found 1 to 1; write caster = "fixed" in "joints" if it does not move, else its '
+            '"lower" and "upper" there',
+        ),
+        (
+            CASTER,
+            CASTER.replace("continuous", "prismatic") + '<limit lower="-150" upper="1"/>',
+            "joint 'caster': expected lower in metres, at most 100 (did you mean millimetres?)",
+        ),
+        (
+            '<joint name="lidar_mount" type="revolute">',
+            '<joint name="caster" type="revolute">',
+            "cart.urdf:45: joint 'caster': expected a name of its own, found two",
+        ),
+        (
+            '<child link="caster_wheel"/>',
+            '<child link="castor"/>',
+            "cart.urdf:41: joint "
+            "'caster_axle': expected a link of this file as child, found 'castor'",
+        ),
+        (
+            '<parent link="base_link"/><child link="lidar"/>',
+            '<parent link="fork"/><child link="left_wheel"/>',
+            "joint 'lidar_mount': expected a tree, found a closed loop: "
+            "link 'left_wheel' hangs on joint 'left_drive' as well; cut",
+        ),
+        (
+            '<parent link="base_link"/><child link="swivel"/>',
+            '<parent link="fork"/><child link="swivel"/>',
+            "expected a tree of links, found links in a loop: 'swivel', ",
+        ),
+        (
+            '<link name="swivel"/>',
+            '<link name="swivel"/><link name="lost"/>',
+            "expected one link that carries all others, found 'base_link', 'lost'",
+        ),
+        (
+            CASTER,
+            CASTER.replace("continuous", "planar"),
+            "joint 'caster': expected fixed, revolute, continuous or prismatic, found planar",
+        ),
         (CASTER, CASTER.replace("continuous", "hinge"), "joint 'caster': expected a type (fixed"),
-        ('<geometry><cylinder radius="0.15" length="0.04"/>', '<geometry><mesh filename="a.stl"/>',
-         "joint 'left_drive': expected a cylinder or a sphere as its wheel, found a mesh, whose "
-         "radius is not known; write wheels = { left_drive = { radius = ... } }"),
+        (
+            '<geometry><cylinder radius="0.15" length="0.04"/>',
+            '<geometry><mesh filename="a.stl"/>',
+            "joint 'left_drive': expected a cylinder or a sphere as its wheel, found a mesh, whose "
+            "radius is not known; write wheels = { left_drive = { radius = ... } }",
+        ),
         ('radius="0.15"', 'radius="150"', "expected the radius of a cylinder in metres, found 150"),
-        ('<robot name="cart">', '<!DOCTYPE robot [<!ENTITY a "a">]><robot name="&a;">',
-         "cart.urdf:3: expected XML without a document type, found <!DOCTYPE"),
-        ('<robot name="cart">', '<robot name="cart" xmlns:xacro="x"><xacro:include filename="b"/>',
-         "cart.urdf:3: expected plain URDF, found xacro; expand it first: xacro cart.urdf > "),
+        (
+            '<robot name="cart">',
+            '<!DOCTYPE robot [<!ENTITY a "a">]><robot name="&a;">',
+            "cart.urdf:3: expected XML without a document type, found <!DOCTYPE",
+        ),
+        (
+            '<robot name="cart">',
+            '<robot name="cart" xmlns:xacro="x"><xacro:include filename="b"/>',
+            "cart.urdf:3: expected plain URDF, found xacro; expand it first: xacro cart.urdf > ",
+        ),
         ('xyz="0 0.25 0"', 'xyz="0 ${a} 0"', "expected plain URDF, found xacro"),
-        ('<?xml version="1.0"?>', '<?xml version="1.0" encoding="klingon"?>', "cart.urdf: "
-         "expected XML in an encoding that is known"),
+        (
+            '<?xml version="1.0"?>',
+            '<?xml version="1.0" encoding="klingon"?>',
+            "cart.urdf: expected XML in an encoding that is known",
+        ),
         ('<robot name="cart">', "<sdf>", "cart.urdf:54: expected XML, found mismatched tag"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_named(old, new, words, tmp_path):
     assert words in faults(changed(tmp_path, "cart", (old, new)))
 
@@ -235,51 +293,99 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
 @pytest.mark.parametrize(
     ("roles", "words"),
     [
-        ('urdf = "cart.urdf"', "cart.urdf:37: joint 'caster': expected what moves it, found no "
-         'transmission, command interface or mimic; write joints = { caster = "passive" }'),
-        ('urdf = "cart.urdf"', "joint 'caster_axle': expected what moves it, found no "
-         "transmission, command interface or mimic; write wheels = { caster_axle = { driven = "),
-        ('urdf = "cart.urdf"\n[joints]\ncastor = "passive"', "cart.toml:3: joints.castor: expected "
-         "one of left_drive, right_drive, bracket, lidar_mount, caster, caster_axle, found the "
-         "unknown key 'castor'; did you mean 'caster'?"),
-        ('urdf = "cart.urdf"\njoints = { caster = "free" }', "cart.toml:2: joints.caster.kind: "
-         "expected 'commanded', 'passive', 'suspension' or 'fixed', found 'free'"),
-        ('urdf = "cart.urdf"\n[wheels]\nlidar_mount = { driven = false }', "joint 'lidar_mount': "
-         "expected a cylinder or a sphere as its wheel, found none; write wheels = { lidar_mount"),
-        ('urdf = "cart.urdf"\n[wheels]\nleft_drive = { tubes = 1 }', "cart.toml:3: "
-         "wheels.left_drive.tubes: expected one of driven, radius, tube, grip, rollers, found the "
-         "unknown key 'tubes'; did you mean 'tube'?"),
+        (
+            'urdf = "cart.urdf"',
+            "cart.urdf:37: joint 'caster': expected what moves it, found no "
+            'transmission, command interface or mimic; write joints = { caster = "passive" }',
+        ),
+        (
+            'urdf = "cart.urdf"',
+            "joint 'caster_axle': expected what moves it, found no "
+            "transmission, command interface or mimic; write wheels = { caster_axle = { driven = ",
+        ),
+        (
+            'urdf = "cart.urdf"\n[joints]\ncastor = "passive"',
+            "cart.toml:3: joints.castor: expected "
+            "one of left_drive, right_drive, bracket, lidar_mount, caster, caster_axle, found the "
+            "unknown key 'castor'; did you mean 'caster'?",
+        ),
+        (
+            'urdf = "cart.urdf"\njoints = { caster = "free" }',
+            "cart.toml:2: joints.caster.kind: "
+            "expected 'commanded', 'passive', 'suspension' or 'fixed', found 'free'",
+        ),
+        (
+            'urdf = "cart.urdf"\n[wheels]\nlidar_mount = { driven = false }',
+            "joint 'lidar_mount': "
+            "expected a cylinder or a sphere as its wheel, found none; write wheels = { "
+            "lidar_mount",
+        ),
+        (
+            'urdf = "cart.urdf"\n[wheels]\nleft_drive = { tubes = 1 }',
+            "cart.toml:3: "
+            "wheels.left_drive.tubes: expected one of driven, radius, tube, grip, rollers, "
+            "found the "
+            "unknown key 'tubes'; did you mean 'tube'?",
+        ),
         ('urdf = "cart.urdf"\ntube = 1.0', "expected a tube of at most the radius, 0.15 m, f"),
-        ('urdf = "cart.urdf"\n[wheels]\nleft_drive = { radius = 150.0 }', "cart.toml:3: "
-         "wheels.left_drive.radius: expected metres, at most 100 (did you mean millimetres?"),
-        ('urdf = "cart.urdf"\njoints = { caster = { kind = "passive", upper = 30 } }\n'
-         "wheels = { caster_axle = { driven = false } }", "cart.urdf:37: joint 'caster': upper: "
-         "expected radians (did you mean 30 degrees? write 0.523599), found 30"),
-        (r'urdf = "a\u0000b.urdf"', "expected a URDF (urdf of cart.toml), found that it cannot be "
-         "read (embedded null byte)"),
-        ('urdf = "cat.urdf"', "cat.urdf: expected a URDF (urdf of cart.toml), "
-         "found that it cannot be read"),
-        ('urdf = "cart.urdf"\njoints = { caster = "suspension" }\nwheels = { caster_axle = '
-         "{ driven = false } }", "cart.urdf:1: expected 0 suspension coordinates for 3 wheels, one "
-         "for each beyond three, found 1, 1 too many: caster; remove 1"),
-        ('urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster_axle = '
-         "{ driven = false }, lidar_mount = { radius = 0.1, driven = false } }",
-         "expected 1 suspension coordinates for 4 wheels, one for each beyond three, found 0, 1 "
-         "too few: none; a wheel would hang in the air"),
-        ('urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
-         "wheels = { caster_axle = { driven = false } }", "cart.toml:1: coordinate caster: its "
-         "rate is commanded, so that it takes no spring"),
-        ('urdf = "cart.urdf"\njoints = { caster = "passive", bracket = "suspension" }',
-         "cart.urdf:33: joint 'bracket': expected a joint that can be suspension, found one of "
-         "type 'fixed' without an axis; write its axis in the URDF, as in <axis"),
-        ('urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }', "joint 'caster': expected a "
-         "wheel that carries nothing that moves, found joints below it"),
-        ('urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }', "joint 'caster_axle': "
-         "expected a wheel on a part of the vehicle, found it on another wheel"),
-        ('urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster = {} }',
-         "cart.toml:2: joints.caster: expected a joint that is no wheel, found the same name in"),
+        (
+            'urdf = "cart.urdf"\n[wheels]\nleft_drive = { radius = 150.0 }',
+            "cart.toml:3: "
+            "wheels.left_drive.radius: expected metres, at most 100 (did you mean millimetres?",
+        ),
+        (
+            'urdf = "cart.urdf"\njoints = { caster = { kind = "passive", upper = 30 } }\n'
+            "wheels = { caster_axle = { driven = false } }",
+            "cart.urdf:37: joint 'caster': upper: "
+            "expected radians (did you mean 30 degrees? write 0.523599), found 30",
+        ),
+        (
+            r'urdf = "a\u0000b.urdf"',
+            "expected a URDF (urdf of cart.toml), found that it cannot be "
+            "read (embedded null byte)",
+        ),
+        (
+            'urdf = "cat.urdf"',
+            "cat.urdf: expected a URDF (urdf of cart.toml), found that it cannot be read",
+        ),
+        (
+            'urdf = "cart.urdf"\njoints = { caster = "suspension" }\nwheels = { caster_axle = '
+            "{ driven = false } }",
+            "cart.urdf:1: expected 0 suspension coordinates for 3 wheels, one "
+            "for each beyond three, found 1, 1 too many: caster; remove 1",
+        ),
+        (
+            'urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster_axle = '
+            "{ driven = false }, lidar_mount = { radius = 0.1, driven = false } }",
+            "expected 1 suspension coordinates for 4 wheels, one for each beyond three, found 0, 1 "
+            "too few: none; a wheel would hang in the air",
+        ),
+        (
+            'urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
+            "wheels = { caster_axle = { driven = false } }",
+            "cart.toml:1: coordinate caster: its rate is commanded, so that it takes no spring",
+        ),
+        (
+            'urdf = "cart.urdf"\njoints = { caster = "passive", bracket = "suspension" }',
+            "cart.urdf:33: joint 'bracket': expected a joint that can be suspension, found one of "
+            "type 'fixed' without an axis; write its axis in the URDF, as in <axis",
+        ),
+        (
+            'urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }',
+            "joint 'caster': expected a "
+            "wheel that carries nothing that moves, found joints below it",
+        ),
+        (
+            'urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }',
+            "joint 'caster_axle': "
+            "expected a wheel on a part of the vehicle, found it on another wheel",
+        ),
+        (
+            'urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster = {} }',
+            "cart.toml:2: joints.caster: expected a joint that is no wheel, found the same name in",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_the_file_cannot_say_is_asked(roles, words, tmp_path):
     assert words in faults(changed(tmp_path, "cart", roles=roles))
 
@@ -483,13 +589,17 @@ def test_inertials_and_origins_may_be_missing(tmp_path):
 def test_a_ball_on_a_fixed_joint_is_a_caster(tmp_path):
     """A ball that slides freely: it turns with the ground, and costs no slip across."""
     ball = '<geometry><sphere radius="0.1"/></geometry>'
-    roles = 'urdf = "cart.urdf"\nwheels.lidar_mount = { driven = false, rollers = true }\n' \
-            'joints.caster = "fixed"\nwheels.caster_axle = { driven = false }'  # fmt: skip
+    roles = (
+        'urdf = "cart.urdf"\nwheels.lidar_mount = { driven = false, rollers = true }\n'
+        'joints.caster = "fixed"\nwheels.caster_axle = { driven = false }'
+    )
     file = changed(
-        tmp_path, "cart", ('<geometry><mesh filename="lidar.stl"/></geometry>', ball),
+        tmp_path,
+        "cart",
+        ('<geometry><mesh filename="lidar.stl"/></geometry>', ball),
         ('<joint name="lidar_mount" type="revolute">', '<joint name="lidar_mount" type="fixed">'),
         roles=roles,
-    )  # fmt: skip
+    )
     with pytest.raises(VehicleError) as caught:
         read_vehicle(file)
     wheel = next(w for w in caught.value.draft.wheels if w.name == "lidar_mount")

@@ -74,9 +74,17 @@ def begin(climber, profile, control, contact, speed=SPEED, **options):
 
 @lru_cache(maxsize=32)
 def climb(
-    profile, control, contact, *, torque=AMPLE, until=3.6, tolerance=1e-6, speed=SPEED, every=EVERY,
+    profile,
+    control,
+    contact,
+    *,
+    torque=AMPLE,
+    until=3.6,
+    tolerance=1e-6,
+    speed=SPEED,
+    every=EVERY,
     climber=None,
-) -> Climb:  # fmt: skip
+) -> Climb:
     climber = climber or seven_wheels(torque=torque)
     dae, start = begin(climber, profile, control, contact, speed)
     t = np.arange(round(until / every) + 1) * every

@@ -98,19 +98,23 @@ def _profile(rng: np.random.Generator) -> Profile:
         "ramp": lambda: ramp(rng.uniform(0.3, 1.2), rng.uniform(0.03, 0.12)),
         "step": lambda: step(rng.uniform(0.02, 0.14)),
         "kerb": lambda: kerb(rng.uniform(0.02, 0.1), rng.uniform(0.3, 1.0)),
-        "stairs": lambda: stairs(rng.uniform(0.02, 0.05), rng.uniform(0.25, 0.5),
-                                 int(rng.integers(2, 4))),
-    }  # fmt: skip
+        "stairs": lambda: stairs(
+            rng.uniform(0.02, 0.05), rng.uniform(0.25, 0.5), int(rng.integers(2, 4))
+        ),
+    }
     return kinds[rng.choice(list(kinds))]()
 
 
 def _contact(rng: np.random.Generator) -> CompliantContact:
     static = rng.uniform(0.3, 1.2)
     return CompliantContact(
-        stiffness=_between(rng, 5e4, 2e6), damping=_between(rng, 1.0, 30.0), static=static,
-        dynamic=static * rng.uniform(0.6, 1.0), creep=_between(rng, 2e-4, 2e-3),
+        stiffness=_between(rng, 5e4, 2e6),
+        damping=_between(rng, 1.0, 30.0),
+        static=static,
+        dynamic=static * rng.uniform(0.6, 1.0),
+        creep=_between(rng, 2e-4, 2e-3),
         stribeck=_between(rng, 5e-3, 5e-2),
-    )  # fmt: skip
+    )
 
 
 def _control(rng: np.random.Generator) -> Control:
@@ -118,19 +122,26 @@ def _control(rng: np.random.Generator) -> Control:
     law = rng.choice(list(get_args(Law)), p=[0.5, 0.2, 0.1, 0.1, 0.1])
     derivative, unwinding = rng.uniform(size=2) < 0.3
     return Control(
-        law=str(law), directions=str(rng.choice(["sensors", "contact"])),
-        smoothing=_between(rng, 5e-3, 0.1), share=rng.uniform(0.8, 1.05),
-        cap=rng.uniform(1.0, 2.0), proportional=rng.uniform(1.0, 8.0),
-        integral=_between(rng, 5.0, 80.0), derivative=0.01 * derivative,
-        unwinding=20.0 * unwinding, noise=_noise(rng),
-    )  # fmt: skip
+        law=str(law),
+        directions=str(rng.choice(["sensors", "contact"])),
+        smoothing=_between(rng, 5e-3, 0.1),
+        share=rng.uniform(0.8, 1.05),
+        cap=rng.uniform(1.0, 2.0),
+        proportional=rng.uniform(1.0, 8.0),
+        integral=_between(rng, 5.0, 80.0),
+        derivative=0.01 * derivative,
+        unwinding=20.0 * unwinding,
+        noise=_noise(rng),
+    )
 
 
 def _noise(rng: np.random.Generator) -> Noise | None:
     if rng.uniform() < 0.7:
         return None
     return Noise(
-        tilt=_between(rng, 1e-3, 2e-2), tilt_rate=_between(rng, 1e-2, 0.3),
-        wheel_rate=_between(rng, 1e-2, 0.3), band=rng.uniform(10, 60),
+        tilt=_between(rng, 1e-3, 2e-2),
+        tilt_rate=_between(rng, 1e-2, 0.3),
+        wheel_rate=_between(rng, 1e-2, 0.3),
+        band=rng.uniform(10, 60),
         seed=int(rng.integers(1000)),
-    )  # fmt: skip
+    )

@@ -54,8 +54,10 @@ def gaps(case, center):
 def references(case, tilts, directions):
     if not case.exact:
         return ca.DM([1, 1, 1])
-    cosines = [ca.cos(direction - tilt)
-               for direction, tilt in zip(directions, (tilts[0], *tilts), strict=True)]  # fmt: skip
+    cosines = [
+        ca.cos(direction - tilt)
+        for direction, tilt in zip(directions, (tilts[0], *tilts), strict=True)
+    ]
     ahead = cosines[0] * ca.cos(directions[1] - tilts[1])
     speeds = ca.vertcat(cosines[1] * cosines[2], cosines[0] * cosines[2], ahead)
     size = ca.fmax(ca.fabs(speeds[1]), ca.mmax(ca.fabs(speeds)) / case.cap)

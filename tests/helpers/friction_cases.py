@@ -88,13 +88,17 @@ def parts(ground, law) -> Parts:
     x = dae.rows("x", begin, 0)
     z = consistent(loop, 0.0, x, dae.rows("z", begin, 0), loop.u[:, 0])
     w = ca.vertcat(*leaves(dae.z.rates.motion))
-    slip = ca.vertcat(*(v for pair in zip(dae.y.slip_along, dae.y.slip_across, strict=True)
-                        for v in pair))  # fmt: skip
+    slip = ca.vertcat(
+        *(v for pair in zip(dae.y.slip_along, dae.y.slip_across, strict=True) for v in pair)
+    )
     pose = (dae.x.x, dae.x.y, dae.z[0].z, dae.x.heading, dae.z[0].roll, dae.z[0].pitch)
     power = -ca.jtimes(dae.y.forces.potential_energy, ca.vertcat(*pose), w[:6])
     normal = dae.alg[1][w.numel() : w.numel() + 3]
-    f = ca.Function("f", list(dae.columns()), [w, ca.jacobian(slip, w), slip,
-                    ca.jacobian(normal, w), normal, ca.gradient(power, w)])  # fmt: skip
+    f = ca.Function(
+        "f",
+        list(dae.columns()),
+        [w, ca.jacobian(slip, w), slip, ca.jacobian(normal, w), normal, ca.gradient(power, w)],
+    )
     rates, jac, now, touch, moving, load = (np.array(each) for each in f(x, z, loop.u[:, 0]))
     names = [label.name for label in leaves(dae.labels.z)]
     bears = z[[k for k, name in enumerate(names) if name == "force_normal"]]

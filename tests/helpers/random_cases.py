@@ -46,9 +46,15 @@ UTM = (431_250.0, 5_312_740.0, 812.0)  # where maps with large coordinates lie [
 STENCIL = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12  # first derivative, fourth order
 AXES = {"x": np.eye(3)[0], "y": np.eye(3)[1], "z": np.eye(3)[2]}
 SOUND = {  # what a planted fault is planted in
-    "ground": "flat", "rolled": False, "vehicle": "tilting", "wheels": "torus",
-    "formulation": "closure", "slip": "least", "start": "level", "inputs": "even",
-}  # fmt: skip
+    "ground": "flat",
+    "rolled": False,
+    "vehicle": "tilting",
+    "wheels": "torus",
+    "formulation": "closure",
+    "slip": "least",
+    "start": "level",
+    "inputs": "even",
+}
 
 
 class Case(NamedTuple):
@@ -207,10 +213,19 @@ def _coarse(rng: np.random.Generator) -> Grid:
 
 
 GROUNDS: dict[str, Callable[[np.random.Generator], Any]] = {
-    "hills": _hills, "slope": _slope, "bowl": _bowl, "cliff": _cliff, "rough": _rough,
-    "craters": _craters, "rocks": _rocks, "ramp": _ramp, "small": _small, "coarse": _coarse,
-    "flat": lambda _: _map(), "plane": lambda _: Analytic(lambda x, _: 0 * x),
-}  # fmt: skip
+    "hills": _hills,
+    "slope": _slope,
+    "bowl": _bowl,
+    "cliff": _cliff,
+    "rough": _rough,
+    "craters": _craters,
+    "rocks": _rocks,
+    "ramp": _ramp,
+    "small": _small,
+    "coarse": _coarse,
+    "flat": lambda _: _map(),
+    "plane": lambda _: Analytic(lambda x, _: 0 * x),
+}
 GROUND_SHARES = dict.fromkeys(GROUNDS, 1.0) | {"rough": 4, "hills": 3, "rocks": 2, "small": 2}
 
 
@@ -257,12 +272,14 @@ def _axles(axle: str) -> Callable[[np.random.Generator, str], Vehicle]:
 
 
 VEHICLES: dict[str, Callable[[np.random.Generator, str], Vehicle]] = {
-    **{each: _axles(each) for each in
-       ("tilting", "sliding", "prismatic", "prismatic_undriven", "actuated", "fixed")},
+    **{
+        each: _axles(each)
+        for each in ("tilting", "sliding", "prismatic", "prismatic_undriven", "actuated", "fixed")
+    },
     "four_wheels": lambda *_: four_wheels(rock=True),
     "skid_steered": lambda *_: skid_steered(),
     "all_steered": lambda *_: all_steered(),
-}  # fmt: skip
+}
 VEHICLE_SHARES = dict.fromkeys(VEHICLES, 1.0) | {"tilting": 9, "four_wheels": 2, "skid_steered": 2}
 
 
@@ -289,9 +306,17 @@ def start_of(case: Case, ground: Any, vehicle: Vehicle) -> dict[str, Any]:
 
 
 INPUT_SHARES = {
-    "even": 3, "uneven": 3, "zero": 0.7, "huge": 0.7, "reversed": 1, "opposed": 1,
-    "piecewise": 2, "waves": 2, "straight": 3, "follow": 3,
-}  # fmt: skip
+    "even": 3,
+    "uneven": 3,
+    "zero": 0.7,
+    "huge": 0.7,
+    "reversed": 1,
+    "opposed": 1,
+    "piecewise": 2,
+    "waves": 2,
+    "straight": 3,
+    "follow": 3,
+}
 
 
 def inputs_of(case: Case, dae: Any, vehicle: Vehicle, start: Any, count: int) -> Any:
@@ -445,9 +470,10 @@ def _refused(request: dict[str, Any]) -> None:
     values = dict(request["build"])
     kappa = values.pop("kappa", 10.0)
     grid = power_law(
-        _map(), **{"rms": 0.1, "hurst": 0.8, "longest": 4.0, "shortest": 1.0, "seed": 1}
-        | {k: v for k, v in request["map"].items() if k != "gap"}
-    )  # fmt: skip
+        _map(),
+        **{"rms": 0.1, "hurst": 0.8, "longest": 4.0, "shortest": 1.0, "seed": 1}
+        | {k: v for k, v in request["map"].items() if k != "gap"},
+    )
     if "gap" in request["map"]:
         z = grid.z.copy()
         z[3, 5] = np.nan
@@ -474,13 +500,14 @@ def _check(case: Case, problem: tuple[Any, ...], run: Any, found: Outcome) -> No
     over = {
         "contact off the ground": np.abs(
             ground.elevation(contacts[..., 0], contacts[..., 1]) - contacts[..., 2]
-        ).max() - digits * 10,
+        ).max()
+        - digits * 10,
         "saved centres are not those of the chain": np.abs(saved - centers).max() - drift - digits,
         "rigid distance changed": _stretch(vehicle, saved) - 2 * drift - digits,
         "centre under the ground": -(
             saved[..., 2] + ground.origin[2] - ground.elevation(run["center_x"], run["center_y"])
         ).min(),
-    }  # fmt: skip
+    }
     faults += [f"{name}: {size:.2g} m" for name, size in over.items() if not size <= 0]
     local = contacts - ground.origin
     depth = _depth(vehicle, ground, centers, turns)
@@ -510,8 +537,13 @@ def _own_words(case: Case, run: Any, faults: list[str], sizes: dict[str, float],
             faults.append(f"closure residual {sizes['closure']:.2g} m")
         if not sizes["newton_over_tolerance"] < 1000:
             faults.append(f"Newton step {sizes['newton_over_tolerance']:.2g} x the tolerance")
-    for name, least in (("clearance", 0.0), ("relative_curvature", 0.0), ("uprightness", 0.1),
-                        ("upright", 0.1), ("map_margin", 0.0)):  # fmt: skip
+    for name, least in (
+        ("clearance", 0.0),
+        ("relative_curvature", 0.0),
+        ("uprightness", 0.1),
+        ("upright", 0.1),
+        ("map_margin", 0.0),
+    ):
         if name in run.columns and not run[name].min() >= least:
             faults.append(f"{name} is {run[name].min():.3g}, less than {least}")
     if kind != "complete" and not (run.stop.words and run.stop.name and run.t[-1] <= run.stop.t):
@@ -553,8 +585,14 @@ def _depth(vehicle: Vehicle, ground: Any, centers: np.ndarray, turns: list[Rotat
     for k in np.unique(np.linspace(0, len(centers) - 1, 6).astype(int)):
         for i, wheel in enumerate(vehicle.wheels):
             rho = wheel.r2 + wheel.r1 * np.sin(u)
-            body = np.stack([np.broadcast_to(wheel.r1 * np.cos(u), (181, 19)),
-                             np.outer(np.cos(v), rho), np.outer(np.sin(v), rho)], -1)  # fmt: skip
+            body = np.stack(
+                [
+                    np.broadcast_to(wheel.r1 * np.cos(u), (181, 19)),
+                    np.outer(np.cos(v), rho),
+                    np.outer(np.sin(v), rho),
+                ],
+                -1,
+            )
             tread = turns[i][k].apply(body.reshape(-1, 3)) + centers[k, i] + ground.origin
             gap = tread[:, 2] - ground.elevation(tread[:, 0], tread[:, 1])
             deepest = max(deepest, -float(np.nanmin(gap)))

@@ -13,15 +13,31 @@ from slipfree.records import Label, symbols
 def model(rate, limits=()):
     """One state under one input, with the integral of the state."""
     labels = Labels(
-        (Label("x", "m", "place"),), (), (Label("sum", "m s", "integral of x"),),
-        (Label("push", "m s-1", "push"),), (Label("twice", "m", "twice x"),), (),
-    )  # fmt: skip
+        (Label("x", "m", "place"),),
+        (),
+        (Label("sum", "m s", "integral of x"),),
+        (Label("push", "m s-1", "push"),),
+        (Label("twice", "m", "twice x"),),
+        (),
+    )
     x, q, u, t = symbols(labels.x), symbols(labels.q), symbols(labels.u), ca.SX.sym("t")
     return Dae(
-        t, x, (), q, u, rate(t, x[0], u[0]), (), ca.SX(x[0]), (2 * x[0],), labels,
+        t,
+        x,
+        (),
+        q,
+        u,
+        rate(t, x[0], u[0]),
+        (),
+        ca.SX(x[0]),
+        (2 * x[0],),
+        labels,
         tuple(Limit(Label("bound", "m", "x is out of bounds"), x[0], *each) for each in limits),
-        (), ca.SX(0, 1), np.zeros(0), (np.zeros(1), np.zeros(0)),
-    )  # fmt: skip
+        (),
+        ca.SX(0, 1),
+        np.zeros(0),
+        (np.zeros(1), np.zeros(0)),
+    )
 
 
 class Values(NamedTuple):
@@ -41,19 +57,50 @@ def toy(count, ode):
     )
     x, z, u, t = symbols(x_labels), symbols(z_labels), symbols(u_labels), ca.SX.sym("t")
     return Dae(
-        t, x, z, Nothing(), u,
+        t,
+        x,
+        z,
+        Nothing(),
+        u,
         ode=ca.vertcat(*ode(t, x.values, z.values[0], u.values[0])),
-        alg=(z.values[0] - x.values[0] ** 2,), quad=ca.SX(0, 1), y=Nothing(), labels=labels,
-        limits=(), checks=(), guess=ca.SX(0), scale=np.ones(1),
+        alg=(z.values[0] - x.values[0] ** 2,),
+        quad=ca.SX(0, 1),
+        y=Nothing(),
+        labels=labels,
+        limits=(),
+        checks=(),
+        guess=ca.SX(0),
+        scale=np.ones(1),
         shift=(np.zeros(count), np.zeros(1)),
-    )  # fmt: skip
+    )
 
 
 FREE = (-np.inf, np.inf)
 
 
-def task(dae, start, *, costs=(), places=(), limits=(), inputs=FREE, duration=1.0, rates=FREE,
-         smooth=0.0, continuous=False):  # fmt: skip
+def task(
+    dae,
+    start,
+    *,
+    costs=(),
+    places=(),
+    limits=(),
+    inputs=FREE,
+    duration=1.0,
+    rates=FREE,
+    smooth=0.0,
+    continuous=False,
+):
     span = (duration, duration) if isinstance(duration, float) else duration
-    return Task(dae, np.array(start), span, tuple(costs), tuple(places), tuple(limits),
-                np.array([inputs]), np.array([rates]), smooth, continuous)  # fmt: skip
+    return Task(
+        dae,
+        np.array(start),
+        span,
+        tuple(costs),
+        tuple(places),
+        tuple(limits),
+        np.array([inputs]),
+        np.array([rates]),
+        smooth,
+        continuous,
+    )

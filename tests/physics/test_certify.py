@@ -79,8 +79,10 @@ def test_posts_beside_a_sphere_are_seen(beside):
 def test_relative_curvature_of_a_cylindrical_valley():
     """A wheel across a valley of radius a: 1/R - 1/a."""
     for radius in (0.5, 1.0, 5.0):
-        valley = Analytic(lambda _, y, a=radius: a - ca.sqrt(a**2 - (y - 1.0) ** 2) + 0.0 * y,
-                          (-2.0, 2.0, 0.8, 1.2))  # fmt: skip
+        valley = Analytic(
+            lambda _, y, a=radius: a - ca.sqrt(a**2 - (y - 1.0) ** 2) + 0.0 * y,
+            (-2.0, 2.0, 0.8, 1.2),
+        )
         dae = direct_kinematics(three_wheeler(), valley)
         limit = next(x for x in dae.limits if x.label.full == "relative_curvature[front]")
         value = ca.Function("k", list(dae.columns()[:2]), [limit.expression])

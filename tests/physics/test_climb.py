@@ -40,8 +40,9 @@ DURATION = 24.0
 def terraces(x, y):
     """Two terraces, a ramp of 20 degrees between them, and small waves."""
     edges = (ca.log(1 + ca.exp((y - edge) / 0.4)) for edge in (2.0, 6.0))
-    return (np.tan(SLOPE) * 0.4 * (next(edges) - next(edges))
-            + 0.01 * ca.sin(2.1 * x + 0.4) * ca.cos(1.9 * y))  # fmt: skip
+    return np.tan(SLOPE) * 0.4 * (next(edges) - next(edges)) + 0.01 * ca.sin(
+        2.1 * x + 0.4
+    ) * ca.cos(1.9 * y)
 
 
 GROUND = Analytic(terraces, mu=MU)
@@ -72,13 +73,25 @@ def planned(task, ways, **limits) -> Plan:
     dae = model("least")
     start = settle(dae, **task.start)
     t = np.linspace(0, task.duration, 61)
-    guesses = [simulate(dae, start, follow(dae, VEHICLE, way, speed=way.length / task.duration), t)
-               for way in ways]  # fmt: skip
+    guesses = [
+        simulate(dae, start, follow(dae, VEHICLE, way, speed=way.length / task.duration), t)
+        for way in ways
+    ]
     return plan(
-        dae, start, guesses, goal=task.goal, costs=COSTS, duration=task.duration, smooth=0.02,
-        continuous=True, limits={"utilisation": (0.0, MOST), "steer": (-STEER, STEER), **limits},
-        inputs=RATES, intervals=task.intervals, degree=task.degree, accuracy=0.01,
-    )  # fmt: skip
+        dae,
+        start,
+        guesses,
+        goal=task.goal,
+        costs=COSTS,
+        duration=task.duration,
+        smooth=0.02,
+        continuous=True,
+        limits={"utilisation": (0.0, MOST), "steer": (-STEER, STEER), **limits},
+        inputs=RATES,
+        intervals=task.intervals,
+        degree=task.degree,
+        accuracy=0.01,
+    )
 
 
 @cache

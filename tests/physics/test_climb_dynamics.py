@@ -112,8 +112,10 @@ def test_the_motion_converges_with_the_tolerance():
 def test_both_integrators_agree():
     dae, start = begin(seven_wheels(), STEP, EXACT, TWICE)
     t = np.linspace(0, 0.4, 41)
-    runs = [simulate(dae, start, dae.inputs(speed=SPEED), t, tolerance=1e-8, method=method)
-            for method in (None, "idas")]  # fmt: skip
+    runs = [
+        simulate(dae, start, dae.inputs(speed=SPEED), t, tolerance=1e-8, method=method)
+        for method in (None, "idas")
+    ]
     for name in ("x", "z", "tilt_front", "wheel_rate"):
         assert_allclose(runs[0][name], runs[1][name], atol=2e-5)
 
@@ -319,8 +321,10 @@ def test_derivative_and_unwinding_are_those_of_their_equations():
     scale = 3 / np.maximum(3, np.abs(wanted).max(axis=1))
     assert_allclose(run["torque"], scale[:, None] * wanted, rtol=1e-9, atol=1e-12)
     assert scale.min() < 0.9
-    for name, rate in (("error_lag", (error - run["error_lag"]) / 0.01),
-                       ("error_sum", error - 0.5 * (wanted - run["torque"]))):  # fmt: skip
+    for name, rate in (
+        ("error_lag", (error - run["error_lag"]) / 0.01),
+        ("error_sum", error - 0.5 * (wanted - run["torque"])),
+    ):
         whole = np.cumsum((rate[1:] + rate[:-1]) / 2 * 2e-3, axis=0)
         assert_allclose(run[name][1:] - run[name][0], whole, atol=0.03 * np.ptp(run[name]))
     plain = climb(STEP, FIXED, TWICE, torque=3.0, until=1.0).run

@@ -13,11 +13,16 @@ from slipfree.trajectory import Column, Trajectory
 
 N, RADIUS = 101, 0.066  # a sample every 10 ms
 PER_AXLE = {
-    "wheel_rate": (4.0, 5.0, 0.2), "reference": (5.0, 4.0, 4.0), "torque": (1.0, -2.0, 3.0),
-    "axle_velocity_x": (9.0, 0.15, 9.0), "axle_velocity_z": (9.0, 0.2, 9.0),
-    "load_0": (30.0, 0.0, 10.0), "load_1": (0.0, 0.5, 60.0),
-    "slip_0": (-0.033, 1.0, 1.0), "slip_1": (1.0, 1.0, 0.00132),
-}  # fmt: skip
+    "wheel_rate": (4.0, 5.0, 0.2),
+    "reference": (5.0, 4.0, 4.0),
+    "torque": (1.0, -2.0, 3.0),
+    "axle_velocity_x": (9.0, 0.15, 9.0),
+    "axle_velocity_z": (9.0, 0.2, 9.0),
+    "load_0": (30.0, 0.0, 10.0),
+    "load_1": (0.0, 0.5, 60.0),
+    "slip_0": (-0.033, 1.0, 1.0),
+    "slip_1": (1.0, 1.0, 0.00132),
+}
 
 
 def motion(**changes):

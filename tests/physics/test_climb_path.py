@@ -28,9 +28,11 @@ from slipfree.plan.external_nlp import solve_nlp
 SPEED, WEIGHT = 0.25, 9.81 * 21.6
 PROFILES = {"ramp": ramp(np.pi / 4, 0.09), **{f"{mm} mm": step(mm / 1000) for mm in (50, 90, 128)}}
 LEAST = {
-    "ramp": (0.251, 0.323, 0.249), "50 mm": (0.460, 0.542, 0.539),
-    "90 mm": (0.579, 0.630, 0.677), "128 mm": (0.579, 0.608, 0.624),
-}  # fmt: skip
+    "ramp": (0.251, 0.323, 0.249),
+    "50 mm": (0.460, 0.542, 0.539),
+    "90 mm": (0.579, 0.630, 0.677),
+    "128 mm": (0.579, 0.608, 0.624),
+}
 ORDER = ("front", "middle", "rear")
 CLIMBER = seven_wheels()
 
@@ -71,8 +73,9 @@ def test_speed_saves_friction(name):
 
 
 def test_meshes_converge():
-    coarse, fine = (planned("90 mm", leg, "friction", s=n)[1].statistics["mu"]
-                    for leg, n in ((2, 60), (2, 240)))  # fmt: skip
+    coarse, fine = (
+        planned("90 mm", leg, "friction", s=n)[1].statistics["mu"] for leg, n in ((2, 60), (2, 240))
+    )
     assert_allclose(coarse, fine, atol=5e-4)
     times = [planned("90 mm", 2, mu=0.7, s=n)[1].statistics["duration"] for n in (60, 240)]
     assert_allclose(*times, rtol=3e-3)
@@ -86,15 +89,17 @@ def nodes_of_the_study(name, leg, height, climber):
         q = sample(climber, profile, way(name, climber)[leg], np.array([s])).q
         return q[0, 1] + axle_arms(climber, q)[0, axle, 1] - climber.radius - part * height
 
-    low, high = (brentq(risen, 0, way(name, climber)[leg].length, (part,))
-                 for part in (0.002, 0.998))  # fmt: skip
+    low, high = (
+        brentq(risen, 0, way(name, climber)[leg].length, (part,)) for part in (0.002, 0.998)
+    )
     return low + (high - low) * np.linspace(0, 1, 60) ** 2
 
 
 @pytest.mark.parametrize(("leg", "seconds"), [(0, 0.63), (1, 0.73), (2, 0.89)])
 def test_least_time(leg, seconds):
-    light = replace(CLIMBER, **{name: getattr(CLIMBER, name)._replace(inertia=1e-12)
-                                for name in AXLES})  # fmt: skip
+    light = replace(
+        CLIMBER, **{name: getattr(CLIMBER, name)._replace(inertia=1e-12) for name in AXLES}
+    )
     nodes = nodes_of_the_study("90 mm", leg, 0.09, light)
     track = way("90 mm", light)[leg]
     least = climb(light, PROFILES["90 mm"], track, "friction", s=nodes)
@@ -111,19 +116,29 @@ def lagrange(climber):
     q, v = ca.SX.sym("q", 4), ca.SX.sym("v", 4)
     kinetic, height = ca.SX(0), ca.SX(0)
     for body, tilt in ((climber.rear_body, q[2]), (climber.front_body, q[3])):
-        turn = ca.vertcat(ca.horzcat(ca.cos(tilt), -ca.sin(tilt)),
-                          ca.horzcat(ca.sin(tilt), ca.cos(tilt)))  # fmt: skip
+        turn = ca.vertcat(
+            ca.horzcat(ca.cos(tilt), -ca.sin(tilt)), ca.horzcat(ca.sin(tilt), ca.cos(tilt))
+        )
         center = q[:2] + turn @ ca.vertcat(body.ahead, body.above)
         kinetic += body.mass * ca.sumsqr(ca.jtimes(center, q, v)) / 2
         kinetic += body.inertia * ca.jtimes(tilt, q, v) ** 2 / 2
         height += 9.81 * body.mass * center[1]
     momentum = ca.gradient(kinetic, v)
     rest = ca.jtimes(momentum, q, v) - ca.gradient(kinetic - height, q)
-    places = [q[:2] + axle.ahead * ca.vertcat(ca.cos(q[k]), ca.sin(q[k]))
-              for axle, k in zip(climber.axles, (2, 2, 3), strict=True)]  # fmt: skip
-    return ca.Function("lagrange", [q, v], [
-        ca.jacobian(momentum, v), rest, ca.jacobian(ca.vertcat(*places), q), kinetic + height,
-    ])  # fmt: skip
+    places = [
+        q[:2] + axle.ahead * ca.vertcat(ca.cos(q[k]), ca.sin(q[k]))
+        for axle, k in zip(climber.axles, (2, 2, 3), strict=True)
+    ]
+    return ca.Function(
+        "lagrange",
+        [q, v],
+        [
+            ca.jacobian(momentum, v),
+            rest,
+            ca.jacobian(ca.vertcat(*places), q),
+            kinetic + height,
+        ],
+    )
 
 
 @pytest.mark.parametrize("joint", [0.0, 0.06])
@@ -144,8 +159,9 @@ def test_equations_of_motion(leg, joint):
         along = np.stack([normal[:, 1], -normal[:, 0]], axis=1)
         pushed = (run["load"][k][:, None] * normal + run["friction"][k][:, None] * along).ravel()
         reaction = np.array([0, 0, torque[k, 0] + torque[k, 1], torque[k, 2]])
-        assert_allclose(mass @ acceleration + rest.ravel(), slopes.T @ pushed + reaction,
-                        atol=1e-6 * WEIGHT)  # fmt: skip
+        assert_allclose(
+            mass @ acceleration + rest.ravel(), slopes.T @ pushed + reaction, atol=1e-6 * WEIGHT
+        )
         spun = (middles.speeds[k] * change + middles.slopes[k] * speed**2) / climber.radius
         assert_allclose(spin * spun, torque[k] - climber.radius * run["friction"][k], atol=1e-9)
 
@@ -196,8 +212,12 @@ def linear(plan, speed):
         rows[5 * k + 4, b], rows[5 * k + 4, a] = [-1, 1], -2 * steps[k]
     top = speed**2 / (plan.nodes.speeds**2).max(axis=1)
     low = np.minimum(2 * MOVING * plan.nodes.s, 1e-4 * speed**2)
-    bounds = [(0, 0), *zip(low[1:], top[1:], strict=True), *[(None, None)] * count,
-              *([(0, None)] * 3 + [(None, None)] * 3) * count]  # fmt: skip
+    bounds = [
+        (0, 0),
+        *zip(low[1:], top[1:], strict=True),
+        *[(None, None)] * count,
+        *([(0, None)] * 3 + [(None, None)] * 3) * count,
+    ]
     return rows.tocsr(), values, bounds
 
 
@@ -215,8 +235,15 @@ def test_least_friction_by_linear_programs(name, leg):
 
     def climbs(mu):
         cones = friction_rows(count, mu)
-        found = linprog(np.zeros(rows.shape[1]), cones, np.zeros(cones.shape[0]), rows, values,
-                        bounds, method="highs")  # fmt: skip
+        found = linprog(
+            np.zeros(rows.shape[1]),
+            cones,
+            np.zeros(cones.shape[0]),
+            rows,
+            values,
+            bounds,
+            method="highs",
+        )
         return found.status == 0
 
     assert climbs(mu + 1e-5)
@@ -241,8 +268,9 @@ def test_limits_and_rests():
 
 
 def test_torque_limits():
-    free, weak = (planned("90 mm", 0, mu=0.9, climber=seven_wheels(torque=most))[1]
-                  for most in (np.inf, 2.0))  # fmt: skip
+    free, weak = (
+        planned("90 mm", 0, mu=0.9, climber=seven_wheels(torque=most))[1] for most in (np.inf, 2.0)
+    )
     assert np.abs(free["torque"]).max() > 2.5
     assert np.abs(weak["torque"]).max() < 2.0 + 1e-6
     assert weak.statistics["duration"] > 1.1 * free.statistics["duration"]
@@ -262,8 +290,12 @@ def test_more_friction_takes_less_time():
 
 def test_least_slip_creeps_less_than_least_time():
     def creep(run):
-        return (run["friction"] ** 2 / run["load"] * run["path_speed"][:, None]
-                * np.gradient(run.t)[:, None]).sum()  # fmt: skip
+        return (
+            run["friction"] ** 2
+            / run["load"]
+            * run["path_speed"][:, None]
+            * np.gradient(run.t)[:, None]
+        ).sum()
 
     (_, careful), (_, fast) = (planned("90 mm", 2, cost, mu=0.8) for cost in ("slip", "time"))
     assert creep(careful) < 0.8 * creep(fast)
@@ -287,21 +319,25 @@ def test_whole_climbs(profile):
         assert runs[-1].statistics["mu"] < demand.mu + 2e-3
     whole = in_sequence(runs)
     assert (np.diff(whole.t) > 0).all()
-    assert_allclose(whole.statistics["duration"],
-                    sum(run.statistics["duration"] for run in runs))  # fmt: skip
+    assert_allclose(whole.statistics["duration"], sum(run.statistics["duration"] for run in runs))
     assert whole.statistics["mu"] == max(run.statistics["mu"] for run in runs)
-    first, last = (sample(CLIMBER, profile, leg, np.array([s])).q[0, 0]
-                   for leg, s in ((found[0], 0.0), (found[-1], found[-1].length)))  # fmt: skip
+    first, last = (
+        sample(CLIMBER, profile, leg, np.array([s])).q[0, 0]
+        for leg, s in ((found[0], 0.0), (found[-1], found[-1].length))
+    )
     assert_allclose(whole["x"][[0, -1]], [first, last], atol=1e-3)
 
 
-@pytest.mark.parametrize(("options", "words"), [
-    ({"cost": "comfort"}, "expected a cost of time, friction, slip, found 'comfort'"),
-    ({"cost": "time"}, "coefficient of friction"),
-    ({"cost": "friction", "mu": 0.5}, "none for friction"),
-    ({"cost": "time", "mu": 0.8, "s": [0.0, 0.02, 0.01]}, "increasing nodes"),
-    ({"cost": "time", "mu": 0.8, "speed": 0.0}, "expected positive speed and mu"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"cost": "comfort"}, "expected a cost of time, friction, slip, found 'comfort'"),
+        ({"cost": "time"}, "coefficient of friction"),
+        ({"cost": "friction", "mu": 0.5}, "none for friction"),
+        ({"cost": "time", "mu": 0.8, "s": [0.0, 0.02, 0.01]}, "increasing nodes"),
+        ({"cost": "time", "mu": 0.8, "speed": 0.0}, "expected positive speed and mu"),
+    ],
+)
 def test_wrong_questions(options, words):
     with pytest.raises(ModelError, match=words):
         climb(CLIMBER, PROFILES["90 mm"], way("90 mm")[0], **options)
@@ -310,10 +346,17 @@ def test_wrong_questions(options, words):
 def test_programs_are_solved_in_their_own_units():
     x = ca.MX.sym("x", 2)
     program = Nlp(
-        x, ca.sumsqr(x * ca.DM([2.0, 3.0]) - ca.DM([4.0, 5.0])), x[0] * 2 + x[1] * 3,
-        np.zeros(2), np.array([2.0, 3.0]), np.array([-np.inf, 0.0]), np.array([np.inf, 3.5]),
-        np.array([-np.inf]), np.array([7.0]), {"both": np.array([0, 1])},
-    )  # fmt: skip
+        x,
+        ca.sumsqr(x * ca.DM([2.0, 3.0]) - ca.DM([4.0, 5.0])),
+        x[0] * 2 + x[1] * 3,
+        np.zeros(2),
+        np.array([2.0, 3.0]),
+        np.array([-np.inf, 0.0]),
+        np.array([np.inf, 3.5]),
+        np.array([-np.inf]),
+        np.array([7.0]),
+        {"both": np.array([0, 1])},
+    )
     found = solve_nlp(program)
     assert_allclose(found.unknowns, [3.5, 3.5], atol=1e-6)
     assert_allclose(found.rows, 7.0, atol=1e-6)

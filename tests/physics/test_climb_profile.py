@@ -126,8 +126,10 @@ def test_what_hangs_above_is_no_summit():
     profile = Profile((*flat().solids, bump))
     assert profile.summit == (0.3, 0.05)
     assert profile.end == 0.3
-    blocks = [Solid(((x, -0.1), (x + 1, -0.1), (x + 1, z), (x, z)))
-              for x, z in ((0, 0.05), (1, 0.05 + 1e-7))]  # fmt: skip
+    blocks = [
+        Solid(((x, -0.1), (x + 1, -0.1), (x + 1, z), (x, z)))
+        for x, z in ((0, 0.05), (1, 0.05 + 1e-7))
+    ]
     assert Profile((*flat().solids, *blocks)).summit == (0, 0.05 + 1e-7)
 
 

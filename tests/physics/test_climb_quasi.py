@@ -33,8 +33,9 @@ def ways(name, joint=0.0, count=201):
     """Return legs and their configurations."""
     climber, profile = seven_wheels(joint), PROFILES[name]
     found = legs(climber, profile)
-    return [(leg, sample(climber, profile, leg, np.linspace(0, leg.length, count)))
-            for leg in found]  # fmt: skip
+    return [
+        (leg, sample(climber, profile, leg, np.linspace(0, leg.length, count))) for leg in found
+    ]
 
 
 @cache
@@ -52,8 +53,9 @@ def test_wheels_stay_on_the_ground(name, joint):
     """Rims touch the outline of the ground: its nearest point is a radius away."""
     edge, height = PROFILES[name].summit
     corners = np.array([(-0.7, 0), (0, 0), (edge, height), (0.7, height)])
-    outline = np.concatenate([a + np.linspace(0, 1, 20001)[:, None] * (b - a)
-                              for a, b in pairwise(corners)])  # fmt: skip
+    outline = np.concatenate(
+        [a + np.linspace(0, 1, 20001)[:, None] * (b - a) for a, b in pairwise(corners)]
+    )
     for _, way in ways(name, joint):
         for center in places(way, joint)[::20].reshape(-1, 2):
             assert abs(np.hypot(*(outline - center).T).min() - RADIUS) < 3e-6
@@ -67,13 +69,19 @@ def test_speeds_meet_the_law_of_the_links(joint):
         rear, front = way.q[:, 2:].T
         turn = way.first[:, 2]
         v = way.speeds
-        assert_allclose(v[:, 0] * np.cos(along[:, 0] - rear),
-                        v[:, 1] * np.cos(along[:, 1] - rear), atol=1e-9)  # fmt: skip
-        assert_allclose(LINKS[0] * turn, v[:, 1] * np.sin(along[:, 1] - rear)
-                        - v[:, 0] * np.sin(along[:, 0] - rear), atol=1e-9)  # fmt: skip
-        assert_allclose(v[:, 2] * np.cos(along[:, 2] - front),
-                        v[:, 1] * np.cos(along[:, 1] - front)
-                        + joint * turn * np.sin(front - rear), atol=1e-9)  # fmt: skip
+        assert_allclose(
+            v[:, 0] * np.cos(along[:, 0] - rear), v[:, 1] * np.cos(along[:, 1] - rear), atol=1e-9
+        )
+        assert_allclose(
+            LINKS[0] * turn,
+            v[:, 1] * np.sin(along[:, 1] - rear) - v[:, 0] * np.sin(along[:, 0] - rear),
+            atol=1e-9,
+        )
+        assert_allclose(
+            v[:, 2] * np.cos(along[:, 2] - front),
+            v[:, 1] * np.cos(along[:, 1] - front) + joint * turn * np.sin(front - rear),
+            atol=1e-9,
+        )
         assert_allclose((v**2).mean(axis=1), 1, rtol=1e-12)
 
 
@@ -105,9 +113,13 @@ def test_order_of_the_legs():
     assert [leg.axle for leg, _ in ways("90 mm")] == list(ORDER)
     over = legs(seven_wheels(), kerb(0.05, 0.3))
     assert [(leg.axle, leg.solids) for leg in over] == [
-        ("front", (0, 0, 1)), ("middle", (0, 1, 1)), ("front", (0, 1, 0)),
-        ("rear", (1, 1, 0)), ("middle", (1, 0, 0)), ("rear", (0, 0, 0)),
-    ]  # fmt: skip
+        ("front", (0, 0, 1)),
+        ("middle", (0, 1, 1)),
+        ("front", (0, 1, 0)),
+        ("rear", (1, 1, 0)),
+        ("middle", (1, 0, 0)),
+        ("rear", (0, 0, 0)),
+    ]
     up = legs(seven_wheels(), stairs(0.09, 0.3, 2))
     assert [leg.axle for leg in up] == ["front", "middle", "front", "rear", "middle", "rear"]
 
@@ -116,13 +128,24 @@ def test_wheels_that_meet_solids_together():
     """Stairs as deep as front and middle axle are apart there, or nearly so; a solid twice."""
     together = stairs(0.09, np.sqrt(LINKS[1] ** 2 - 0.09**2), 2)
     assert [(leg.axle, leg.solids) for leg in legs(seven_wheels(), together)] == [
-        ("front", (0, 0, 1)), ("middle", (0, 1, 2)), ("rear", (1, 1, 2)),
-        ("middle", (1, 2, 2)), ("rear", (2, 2, 2)),
-    ]  # fmt: skip
+        ("front", (0, 0, 1)),
+        ("middle", (0, 1, 2)),
+        ("rear", (1, 1, 2)),
+        ("middle", (1, 2, 2)),
+        ("rear", (2, 2, 2)),
+    ]
     soon = legs(seven_wheels(), stairs(0.09, 0.215, 3))
     assert [leg.axle for leg in soon] == [
-        "front", "front", "middle", "front", "rear", "middle", "rear", "middle", "rear",
-    ]  # fmt: skip
+        "front",
+        "front",
+        "middle",
+        "front",
+        "rear",
+        "middle",
+        "rear",
+        "middle",
+        "rear",
+    ]
     assert min(leg.length for leg in soon) < 0.01
     once, twice = step(0.05), Profile((*step(0.05).solids, step(0.05).solids[1]))
     lengths = [[leg.length for leg in legs(seven_wheels(), each)] for each in (once, twice)]
@@ -188,19 +211,29 @@ def test_least_friction_is_what_bisection_finds(name):
             assert not feasible(matrix[k], load[k], 0.9999 * mu)
 
 
-@pytest.mark.parametrize(("name", "joint", "expected", "within"), [
-    ("90 mm", 0.0, 0.71, 0.01), ("ramp", 0.0, 0.323, 0.005), ("50 mm", 0.0, 0.543, 0.002),
-    ("90 mm", 0.06, 0.68, 0.01), ("90 mm", 0.126, 0.90, 0.01),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "joint", "expected", "within"),
+    [
+        ("90 mm", 0.0, 0.71, 0.01),
+        ("ramp", 0.0, 0.323, 0.005),
+        ("50 mm", 0.0, 0.543, 0.002),
+        ("90 mm", 0.06, 0.68, 0.01),
+        ("90 mm", 0.126, 0.90, 0.01),
+    ],
+)
 def test_friction_that_a_climb_needs(name, joint, expected, within):
     found = friction(name, joint)
     assert abs(found.mu - expected) < within
     assert found.mu == max(demand.mu for demand in found.demands)
 
 
-@pytest.mark.parametrize(("name", "demands"), [
-    ("50 mm", (0.460, 0.543, 0.540)), ("90 mm", (0.579, 0.630, 0.710)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "demands"),
+    [
+        ("50 mm", (0.460, 0.543, 0.540)),
+        ("90 mm", (0.579, 0.630, 0.710)),
+    ],
+)
 def test_friction_that_each_axle_needs(name, demands):
     found = friction(name)
     assert tuple(demand.leg.axle for demand in found.demands) == ORDER
@@ -237,11 +270,18 @@ def test_highest_step_for_a_friction(monkeypatch):
 def test_heavier_vehicles_need_the_same_friction():
     """Friction is a ratio of forces: it does not depend on the scale of the masses."""
     light = seven_wheels()
-    heavy = replace(light, **{name: getattr(light, name)._replace(
-        mass=7 * getattr(light, name).mass) for name in ("rear_body", "front_body")})  # fmt: skip
+    heavy = replace(
+        light,
+        **{
+            name: getattr(light, name)._replace(mass=7 * getattr(light, name).mass)
+            for name in ("rear_body", "front_body")
+        },
+    )
     leg, way = ways("90 mm")[1]
-    holds = [least(*equilibrium(each, sample(each, PROFILES["90 mm"], leg, way.s[::40])))
-             for each in (light, heavy)]  # fmt: skip
+    holds = [
+        least(*equilibrium(each, sample(each, PROFILES["90 mm"], leg, way.s[::40])))
+        for each in (light, heavy)
+    ]
     assert isinstance(holds[0], Hold)
     assert_allclose(holds[1].mu, holds[0].mu, rtol=1e-7)
 
@@ -249,8 +289,7 @@ def test_heavier_vehicles_need_the_same_friction():
 def test_wheels_that_nearly_jam_are_not_given_up():
     """Newton's iteration alone takes hundreds of rounds here; the LP's answer is bisected."""
     plain = seven_wheels(joint=0.097)
-    climber = replace(plain, radius=0.068,
-                      rear_body=plain.rear_body._replace(ahead=-0.199))  # fmt: skip
+    climber = replace(plain, radius=0.068, rear_body=plain.rear_body._replace(ahead=-0.199))
     found = least_friction(climber, step(0.098), 15)
     worst = max(found.demands, key=lambda each: each.mu)
     k = int(worst.hold.mu.argmax())

@@ -19,9 +19,10 @@ def motion(x, z=None, stop=None, touching=True):
     """The axles at places x of the front one, 0.2 m apart, over time; all as high as z."""
     z = np.full(N, RADIUS) if z is None else z
     columns = {
-        "axle_x": x[:, None] - [0.4, 0.2, 0.0], "axle_z": np.tile(z[:, None], (1, 3)),
+        "axle_x": x[:, None] - [0.4, 0.2, 0.0],
+        "axle_z": np.tile(z[:, None], (1, 3)),
         "gap_1": np.where(touching & (T > 0.5), -1e-4, 0.1)[:, None] * np.ones(3),
-    }  # fmt: skip
+    }
     return Trajectory(T, {k: Column(Label(k, "m", k), v) for k, v in columns.items()}, AXLES, stop)
 
 
@@ -76,9 +77,15 @@ def test_what_goes_on_is_not_finished():
 
 
 SEEDS = {  # of a kerb, steps, stairs, ramps; 43 and 84 with noise, 57 sampled
-    99: "stalls", 36: "stalls", 82: "tips over", 24: "climbs", 162: "climbs", 43: "climbs",
-    84: "tips over", 57: "climbs",
-}  # fmt: skip
+    99: "stalls",
+    36: "stalls",
+    82: "tips over",
+    24: "climbs",
+    162: "climbs",
+    43: "climbs",
+    84: "tips over",
+    57: "climbs",
+}
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -41,8 +41,10 @@ UNTIL = 13.0
 def plans():
     """Programs and solutions of the legs over the step, for a friction of 0.7."""
     ways = legs(CLIMBER, STEP)
-    programs = [program(CLIMBER, STEP, leg, "slip", mu=0.7, speed=SPEED, halt=leg is not ways[-1])
-                for leg in ways]  # fmt: skip
+    programs = [
+        program(CLIMBER, STEP, leg, "slip", mu=0.7, speed=SPEED, halt=leg is not ways[-1])
+        for leg in ways
+    ]
     return [(plan, solve_nlp(plan.nlp).unknowns) for plan in programs]
 
 
@@ -65,10 +67,14 @@ def progress(run):
 def test_a_course_is_the_plan_over_the_progress():
     track, told = course(plans()), in_sequence([history(*each) for each in plans()])
     heights, places = (
-        np.stack([told[name] + axle.ahead * turn(told[f"tilt_{body}"])
-                  for axle, body in zip(CLIMBER.axles, ("rear", "rear", "front"), strict=True)])
+        np.stack(
+            [
+                told[name] + axle.ahead * turn(told[f"tilt_{body}"])
+                for axle, body in zip(CLIMBER.axles, ("rear", "rear", "front"), strict=True)
+            ]
+        )
         for name, turn in (("z", np.sin), ("x", np.cos))
-    )  # fmt: skip
+    )
     p = (heights + places).mean(axis=0)
     assert (np.diff(track.p) > 0).all()
     for k in range(3):

@@ -46,17 +46,20 @@ def test_equation_3_counts_the_platform_twice(rng):
 def test_equation_5_has_the_wrong_sign():
     """The velocity of the centre is V_w + Omega x (P - C), and P - C = -R_ci."""
     dae = direct_kinematics(three_wheeler(), Analytic(hills))
-    run = simulate(dae, settle(dae), dae.inputs(**PAPER_RATES), np.linspace(0, 0.02, 5),
-                   tolerance=1e-11)  # fmt: skip
+    run = simulate(
+        dae, settle(dae), dae.inputs(**PAPER_RATES), np.linspace(0, 0.02, 5), tolerance=1e-11
+    )
     h, k = run.t[1], 2
     rates = [run[f"{name}_rate"][k] for name in ("heading", "roll", "pitch")]
     gamma, beta = run["heading"][k], run["roll"][k]
     c, s = np.cos, np.sin
-    omega = np.array([  # eq. 4
-        rates[2] * c(beta) * c(gamma) - rates[1] * s(gamma),
-        rates[2] * c(beta) * s(gamma) + rates[1] * c(gamma),
-        rates[0] - rates[2] * s(beta),
-    ])  # fmt: skip
+    omega = np.array(
+        [  # eq. 4
+            rates[2] * c(beta) * c(gamma) - rates[1] * s(gamma),
+            rates[2] * c(beta) * s(gamma) + rates[1] * c(gamma),
+            rates[0] - rates[2] * s(beta),
+        ]
+    )
     center = np.stack([run[name] for name in "xyz"])
     wheel = np.stack([run[f"center_{name}", "right"] for name in "xyz"])
     v, v_w = ((p[:, k + 1] - p[:, k - 1]) / (2 * h) for p in (center, wheel))

@@ -167,10 +167,14 @@ def test_laws_name_what_they_need():
         with pytest.raises(ModelError, match="speed must be finite and not zero"):
             straight(dae, vehicle, settle(dae), speed=speed)
     trailer = Vehicle(
-        "trailer", (), (),
-        tuple(Wheel(n, "platform", (x, y, 0.0), 0.05, 0.15, driven=False)
-              for n, x, y in (("a", 0.5, 0.0), ("b", -0.5, 0.0), ("c", 0.0, 0.5))),
-    )  # fmt: skip
+        "trailer",
+        (),
+        (),
+        tuple(
+            Wheel(n, "platform", (x, y, 0.0), 0.05, 0.15, driven=False)
+            for n, x, y in (("a", 0.5, 0.0), ("b", -0.5, 0.0), ("c", 0.0, 0.5))
+        ),
+    )
     dae = closure_model(trailer, FLAT)
     with pytest.raises(ModelError, match="trailer has no steered wheel, nor driven wheels on both"):
         follow(dae, trailer, Path(WAY), speed=1.0)

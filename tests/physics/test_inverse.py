@@ -69,8 +69,10 @@ def with_omega(run):
     g, b = ca.SX.sym("g"), ca.SX.sym("b")
     to_omega = ca.Function("omega", [g, b], [omega(g, b)])
     euler = np.array([run[name] for name in EULER])
-    turning = [np.array(to_omega(run["heading"][k], run["roll"][k])) @ euler[:, k]
-               for k in range(run.t.size)]  # fmt: skip
+    turning = [
+        np.array(to_omega(run["heading"][k], run["roll"][k])) @ euler[:, k]
+        for k in range(run.t.size)
+    ]
     values = dict(zip(OMEGA, np.array(turning).T, strict=True))
     return lambda name, k: values[name][k] if name in values else run[name][k]
 
@@ -126,8 +128,9 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
     loop, rates = with_inputs(dae, inputs, 0), []
     x, z = dae.rows("x", run, -1), dae.rows("z", run, -1)
     for step in (-1e-5, 0.0, 1e-5):
-        moved = x + step * np.array([label.name == "steer" for label in (*dae.labels.x[:3],
-                                     *dae.labels.x.joints)])  # fmt: skip
+        moved = x + step * np.array(
+            [label.name == "steer" for label in (*dae.labels.x[:3], *dae.labels.x.joints)]
+        )
         rates.append(consistent(loop, 0.0, moved, z, loop.u[:, 0])[loop.moving - 1])
     growth = ca.Function("growth", list(dae.columns()), list(dae.y.growth))
     assert_allclose(float(growth(x, z, loop.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
@@ -246,8 +249,9 @@ def moving(dae, stands):
         z.append(consistent(loop, 0.0, x[-1], dae.rows("z", begin, 0), loop.u[:, 0]))
     n = len(stands)
     u = np.repeat(loop.u[:, :1], n, axis=1)
-    samples = Samples(np.arange(float(n)), np.column_stack(x), np.column_stack(z),
-                      np.zeros((4, n)), u)  # fmt: skip
+    samples = Samples(
+        np.arange(float(n)), np.column_stack(x), np.column_stack(z), np.zeros((4, n)), u
+    )
     return table(loop, *followed(loop, samples))
 
 
@@ -350,8 +354,13 @@ def test_start_from_one_contact(rng):
     for terrain in (HILLS, case1()[0]):
         dae = closure_model(three_wheeler(), terrain)
         for wheel in ("right", "left", "front"):
-            joints = dict(zip(("heading", "tilt_right", "tilt_left", "steer"),
-                              rng.uniform(-0.2, 0.2, 4), strict=True))  # fmt: skip
+            joints = dict(
+                zip(
+                    ("heading", "tilt_right", "tilt_left", "steer"),
+                    rng.uniform(-0.2, 0.2, 4),
+                    strict=True,
+                )
+            )
             stood = settle(dae, x=0.4, y=0.2, **joints)
             place = {name: stood[name, wheel][0] for name in ("contact_x", "contact_y")}
             found = settle_contact(dae, wheel, **place, **joints)
@@ -378,13 +387,19 @@ def test_nearest_pose_changes_least(rng):
     change = found.statistics["change"]
     assert_allclose(change, np.sqrt(sum((found[n][0] - pose[n]) ** 2 for n in names)), rtol=1e-12)
     for _ in range(20):  # no neighbour on the ground is nearer
-        moved = {n: found[n][0] + rng.uniform(-1e-3, 1e-3) for n in names if n in
-                 ("x", "y", "heading", "tilt_right", "tilt_left", "steer")}  # fmt: skip
+        moved = {
+            n: found[n][0] + rng.uniform(-1e-3, 1e-3)
+            for n in names
+            if n in ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
+        }
         other = settle(dae, **moved)
         assert np.sqrt(sum((other[n][0] - pose[n]) ** 2 for n in names)) > change
     kept = nearest(dae, weights={"x": np.inf, "y": np.inf, "heading": np.inf}, **pose)
-    assert_allclose([kept[n][0] for n in ("x", "y", "heading")], [pose["x"], pose["y"],
-                    pose["heading"]], atol=1e-12)  # fmt: skip
+    assert_allclose(
+        [kept[n][0] for n in ("x", "y", "heading")],
+        [pose["x"], pose["y"], pose["heading"]],
+        atol=1e-12,
+    )
     assert kept.statistics["change"] > change
 
 
@@ -409,8 +424,10 @@ def test_choices_are_checked(options, words):
 
 def test_vehicles_that_do_not_suit_are_refused():
     whole = three_wheeler()
-    rear = (Wheel("right", "platform", (1.0, -0.5, 0.0), 0.05, 0.25, driven=True),
-            Wheel("left", "platform", (-1.0, -0.5, 0.0), 0.05, 0.25, driven=True))  # fmt: skip
+    rear = (
+        Wheel("right", "platform", (1.0, -0.5, 0.0), 0.05, 0.25, driven=True),
+        Wheel("left", "platform", (-1.0, -0.5, 0.0), 0.05, 0.25, driven=True),
+    )
     rigid = Vehicle("rigid", whole.coordinates[2:], whole.joints[2:], (*rear, whole.wheels[2]))
     with pytest.raises(ModelError, match=r"rigid cannot roll without slip.*: 3 .*, found 1"):
         inverse_kinematics(rigid, HILLS)

@@ -196,9 +196,12 @@ def test_a_library_that_cannot_be_used_is_left_alone(content, tmp_path, monkeypa
 def _drive(ground):
     dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), ground)
     run = simulate(
-        dae, settle(dae), dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0),
-        np.linspace(0, 1, 5), tolerance=1e-8,
-    )  # fmt: skip
+        dae,
+        settle(dae),
+        dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0),
+        np.linspace(0, 1, 5),
+        tolerance=1e-8,
+    )
     return np.array([run[name][-1] for name in ("x", "y", "z", "heading")])
 
 

@@ -40,9 +40,15 @@ def holed(grid, *holes):
 
 def test_holes_in_a_plane_are_filled_exactly_and_counted():
     grid = plane()
-    found = fill_holes(holed(
-        grid, (slice(3, 9), slice(4, 8)), (12, 5), (13, 6), (slice(20, 22), slice(10, 20)),
-    ))  # fmt: skip
+    found = fill_holes(
+        holed(
+            grid,
+            (slice(3, 9), slice(4, 8)),
+            (12, 5),
+            (13, 6),
+            (slice(20, 22), slice(10, 20)),
+        )
+    )
     assert_allclose(found.z, grid.z, atol=1e-13)
     assert (found.nodes, found.holes) == (24 + 2 + 20, 3)  # touching by a corner is one hole
     assert found.largest == pytest.approx((6 * 0.5, 4 * 0.25))
@@ -165,9 +171,12 @@ def test_everything_that_is_changed_is_told(tmp_path: Path) -> None:
     z = plane(40, 40, (0.25, 0.25)).z.copy()
     z[10:12, 20] = np.nan
     grid, facts = _grounds(
-        tmp_path, "terrain.fill=linear", "terrain.smooth=0.5",
-        "terrain.error={rms = 0.1, correlation = 1, seed = 5}", z=z,
-    )  # fmt: skip
+        tmp_path,
+        "terrain.fill=linear",
+        "terrain.smooth=0.5",
+        "terrain.error={rms = 0.1, correlation = 1, seed = 5}",
+        z=z,
+    )
     assert facts["ground map"] == "numpy archive, CRS not given, heights at nodes"
     assert facts["ground holes filled"] == "2 nodes in 1 holes, the largest 0.5 x 0.25 m, linearly"
     assert facts["ground changed by smooth"].endswith("(Gaussian of 0.5 m)")
@@ -244,11 +253,13 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
         (["terrain.cell=1"], r"terrain.file: .*g.npz: expected no cell for a .npz file"),
         (["terrain.cell=-1"], r"terrain.cell: expected a number greater than 0, found -1"),
         (["terrain.registration=corner"], r"registration: expected 'area' or 'point', found"),
-        (["terrain.file=", "terrain.sample=jacksboro", "terrain.fill=linear"],
-         r"terrain.fill: expected it beside a file alone"),
+        (
+            ["terrain.file=", "terrain.sample=jacksboro", "terrain.fill=linear"],
+            r"terrain.fill: expected it beside a file alone",
+        ),
         (["terrain.window=[50, 60, 50, 60]"], r"g.npz: window: expected .* at least 4 nodes"),
     ],
-)  # fmt: skip
+)
 def test_faults_of_a_problem(tmp_path: Path, settings: list[str], words: str) -> None:
     with pytest.raises(ProblemError, match=words):
         _grounds(tmp_path, *settings)
@@ -259,8 +270,9 @@ def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
     step = 2e-5
     x, y = 15 + step * np.arange(9), 47 + step * np.arange(9)
     np.savez(tmp_path / "mu.npz", x=x[2:], y=y[3:], z=np.full((7, 6), 0.5))
-    _, facts = _grounds(tmp_path, "terrain.geographic=local", "terrain.friction=mu.npz",
-                        x=x, y=y, z=np.ones((9, 9)))  # fmt: skip
+    _, facts = _grounds(
+        tmp_path, "terrain.geographic=local", "terrain.friction=mu.npz", x=x, y=y, z=np.ones((9, 9))
+    )
     assert facts["ground friction"].startswith("mu.npz, 0.5 to 0.5; degrees made local")
     ground = build_ground(
         _read(tmp_path, FILE, "terrain.geographic=local", "terrain.friction=mu.npz")
@@ -270,8 +282,13 @@ def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
     assert_allclose(ground.mu.x, metres.x[2:], atol=1e-8)
     assert_allclose(ground.mu.y, metres.y[3:], atol=1e-8)
     Image.fromarray(np.full((8, 8), 200, np.uint8)).save(tmp_path / "mu.png")
-    settings = ["terrain.cell=2", "terrain.registration=point", "terrain.friction=mu.png",
-                "terrain.file=", "terrain.sample=jacksboro"]  # fmt: skip
+    settings = [
+        "terrain.cell=2",
+        "terrain.registration=point",
+        "terrain.friction=mu.png",
+        "terrain.file=",
+        "terrain.sample=jacksboro",
+    ]
     mu = build_ground(_read(tmp_path, FILE, *settings)).mu
     assert isinstance(mu, Grid)
     assert mu.domain == (0, 14, 0, 14)
@@ -285,8 +302,14 @@ def test_every_key_is_documented() -> None:
 
 def test_a_window_in_degrees_has_its_own_origin(tmp_path: Path) -> None:
     x = 15 + 1e-5 * np.arange(60)
-    np.savez(tmp_path / "d.npz", x=x, y=x + 30, z=Bicubic(plane()).elevation(*np.meshgrid(
-        np.linspace(1, 9, 60), np.linspace(8, 12, 60), indexing="ij")))  # fmt: skip
+    np.savez(
+        tmp_path / "d.npz",
+        x=x,
+        y=x + 30,
+        z=Bicubic(plane()).elevation(
+            *np.meshgrid(np.linspace(1, 9, 60), np.linspace(8, 12, 60), indexing="ij")
+        ),
+    )
     found = read_map(tmp_path / "d.npz", geographic="local", window=(15.0002, 15.0004, 45, 45.0003))
     assert (found.grid.x[0], found.grid.y[0]) == (0, 0)
     assert (found.frame.x0, found.frame.y0) == pytest.approx((15.0002, 45), abs=1e-12)

@@ -102,8 +102,10 @@ def test_error_follows_the_tolerance():
     dae = montana_model(three_wheeler(), GROUNDS["hills"])
     stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]), **START)
     tolerances = 10.0 ** -np.arange(5, 11)
-    fine, *runs = (simulate(dae, stand, dae.inputs(**PAPER_RATES), T, tolerance=each)
-                   for each in (1e-12, *tolerances))  # fmt: skip
+    fine, *runs = (
+        simulate(dae, stand, dae.inputs(**PAPER_RATES), T, tolerance=each)
+        for each in (1e-12, *tolerances)
+    )
     errors = [gap(run, fine) for run in runs]
     slope = np.polyfit(np.log(tolerances), np.log(errors), 1)[0]
     assert 0.5 < slope < 1.2
@@ -112,8 +114,9 @@ def test_error_follows_the_tolerance():
 def test_four_wheels_with_suspension_slip_alike():
     ground = Analytic(lambda x, y: 0.1 * ca.sin(1.3 * x) * ca.cos(0.9 * y))
     rates = {"rear_right_rate": 2.0, "rear_left_rate": 1.7, "steer_rate": 0.02}
-    closure, montana = both(ground, T, vehicle=four_wheels(rock=True), rates=rates,
-                            tolerance=1e-10, x=0.4, heading=0.2)  # fmt: skip
+    closure, montana = both(
+        ground, T, vehicle=four_wheels(rock=True), rates=rates, tolerance=1e-10, x=0.4, heading=0.2
+    )
     assert np.abs(closure["slip_along"]).max() > 1e-4
     assert np.abs(closure["rock"]).max() > 0.01
     differences = {d.label.full.split("[")[0]: d.size for d in cross_check(closure, montana)}
@@ -239,8 +242,10 @@ def test_three_distances_leave_three_rates_open():
     heading, roll, pitch = (run[name][0] for name in ("heading", "roll", "pitch"))
     base = Rotation.from_euler("ZYX", [heading, roll, pitch]).as_matrix()
     steered = base @ Rotation.from_euler("z", run["steer"][0]).as_matrix()
-    arms, centers = ([np.array([run[f"{what}_{a}", w][0] for a in "xyz"]) for w in WHEELS]
-                     for what in ("contact", "center"))  # fmt: skip
+    arms, centers = (
+        [np.array([run[f"{what}_{a}", w][0] for a in "xyz"]) for w in WHEELS]
+        for what in ("contact", "center")
+    )
     arms = [c - g for g, c in zip(arms, centers, strict=True)]
     speeds = np.zeros((3, 3, 6))  # of the centres, by Omega, tilt rates and front wheel rate
     for k, arm in enumerate(arms):
@@ -273,13 +278,18 @@ def test_twelve_invariants_hold_the_vehicle():
     up = up / ca.norm_2(up)
     base = ca.horzcat(x, ca.cross(up, x), up)
     hubs = [base @ turn(joint.axis, q[15 + k]).rotation for k, joint in enumerate(vehicle.joints)]
-    turned = [ca.inv_skew(0.5 * (r - r.T)) for r in (
-        pose.rotation @ hub.T for pose, hub in zip(poses, hubs, strict=True))]  # fmt: skip
+    turned = [
+        ca.inv_skew(0.5 * (r - r.T))
+        for r in (pose.rotation @ hub.T for pose, hub in zip(poses, hubs, strict=True))
+    ]
     distances = ca.vertcat(*(ca.norm_2(i - j) for i, j in ((a, b), (b, c), (c, a))))
     invariants = ca.vertcat(distances, *turned)
     run = drive(ground, T[:2], **START)
-    contacts = [run[name, w][0] for w in WHEELS
-                for name in ("contact_x", "contact_y", "wheel_u", "wheel_v", "psi")]  # fmt: skip
+    contacts = [
+        run[name, w][0]
+        for w in WHEELS
+        for name in ("contact_x", "contact_y", "wheel_u", "wheel_v", "psi")
+    ]
     now = [*contacts, *(run[name][0] for name in ("tilt_right", "tilt_left", "steer"))]
     f = ca.Function("f", [q], [invariants, ca.jacobian(invariants, q)])
     value, jacobian = (np.array(out) for out in f(now))

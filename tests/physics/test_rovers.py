@@ -64,8 +64,13 @@ def heading_frame(found, heading):
 def test_differential_drive_and_its_caster_move_as_in_the_textbook():
     half, ahead, trail, angle = 0.25, 0.35, 0.08, 0.2
     right, left = 1.0, 0.8
-    found = rates_at(CATALOG["differential_drive"], FLAT, {"right_rate": right, "left_rate": left},
-                     heading=0.3, caster_angle=angle)  # fmt: skip
+    found = rates_at(
+        CATALOG["differential_drive"],
+        FLAT,
+        {"right_rate": right, "left_rate": left},
+        heading=0.3,
+        caster_angle=angle,
+    )
     v, turning = RADIUS * (right + left) / 2, RADIUS * (right - left) / (2 * half)
     assert_allclose(heading_frame(found, 0.3), (v, 0), atol=1e-12)
     assert_allclose(found["heading_rate"], turning, atol=1e-12)
@@ -79,8 +84,10 @@ def test_differential_drive_and_its_caster_move_as_in_the_textbook():
 def test_ackermann_turns_about_the_rear_axle_without_slip():
     v, steer, base, half = 0.15, 0.3, 0.7, 0.3
     turning = v * np.tan(steer) / base
-    rates = {"rear_right_rate": (v + half * turning) / RADIUS,
-             "rear_left_rate": (v - half * turning) / RADIUS}  # fmt: skip
+    rates = {
+        "rear_right_rate": (v + half * turning) / RADIUS,
+        "rear_left_rate": (v - half * turning) / RADIUS,
+    }
     found = rates_at(CATALOG["ackermann"], FLAT, rates, heading=0.3, steer=steer)
     assert_allclose(heading_frame(found, 0.3), (v, 0), atol=1e-12)
     assert_allclose(found["heading_rate"], turning, atol=1e-12)
@@ -93,8 +100,11 @@ def test_ackermann_turns_about_the_rear_axle_without_slip():
 
 def test_a_skid_steered_cart_turns_less_by_its_length():
     half, base, right, left = 0.3, 0.5, 1.0, 0.6
-    rates = {f"{end}_{side}_rate": value for end in ("front", "rear")
-             for side, value in (("right", right), ("left", left))}  # fmt: skip
+    rates = {
+        f"{end}_{side}_rate": value
+        for end in ("front", "rear")
+        for side, value in (("right", right), ("left", left))
+    }
     found = rates_at(CATALOG["skid_steer"], FLAT, rates, heading=0.3)
     turning = half * RADIUS * (right - left) / (2 * (half**2 + (base / 2) ** 2))
     assert_allclose(heading_frame(found, 0.3), (RADIUS * (right + left) / 2, 0), atol=1e-12)
@@ -228,8 +238,9 @@ def test_rocky_7_settles_from_poor_guesses(monkeypatch):
         steps.append(0)
         guess = {name: float(right[name][0]) + d for name, d in zip(names, off, strict=True)}
         found = settle(dae, guess=guess, **place)
-        assert_allclose([found[name][0] for name in names], [right[name][0] for name in names],
-                        atol=1e-9)  # fmt: skip
+        assert_allclose(
+            [found[name][0] for name in names], [right[name][0] for name in names], atol=1e-9
+        )
     assert np.median(steps) <= 10 + 1  # and one for the rates
 
 
@@ -245,8 +256,11 @@ def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
     except ModelError as error:
         found = str(error)
     assert re.search(words, found)
-    assert any(f"{end}_{side}" in found for end in ("front", "middle", "rear")
-               for side in ("right", "left"))  # fmt: skip
+    assert any(
+        f"{end}_{side}" in found
+        for end in ("front", "middle", "rear")
+        for side in ("right", "left")
+    )
     part = Grid(rough.x[20:80], rough.y[20:80], np.ascontiguousarray(rough.z[20:80, 20:80]))
     run = rocky_run(rolled(part, 0.065).grid, tolerance=1e-4, duration=2.0)  # 10 s: benchmarks
     assert run.stop is None
@@ -265,15 +279,24 @@ def test_a_caster_without_trail_is_named():
 HILL_CASES = {
     "cart straight": ("differential_drive", {"right_rate": 1.0, "left_rate": 0.95}, {}),
     "cart on the spot": ("differential_drive", {"right_rate": 0.7, "left_rate": -0.7}, {}),
-    "cart backwards": ("differential_drive", {"right_rate": -1.0, "left_rate": -0.97},
-                       {"caster_angle": 0.05}),
-    "car, fitting rates": ("ackermann", {"rear_right_rate": 1.053, "rear_left_rate": 0.947},
-                           {"steer": 0.1}),
-    "car, equal rates": ("ackermann", {"rear_right_rate": 1.0, "rear_left_rate": 1.0},
-                         {"steer": 0.3}),
+    "cart backwards": (
+        "differential_drive",
+        {"right_rate": -1.0, "left_rate": -0.97},
+        {"caster_angle": 0.05},
+    ),
+    "car, fitting rates": (
+        "ackermann",
+        {"rear_right_rate": 1.053, "rear_left_rate": 0.947},
+        {"steer": 0.1},
+    ),
+    "car, equal rates": (
+        "ackermann",
+        {"rear_right_rate": 1.0, "rear_left_rate": 1.0},
+        {"steer": 0.3},
+    ),
     "skid straight": ("skid_steer", dict.fromkeys(("right", "left"), 1.0), {}),
     "skid turning": ("skid_steer", {"right": 1.0, "left": 0.7}, {}),
-}  # fmt: skip
+}
 
 
 def hill_run(case, tolerance, duration=20.0):
@@ -283,29 +306,34 @@ def hill_run(case, tolerance, duration=20.0):
         rates = {f"{end}_{side}_rate": rates[side] for end in ("front", "rear") for side in rates}
     given = {label.full: 0.0 for label in leaves(dae.labels.u)} | rates
     begin = settle(dae, heading=0.3, **start)
-    return simulate(dae, begin, dae.inputs(**given), np.linspace(0, duration, 101),
-                    tolerance=tolerance)  # fmt: skip
+    return simulate(
+        dae, begin, dae.inputs(**given), np.linspace(0, duration, 101), tolerance=tolerance
+    )
 
 
 @pytest.mark.parametrize("case", HILL_CASES)
 def test_hill_cases_at_a_tolerance_of_a_micrometre(case):
     run, exact = hill_run(case, 1e-6), hill_run(case, 1e-10)
     assert run.stop is None
-    gaps = [np.hypot(run["x"] - exact["x"], run["y"] - exact["y"]).max(),
-            np.abs(run["z"] - exact["z"]).max()]  # fmt: skip
+    gaps = [
+        np.hypot(run["x"] - exact["x"], run["y"] - exact["y"]).max(),
+        np.abs(run["z"] - exact["z"]).max(),
+    ]
     assert max(gaps) < 2e-5
     assert (run["center_z"] - HILLS.elevation(run["center_x"], run["center_y"])).min() > 0
 
 
-@pytest.mark.parametrize("name", ["ackermann", "articulated", "rocky7", "open_source_rover",
-                                  "skid_steer"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name", ["ackermann", "articulated", "rocky7", "open_source_rover", "skid_steer"]
+)
 def test_rovers_follow_paths(name):
     vehicle = CATALOG[name]
     way = Path(np.array([(0.0, 0.0), (0.5, 2.0), (2.0, 4.0), (2.0, 7.0)]))
     dae = closure_model(vehicle, HILLS)
     start = settle(dae, heading=-0.245)
-    run = simulate(dae, start, follow(dae, vehicle, way, speed=0.2), np.linspace(0, 36, 73),
-                   tolerance=1e-6)  # fmt: skip
+    run = simulate(
+        dae, start, follow(dae, vehicle, way, speed=0.2), np.linspace(0, 36, 73), tolerance=1e-6
+    )
     assert run.stop is None
     places = np.stack([run["x"], run["y"]], 1)
     dense = way.at(np.linspace(0, way.length, 2000))
@@ -319,15 +347,23 @@ def test_rovers_follow_paths(name):
 # With masses: forces, friction and plans, for all without special code
 
 
-MAKERS = (differential_drive, ackermann, skid_steer, articulated, rocky7, open_source_rover,
-          seven_wheels)  # fmt: skip
+MAKERS = (
+    differential_drive,
+    ackermann,
+    skid_steer,
+    articulated,
+    rocky7,
+    open_source_rover,
+    seven_wheels,
+)
 GENTLE = Analytic(lambda x, y: 0.2 * (hills(x, y) - 2), mu=0.7)
 
 
 def ahead(dae, vehicle, start):
     if vehicle.name == "seven_wheels":
-        rates = {f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0
-                 for wheel in vehicle.wheels}  # fmt: skip
+        rates = {
+            f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0 for wheel in vehicle.wheels
+        }
         return dae.inputs(**rates)
     return straight(dae, vehicle, start, speed=0.2)
 
@@ -342,8 +378,9 @@ def test_every_vehicle_stands_drives_and_creeps(make):
     for slip in ("least", "traction"):
         dae = closure_model(vehicle, GENTLE, slip=slip)
         start = settle(dae, x=0.3, heading=0.2)
-        runs.append(simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6),
-                             tolerance=1e-6))  # fmt: skip
+        runs.append(
+            simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6), tolerance=1e-6)
+        )
         assert runs[-1].stop is None
         assert runs[-1]["force_normal"].min() > 0
         assert runs[-1]["utilisation"].max() < 1
@@ -352,21 +389,33 @@ def test_every_vehicle_stands_drives_and_creeps(make):
     assert np.linalg.norm(places[0] - places[1]) < 5e-3
 
 
-@pytest.mark.parametrize("make", [differential_drive, articulated, rocky7],
-                         ids=lambda make: make.__name__)  # fmt: skip
+@pytest.mark.parametrize(
+    "make", [differential_drive, articulated, rocky7], ids=lambda make: make.__name__
+)
 def test_every_vehicle_is_planned_for(make):
     vehicle = make(mass=0.0, wheel_mass=0.0)
     dae = closure_model(vehicle, HILLS)
     start = settle(dae, heading=0.2)
     guess = simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6), tolerance=1e-6)
     goal = {"x": float(guess["x"][-1]) + 0.05, "y": float(guess["y"][-1])}
-    found = plan(dae, start, guess, goal=goal, costs={"slip": 100.0, "effort": 1e-3}, duration=5.0,
-                 intervals=4, degree=2, smooth=1e-3, accuracy=1e-2)  # fmt: skip
+    found = plan(
+        dae,
+        start,
+        guess,
+        goal=goal,
+        costs={"slip": 100.0, "effort": 1e-3},
+        duration=5.0,
+        intervals=4,
+        degree=2,
+        smooth=1e-3,
+        accuracy=1e-2,
+    )
     assert found.success
     assert found.accurate
     assert max(found.difference[name] for name in ("x", "y")) < 1e-2
-    assert (found.run["center_z"]
-            > HILLS.elevation(found.run["center_x"], found.run["center_y"])).all()  # fmt: skip
+    assert (
+        found.run["center_z"] > HILLS.elevation(found.run["center_x"], found.run["center_y"])
+    ).all()
 
 
 # Seven wheels on rollers
@@ -397,8 +446,9 @@ def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
     ground = Analytic(lambda _, y: 0.02 * ca.sin(3 * y), mu=0.9)
     vehicle = seven_wheels()
     dae = closure_model(vehicle, ground)
-    rates = {f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0
-             for wheel in vehicle.wheels}  # fmt: skip
+    rates = {
+        f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0 for wheel in vehicle.wheels
+    }
     run = simulate(dae, settle(dae), dae.inputs(**rates), np.linspace(0, 5, 26), tolerance=1e-6)
     assert run.stop is None
     assert np.abs(run["pitch_joint"]).max() > 0.02

@@ -31,8 +31,17 @@ LA, LS, R1, R2 = 1.0, 1.5, 0.05, 0.25
 R = H = R1 + R2  # of the wheels, and height of the centre of mass
 RIGHT, LEFT, FRONT = 0, 1, 2
 FORCES = ("force_along", "force_across", "force_normal")
-OF_FORCES = (*FORCES, "friction_needed", "utilisation", "drive_torque", "power", "dissipation",
-             "potential_energy", "work", "tip_over_margin")  # fmt: skip
+OF_FORCES = (
+    *FORCES,
+    "friction_needed",
+    "utilisation",
+    "drive_torque",
+    "power",
+    "dissipation",
+    "potential_energy",
+    "work",
+    "tip_over_margin",
+)
 VEHICLE = three_wheeler()
 WEIGHT = 36 * G
 LEVEL = Analytic(lambda x, _: 0 * x)
@@ -86,8 +95,10 @@ def turned(axis, angle):
 def normal(ground, x, y, step=5e-3):
     """Return the unit normal by differences of order six."""
     ahead, weights = np.arange(-3, 4) * step, np.array([-1, 9, -45, 0, 45, -9, 1]) / (60 * step)
-    rises = [weights @ ground.elevation(x + ahead, y + 0 * ahead),
-             weights @ ground.elevation(x + 0 * ahead, y + ahead)]  # fmt: skip
+    rises = [
+        weights @ ground.elevation(x + ahead, y + 0 * ahead),
+        weights @ ground.elevation(x + 0 * ahead, y + ahead),
+    ]
     return np.array([-rises[0], -rises[1], 1]) / np.hypot(np.hypot(*rises), 1)
 
 
@@ -114,8 +125,9 @@ class Balance(NamedTuple):
 def balance(vehicle, ground, run, k=0):
     """Cut the parts of a vehicle free at a sample."""
     value = {c.name: run[c.name][k] for c in vehicle.coordinates}
-    rotation = (turned("z", run["heading"][k]) @ turned("y", run["roll"][k])
-                @ turned("x", run["pitch"][k]))  # fmt: skip
+    rotation = (
+        turned("z", run["heading"][k]) @ turned("y", run["roll"][k]) @ turned("x", run["pitch"][k])
+    )
     center = np.array([run[name][k] for name in "xyz"])
     parts, chain, joints = {"platform": (rotation, center)}, {"platform": ()}, {}
     for joint in vehicle.joints:
@@ -123,8 +135,9 @@ def balance(vehicle, ground, run, k=0):
         pivot, axis = origin + base @ joint.at, base[:, "xyz".index(joint.axis)]
         at = value[joint.value]
         turns = joint.motion == "turn"
-        parts[joint.name] = (base @ turned(joint.axis, at), pivot) if turns else (
-            base, pivot + at * axis)  # fmt: skip
+        parts[joint.name] = (
+            (base @ turned(joint.axis, at), pivot) if turns else (base, pivot + at * axis)
+        )
         chain[joint.name] = (*chain[joint.parent], joint.name)
         joints[joint.name] = axis, pivot, turns
     bodies = [("platform", vehicle.body), *((j.name, j.body) for j in vehicle.joints)]
@@ -145,8 +158,10 @@ def balance(vehicle, ground, run, k=0):
         def lever(point):
             return np.cross(axis, point - pivot) if turns else axis
 
-        row = [lever(points[i]) @ frames[i] if carried(wheel.parent) else np.zeros(3)
-               for i, wheel in enumerate(vehicle.wheels)]  # fmt: skip
+        row = [
+            lever(points[i]) @ frames[i] if carried(wheel.parent) else np.zeros(3)
+            for i, wheel in enumerate(vehicle.wheels)
+        ]
         weight = sum(
             -G * body.mass * lever(parts[part][1] + parts[part][0] @ body.at)[2]
             for part, body in bodies
@@ -155,15 +170,19 @@ def balance(vehicle, ground, run, k=0):
         return np.concatenate(row), weight
 
     def on_joints(name):
-        acts = [act(*joints[j.name], lambda part, j=j: j.name in chain[part])
-                for j in vehicle.joints if j.value == name]  # fmt: skip
+        acts = [
+            act(*joints[j.name], lambda part, j=j: j.name in chain[part])
+            for j in vehicle.joints
+            if j.value == name
+        ]
         return sum(row for row, _ in acts), sum(weight for _, weight in acts)
 
     axles = np.zeros((len(hubs), 3 * len(hubs)))
     for i, (axle, hub) in enumerate(hubs):
         axles[i, 3 * i : 3 * i + 3] = np.cross(axle, points[i] - hub) @ frames[i]
-    acts = [act(axis, center, turns, lambda _: True) for turns in (False, True)
-            for axis in np.eye(3)]  # fmt: skip
+    acts = [
+        act(axis, center, turns, lambda _: True) for turns in (False, True) for axis in np.eye(3)
+    ]
     held = {}
     for c in vehicle.coordinates:
         row, weight = on_joints(c.name)
@@ -191,8 +210,9 @@ def shared(vehicle, ground, run, k=0):
     for _ in range(60):
         weight = np.zeros(3 * m)
         weight[flat] = np.repeat(grip * load, 2)
-        law = np.hstack([np.diag(np.where(flat, 1.0, 0.0)),
-                         np.where(flat, weight, 1.0)[:, None] * found.rows.T])  # fmt: skip
+        law = np.hstack(
+            [np.diag(np.where(flat, 1.0, 0.0)), np.where(flat, weight, 1.0)[:, None] * found.rows.T]
+        )
         system = np.vstack([law, np.hstack([found.rows, np.zeros((n, n))])])
         solution = np.linalg.solve(system, np.concatenate([np.zeros(3 * m), -found.load]))
         step, load = np.abs(solution[2 : 3 * m : 3] - load).max(), solution[2 : 3 * m : 3]
@@ -431,8 +451,9 @@ def steepening(x, y):
 
 def lean(vehicle, run, k):
     """Return the least angle of gravity to a vertical plane through an edge of the support."""
-    rotation = (turned("z", run["heading"][k]) @ turned("y", run["roll"][k])
-                @ turned("x", run["pitch"][k]))  # fmt: skip
+    rotation = (
+        turned("z", run["heading"][k]) @ turned("y", run["roll"][k]) @ turned("x", run["pitch"][k])
+    )
     place = np.array([run[name][k] for name in "xyz"])
     hubs = np.column_stack([run[f"center_{name}"][k] for name in "xyz"])
     points = np.column_stack([run[f"contact_{name}"][k] for name in "xyz"])
@@ -520,10 +541,12 @@ def test_sprung_tilts_by_hand(stiffness):
     drop, reach, lift = R2 * (1 - np.cos(d)), R2 * np.sin(d), R1 + R2 * np.cos(d)
     run = stand(three_wheeler(stiffness=stiffness), terrace(drop), tilt_right=d, tilt_left=d)
     # unknown: both normal and both side forces
-    system = [[1, 1, 0, 0],
-              [-(LA - reach), LA + reach, drop, drop],
-              [reach, 0, -lift, 0],
-              [0, reach, 0, -lift]]  # fmt: skip
+    system = [
+        [1, 1, 0, 0],
+        [-(LA - reach), LA + reach, drop, drop],
+        [reach, 0, -lift, 0],
+        [0, reach, 0, -lift],
+    ]
     moment = stiffness * d
     right, left, *push = np.linalg.solve(system, [2 / 3 * WEIGHT, 0, moment, moment])
     expected = [right, left, WEIGHT / 3]
@@ -554,9 +577,16 @@ def test_a_sprung_rocker_on_flat_ground_by_hand(stiffness):
     assert abs(run["rock"][0]) < 1e-13
     assert_allclose(run["friction_needed"], 0, atol=1e-12)
     half, ahead = 0.3, 0.7
-    places = [(1.5, half, 0), (1.5, -half, 0), (1.5, half, ahead), (1.5, -half, ahead),
-              (4.0, 0.02, ahead), (0.5, half + 0.01, ahead + 0.02),
-              (0.5, -half + 0.01, ahead + 0.02), (40.0, 0.03, 0.3)]  # fmt: skip
+    places = [
+        (1.5, half, 0),
+        (1.5, -half, 0),
+        (1.5, half, ahead),
+        (1.5, -half, ahead),
+        (4.0, 0.02, ahead),
+        (0.5, half + 0.01, ahead + 0.02),
+        (0.5, -half + 0.01, ahead + 0.02),
+        (40.0, 0.03, 0.3),
+    ]
     mass, x, y = np.array(places).T
     front = mass @ y / ahead
     rear = mass.sum() - front
@@ -605,8 +635,15 @@ def climb(*, axle="tilting", end=8.0, tolerance=1e-12, **changes):
     """Drive up a grade with hills."""
     vehicle = three_wheeler(axle=axle, **changes)
     rates = CLIMB | ({"slide_right_rate": 0.01} if axle == "actuated" else {})
-    return drive(Analytic(grade), np.linspace(0, end, 401), vehicle=vehicle, rates=rates,
-                 tolerance=tolerance, x=0.013, y=0.017)  # fmt: skip
+    return drive(
+        Analytic(grade),
+        np.linspace(0, end, 401),
+        vehicle=vehicle,
+        rates=rates,
+        tolerance=tolerance,
+        x=0.013,
+        y=0.017,
+    )
 
 
 def long_climb():
@@ -660,8 +697,9 @@ def test_work_is_the_energy_gained_and_lost(axle):
 
 def test_dissipation_is_what_slip_and_dampers_take():
     run = climb(axle="fixed")
-    rubbed = sum((run[f"force_{way}"] * run[f"slip_{way}"]).sum(axis=1)
-                 for way in ("along", "across"))  # fmt: skip
+    rubbed = sum(
+        (run[f"force_{way}"] * run[f"slip_{way}"]).sum(axis=1) for way in ("along", "across")
+    )
     assert_allclose(run["dissipation"], -rubbed, rtol=0, atol=1e-12)
     damped = climb(damping=5.0)
     rates = damped["tilt_right_rate"] ** 2 + damped["tilt_left_rate"] ** 2
@@ -679,8 +717,14 @@ def test_dissipation_is_what_slip_and_dampers_take():
 def test_power_balance_at_every_sample(changes):
     run = climb(**changes)
     step, energy = run.t[1], run["potential_energy"]
-    rate = (-energy[:-6] + 9 * energy[1:-5] - 45 * energy[2:-4]
-            + 45 * energy[4:-2] - 9 * energy[5:-1] + energy[6:]) / (60 * step)  # fmt: skip
+    rate = (
+        -energy[:-6]
+        + 9 * energy[1:-5]
+        - 45 * energy[2:-4]
+        + 45 * energy[4:-2]
+        - 9 * energy[5:-1]
+        + energy[6:]
+    ) / (60 * step)
     left = run["power"][3:-3] - rate - run["dissipation"][3:-3]
     assert np.abs(left).max() < 1e-6 * np.abs(run["power"]).max()
 
@@ -696,13 +740,15 @@ def test_power_is_torque_times_rate():
 OPEN = {
     "fixed": (three_wheeler(axle="fixed", **MASS), {"x": 0.4, "heading": 0.8, "steer": 0.3}),
     "prismatic": (
-        three_wheeler(axle="prismatic", **MASS), {"y": 1.1, "heading": -2.0, "slide_right": 0.1}
+        three_wheeler(axle="prismatic", **MASS),
+        {"y": 1.1, "heading": -2.0, "slide_right": 0.1},
     ),
     "locked tilt": (
-        actuated(three_wheeler(**MASS), "tilt_right"), {"heading": 1.3, "tilt_right": 0.2}
+        actuated(three_wheeler(**MASS), "tilt_right"),
+        {"heading": 1.3, "tilt_right": 0.2},
     ),
     "rocker": (loaded(stiffness=50.0), {"x": -0.7, "heading": 2.3, "steer": -0.2}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", OPEN)
@@ -747,9 +793,14 @@ def test_a_rigid_vehicle_across_a_slope_needs_its_tangent():
 
 @pytest.mark.parametrize(
     ("heading", "needed", "best"),
-    [(0, 0.492, 0.492), (30, 0.473, 0.466), (45, 0.445, 0.432), (60, 0.411, 0.389),
-     (90, 0.364, 0.364)],
-)  # fmt: skip
+    [
+        (0, 0.492, 0.492),
+        (30, 0.473, 0.466),
+        (45, 0.445, 0.432),
+        (60, 0.411, 0.389),
+        (90, 0.364, 0.364),
+    ],
+)
 def test_oblique_climbing_of_a_rigid_vehicle(heading, needed, best):
     vehicle, ground = three_wheeler(axle="fixed"), slope(20)
     run = best_utilisation(vehicle, ground, stand(vehicle, ground, heading=np.radians(heading)))
@@ -824,8 +875,10 @@ def test_mirrored_ground_swaps_the_wheels(axle):
     mirrored = Analytic(lambda x, y: hills(-x, y))
     tilts, other = {}, {}
     if axle == "tilting":
-        tilts, other = {"tilt_right": 0.2, "tilt_left": 0.1}, {"tilt_right": -0.1,
-                                                              "tilt_left": -0.2}  # fmt: skip
+        tilts, other = (
+            {"tilt_right": 0.2, "tilt_left": 0.1},
+            {"tilt_right": -0.1, "tilt_left": -0.2},
+        )
     vehicle = three_wheeler(axle=axle)
     run = stand(vehicle, HILLS, x=0.4, heading=0.5, steer=0.2, **tilts)
     seen = stand(vehicle, mirrored, x=-0.4, heading=-0.5, steer=-0.2, **other)
@@ -894,8 +947,10 @@ def test_montanas_form_bears_the_same():
     vehicle, t = three_wheeler(stiffness=20.0), np.linspace(0, 3, 7)
     closure, other = closure_model(vehicle, HILLS), montana_kinematics(vehicle, HILLS)
     start = settle(closure, heading=0.3, tilt_right=0.1, tilt_left=-0.05, steer=0.2)
-    runs = [simulate(dae, start, dae.inputs(**PAPER_RATES), t, tolerance=1e-10)
-            for dae in (closure, other)]  # fmt: skip
+    runs = [
+        simulate(dae, start, dae.inputs(**PAPER_RATES), t, tolerance=1e-10)
+        for dae in (closure, other)
+    ]
     for name in (*OF_FORCES, "steer_torque"):
         size = np.abs(runs[0][name]).max() + 1e-3
         assert_allclose(runs[1][name][0], runs[0][name][0], rtol=0, atol=1e-9 * size, err_msg=name)
@@ -906,8 +961,13 @@ def test_montanas_form_bears_the_same():
 def test_the_inverse_model_bears_the_same(steering):
     direct = closure_model(VEHICLE, HILLS, slip="rolling")
     rates = PAPER_RATES | {"steer_rate": 0.02 if steering == "rate" else 0.0}
-    run = simulate(direct, settle(direct, heading=0.3), direct.inputs(**rates),
-                   np.linspace(0, 4, 5), tolerance=1e-10)  # fmt: skip
+    run = simulate(
+        direct,
+        settle(direct, heading=0.3),
+        direct.inputs(**rates),
+        np.linspace(0, 4, 5),
+        tolerance=1e-10,
+    )
     dae = inverse_kinematics(VEHICLE, HILLS, steering=steering)
     given = ("velocity_x", "velocity_y", "heading_rate")
     for k in range(run.t.size):
@@ -971,22 +1031,32 @@ WHEEL = {"name": "w", "parent": "platform", "at": (0, 0, 0), "r1": 0.1, "r2": 0.
         (lambda: Wheel(**WHEEL, mass=np.inf), "wheel w: mass must be zero or more kilograms"),
         (lambda: Wheel(**WHEEL, grip=0.0), "wheel w: grip must be positive, found 0.0"),
         (lambda: Wheel(**WHEEL, grip=np.nan), "wheel w: grip must be positive, found nan"),
-        (lambda: Coordinate("c", "passive", "c", stiffness=-1.0),
-         "coordinate c: stiffness must be zero or more, found -1.0"),
-        (lambda: Coordinate("c", "passive", "c", damping=np.inf),
-         "coordinate c: damping must be zero or more, found inf"),
-        (lambda: Coordinate("c", "passive", "c", bump=np.nan),
-         "coordinate c: bump must be zero or more, found nan"),
+        (
+            lambda: Coordinate("c", "passive", "c", stiffness=-1.0),
+            "coordinate c: stiffness must be zero or more, found -1.0",
+        ),
+        (
+            lambda: Coordinate("c", "passive", "c", damping=np.inf),
+            "coordinate c: damping must be zero or more, found inf",
+        ),
+        (
+            lambda: Coordinate("c", "passive", "c", bump=np.nan),
+            "coordinate c: bump must be zero or more, found nan",
+        ),
         (lambda: Coordinate("c", "passive", "c", rest=np.inf), "coordinate c: rest must be finite"),
-        (lambda: Coordinate("c", "commanded", "c", stiffness=1.0),
-         "coordinate c: its rate is commanded, so that it takes no spring"),
-        (lambda: actuated(VEHICLE, "steer"),
-         r"passive coordinates \(tilt_right, tilt_left\), found 'steer'"),
+        (
+            lambda: Coordinate("c", "commanded", "c", stiffness=1.0),
+            "coordinate c: its rate is commanded, so that it takes no spring",
+        ),
+        (
+            lambda: actuated(VEHICLE, "steer"),
+            r"passive coordinates \(tilt_right, tilt_left\), found 'steer'",
+        ),
         (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), "there is none"),
         (lambda: three_wheeler(axle="fixed", stiffness=1.0), "fixed axle has no free joint"),
         (lambda: three_wheeler(mass=-1.0), "mass must be zero or more kilograms, found -1.0"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused(build, words):
     with pytest.raises(ModelError, match=words):
         build()

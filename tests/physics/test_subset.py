@@ -104,9 +104,11 @@ def test_every_vehicle_moves_over_hills_as_given(name):
     assert run.stop is None
     assert max(round_trip(direct, run, MOTION).values()) <= 1e-12
     for k in (0, -1):  # and without any of the code that did this at once
-        again = driven(direct, run.part(slice(k, None if k else 1)), {
-            label.full: float(run[label.name][k]) for label in leaves(direct.labels.u)
-        })  # fmt: skip
+        again = driven(
+            direct,
+            run.part(slice(k, None if k else 1)),
+            {label.full: float(run[label.name][k]) for label in leaves(direct.labels.u)},
+        )
         for rate, value in given.items():
             assert_allclose(planar(again)[rate], value, rtol=0, atol=1e-12)
     for joint in steered(CATALOG[name], direct):
@@ -125,8 +127,11 @@ def test_a_turn_on_level_ground_is_free_of_slip_and_steers_to_its_centre():
     c, s = np.cos(START["heading"]), np.sin(START["heading"])
     east, north = start["center_x"][0] - START["x"], start["center_y"][0] - START["y"]
     right, ahead = c * east + s * north, -s * east + c * north
-    wheels = [start.wheels.index(f"{end}_{side}") for end in ("front", "rear")
-              for side in ("right", "left")]  # fmt: skip
+    wheels = [
+        start.wheels.index(f"{end}_{side}")
+        for end in ("front", "rear")
+        for side in ("right", "left")
+    ]
     middle = ahead[start.wheels.index("middle_right")]
     expected = np.arctan2((ahead - middle) * 0.2, 0.2 + 0.2 * right)[wheels]
     angles = [start[f"steer_{start.wheels[k]}"][0] for k in wheels]
@@ -250,8 +255,17 @@ CAR = ("vehicle.steered=", "vehicle.catalog=ackermann", "time.step=0.1")
 
 def _invoke(*settings: str) -> Any:
     words = [word for setting in settings for word in ("--set", setting)]
-    words += ["--set", "time.duration=0.5", "--set", "vehicle.mass=0", "--set",
-              "vehicle.wheel_mass=0", "-o", "out.nc", "--no-draw"]  # fmt: skip
+    words += [
+        "--set",
+        "time.duration=0.5",
+        "--set",
+        "vehicle.mass=0",
+        "--set",
+        "vehicle.wheel_mass=0",
+        "-o",
+        "out.nc",
+        "--no-draw",
+    ]
     result = CliRunner().invoke(app, ["run", str(PROBLEMS / "rover_inverse.toml"), *words])
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return result
@@ -267,10 +281,15 @@ def test_problem_file() -> None:
     result = _invoke("given.yaw_rate=0.1*cos(0.5*t)")
     assert (result.exit_code, result.stderr) == (0, ""), result.output
     for words in (
-        "forward 0.1 m/s, yaw_rate 0.1*cos(0.5*t) rad/s", "rate of wheel front_right ",
-        "steering steer_front_left ", " rad at most", "round trip  ", "wheel middle_left  ",
-        "replay by the direct model  differs by at most x ", "reached the time asked for",
-    ):  # fmt: skip
+        "forward 0.1 m/s, yaw_rate 0.1*cos(0.5*t) rad/s",
+        "rate of wheel front_right ",
+        "steering steer_front_left ",
+        " rad at most",
+        "round trip  ",
+        "wheel middle_left  ",
+        "replay by the direct model  differs by at most x ",
+        "reached the time asked for",
+    ):
         assert words in result.stdout, words
     run = netcdf.read("out.nc")
     assert_allclose(planar(run)["yaw_rate"], 0.1 * np.cos(0.5 * run.t), rtol=0, atol=1e-12)
@@ -305,22 +324,33 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
     ("settings", "words"),
     [
         (["given.velocity_x=0.0"], "given.forward: expected rates in the platform's heading fr"),
-        (["given={velocity_x=0.0, velocity_y=0.1, heading_rate=0.0}"],
-         "rocky7 cannot roll without slip, as inverse kinematics at these rates or along a path"),
-        (["given={velocity_x=0.0, velocity_y=\"t\", heading_rate=0.0}"],
-         "given.velocity_y: expected a number, found values in time, which only forward, right"),
+        (
+            ["given={velocity_x=0.0, velocity_y=0.1, heading_rate=0.0}"],
+            "rocky7 cannot roll without slip, as inverse kinematics at these rates or along a path",
+        ),
+        (
+            ['given={velocity_x=0.0, velocity_y="t", heading_rate=0.0}'],
+            "given.velocity_y: expected a number, found values in time, which only forward, right",
+        ),
         ([*CAR, "given.yaw_rate=q*t"], "given.yaw_rate: yaw_rate: formula 'q*t': 'q' is not known"),
         (["given.yaw_rate=true"], "expected a number, an array of [time, value] pairs, or a form"),
         (["steering=rate"], "expected 'angle', which the steering follows"),
-        ([*CAR, "given.yaw_rate=0.4"],
-         "the stop of steer"),
-        (["vehicle.steered=", "vehicle.catalog=differential_drive", "given.right=0.1"],
-         "differential_drive has 2 driven wheels"),
-        (["vehicle.steered=", "vehicle.catalog=differential_drive", "given={forward=0.1, "
-          "right=0.1}", "terrain.synthetic.power_law="],
-         "differential_drive: no rates of the driven wheels bring about right here"),
+        ([*CAR, "given.yaw_rate=0.4"], "the stop of steer"),
+        (
+            ["vehicle.steered=", "vehicle.catalog=differential_drive", "given.right=0.1"],
+            "differential_drive has 2 driven wheels",
+        ),
+        (
+            [
+                "vehicle.steered=",
+                "vehicle.catalog=differential_drive",
+                "given={forward=0.1, right=0.1}",
+                "terrain.synthetic.power_law=",
+            ],
+            "differential_drive: no rates of the driven wheels bring about right here",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused(settings: list[str], words: str) -> None:
     result = _invoke(*settings)
     assert result.exit_code == 2, result.output

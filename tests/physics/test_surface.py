@@ -112,8 +112,9 @@ def test_forms_are_the_derivatives_of_the_frame(uv, skew):
     at = [0.5, -0.8]
     _, frame, metric, curvature, torsion = numbers(skew, uv)(*at)
     moving = patch(skew, uv).frame
-    d_x, d_n = (np.array(ca.Function("d", [uv], [ca.jacobian(moving[:, k], uv)])(at))
-                for k in (0, 2))  # fmt: skip
+    d_x, d_n = (
+        np.array(ca.Function("d", [uv], [ca.jacobian(moving[:, k], uv)])(at)) for k in (0, 2)
+    )
     c_uv = np.array(ca.Function("c", [uv], [ca.jacobian(skew, uv)])(at))
     assert_allclose(frame.T @ frame, np.eye(3), atol=1e-15)
     assert np.linalg.det(frame) > 0
@@ -199,8 +200,9 @@ def random_motions(rng, ground):
     # inside the cells of the rough ground: the rates have a kink on its knots
     places = 0.2 * (rng.integers(-5, 5, (2, STATES)) + rng.uniform(0.05, 0.95, (2, STATES)))
     at = ca.SX.sym("at", 2)
-    normal_of = function_of([at], lambda lookups: [
-        patch(height_map(ground, at, lookups), at).frame[:, 2]])  # fmt: skip
+    normal_of = function_of(
+        [at], lambda lookups: [patch(height_map(ground, at, lookups), at).frame[:, 2]]
+    )
     n = np.array(normal_of.map(STATES)(places)).T
     v, omega = 0.3 * rng.normal(size=(STATES, 3)), rng.normal(size=(STATES, 3))
     v -= (v * n).sum(axis=1, keepdims=True) * n

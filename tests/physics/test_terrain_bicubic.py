@@ -167,8 +167,9 @@ def test_forward_and_reverse_agree_and_never_enter_the_look_up():
     assert_allclose(float(along), float(ca.dot(slope, ca.DM(way))), rtol=1e-13)
     symbol = ca.MX.sym("q", 2)
     again = ca.hessian(function(symbol, way)[0], symbol)
-    found = ca.Function("again", [symbol], [*again, ca.jtimes(function(symbol, way)[0], symbol,
-                                                              ca.DM(way))])(at)  # fmt: skip
+    found = ca.Function(
+        "again", [symbol], [*again, ca.jtimes(function(symbol, way)[0], symbol, ca.DM(way))]
+    )(at)
     for one, other in zip(found, (hessian, slope, along), strict=True):
         assert_allclose(np.array(ca.DM(one)), np.array(ca.DM(other)), rtol=1e-12)
     assert float(h) != 0

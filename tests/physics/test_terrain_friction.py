@@ -132,9 +132,13 @@ def test_a_map_is_the_spline_whose_coefficients_are_its_values(kind):
     values, gradient, second = evaluate(grounds(mu)[kind], x, y)
     points = np.stack([x, y], axis=-1)
     for nu, found in (
-        ((0, 0), values), ((1, 0), gradient[:, 0]), ((0, 1), gradient[:, 1]),
-        ((2, 0), second[:, 0, 0]), ((1, 1), second[:, 0, 1]), ((0, 2), second[:, 1, 1]),
-    ):  # fmt: skip
+        ((0, 0), values),
+        ((1, 0), gradient[:, 0]),
+        ((0, 1), gradient[:, 1]),
+        ((2, 0), second[:, 0, 0]),
+        ((1, 1), second[:, 0, 1]),
+        ((0, 2), second[:, 1, 1]),
+    ):
         expected = spline(points, nu=nu)
         assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
@@ -195,8 +199,9 @@ def test_a_map_is_twice_continuously_differentiable():
     # The third derivative jumps, so that the knots were met.
     x_0, y_0, _ = ground.origin
     u, v = ca.SX.sym("u"), 2 - y_0
-    third = looked_up([u], lambda lookups: [
-        ca.jacobian(ca.hessian(ground.friction(u, v, lookups), u)[0], u)])  # fmt: skip
+    third = looked_up(
+        [u], lambda lookups: [ca.jacobian(ca.hessian(ground.friction(u, v, lookups), u)[0], u)]
+    )
     sides = third.map(2 * mu.x.size)
     found = np.asarray(sides(np.concatenate([mu.x - step, mu.x + step])[None] - x_0)).ravel()
     assert np.abs(np.diff(found.reshape(2, -1), axis=0)).max() > 0.1

@@ -187,8 +187,14 @@ def test_ramp(smooth):
 @pytest.mark.parametrize("rounding", [0.5, 2.4, 4.0])
 def test_ramp_with_round_edges(rounding):
     h, start, end, slope = 0.01, 2.0, 6.0, 0.3
-    grid = ramp(blank((0, 1), (0, 8), h), start=start, end=end, rise=slope * (end - start),
-                smooth=False, rounding=rounding)  # fmt: skip
+    grid = ramp(
+        blank((0, 1), (0, 8), h),
+        start=start,
+        end=end,
+        rise=slope * (end - start),
+        smooth=False,
+        rounding=rounding,
+    )
     z, half = grid.z[0], rounding / 2
     even = np.clip(slope * (grid.y - start), 0, slope * (end - start))
     away = (np.abs(grid.y - start) >= half) & (np.abs(grid.y - end) >= half)
@@ -203,8 +209,10 @@ def test_ramp_with_round_edges(rounding):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda g: ramp(g, start=1, end=2, rise=1, smooth=False, rounding=1.5),
-         "expected a rounding from 0 to its length of 1 m, found 1.5 m"),
+        (
+            lambda g: ramp(g, start=1, end=2, rise=1, smooth=False, rounding=1.5),
+            "expected a rounding from 0 to its length of 1 m, found 1.5 m",
+        ),
         (lambda g: ramp(g, start=1, end=2, rise=1, smooth=False, rounding=-0.1), "found -0.1 m"),
         (lambda g: ramp(g, start=1, end=2, rise=1, rounding=0.5), "a smooth ramp has no edges"),
         (lambda g: ramp(g, start=2, end=2, rise=1), "ramp: expected start < end"),
@@ -212,7 +220,7 @@ def test_ramp_with_round_edges(rounding):
         (lambda g: craters(g, count=2, diameters=(2, 1), seed=0), "0 < smallest <= largest"),
         (lambda g: craters(g, count=-2, diameters=(1, 2), seed=0), "count >= 0"),
     ],
-)  # fmt: skip
+)
 def test_refusals(make, words):
     with pytest.raises(ModelError, match=words):
         make(blank((0, 4), (0, 4), 0.1))

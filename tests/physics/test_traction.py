@@ -171,11 +171,19 @@ def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, toleran
 
 def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     """Friction couples normal forces to the motion, which may go on with a jump only."""
-    grid = power_law(blank((-6, 6), (-6, 6), 0.25), rms=0.09746552344891801,
-                     hurst=0.9539057256615531, longest=8.0, shortest=2.743039400737338,
-                     seed=67)  # fmt: skip
-    rates = {"right_rate": 0.7521118439376475, "left_rate": 0.6014304356887998,
-             "steer_rate": -0.23850475241570412}  # fmt: skip
+    grid = power_law(
+        blank((-6, 6), (-6, 6), 0.25),
+        rms=0.09746552344891801,
+        hurst=0.9539057256615531,
+        longest=8.0,
+        shortest=2.743039400737338,
+        seed=67,
+    )
+    rates = {
+        "right_rate": 0.7521118439376475,
+        "left_rate": 0.6014304356887998,
+        "steer_rate": -0.23850475241570412,
+    }
     start = {"x": 0.06577387785453626, "y": -0.0420728627881235, "heading": 0.3860773330023184}
     ground, law = Bicubic(grid, mu=0.048397107850166564), Traction(3.4290050665254273e-06)
     t = np.linspace(0, 10, 51)
@@ -208,8 +216,9 @@ def test_a_vehicle_that_would_roll_away_is_not_said_to_tip_over():
 
 
 def test_ice_is_a_stop_by_name_even_where_friction_jumps():
-    ground = Analytic(lambda x, y: hills(x, y) + 0.2 * y,
-                      mu=lambda _, y: ca.if_else(y > 0.9, 0.02, 0.6))  # fmt: skip
+    ground = Analytic(
+        lambda x, y: hills(x, y) + 0.2 * y, mu=lambda _, y: ca.if_else(y > 0.9, 0.02, 0.6)
+    )
     run = moved(FIXED, ground, Traction(), T, x=0.013, y=0.017)
     assert run.stop.name == "no_equilibrium"
     assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
@@ -248,8 +257,15 @@ def test_an_elastic_stop_bears_the_wheel_that_leans_on_it():
     """Both tilts fall towards their stops and rest there: moment of the load against the stop."""
     bump, limit = 2000.0, 0.2
     vehicle = three_wheeler(tilt_stop=limit, bump=bump)
-    run = moved(vehicle, slope(0.0, 0.6), Traction(1e-2), np.linspace(0, 60, 121),
-                dict.fromkeys(RATES, 0.0), tilt_right=0.1, tilt_left=0.1)  # fmt: skip
+    run = moved(
+        vehicle,
+        slope(0.0, 0.6),
+        Traction(1e-2),
+        np.linspace(0, 60, 121),
+        dict.fromkeys(RATES, 0.0),
+        tilt_right=0.1,
+        tilt_left=0.1,
+    )
     assert run.stop is None
     body = Rotation.from_euler("ZYX", [run[name][-1] for name in ("heading", "roll", "pitch")])
     for side in ("right", "left"):
@@ -269,17 +285,19 @@ def test_only_a_stiff_spring_holds_a_tilt_upright():
     """The tilt is an inverted pendulum; the spring it needs is the load times r2."""
     load = three_wheeler().weight / 3 * 0.25
     for factor, grows in ((0.95, True), (1.05, False)):
-        run = standing(three_wheeler(stiffness=factor * load), slope(0.0, 0.6),
-                       tilt_right=0.01, tilt_left=0.01)  # fmt: skip
+        run = standing(
+            three_wheeler(stiffness=factor * load), slope(0.0, 0.6), tilt_right=0.01, tilt_left=0.01
+        )
         assert (run["tilt_right_rate"][0] > 0) == grows
 
 
 def test_a_damper_slows_the_fall():
     rates = [
-        standing(three_wheeler(damping=d), slope(0.0, 0.6), Traction(1e-1),
-                 tilt_right=0.1, tilt_left=0.1)["tilt_right_rate"][0]
+        standing(
+            three_wheeler(damping=d), slope(0.0, 0.6), Traction(1e-1), tilt_right=0.1, tilt_left=0.1
+        )["tilt_right_rate"][0]
         for d in (0.0, 100.0)
-    ]  # fmt: skip
+    ]
     assert 0 < rates[1] < rates[0]
 
 

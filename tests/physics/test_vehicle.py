@@ -122,19 +122,29 @@ def changed(**parts):
         (lambda: three_wheeler(tilt_stop=-0.1), "stops must ascend"),
         (changed(wheels=VEHICLE.wheels[:2]), "three wheels or more to stand, found 2"),
         (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels are called 'right'"),
-        (changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="tilt_left"))),
-         "coordinate steer moves no joint"),
-        (changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
-         "coordinate steer both turns and slides"),
+        (
+            changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="tilt_left"))),
+            "coordinate steer moves no joint",
+        ),
+        (
+            changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
+            "coordinate steer both turns and slides",
+        ),
         (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts are called 'fork'"),
-        (changed(joints=(replace(VEHICLE.joints[0], parent="boom"), *VEHICLE.joints[1:])),
-         "joint right_hub: its parent 'boom' is not known; known so far: platform"),
-        (changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"), *VEHICLE.wheels[1:])),
-         "wheel right: its parent 'hub' is not known"),
-        (changed(joints=(replace(VEHICLE.joints[0], value="lean"), *VEHICLE.joints[1:])),
-         "its coordinate 'lean' is not known"),
+        (
+            changed(joints=(replace(VEHICLE.joints[0], parent="boom"), *VEHICLE.joints[1:])),
+            "joint right_hub: its parent 'boom' is not known; known so far: platform",
+        ),
+        (
+            changed(wheels=(replace(VEHICLE.wheels[0], parent="hub"), *VEHICLE.wheels[1:])),
+            "wheel right: its parent 'hub' is not known",
+        ),
+        (
+            changed(joints=(replace(VEHICLE.joints[0], value="lean"), *VEHICLE.joints[1:])),
+            "its coordinate 'lean' is not known",
+        ),
     ],
-)  # fmt: skip
+)
 def test_faults_are_named(build, words):
     with pytest.raises(ModelError, match=words):
         build()
@@ -169,8 +179,9 @@ def test_a_part_is_turned_about_x_then_y_then_z(rng):
     angles = rng.uniform(-1, 1, 3)
     joint = Joint("arm", "platform", "z", (0.1, 0.2, 0.3), "0", turned=tuple(angles))
     pose = joint.pose({})
-    assert_allclose(numbers(pose.rotation), Rotation.from_euler("xyz", angles).as_matrix(),
-                    atol=1e-15)  # fmt: skip
+    assert_allclose(
+        numbers(pose.rotation), Rotation.from_euler("xyz", angles).as_matrix(), atol=1e-15
+    )
     assert_allclose(numbers(pose.origin).ravel(), [0.1, 0.2, 0.3])
 
 
@@ -194,32 +205,49 @@ def test_a_joint_follows_a_formula_of_coordinates():
         Pose(ca.SX.eye(3), ca.SX.zeros(3)),
         {"steer": ca.SX(0.3), "tilt_left": ca.SX(0.1), "tilt_right": ca.SX(0)},
     )
-    assert_allclose(numbers(parts["mirror"].rotation),
-                    Rotation.from_euler("x", -0.05).as_matrix(), atol=1e-15)  # fmt: skip
+    assert_allclose(
+        numbers(parts["mirror"].rotation), Rotation.from_euler("x", -0.05).as_matrix(), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: Joint("boom", "platform", (0, 0, 0), (0, 0, 0), "a"),
-         "joint boom: an axis must be x, y, z or a vector other than zero"),
+        (
+            lambda: Joint("boom", "platform", (0, 0, 0), (0, 0, 0), "a"),
+            "joint boom: an axis must be x, y, z or a vector other than zero",
+        ),
         (lambda: Joint("boom", "platform", "w", (0, 0, 0), "a"), "joint boom: an axis must be"),
-        (lambda: Joint("boom", "platform", "x", (0, 0, np.nan), "a"),
-         "joint boom: at must be three finite numbers"),
-        (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a", turned=(0, 0)),
-         "joint boom: turned must be three finite numbers"),
+        (
+            lambda: Joint("boom", "platform", "x", (0, 0, np.nan), "a"),
+            "joint boom: at must be three finite numbers",
+        ),
+        (
+            lambda: Joint("boom", "platform", "x", (0, 0, 0), "a", turned=(0, 0)),
+            "joint boom: turned must be three finite numbers",
+        ),
         (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a b"), "joint boom: formula 'a b'"),
-        (lambda: Wheel("w", "platform", (0, 0, 0), 0.0, 0.2, driven=True, axle=(0, 0, 0)),
-         "wheel w: axle: an axis must be"),
-        (lambda: Wheel("a b", "platform", (0, 0, 0), 0.0, 0.2, driven=True),
-         "wheel 'a b': expected a name of letters, digits, _ and -"),
-        (lambda: Wheel("w", "platform", (0, np.inf, 0), 0.0, 0.2, driven=True),
-         "wheel w: at must be three finite numbers"),
-        (lambda: replace(VEHICLE, joints=(*VEHICLE.joints[:2],
-                                          replace(VEHICLE.joints[2], value="steer + stear"))),
-         "joint fork: its coordinate 'stear' is not known; known so far: steer, tilt_left"),
+        (
+            lambda: Wheel("w", "platform", (0, 0, 0), 0.0, 0.2, driven=True, axle=(0, 0, 0)),
+            "wheel w: axle: an axis must be",
+        ),
+        (
+            lambda: Wheel("a b", "platform", (0, 0, 0), 0.0, 0.2, driven=True),
+            "wheel 'a b': expected a name of letters, digits, _ and -",
+        ),
+        (
+            lambda: Wheel("w", "platform", (0, np.inf, 0), 0.0, 0.2, driven=True),
+            "wheel w: at must be three finite numbers",
+        ),
+        (
+            lambda: replace(
+                VEHICLE,
+                joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="steer + stear")),
+            ),
+            "joint fork: its coordinate 'stear' is not known; known so far: steer, tilt_left",
+        ),
     ],
-)  # fmt: skip
+)
 def test_joints_and_wheels_that_are_none_are_refused(build, words):
     with pytest.raises(ModelError, match=re.escape(words)):
         build()
@@ -231,8 +259,19 @@ def omni_cart(*, rollers):
     for k in range(3):
         angle = 2 * np.pi * k / 3
         at = (0.4 * np.cos(angle), 0.4 * np.sin(angle), 0.0)
-        wheels.append(Wheel(f"w{k}", "platform", at, 0.02, 0.08, driven=True, mass=1.0,
-                            axle=(np.cos(angle), np.sin(angle), 0.0), rollers=rollers))  # fmt: skip
+        wheels.append(
+            Wheel(
+                f"w{k}",
+                "platform",
+                at,
+                0.02,
+                0.08,
+                driven=True,
+                mass=1.0,
+                axle=(np.cos(angle), np.sin(angle), 0.0),
+                rollers=rollers,
+            )
+        )
     return Vehicle("omni_cart", (), (), tuple(wheels), Body(10.0))
 
 

@@ -51,19 +51,25 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Mapping[
 
 
 def _files(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes()
-            for path in folder.rglob("*.toml")}  # fmt: skip
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.toml")
+    }
 
 
 @pytest.mark.parametrize(
     ("packed", "folder"),
-    [("slipfree/problems/", ROOT / "problems"),
-     ("slipfree/starters/", ROOT / "src" / "slipfree" / "starters")],
-)  # fmt: skip
+    [
+        ("slipfree/problems/", ROOT / "problems"),
+        ("slipfree/starters/", ROOT / "src" / "slipfree" / "starters"),
+    ],
+)
 def test_it_holds_the_problems_as_they_are(wheel: Path, packed: str, folder: Path) -> None:
     with ZipFile(wheel) as file:
-        held = {name.removeprefix(packed): file.read(name) for name in file.namelist()
-                if name.startswith(packed)}  # fmt: skip
+        held = {
+            name.removeprefix(packed): file.read(name)
+            for name in file.namelist()
+            if name.startswith(packed)
+        }
     assert held == _files(folder)
     assert held
 
@@ -77,8 +83,9 @@ def test_it_holds_the_modules_and_nothing_else(wheel: Path) -> None:
 
 def test_installed_it_lists_copies_and_runs(installed: Mapping[str, str], tmp_path: Path) -> None:
     command = [sys.executable, "-m", "slipfree"]
-    where = _done([sys.executable, "-c", "import slipfree; print(slipfree.__file__)"],
-                  tmp_path, **installed)  # fmt: skip
+    where = _done(
+        [sys.executable, "-c", "import slipfree; print(slipfree.__file__)"], tmp_path, **installed
+    )
     assert where.startswith(installed["PYTHONPATH"])
     listed = _done([*command, "examples"], tmp_path, **installed)
     for name in _files(ROOT / "problems"):

@@ -22,8 +22,10 @@ def test_columns_are_what_one_number_after_the_other_gives(count, rng):
     columns = [ca.MX.sym(name, count) for name in "ab"]
     q_all = ca.MX.sym("q")
     found = _replayed(f, [columns, [q_all]])
-    full = [ca.horzcat(*(e if e.numel() == count else ca.repmat(e, count) for e in each))
-            for each in found]  # fmt: skip
+    full = [
+        ca.horzcat(*(e if e.numel() == count else ca.repmat(e, count) for e in each))
+        for each in found
+    ]
     at, factor = rng.uniform(-2.0, 2.0, (count, 2)), 1.7
     together = ca.Function("all", [*columns, q_all], full)(at[:, 0], at[:, 1], factor)
     for k in range(count):
@@ -48,8 +50,9 @@ def test_elements_add_up_where_they_share_unknowns(rng):
     g = ca.vertcat(*g)
     sigma, prices = 0.4, rng.normal(size=6)
     lagrangian = sigma * f + ca.dot(ca.DM(prices), g)
-    expected = ca.Function("e", [w, p_all], [
-        f, g, ca.jacobian(g, w), ca.triu(ca.hessian(lagrangian, w)[0])])  # fmt: skip
+    expected = ca.Function(
+        "e", [w, p_all], [f, g, ca.jacobian(g, w), ca.triu(ca.hessian(lagrangian, w)[0])]
+    )
     at = rng.normal(size=3), rng.normal(size=2)
     values = ca.Function("v", [made.w, made.p], [made.f, made.g])(*at)
     found = [*values, made.jacobian(*at)[1], made.hessian(*at, sigma, prices)]

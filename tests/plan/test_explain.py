@@ -50,8 +50,9 @@ def attempted(asked, intervals=8, degree=2, **options):
 def test_a_goal_beyond_the_reach_of_the_input_names_what_must_give():
     """4 m in 1 s at |u| <= 1: the goal is missed by 3 m, or the input has to be 3 larger."""
     dae = integrator()
-    asked = task(dae, [0.0], costs=[effort(dae)], places=[at_end(dae.x.values[0], 4.0)],
-                 inputs=(-1, 1))  # fmt: skip
+    asked = task(
+        dae, [0.0], costs=[effort(dae)], places=[at_end(dae.x.values[0], 4.0)], inputs=(-1, 1)
+    )
     program, found, first = attempted(asked)
     assert not found.success
     assert conflicts(asked, None) == []
@@ -82,8 +83,9 @@ def test_a_goal_beyond_the_reach_of_the_input_names_what_must_give():
 def test_a_narrower_goal_gives_before_a_wide_input():
     """The same with a range of the goal of half a metre and an input of 8: now the goal gives."""
     dae = integrator()
-    asked = task(dae, [0.0], costs=[effort(dae)], inputs=(-1, 1),
-                 places=[at_end(dae.x.values[0], 4.0, 12.0)])  # fmt: skip
+    asked = task(
+        dae, [0.0], costs=[effort(dae)], inputs=(-1, 1), places=[at_end(dae.x.values[0], 4.0, 12.0)]
+    )
     program, _, first = attempted(asked)
     (one,) = relax(program, first).relaxed
     assert (one.label.full, one.role, one.bound, one.t, one.interval) == ("x0", "goal", 4.0, 1.0, 7)
@@ -95,8 +97,9 @@ def test_heavy_costs_do_not_change_what_gives():
     """The same with an effort of 1e4, of which the first guess takes little; and at least cost."""
     dae = integrator()
     heavy = effort(dae)._replace(weight=1e4)
-    asked = task(dae, [0.0], costs=[heavy], inputs=(-1, 1),
-                 places=[at_end(dae.x.values[0], 4.0, 12.0)])  # fmt: skip
+    asked = task(
+        dae, [0.0], costs=[heavy], inputs=(-1, 1), places=[at_end(dae.x.values[0], 4.0, 12.0)]
+    )
     program, _, first = attempted(asked)
     given = relax(program, 0.1 * first)
     (one,) = given.relaxed
@@ -108,8 +111,14 @@ def test_motions_that_give_up_the_same_differ_by_their_cost():
     """2 m are asked for, 0.75 m allowed: which way there is free, and even speed costs least."""
     dae = integrator()
     x = dae.x.values[0]
-    asked = task(dae, [0.0], costs=[effort(dae)], inputs=(-4, 4), limits=[along(x, -9.0, 0.75)],
-                 places=[at_end(x, 2.0, 3.0)])  # fmt: skip
+    asked = task(
+        dae,
+        [0.0],
+        costs=[effort(dae)],
+        inputs=(-4, 4),
+        limits=[along(x, -9.0, 0.75)],
+        places=[at_end(x, 2.0, 3.0)],
+    )
     program, _, first = attempted(asked)
     given = relax(program, first)
     (one,) = given.relaxed
@@ -122,9 +131,18 @@ def test_times_and_places_of_violations_are_those_of_the_mesh():
     """Of x0 = t on [0, 2] with 2 square <= 4.5 along the way, a way-point, and jumping inputs."""
     dae = integrator()
     x, z = dae.x.values[0], dae.z.values[0]
-    asked = task(dae, [0.0], duration=2.0, inputs=(-0.5, 0.75), limits=[
-        along(2 * z, -np.inf, 4.5, "formula"), along(z, -np.inf, 4.0, "square_limit"),
-        along(x, -np.inf, 1.5)], places=[at_end(x, 0.5, fraction=0.5), at_end(x, 2.0)])  # fmt: skip
+    asked = task(
+        dae,
+        [0.0],
+        duration=2.0,
+        inputs=(-0.5, 0.75),
+        limits=[
+            along(2 * z, -np.inf, 4.5, "formula"),
+            along(z, -np.inf, 4.0, "square_limit"),
+            along(x, -np.inf, 1.5),
+        ],
+        places=[at_end(x, 0.5, fraction=0.5), at_end(x, 2.0)],
+    )
     asked = replace(asked, accelerations=np.array([[-1.0, 1.0]]))
     program = transcribe(asked, Mesh(np.array([0.0, 0.25, 0.5, 1.0]), 1))
     layout, w = program.layout, np.zeros(program.scale.size)
@@ -133,8 +151,10 @@ def test_times_and_places_of_violations_are_those_of_the_mesh():
     w[layout.inputs[:, 0]], w[layout.duration] = (1.0, 0.5, 1.5), 2.0
     rows = np.array(program.jacobian(w / program.scale, np.zeros(1))[0]).ravel()
     blank = solve(program, np.zeros(1), w, iterations=0)
-    found = {(each.role, each.label.full): each
-             for each in violations(program, blank._replace(unknowns=w, rows=rows))}  # fmt: skip
+    found = {
+        (each.role, each.label.full): each
+        for each in violations(program, blank._replace(unknowns=w, rows=rows))
+    }
     assert {key: (each.t, each.interval, each.size, each.bound) for key, each in found.items()} == {
         ("equation", "x0_motion"): (2.0, 2, 0.5, 0.0),
         ("limit", "formula"): (2.0, 2, 3.5, 4.5),
@@ -142,21 +162,31 @@ def test_times_and_places_of_violations_are_those_of_the_mesh():
         ("way-point at 0.5", "x0"): (1.0, 1, 0.5, 0.5),
         ("input", "drive"): (1.0, 2, 0.75, 0.75),
         ("input", "drive_change"): (1.0, 1, 1.0, 1.0),
-    }  # fmt: skip
+    }
     # In parts of the range 1.25 of the input, of that of its rate 2, and of the formula's own 8.
     sizes = {"drive": 0.75 / 1.25, "drive_change": 1 / 2, "formula": 3.5 / 8}
     assert [name for _, name in found if name in sizes] == list(sizes)
-    assert words(found["equation", "x0_motion"]) == \
-        "equation x0_motion of the vehicle is not met by 0.5 m at t = 2 s"  # fmt: skip
-    assert words(found["input", "drive_change"]) == \
-        "input drive_change is 1 1/s2 above 1 1/s2 at t = 1 s"  # fmt: skip
+    assert (
+        words(found["equation", "x0_motion"])
+        == "equation x0_motion of the vehicle is not met by 0.5 m at t = 2 s"
+    )
+    assert (
+        words(found["input", "drive_change"])
+        == "input drive_change is 1 1/s2 above 1 1/s2 at t = 1 s"
+    )
 
 
 def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     dae = integrator()
     x = dae.x.values[0]
-    asked = task(dae, [0.0], costs=[effort(dae)], places=[at_end(x, 0.5)], inputs=(-1, 1),
-                 limits=[along(x, -1.0, 1.0)])  # fmt: skip
+    asked = task(
+        dae,
+        [0.0],
+        costs=[effort(dae)],
+        places=[at_end(x, 0.5)],
+        inputs=(-1, 1),
+        limits=[along(x, -1.0, 1.0)],
+    )
     program, found, first = attempted(asked)
     assert found.success
     assert conflicts(asked, None) == []
@@ -193,9 +223,12 @@ def test_conflicts_are_named_before_solving():
     dae = integrator()
     x = dae.x.values[0]
     asked = task(
-        dae, [-0.5], inputs=(1, -1), limits=[along(x, 0.0, 2.0), along(x**2 - x, -9, 5, "fence")],
+        dae,
+        [-0.5],
+        inputs=(1, -1),
+        limits=[along(x, 0.0, 2.0), along(x**2 - x, -9, 5, "fence")],
         places=[at_end(x, 3.0, fraction=0.5), at_end(x, 4.0), at_end(x, 5.0, 6.0)],
-    )  # fmt: skip
+    )
     asked = replace(asked, accelerations=np.array([[0.5, 1.0]]))
     assert conflicts(asked, None) == [
         "input drive must be at least 1 m and at most -1 m: exchange its bounds",
@@ -237,16 +270,25 @@ def driven(vehicle, terrain, goal, limits):
     guess = simulate(dae, start, inputs, np.linspace(0, 5, 31))
     used = Cost(Label("effort", "", ""), ca.sumsqr(ca.vertcat(*dae.u.wheels)), 1.0)
     ends = limits_of(dae, {name: (value, value) for name, value in goal.items()})
-    asked = Task(dae, dae.rows("x", start, -1), (5.0, 5.0), (used,), (Place(1.0, ends),),
-                 limits_of(dae, limits), np.array([[-0.5, 0.5]] * 3),
-                 np.tile([-np.inf, np.inf], (3, 1)), 0.01)  # fmt: skip
+    asked = Task(
+        dae,
+        dae.rows("x", start, -1),
+        (5.0, 5.0),
+        (used,),
+        (Place(1.0, ends),),
+        limits_of(dae, limits),
+        np.array([[-0.5, 0.5]] * 3),
+        np.tile([-np.inf, np.inf], (3, 1)),
+        0.01,
+    )
     return asked, start, guess
 
 
 def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
     """3 m in 5 s on wheels of 0.3 m at 0.5 rad/s: about 0.75 m can be driven."""
-    asked, start, guess = driven(three_wheeler(axle="fixed"), Analytic(hills), {"x": 0.0, "y": 3.0},
-                                 {"steer": (-0.5, 0.5)})  # fmt: skip
+    asked, start, guess = driven(
+        three_wheeler(axle="fixed"), Analytic(hills), {"x": 0.0, "y": 3.0}, {"steer": (-0.5, 0.5)}
+    )
     assert conflicts(asked, start) == []
     program = transcribe(asked, Mesh(np.linspace(0, 1, 11), 3))
     first = unknowns_of(program, guess)
@@ -268,9 +310,11 @@ def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
 def test_limits_of_wheels_and_of_the_model_are_named():
     """A stop of the tilt that the goal exceeds, and a limit that one wheel does not keep to."""
     asked, start, guess = driven(
-        three_wheeler(tilt_stop=0.04), Analytic(hills),
-        {"tilt_right": 0.1, "y": 0.5}, {"slip_across": (-1.0, 1.0), "contact_y": (-9.0, -0.6)},
-    )  # fmt: skip
+        three_wheeler(tilt_stop=0.04),
+        Analytic(hills),
+        {"tilt_right": 0.1, "y": 0.5},
+        {"slip_across": (-1.0, 1.0), "contact_y": (-9.0, -0.6)},
+    )
     told = conflicts(asked, start)
     assert told[-1] == (
         "tilt_right at the goal must be 0.1 rad, but model's own tilt_right_stop of the vehicle "
@@ -282,8 +326,9 @@ def test_limits_of_wheels_and_of_the_model_are_named():
     w = unknowns_of(program, guess)
     rows = np.array(program.jacobian(w / program.scale, np.zeros(2))[0]).ravel()
     blank = solve(program, np.zeros(2), w, iterations=0)
-    found = {each.label.full: each
-             for each in violations(program, blank._replace(unknowns=w, rows=rows))}  # fmt: skip
+    found = {
+        each.label.full: each for each in violations(program, blank._replace(unknowns=w, rows=rows))
+    }
     worst = found["contact_y[front]"]
     assert worst.value == pytest.approx(guess["contact_y", "front"].max(), abs=1e-9)
     assert (worst.t, worst.interval, worst.label.wheel) == (5.0, 1, "front")

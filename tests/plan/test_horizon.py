@@ -37,9 +37,18 @@ def found():
     start = settle(dae)
     rates = dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0)
     guess = simulate(dae, start, rates, np.linspace(0, DURATION, 30))
-    return plan(dae, start, guess, goal=GOAL, costs={"slip": 7e4, "effort": 0.01}, smooth=0.002,
-                duration=DURATION, inputs=RATES, limits={"steer": (-1.0, 1.0)},
-                intervals=COUNT)  # fmt: skip
+    return plan(
+        dae,
+        start,
+        guess,
+        goal=GOAL,
+        costs={"slip": 7e4, "effort": 0.01},
+        smooth=0.002,
+        duration=DURATION,
+        inputs=RATES,
+        limits={"steer": (-1.0, 1.0)},
+        intervals=COUNT,
+    )
 
 
 def traverse(found, window, **start):
@@ -59,8 +68,9 @@ def away(run):
 
 def test_the_end_of_a_plan_is_its_end_whatever_was_summed_up(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
-    for one, other in zip(module._bounds(window, DURATION), module._bounds(window, DURATION - 1e-9),
-                          strict=True):  # fmt: skip
+    for one, other in zip(
+        module._bounds(window, DURATION), module._bounds(window, DURATION - 1e-9), strict=True
+    ):
         assert_array_equal(one, other)
     lower, upper = module._bounds(window, DURATION - 1.0)
     assert_array_equal(lower[-len(GOAL) :], upper[-len(GOAL) :])
@@ -77,15 +87,19 @@ def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
 
 
 def test_a_step_of_the_shifted_window_leads_to_its_solution(found):
-    window, many = (horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=count)
-                    for count in (1, 50))  # fmt: skip
+    window, many = (
+        horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=count)
+        for count in (1, 50)
+    )
     t, ends, first = found.course.ends[1], found.course.mesh.ends, begin(window)
     x = found.course.states(ends[1:2])[:, 0]
     whole, once = (advance(each, first, t, x) for each in (many, window))
     twice = advance(window, once, t, x)
     parts = np.linspace(0, 1, 9)
-    before, after = (np.abs(each.course.states(parts) - whole.course.states(parts)).max()
-                     for each in (once, twice))  # fmt: skip
+    before, after = (
+        np.abs(each.course.states(parts) - whole.course.states(parts)).max()
+        for each in (once, twice)
+    )
     assert before < 0.1
     assert after < before / 3
     assert once.violation < 1e-3
@@ -97,8 +111,9 @@ def test_a_step_of_the_shifted_window_leads_to_its_solution(found):
 
 def test_steps_converge(found):
     """From a start beside the plan, without moving: to what many iterations find at once."""
-    window, many = (horizon(found, span=DURATION, intervals=COUNT, iterations=count)
-                    for count in (1, 50))  # fmt: skip
+    window, many = (
+        horizon(found, span=DURATION, intervals=COUNT, iterations=count) for count in (1, 50)
+    )
     start = found.program.task.start + np.array([0.02, -0.02, 0.03, 0.0])
     cycle, misses = begin(window), []
     whole = advance(many, cycle, 0.0, start)
@@ -112,8 +127,9 @@ def test_steps_converge(found):
 
 def test_steps_lead_back_to_the_plan_and_end_at_its_goal(found):
     span = DURATION / 2
-    once, many = (horizon(found, span=span, intervals=COUNT // 2, iterations=count)
-                  for count in (1, 50))  # fmt: skip
+    once, many = (
+        horizon(found, span=span, intervals=COUNT // 2, iterations=count) for count in (1, 50)
+    )
     off = {"x": 0.02, "y": -0.02, "heading": 0.03}
     (end, cycles), (converged, _) = (traverse(found, each, **off) for each in (once, many))
     assert away(end) < 1e-3
@@ -149,11 +165,14 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, peri
         driven(window, cycle, 8.5, 9.0)
 
 
-@pytest.mark.parametrize(("given", "words"), [
-    ({"span": 9.0}, "at most the duration of the plan, 8 s, found 9"),
-    ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
-    ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"span": 9.0}, "at most the duration of the plan, 8 s, found 9"),
+        ({"span": 4.0, "intervals": 0}, "intervals: expected 1 or more, found 0"),
+        ({"span": 4.0, "iterations": -1}, "iterations: expected 1 or more, found -1"),
+    ],
+)
 def test_what_is_no_window_is_refused(found, given, words):
     with pytest.raises(ModelError, match=words):
         horizon(found, **given)

@@ -31,8 +31,17 @@ def asked(vehicle, *, goal=None, costs=None, guess=0.45, turn=0.0, duration=20.0
     start = settle(dae)
     rates = dae.inputs(right_rate=guess + turn, left_rate=guess - turn, steer_rate=0.0)
     first = simulate(dae, start, rates, np.linspace(0, 20, 61))
-    found = plan(dae, start, first, goal=goal or GOAL, costs=costs or WEIGHTS, duration=duration,
-                 smooth=0.002, inputs=RATES, **options)  # fmt: skip
+    found = plan(
+        dae,
+        start,
+        first,
+        goal=goal or GOAL,
+        costs=costs or WEIGHTS,
+        duration=duration,
+        smooth=0.002,
+        inputs=RATES,
+        **options,
+    )
     return dae, start, found
 
 
@@ -44,7 +53,7 @@ def rms_slip(run):
 
 def test_a_rigid_axle_reaches_its_goal_with_least_slip():
     """Slip and place are those of the simulation; more starts of the search in the benchmark."""
-    _, _, found = asked(three_wheeler(axle="fixed"), limits={"steer": (-1.0, 1.0)})  # fmt: skip
+    _, _, found = asked(three_wheeler(axle="fixed"), limits={"steer": (-1.0, 1.0)})
     assert found.success
     replay = found.replay
     assert replay.stop is None
@@ -56,8 +65,9 @@ def test_a_rigid_axle_reaches_its_goal_with_least_slip():
 
 
 def test_effort_alone_slips_more():
-    _, _, found = asked(three_wheeler(axle="fixed"), costs={"effort": 1.0},
-                        limits={"steer": (-1.0, 1.0)})  # fmt: skip
+    _, _, found = asked(
+        three_wheeler(axle="fixed"), costs={"effort": 1.0}, limits={"steer": (-1.0, 1.0)}
+    )
     assert rms_slip(found.replay) > 1e-3
     assert found.costs["effort"] < 8.0
 
@@ -66,10 +76,13 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
     """Slip is measured on the poses of the simulation."""
     vehicle, parts, count, duration = three_wheeler(), 20, 10, 10.0
     dae, start, found = asked(
-        vehicle, goal={"x": 0.3, "y": 1.3}, duration=duration, intervals=count,
+        vehicle,
+        goal={"x": 0.3, "y": 1.3},
+        duration=duration,
+        intervals=count,
         costs={"effort": 0.01, "tilt_right": 1.0, "tilt_left": 1.0},
         limits={"tilt_right": (-0.35, 0.35), "tilt_left": (-0.35, 0.35), "steer": (-1.0, 1.0)},
-    )  # fmt: skip
+    )
     assert found.success
     for name in ("tilt_right", "tilt_left"):
         assert np.abs(found.replay[name]).max() < 0.35 + 1e-5
@@ -82,10 +95,14 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
 
 def test_a_pose_a_way_point_and_a_range_of_durations():
     _, _, found = asked(
-        three_wheeler(axle="fixed"), goal={"y": 2.0, "heading": (-0.05, 0.05)},
-        way_points={0.5: {"x": 0.2}}, duration=(5.0, 30.0), costs={"slip": 1e3, "time": 0.01},
-        accelerations=dict.fromkeys(RATES, (-1.0, 1.0)), intervals=20,
-    )  # fmt: skip
+        three_wheeler(axle="fixed"),
+        goal={"y": 2.0, "heading": (-0.05, 0.05)},
+        way_points={0.5: {"x": 0.2}},
+        duration=(5.0, 30.0),
+        costs={"slip": 1e3, "time": 0.01},
+        accelerations=dict.fromkeys(RATES, (-1.0, 1.0)),
+        intervals=20,
+    )
     assert found.success
     assert found.run["y"][-1] == pytest.approx(2.0, abs=1e-6)
     assert abs(found.run["heading"][-1]) < 0.05 + 1e-8
@@ -97,8 +114,13 @@ def test_a_pose_a_way_point_and_a_range_of_durations():
 
 
 def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
-    _, _, found = asked(three_wheeler(tilt_stop=0.04), goal={"x": 0.1, "y": 1.0}, duration=8.0,
-                        costs={"effort": 1.0}, intervals=8)  # fmt: skip
+    _, _, found = asked(
+        three_wheeler(tilt_stop=0.04),
+        goal={"x": 0.1, "y": 1.0},
+        duration=8.0,
+        costs={"effort": 1.0},
+        intervals=8,
+    )
     assert found.success
     assert found.stages[1].words == "with tilt_right_stop, tilt_left_stop"
     for name in ("tilt_right", "tilt_left"):
@@ -161,8 +183,13 @@ def test_run_plans_simulates_and_tells():
 
 @pytest.mark.usefixtures("folder")
 def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved():
-    words = ["plan.intervals=10", "costs.slip=", "time.duration=4.0", "bounds.right_rate=[0, 0.5]",
-             "bounds.left_rate=[0, 0.5]"]  # fmt: skip
+    words = [
+        "plan.intervals=10",
+        "costs.slip=",
+        "time.duration=4.0",
+        "bounds.right_rate=[0, 0.5]",
+        "bounds.left_rate=[0, 0.5]",
+    ]
     settings = [word for each in words for word in ("--set", each)]
     file = PROBLEMS / "plan_rigid_hills.toml"
     result = CliRunner().invoke(app, ["run", str(file), "-o", "p.nc", "--no-draw", *settings])

@@ -32,8 +32,13 @@ def guess(model, rate=0.45, turn=0.0, duration=10.0):
 
 
 def asked(model, *guesses, goal=(0.1, 1.3), **options):
-    given = {"costs": {"slip": 1e3, "effort": 0.01}, "duration": 10.0, "smooth": 0.002,
-             "inputs": RATES, "intervals": 8} | options  # fmt: skip
+    given = {
+        "costs": {"slip": 1e3, "effort": 0.01},
+        "duration": 10.0,
+        "smooth": 0.002,
+        "inputs": RATES,
+        "intervals": 8,
+    } | options
     return plan(*model, guesses or guess(model), goal=dict(zip("xy", goal, strict=True)), **given)
 
 
@@ -45,8 +50,9 @@ def coarse(model):
 def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse):
     way, run = coarse.course, coarse.run
     names = ("x", "y", "heading", "steer")
-    assert_allclose(way.states(coarse.program.mesh.nodes), [run[name] for name in names],
-                    atol=1e-12)  # fmt: skip
+    assert_allclose(
+        way.states(coarse.program.mesh.nodes), [run[name] for name in names], atol=1e-12
+    )
     replay = coarse.replay
     between = way.states(replay.t / way.duration)
     gaps = np.abs(between - [replay[name] for name in names]).max(axis=1)
@@ -84,8 +90,13 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
     """A disc that a straight way would cross; on two long intervals the way bulges into it."""
     x, y = model[0].x.x, model[0].x.y
     apart = Limit(Label("disc", "m", "too near"), (x - 0.02) ** 2 + (y - 0.7) ** 2, 0.2**2, np.inf)
-    options = {"limits": (apart,), "intervals": 3, "degree": 2, "costs": {"effort": 1.0},
-               "tolerance": 1e-6}  # fmt: skip
+    options = {
+        "limits": (apart,),
+        "intervals": 3,
+        "degree": 2,
+        "costs": {"effort": 1.0},
+        "tolerance": 1e-6,
+    }
     found = asked(model, **options, accuracy=1.0)
     assert found.success
     assert found.violation["disc"] > 1e-3  # m2, by the simulation
@@ -130,8 +141,10 @@ def test_of_several_starts_the_cheapest_plan_counts(model):
     found = asked(model, guess(model), guess(model, 0.3, 0.05), costs={"effort": 1.0})
     words = [stage.words for stage in found.stages]
     assert words == ["start 1 of 2, all", "start 2 of 2, all"]
-    single = [asked(model, each, costs={"effort": 1.0})
-              for each in (guess(model), guess(model, 0.3, 0.05))]  # fmt: skip
+    single = [
+        asked(model, each, costs={"effort": 1.0})
+        for each in (guess(model), guess(model, 0.3, 0.05))
+    ]
     assert found.costs["effort"] == pytest.approx(min(each.costs["effort"] for each in single))
 
 
@@ -180,8 +193,11 @@ def test_another_model_runs_under_the_inputs_of_a_plan(coarse):
 
 
 def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
-    found = asked(model, accuracy=max(coarse.difference.values()) / 10,
-                  progress=lambda words, _: "intervals" not in words)  # fmt: skip
+    found = asked(
+        model,
+        accuracy=max(coarse.difference.values()) / 10,
+        progress=lambda words, _: "intervals" not in words,
+    )
     assert found.success
     assert not found.accurate
     assert_allclose(found.run["x"], coarse.run["x"], atol=1e-9)
@@ -197,7 +213,8 @@ def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
     assert found.success
     cold = asked((dae, start), guess((dae, start), duration=5.0), duration=5.0)
     assert sum(each.iterations for each in found.stages) < sum(
-        each.iterations for each in cold.stages)  # fmt: skip
+        each.iterations for each in cold.stages
+    )
     assert_allclose([found.run["x"][-1], found.run["y"][-1]], [0.1, 1.3], atol=1e-6)
 
 

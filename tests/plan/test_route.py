@@ -326,11 +326,27 @@ def corridor(width=2.0):
     terrain = Bicubic(blank((0, 20), (0, 20), 0.1))
     low, high = 8.0, 8.0 + width
     walls = [
-        Polygon(((0, low - 0.5), (high + 0.5, low - 0.5), (high + 0.5, 20), (high, 20),
-                 (high, low), (0, low))),
-        Polygon(((0, high), (low, high), (low, 20), (low - 0.5, 20), (low - 0.5, high + 0.5),
-                 (0, high + 0.5))),
-    ]  # fmt: skip
+        Polygon(
+            (
+                (0, low - 0.5),
+                (high + 0.5, low - 0.5),
+                (high + 0.5, 20),
+                (high, 20),
+                (high, low),
+                (0, low),
+            )
+        ),
+        Polygon(
+            (
+                (0, high),
+                (low, high),
+                (low, 20),
+                (low - 0.5, 20),
+                (low - 0.5, high + 0.5),
+                (0, high + 0.5),
+            )
+        ),
+    ]
     return traversability(terrain, SMALL, keep_out=walls, spacing=0.1), low + width / 2
 
 

@@ -18,8 +18,10 @@ from slipfree.records import Label
 
 def at_end(*values):
     """Return conditions by which quantities have given values, one limit each."""
-    return tuple(Limit(Label(f"end{k}", "m", ""), quantity, value, value)
-                 for k, (quantity, value) in enumerate(values))  # fmt: skip
+    return tuple(
+        Limit(Label(f"end{k}", "m", ""), quantity, value, value)
+        for k, (quantity, value) in enumerate(values)
+    )
 
 
 def solved(program, first=None):
@@ -53,8 +55,9 @@ def test_the_least_effort_of_an_integrator_is_known():
     dae = toy(1, lambda _t, _x, _z, u: [u])
     cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
     goal = Place(1.0, (Limit(Label("end", "m", ""), dae.x.values[0], 2.0, 2.0),))
-    program = transcribe(task(dae, [0.0], costs=[cost], places=[goal], duration=4.0),
-                         Mesh(np.linspace(0, 1, 6), 2))  # fmt: skip
+    program = transcribe(
+        task(dae, [0.0], costs=[cost], places=[goal], duration=4.0), Mesh(np.linspace(0, 1, 6), 2)
+    )
     found = solved(program)
     assert_allclose(found.unknowns[program.layout.inputs], 0.5, atol=1e-9)
     assert found.cost == pytest.approx(1.0, abs=1e-9)
@@ -107,10 +110,17 @@ def test_slopes_of_continuous_inputs_keep_to_their_bounds():
     goal = Place(1.0, at_end((dae.x.values[0], 0.875), (u, 0.0)))
     mesh = Mesh(np.linspace(0, 1, 9), 2)
     program = transcribe(
-        task(dae, [0.0], costs=[cost], places=[goal], duration=2.0, rates=(-1.0, 5.0),
-             continuous=True),
+        task(
+            dae,
+            [0.0],
+            costs=[cost],
+            places=[goal],
+            duration=2.0,
+            rates=(-1.0, 5.0),
+            continuous=True,
+        ),
         mesh,
-    )  # fmt: skip
+    )
     found = solved(program)
     inputs = found.unknowns[program.layout.inputs][:, 0]
     assert_allclose(inputs, np.minimum(0.5, 2 - 2 * mesh.ends), atol=1e-6)
@@ -140,8 +150,9 @@ def test_the_smoothest_continuous_input_is_known():
     goal = Place(1.0, at_end((dae.x.values[0], 1.0), (dae.u.values[0], 0.0)))
     for count in (2, 5):
         mesh = Mesh(np.linspace(0, 1, count + 1), 2)
-        found = solved(transcribe(task(dae, [0.0], places=[goal], smooth=1.0, continuous=True),
-                                  mesh))  # fmt: skip
+        found = solved(
+            transcribe(task(dae, [0.0], places=[goal], smooth=1.0, continuous=True), mesh)
+        )
         assert found.cost == pytest.approx(3 / (1 - count**-2 / 4), abs=1e-8)
 
 
@@ -152,8 +163,10 @@ def test_roots_of_a_cost_are_unknowns_and_change_nothing_but_the_search():
     formula = x * y - z + u * ca.cos(dae.t) - 1
     goal = Place(1.0, at_end((x, 1.0), (y, 0.5)))
     mesh, found = Mesh(np.linspace(0, 1, 6), 3), []
-    for cost in (Cost(Label("miss", "", ""), formula**2 + u**2, 1.0),
-                 Cost(Label("miss", "", ""), (2 * formula**2 + 2 * u**2) / 2, 1.0)):  # fmt: skip
+    for cost in (
+        Cost(Label("miss", "", ""), formula**2 + u**2, 1.0),
+        Cost(Label("miss", "", ""), (2 * formula**2 + 2 * u**2) / 2, 1.0),
+    ):
         program = transcribe(task(dae, [0.1, 0.2], costs=[cost], places=[goal]), mesh)
         found.append((program, solved(program)))
     (program, one), (plain, other) = found
@@ -163,8 +176,13 @@ def test_roots_of_a_cost_are_unknowns_and_change_nothing_but_the_search():
     assert one.cost == pytest.approx(other.cost, abs=1e-9)
     assert_allclose(w[: layout.duration + 1], other.unknowns, atol=1e-5)
     value = ca.Function("value", [dae.t, ca.vertcat(x, y), z, u], [formula])
-    at = zip(mesh.nodes[1:], w[layout.states].reshape(-1, 2), w[layout.unknowns].ravel(),
-             np.repeat(w[layout.inputs], 3), strict=True)  # fmt: skip
+    at = zip(
+        mesh.nodes[1:],
+        w[layout.states].reshape(-1, 2),
+        w[layout.unknowns].ravel(),
+        np.repeat(w[layout.inputs], 3),
+        strict=True,
+    )
     expected = [float(value(*each)) for each in at]
     assert_allclose(w[layout.roots].ravel(), expected, atol=1e-7)
     blank = w.copy()
@@ -184,10 +202,16 @@ def test_the_least_time_is_known():
         Limit(Label(f"end{k}", "m", ""), dae.x.values[k], v, v) for k, v in enumerate((1.0, 0.0))
     ]
     program = transcribe(
-        task(dae, [0.0, 0.0], costs=[cost], places=[Place(1.0, tuple(ends))], inputs=(-1, 1),
-             duration=(0.5, 9.0)),
+        task(
+            dae,
+            [0.0, 0.0],
+            costs=[cost],
+            places=[Place(1.0, tuple(ends))],
+            inputs=(-1, 1),
+            duration=(0.5, 9.0),
+        ),
         Mesh(np.linspace(0, 1, 11), 3),
-    )  # fmt: skip
+    )
     first = np.ones(program.scale.size)
     found = solved(program, first)
     assert found.unknowns[program.layout.duration] == pytest.approx(2.0, abs=1e-6)
@@ -199,11 +223,15 @@ def test_a_limit_along_the_way_and_a_way_point_hold():
     dae = toy(1, lambda _t, _x, _z, u: [u])
     cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
     x = dae.x.values[0]
-    places = [Place(0.5, (Limit(Label("half", "m", ""), x, 2.0, 2.0),)),
-              Place(1.0, (Limit(Label("end", "m", ""), x, 0.0, 0.0),))]  # fmt: skip
+    places = [
+        Place(0.5, (Limit(Label("half", "m", ""), x, 2.0, 2.0),)),
+        Place(1.0, (Limit(Label("end", "m", ""), x, 0.0, 0.0),)),
+    ]
     low = Limit(Label("square_limit", "m", ""), dae.z.values[0] + 0.1 * x, -np.inf, 4.2)
-    program = transcribe(task(dae, [0.0], costs=[cost], places=places, limits=[low], duration=4.0),
-                         Mesh(np.linspace(0, 1, 9), 3))  # fmt: skip
+    program = transcribe(
+        task(dae, [0.0], costs=[cost], places=places, limits=[low], duration=4.0),
+        Mesh(np.linspace(0, 1, 9), 3),
+    )
     found = solved(program, np.full(program.scale.size, 0.5))
     states = found.unknowns[program.layout.states[..., 0]]
     assert states[3, -1] == pytest.approx(2.0)
@@ -220,12 +248,19 @@ def vehicle_program():
     used = ca.sumsqr(ca.vertcat(*dae.y.forces.utilisation))
     goal = Place(1.0, (Limit(Label("goal", "m", ""), x.x - 0.1 * x.heading, 0.6, 0.6),))
     everything = Task(
-        dae, dae.rows("x", start, 0), (5.0, 9.0),
-        (Cost(Label("slip", "", ""), slip, 1.0), Cost(Label("used", "", ""), used, 1.0)), (goal,),
-        (Limit(Label("pace", "1", ""), x.y * dae.u.wheels[0], -9.0, 9.0),
-         Limit(Label("steering", "rad", ""), x.joints[0], -1.0, 1.0)),
-        np.array([[-2.0, 2.0]] * 3), np.array([[-1.0, 1.0]] * 3), 0.1,
-    )  # fmt: skip
+        dae,
+        dae.rows("x", start, 0),
+        (5.0, 9.0),
+        (Cost(Label("slip", "", ""), slip, 1.0), Cost(Label("used", "", ""), used, 1.0)),
+        (goal,),
+        (
+            Limit(Label("pace", "1", ""), x.y * dae.u.wheels[0], -9.0, 9.0),
+            Limit(Label("steering", "rad", ""), x.joints[0], -1.0, 1.0),
+        ),
+        np.array([[-2.0, 2.0]] * 3),
+        np.array([[-1.0, 1.0]] * 3),
+        0.1,
+    )
     return transcribe(everything, Mesh(np.array([0.0, 0.2, 0.5, 1.0]), 2)), start
 
 
@@ -233,8 +268,12 @@ def test_derivatives_are_exact(vehicle_program, rng):
     """Jacobian and Hessian, put together by index, against differences along random directions."""
     program, start = vehicle_program
     dae = program.task.dae
-    run = simulate(dae, start, dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1),
-                   program.mesh.nodes * 7.0)  # fmt: skip
+    run = simulate(
+        dae,
+        start,
+        dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1),
+        program.mesh.nodes * 7.0,
+    )
     from slipfree.plan.polynomial_motion import unknowns_of
 
     w = unknowns_of(program, run) / program.scale + 1e-3 * rng.normal(size=program.scale.size)
@@ -265,8 +304,17 @@ def test_derivatives_are_those_of_the_functions(continuous, rng):
     cost = Cost(Label("cost", "", ""), z * u**2 + ca.cos(x * dae.t), 1.0)
     places = [Place(part, at_end((x * u * dae.t, 1.0))) for part in (0.4, 1.0)]
     limit = Limit(Label("pace", "m", ""), x * u**2, -1.0, 2.0)
-    asked = task(dae, [0.1, 0.2], costs=[cost], places=places, limits=[limit], duration=(1.0, 3.0),
-                 rates=(-1.0, 1.0), smooth=0.1, continuous=continuous)  # fmt: skip
+    asked = task(
+        dae,
+        [0.1, 0.2],
+        costs=[cost],
+        places=places,
+        limits=[limit],
+        duration=(1.0, 3.0),
+        rates=(-1.0, 1.0),
+        smooth=0.1,
+        continuous=continuous,
+    )
     program = transcribe(asked, Mesh(np.array([0.0, 0.3, 0.4, 1.0]), 2))
     w, p, f, g = (program.problem[name] for name in "xpfg")
     at = rng.normal(size=w.numel()) + 1.0, np.array([0.7, 0.2])

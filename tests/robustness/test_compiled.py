@@ -54,8 +54,14 @@ def hilly(seed):
 def program(seed, *, build=False):
     dae = direct_kinematics(three_wheeler(axle="fixed"), hilly(seed))
     dae = replace(dae, compiled=build)
-    task = task_of(dae, settle(dae), goal={"y": 1.0}, costs={"slip": 1.0, "effort": 0.01},
-                   duration=(4.0, 6.0), limits={"steer": (-1.0, 1.0)})  # fmt: skip
+    task = task_of(
+        dae,
+        settle(dae),
+        goal={"y": 1.0},
+        costs={"slip": 1.0, "effort": 0.01},
+        duration=(4.0, 6.0),
+        limits={"steer": (-1.0, 1.0)},
+    )
     return transcribe(task, Mesh(np.linspace(0, 1, 3), 2))
 
 
@@ -72,8 +78,12 @@ def everything(made, rng):
     w, p = rng.normal(size=made.scale.size) * 0.3, rng.uniform(size=3)
     prices = rng.normal(size=made.g_lower.size)
     names = [made.problem[name] for name in "xp"], [made.problem[name] for name in "fg"]
-    found = [*ca.Function("values", *names)(w, p), made.gradient(w, p)[1], *made.jacobian(w, p),
-             made.hessian(w, p, 0.4, prices)]  # fmt: skip
+    found = [
+        *ca.Function("values", *names)(w, p),
+        made.gradient(w, p)[1],
+        *made.jacobian(w, p),
+        made.hessian(w, p, 0.4, prices),
+    ]
     return [np.array(ca.DM(each)) for each in found]
 
 
@@ -128,9 +138,17 @@ def test_lookups_are_constants_of_the_rest(build, rng, monkeypatch):
         total, g = total + part[0], [*g, part[1]]
     g, prices = ca.vertcat(*g), rng.normal(size=10)
     lagrangian = 0.4 * total + ca.dot(ca.DM(prices), g)
-    expected = ca.Function("e", [w], [
-        total, g, ca.gradient(total, w), ca.jacobian(g, w), ca.triu(ca.hessian(lagrangian, w)[0]),
-    ])  # fmt: skip
+    expected = ca.Function(
+        "e",
+        [w],
+        [
+            total,
+            g,
+            ca.gradient(total, w),
+            ca.jacobian(g, w),
+            ca.triu(ca.hessian(lagrangian, w)[0]),
+        ],
+    )
     values = ca.Function("v", [made.w, made.p], [made.f, made.g])(*at)
     found = [*values, made.gradient(*at)[1], made.jacobian(*at)[1], made.hessian(*at, 0.4, prices)]
     for one, other in zip(found, expected(at[0]), strict=True):
@@ -157,9 +175,12 @@ def test_a_compiled_program_is_the_interpreted_one_on_every_ground(folder, monke
     )
     path = os.pathsep.join([os.path.dirname(__file__), *sys.path])  # noqa: PTH120
     told = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
         env={**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "3"},
-    )  # fmt: skip
+    )
     assert told.stdout.strip() == "True"
     assert sorted(folder.iterdir()) == files
 
@@ -170,13 +191,18 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
     t = np.linspace(0, 2, 5)
     for seed in (1, 2):
         runs = [simulate(*driven(seed, build=build), t, tolerance=1e-9) for build in (False, True)]
-        plain, found = (with_inputs(dae, law, 4) for dae, _, law in
-                        (driven(seed, build=build) for build in (False, True)))  # fmt: skip
+        plain, found = (
+            with_inputs(dae, law, 4)
+            for dae, _, law in (driven(seed, build=build) for build in (False, True))
+        )
         assert found.core.jacobian().n_instructions() < 100  # of calls
         dae, last = driven(seed)[0], runs[0]
         x, z = dae.rows("x", last, -1), dae.rows("z", last, -1)[: plain.moving]
-        for one, other in ((plain.core, found.core), (plain.core.jacobian(), found.core.jacobian()),
-                           (plain.newton, found.newton)):  # fmt: skip
+        for one, other in (
+            (plain.core, found.core),
+            (plain.core.jacobian(), found.core.jacobian()),
+            (plain.newton, found.newton),
+        ):
             given = [1.7, x, z, plain.u[:, 0], 0, 0][: one.n_in()]
             for a, b in zip(one.call(given), other.call(given), strict=True):
                 assert_allclose(np.array(ca.DM(a)), np.array(ca.DM(b)), rtol=1e-11, atol=1e-11)
@@ -196,9 +222,11 @@ def test_the_jacobian_of_a_motion_under_a_law_is_that_of_its_expressions():
     exact = dae.function("exact", [dae.t, x, m], [ca.jacobian(rows, ca.vertcat(x, m))])
     at = [0.4, dae.rows("x", start, -1), dae.rows("z", start, -1)[: loop.moving]]
     t, x, m, u = loop.core.mx_in()
-    found = ca.Function("found", [t, x, m], [
-        ca.jacobian(ca.vertcat(*loop.core(t, x, m, loop.u[:, 0])), ca.vertcat(x, m))
-    ])  # fmt: skip
+    found = ca.Function(
+        "found",
+        [t, x, m],
+        [ca.jacobian(ca.vertcat(*loop.core(t, x, m, loop.u[:, 0])), ca.vertcat(x, m))],
+    )
     expected = np.array(ca.DM(exact(*at)))
     assert np.abs(expected).max() > 1
     assert_allclose(np.array(ca.DM(found(*at))), expected, rtol=1e-11, atol=1e-11)
@@ -243,13 +271,18 @@ def test_only_the_newest_are_kept(folder, monkeypatch):
     assert [kept(float(k)) is None for k in range(3)] == [True, False, False]
 
 
-@pytest.mark.parametrize(("what", "words"), [
-    ("no compiler", "no C compiler was found"), ("one that fails", "false did not do its work"),
-    ("one that does nothing", "true: expected a C compiler, found that it made no library"),
-    ("no folder", "SLIPFREE_CACHE is empty"), ("no place", "File exists"),
-    ("nobody's home", "expected a folder, found '~no user/x' of a user who has no home folder"),
-    ("open to others", "others cannot write to"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("no compiler", "no C compiler was found"),
+        ("one that fails", "false did not do its work"),
+        ("one that does nothing", "true: expected a C compiler, found that it made no library"),
+        ("no folder", "SLIPFREE_CACHE is empty"),
+        ("no place", "File exists"),
+        ("nobody's home", "expected a folder, found '~no user/x' of a user who has no home folder"),
+        ("open to others", "others cannot write to"),
+    ],
+)
 def test_where_nothing_can_be_compiled_a_warning_says_why(what, words, folder, monkeypatch):
     if what == "no compiler":
         monkeypatch.setattr(shutil, "which", lambda _: None)
@@ -314,17 +347,24 @@ def test_another_process_that_tidies_up_does_no_harm(folder, monkeypatch):
 
 
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize(("verb", "settings"), [
-    ("direct", ["time.duration=0.5"]), ("inverse", ["time.duration=0.4"]),
-    ("climb", ["time.duration=0.01"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("verb", "settings"),
+    [
+        ("direct", ["time.duration=0.5"]),
+        ("inverse", ["time.duration=0.4"]),
+        ("climb", ["time.duration=0.01"]),
+    ],
+)
 def test_problems_ask_for_it_and_a_warning_says_if_it_is_not_done(
     verb, settings, tmp_path, monkeypatch
 ):
     monkeypatch.setenv(codegen_cache.FOLDER, "")
     monkeypatch.chdir(tmp_path)
-    words = [word for setting in ("solver.compiled=true", "solver.tolerance=1e-4", *settings)
-             for word in ("--set", setting)]  # fmt: skip
+    words = [
+        word
+        for setting in ("solver.compiled=true", "solver.tolerance=1e-4", *settings)
+        for word in ("--set", setting)
+    ]
     assert CliRunner().invoke(app, ["new", verb, "p"]).exit_code == 0
     result = CliRunner().invoke(app, ["run", "p.toml", "--no-draw", *words])
     assert result.exit_code in (0, 1), result.output
@@ -336,8 +376,11 @@ def test_a_sweep_says_it_once_whatever_its_processes_find(tmp_path, monkeypatch,
     monkeypatch.setenv(codegen_cache.FOLDER, "")
     monkeypatch.chdir(tmp_path)
     assert CliRunner().invoke(app, ["new", "direct", "p"]).exit_code == 0
-    words = [word for setting in ("solver.compiled=true", "time.duration=0.2")
-             for word in ("--set", setting)]  # fmt: skip
+    words = [
+        word
+        for setting in ("solver.compiled=true", "time.duration=0.2")
+        for word in ("--set", setting)
+    ]
     sweep = ["sweep", "p.toml", "--repeat", "2", "--processes", "2", "--no-draw", *words]
     result = CliRunner().invoke(app, sweep)
     assert result.exit_code == 0, result.output

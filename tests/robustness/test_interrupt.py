@@ -33,8 +33,11 @@ from slipfree.problem import solve as runner
 from slipfree.solve import simulate, zero_order_hold
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
-SMALL = [word for each in ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
-         for word in ("--set", each)]  # fmt: skip
+SMALL = [
+    word
+    for each in ("plan.intervals=8", "costs.slip=1e3", "time.step=0.5")
+    for word in ("--set", each)
+]
 T = np.linspace(0, 2, 21)
 OLD = b"what was here before"
 
@@ -217,9 +220,13 @@ def test_at_the_entry_of_a_step(method, monkeypatch):
 
 @pytest.mark.parametrize(
     ("where", "name"),
-    [(simulate._Spy, "has_eval_buffer"), (simulate._Spy, "get_sparsity_in"),
-     (simulate, "with_inputs"), (simulate, "table")],
-)  # fmt: skip
+    [
+        (simulate._Spy, "has_eval_buffer"),
+        (simulate._Spy, "get_sparsity_in"),
+        (simulate, "with_inputs"),
+        (simulate, "table"),
+    ],
+)
 def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
     pressed, _ = pressing(getattr(where, name))
     monkeypatch.setattr(where, name, pressed)
@@ -296,9 +303,17 @@ def planned(progress=None):
         dae, start, dae.inputs(right_rate=0.4, left_rate=0.4, steer_rate=0.0), T
     )
     return planning.plan(
-        dae, start, first, goal={"y": 0.2}, costs={"effort": 0.01}, duration=2.0, inputs=rates,
-        intervals=3, accuracy=1.0, progress=progress,
-    )  # fmt: skip
+        dae,
+        start,
+        first,
+        goal={"y": 0.2},
+        costs={"effort": 0.01},
+        duration=2.0,
+        inputs=rates,
+        intervals=3,
+        accuracy=1.0,
+        progress=progress,
+    )
 
 
 @pytest.mark.parametrize(
@@ -459,10 +474,12 @@ def test_what_was_told_is_not_told_again():
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    words = 'verb = "direct"\n[terrain.synthetic]\nx = [-3, 3]\ny = [-3, 3]\nspacing = 0.25\n' \
-            '[start]\nheading = 0\n' \
-            '[vehicle]\ncatalog = "three_wheeler"\n[driver]\nname = "straight"\nspeed = 1.0\n' \
-            '[time]\nduration = 0.5\nstep = 0.1\n'  # fmt: skip
+    words = (
+        'verb = "direct"\n[terrain.synthetic]\nx = [-3, 3]\ny = [-3, 3]\nspacing = 0.25\n'
+        "[start]\nheading = 0\n"
+        '[vehicle]\ncatalog = "three_wheeler"\n[driver]\nname = "straight"\nspeed = 1.0\n'
+        "[time]\nduration = 0.5\nstep = 0.1\n"
+    )
     (tmp_path / "p.toml").write_text(words)
     (tmp_path / "p.nc").write_bytes(OLD)
     return tmp_path

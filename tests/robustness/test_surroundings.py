@@ -31,9 +31,12 @@ def _shell(line: str, **more: str) -> tuple[int, str, str]:
     """Return exit code, stdout and stderr of a line in which ``slipfree`` is the command."""
     line = f'set -o pipefail; slipfree() {{ "{sys.executable}" -m slipfree "$@"; }}; {line}'
     found = subprocess.run(
-        ["bash", "--norc", "-c", line], env={**os.environ, **more},
-        capture_output=True, encoding="latin-1", check=False,
-    )  # fmt: skip
+        ["bash", "--norc", "-c", line],
+        env={**os.environ, **more},
+        capture_output=True,
+        encoding="latin-1",
+        check=False,
+    )
     assert "Traceback" not in found.stderr, found.stderr
     assert "Exception ignored" not in found.stderr, found.stderr
     return found.returncode, found.stdout, found.stderr
@@ -104,8 +107,9 @@ def test_a_medium_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slipfree.problem.solve.build", broken)
     found = CliRunner().invoke(app, ["check", "p.toml"])
     assert (found.exit_code, found.output) == (
-        1, "p.toml: reading or writing failed (Input/output error)\n",
-    )  # fmt: skip
+        1,
+        "p.toml: reading or writing failed (Input/output error)\n",
+    )
 
 
 def test_settings_of_matplotlib_that_do_not_work_here() -> None:

@@ -52,7 +52,11 @@ def model(rate_of, limits=()):
     x, z, q, u = (symbols(record) for record in labels[:4])
     t = ca.SX.sym("t")
     return Dae(
-        t, x, z, q, u,
+        t,
+        x,
+        z,
+        q,
+        u,
         ode=rate_of(t, x.value, u.rate),
         alg=(z.block[0] - x.value**2,),
         quad=ca.SX(1),
@@ -63,7 +67,7 @@ def model(rate_of, limits=()):
         guess=ca.SX(0),
         scale=np.ones(1),
         shift=(np.zeros(1), np.zeros(1)),
-    )  # fmt: skip
+    )
 
 
 def follows_input():

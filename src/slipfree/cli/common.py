@@ -168,8 +168,10 @@ def check_places(
     from slipfree.problem.input_files import input_names
 
     taken = {resolve_links(problem.source.path): "the problem file"}
-    taken |= {resolve_links(problem.folder / name): f"the input {name}"
-              for name in input_names(problem.spec)}  # fmt: skip
+    taken |= {
+        resolve_links(problem.folder / name): f"the input {name}"
+        for name in input_names(problem.spec)
+    }
     for path in files:
         if path is None:
             continue

@@ -30,7 +30,8 @@ def examples(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME]...", help="Which to copy; all if only --to is given.",
+            metavar="[NAME]...",
+            help="Which to copy; all if only --to is given.",
             autocompletion=_complete,
         ),
     ] = None,
@@ -40,7 +41,7 @@ def examples(
     force: Annotated[
         bool, typer.Option("--force", help="Replace files of the same names.")
     ] = False,
-) -> None:  # fmt: skip
+) -> None:
     """List the shipped problems, or copy some with the files that they need."""
     with reported():
         shipped = _shipped()

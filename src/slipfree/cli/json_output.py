@@ -33,19 +33,27 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     """
     return {
         name: {
-            "words": label.words, "unit": label.unit, "first": values[0], "last": values[-1],
-            "min": values.min(), "max": values.max(),
+            "words": label.words,
+            "unit": label.unit,
+            "first": values[0],
+            "last": values[-1],
+            "min": values.min(),
+            "max": values.max(),
         }
         for name, (label, values) in run.columns.items()
-    }  # fmt: skip
+    }
 
 
 def row_answer(row: Row) -> dict[str, Any]:
     """Return one vehicle of a comparison."""
     return {
-        "name": row.name, "wheels": row.wheels, "rank": row.rank, "conditions": row.conditions,
-        "same_rates": _drive(row.same), "driving_law": _drive(row.fitting),
-    }  # fmt: skip
+        "name": row.name,
+        "wheels": row.wheels,
+        "rank": row.rank,
+        "conditions": row.conditions,
+        "same_rates": _drive(row.same),
+        "driving_law": _drive(row.fitting),
+    }
 
 
 def _drive(drive: Drive) -> dict[str, Any]:

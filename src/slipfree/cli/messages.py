@@ -94,8 +94,9 @@ def voiced(command: Callable[..., None]) -> Callable[..., None]:
     hints = get_type_hints(command, include_extras=True)
     own = inspect.signature(command).parameters.values()
     options = {"quiet": Quiet, "verbose": Verbose, "json": Json}
-    more = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False)
-            for name in options]  # fmt: skip
+    more = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False) for name in options
+    ]
 
     @wraps(command)
     def spoken(*, quiet: bool, verbose: bool, json: bool, **values: Any) -> None:

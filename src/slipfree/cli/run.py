@@ -86,7 +86,7 @@ def run(
         Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as a moving picture.")
     ] = None,
 ) -> None:
-    """Solve a problem: write the result, print a summary, draw figures."""  # fmt: skip
+    """Solve a problem: write the result, print a summary, draw figures."""
     with reported():
         from slipfree.problem.load import climbs
         from slipfree.problem.solve import check_cross
@@ -276,10 +276,18 @@ def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
     other = other_formulation(check_cross(problem))
     differences = sorted(cross(problem, outcome), key=lambda each: -each.size)
     say(f"largest differences from formulation = {other!r}, of {len(differences)} quantities:")
-    put("cross_check", lambda: [
-        {"name": each.label.full, "unit": each.label.unit, "difference": each.size, "time": each.t}
-        for each in differences
-    ])  # fmt: skip
+    put(
+        "cross_check",
+        lambda: [
+            {
+                "name": each.label.full,
+                "unit": each.label.unit,
+                "difference": each.size,
+                "time": each.t,
+            }
+            for each in differences
+        ],
+    )
     show(
         [
             (f"  {each.label.full}", f"{each.size:.2e} {each.label.unit} at {each.t:g} s")

@@ -45,7 +45,9 @@ def sweep(
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", metavar="DIR",
+            "-o",
+            "--output",
+            metavar="DIR",
             help="Folder of the results; default: the problem's name with _sweep, here. "
             "If it has some of this sweep, the others are done.",
         ),
@@ -68,7 +70,7 @@ def sweep(
         ),
     ] = None,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
-) -> None:  # fmt: skip
+) -> None:
     """Run a problem for many values and seeds: write one table, print a summary, draw figures.
 
     The same command goes on with a sweep that was interrupted or killed.
@@ -143,9 +145,7 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _done(
-    plan: Sweep, folder: Path, pool: Pool, keep: bool, again: bool
-) -> Sequence[Row]:  # fmt: skip
+def _done(plan: Sweep, folder: Path, pool: Pool, keep: bool, again: bool) -> Sequence[Row]:
     """Return the rows of all runs; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn

@@ -248,9 +248,15 @@ def _march(
     for stop in stops:
         stop.direction, stop.terminal = -1, stop is not levels
     run = solve_ivp(
-        direction, (0.0, LONGEST), q, rtol=TOLERANCE, atol=TOLERANCE,
-        max_step=climber.radius / STEPS, events=stops, dense_output=True,
-    )  # fmt: skip
+        direction,
+        (0.0, LONGEST),
+        q,
+        rtol=TOLERANCE,
+        atol=TOLERANCE,
+        max_step=climber.radius / STEPS,
+        events=stops,
+        dense_output=True,
+    )
     met, arrived, tipped, level = run.t_events
     length = float(run.t[-1])
     if not (met.size or arrived.size):
@@ -264,9 +270,7 @@ def _march(
     return run.sol, length, top, (int(i), int(k))
 
 
-def _others(
-    climber: Climber, profile: Profile, q: Array, solids: Solids
-) -> tuple[Array, Array]:  # fmt: skip
+def _others(climber: Climber, profile: Profile, q: Array, solids: Solids) -> tuple[Array, Array]:
     """Return the gaps of the axles to what they do not stand on, and their slopes over s."""
     arms = axle_arms(climber, q[None])
     x, z = (q[:2] + arms[0]).T

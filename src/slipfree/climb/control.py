@@ -160,11 +160,14 @@ def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rise
     rises : PerAxle or ()
         Rates of the errors; nothing without derivative gain. [rad/s2]
     """
-    found = [control.proportional * error + control.integral * total
-             for error, total in zip(errors, sums, strict=True)]  # fmt: skip
+    found = [
+        control.proportional * error + control.integral * total
+        for error, total in zip(errors, sums, strict=True)
+    ]
     if control.derivative:
-        found = [torque + control.derivative * rise
-                 for torque, rise in zip(found, rises, strict=True)]  # fmt: skip
+        found = [
+            torque + control.derivative * rise for torque, rise in zip(found, rises, strict=True)
+        ]
     return limited(limit, PerAxle(*found))
 
 

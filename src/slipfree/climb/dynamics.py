@@ -84,10 +84,12 @@ def climbing(
     x, q, u, t = symbols(labels.x), symbols(labels.q), symbols(labels.u), ca.SX.sym("t")
     frame = _frame(climber, x)
     velocities = PerAxle(*(ca.jtimes(axle, frame.q, frame.v) for axle in frame.axles))
-    contacts = PerAxle(*(
-        pressed(profile, contact, climber.radius, axle, velocity, spin)
-        for axle, velocity, spin in zip(frame.axles, velocities, x.spins, strict=True)
-    ))  # fmt: skip
+    contacts = PerAxle(
+        *(
+            pressed(profile, contact, climber.radius, axle, velocity, spin)
+            for axle, velocity, spin in zip(frame.axles, velocities, x.spins, strict=True)
+        )
+    )
     seen = PerAxle(*(direction(each) for each in contacts))
     asked = (
         tracked(control, climber, x, frame.axles, velocities, u.speed)
@@ -96,21 +98,28 @@ def climbing(
     )
     driven = _driven(climber, u.torques or asked.torques.out)
     return Dae(
-        t, x, (), q, u,
+        t,
+        x,
+        (),
+        q,
+        u,
         ode=ca.vertcat(
-            frame.v, _accelerations(climber, frame, contacts, driven), *asked.rates,
+            frame.v,
+            _accelerations(climber, frame, contacts, driven),
+            *asked.rates,
         ),
         alg=(),
         quad=ca.vertcat(*x.spins, *_powers(x, contacts, driven)),
-        y=_outputs(frame, velocities, contacts, seen, asked,
-                   frame.energy + _stored(climber, x, contacts)),
+        y=_outputs(
+            frame, velocities, contacts, seen, asked, frame.energy + _stored(climber, x, contacts)
+        ),
         labels=labels,
         limits=_limits(x),
         checks=(),
         guess=ca.SX(0, 1),
         scale=np.zeros(0),
         shift=(np.zeros(pack(x).numel()), np.zeros(0)),
-    )  # fmt: skip
+    )
 
 
 def _frame(climber: Climber, x: State) -> Frame:
@@ -119,10 +128,12 @@ def _frame(climber: Climber, x: State) -> Frame:
     v = ca.vertcat(x.velocity_x, x.velocity_z, *x.rates)
     bodies = (climber.rear_body, climber.front_body)
     joint, tilts = q[:2], (x.tilts.rear, x.tilts.front)
-    axles = PerAxle(*(
-        _at(joint, tilt, axle.ahead, 0.0)
-        for axle, tilt in zip(climber.axles, (tilts[0], *tilts), strict=True)
-    ))  # fmt: skip
+    axles = PerAxle(
+        *(
+            _at(joint, tilt, axle.ahead, 0.0)
+            for axle, tilt in zip(climber.axles, (tilts[0], *tilts), strict=True)
+        )
+    )
     mass, height = ca.SX(ca.diag([0, 0, *(body.inertia for body in bodies)])), ca.SX(0)
     for body, tilt in zip(bodies, tilts, strict=True):
         center = _at(joint, tilt, body.ahead, body.above)
@@ -188,8 +199,9 @@ def _commands(
     ]
     if control.senses:
         raw = seen_directions(climber, x.tilts, x.rates, x.spins)
-        rates += [(new - old) / control.smoothing
-                  for new, old in zip(raw, x.directions, strict=True)]  # fmt: skip
+        rates += [
+            (new - old) / control.smoothing for new, old in zip(raw, x.directions, strict=True)
+        ]
     return Commands(wanted, asked, (*rates, *rises))
 
 
@@ -211,16 +223,22 @@ def _stored(climber: Climber, x: State, contacts: PerAxle) -> ca.SX:
 
 
 def _outputs(
-    frame: Frame, velocities: PerAxle, contacts: PerAxle, seen: PerAxle, asked: Commands,
+    frame: Frame,
+    velocities: PerAxle,
+    contacts: PerAxle,
+    seen: PerAxle,
+    asked: Commands,
     energy: ca.SX,
-) -> Outputs:  # fmt: skip
+) -> Outputs:
     solids = tuple(
-        OnSolid(*(
-            PerAxle(*(getattr(each, name) for each in touches))
-            for name in ("gap", "load", "friction", "slip")
-        ))
+        OnSolid(
+            *(
+                PerAxle(*(getattr(each, name) for each in touches))
+                for name in ("gap", "load", "friction", "slip")
+            )
+        )
         for touches in zip(*contacts, strict=True)
-    )  # fmt: skip
+    )
     return Outputs(
         axle_x=PerAxle(*(place[0] for place in frame.axles)),
         axle_z=PerAxle(*(place[1] for place in frame.axles)),
@@ -239,10 +257,12 @@ def _limits(x: State) -> tuple[Limit, ...]:
     return tuple(
         Limit(
             Label(f"{name}_overturned", "rad", f"the {name} body is overturned: its tilt"),
-            tilt, -OVERTURNED, OVERTURNED,
+            tilt,
+            -OVERTURNED,
+            OVERTURNED,
         )
         for name, tilt in zip(("rear", "front"), x.tilts, strict=True)
-    )  # fmt: skip
+    )
 
 
 def standing(
@@ -270,10 +290,13 @@ def standing(
     tilt_front = math.asin((ahead - joint) / climber.front.ahead)
     spin = speed / climber.radius
     return {
-        "x": front - climber.front.ahead * math.cos(tilt_front), "z": joint,
-        "tilt_rear": tilt_rear, "tilt_front": tilt_front, "velocity_x": speed,
+        "x": front - climber.front.ahead * math.cos(tilt_front),
+        "z": joint,
+        "tilt_rear": tilt_rear,
+        "tilt_front": tilt_front,
+        "velocity_x": speed,
         **{f"wheel_rate[{axle}]": spin for axle in AXLES},
-    }  # fmt: skip
+    }
 
 
 def floor_loads(climber: Climber) -> Array:

@@ -128,8 +128,9 @@ def equilibrium(climber: Climber, way: Way) -> tuple[Array, Array]:
 def center(body: Body, tilt: Array) -> Array:
     """Return where the center of mass of a body is from the joint, shape (n, 2). [m]."""
     forward, up = np.cos(tilt), np.sin(tilt)
-    return np.stack([body.ahead * forward - body.above * up,
-                     body.ahead * up + body.above * forward], axis=1)  # fmt: skip
+    return np.stack(
+        [body.ahead * forward - body.above * up, body.ahead * up + body.above * forward], axis=1
+    )
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -185,10 +186,13 @@ def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Ar
     bounds = [*[(None, REACH)] * 3, *[(None, None)] * 4]
     found = linprog(
         np.tile([0.0] * 6 + [-1.0], count),
-        scipy.sparse.block_diag(blocks, format="csc"), np.zeros(6 * count),
-        scipy.sparse.block_diag(equations, format="csc"), (load / size).ravel(),
-        bounds=bounds * count, method="highs",
-    )  # fmt: skip
+        scipy.sparse.block_diag(blocks, format="csc"),
+        np.zeros(6 * count),
+        scipy.sparse.block_diag(equations, format="csc"),
+        (load / size).ravel(),
+        bounds=bounds * count,
+        method="highs",
+    )
     if found.status != 0:
         raise SolverError(f"climb: the equations of equilibrium have no solution: {found.message}")
     values = found.x.reshape(count, 7)
@@ -216,9 +220,12 @@ def least_friction(climber: Climber, profile: Profile, samples: int = 41) -> Fri
     worst = max(demands, key=lambda each: each.mu)
     k = int(worst.hold.mu.argmax())
     return Friction(
-        worst.mu, worst.leg.axle, float(worst.s[k]),
-        sample(climber, profile, worst.leg, worst.s[k : k + 1]).q[0], demands,
-    )  # fmt: skip
+        worst.mu,
+        worst.leg.axle,
+        float(worst.s[k]),
+        sample(climber, profile, worst.leg, worst.s[k : k + 1]).q[0],
+        demands,
+    )
 
 
 def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, ...]:
@@ -230,10 +237,13 @@ def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, 
         near = [_around(s, int(hold.mu.argmax())) for s, hold in zip(places, holds, strict=True)]
         more = _holds(climber, profile, found, near)
         orders = [np.argsort(np.append(*pair)) for pair in zip(places, near, strict=True)]
-        places = [np.append(s, new)[order]
-                  for s, new, order in zip(places, near, orders, strict=True)]  # fmt: skip
-        holds = [Hold(*(np.concatenate(pair)[order] for pair in zip(old, new, strict=True)))
-                 for old, new, order in zip(holds, more, orders, strict=True)]  # fmt: skip
+        places = [
+            np.append(s, new)[order] for s, new, order in zip(places, near, orders, strict=True)
+        ]
+        holds = [
+            Hold(*(np.concatenate(pair)[order] for pair in zip(old, new, strict=True)))
+            for old, new, order in zip(holds, more, orders, strict=True)
+        ]
     return tuple(Demand(*each) for each in zip(found, places, holds, strict=True))
 
 
@@ -247,8 +257,10 @@ def _holds(
     climber: Climber, profile: Profile, found: Sequence[Leg], places: Sequence[Array]
 ) -> list[Hold]:
     """Return the holds of legs at their own places, from one program."""
-    equations = [equilibrium(climber, sample(climber, profile, leg, s))
-                 for leg, s in zip(found, places, strict=True)]  # fmt: skip
+    equations = [
+        equilibrium(climber, sample(climber, profile, leg, s))
+        for leg, s in zip(found, places, strict=True)
+    ]
     hold = least(*(np.concatenate(part) for part in zip(*equations, strict=True)))
     ends = np.cumsum([0, *(s.size for s in places)]).tolist()
     return [Hold(*(part[a:b] for part in hold)) for a, b in pairwise(ends)]

@@ -144,8 +144,10 @@ def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
     square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
     at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
     parts = []
-    for way, squares, torques in ((nodes, square, at_nodes),
-                                  (middles, (square[1:] + square[:-1]) / 2, torque)):  # fmt: skip
+    for way, squares, torques in (
+        (nodes, square, at_nodes),
+        (middles, (square[1:] + square[:-1]) / 2, torque),
+    ):
         axles = way.q[:, None, :2] + axle_arms(plan.climber, way.q)
         directions = np.arctan2(-way.normals[..., 0], way.normals[..., 1])
         progress = axles.sum(axis=2).mean(axis=1)
@@ -155,9 +157,13 @@ def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
 
 
 def tracked(
-    control: Tracking, climber: Climber, x: State, axles: PerAxle, velocities: PerAxle,
+    control: Tracking,
+    climber: Climber,
+    x: State,
+    axles: PerAxle,
+    velocities: PerAxle,
     speed: ca.SX,
-) -> Commands:  # fmt: skip
+) -> Commands:
     """Return references and torques of a planned climb.
 
     Before the plan begins, and behind its end, all wheels are driven at the vehicle's speed; before

@@ -137,9 +137,12 @@ class Solid:
         corners = np.where(past & before, away, -np.inf)
         all_of_them = np.concatenate([faces, corners], axis=-1)
         directions = np.concatenate(
-            [np.broadcast_to(self.normals, from_corners.shape),
-             from_corners / np.maximum(away, math.sqrt(TINY))[..., None]], axis=-2,
-        )  # fmt: skip
+            [
+                np.broadcast_to(self.normals, from_corners.shape),
+                from_corners / np.maximum(away, math.sqrt(TINY))[..., None],
+            ],
+            axis=-2,
+        )
         nearest = all_of_them.argmax(axis=-1)[..., None]
         normal = np.take_along_axis(directions, nearest[..., None], axis=-2)[..., 0, :]
         return np.take_along_axis(all_of_them, nearest, axis=-1)[..., 0], normal

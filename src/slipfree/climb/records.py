@@ -100,16 +100,23 @@ def labels_of(profile: Profile, control: Driver, *, sampled: bool) -> Labels:
         Tilts(*(Label(f"tilt_{name}", "rad", tilt.format(name)) for name in ("rear", "front"))),
         Label("velocity_x", "m s-1", f"forward velocity {joint}"),
         Label("velocity_z", "m s-1", f"upward velocity {joint}"),
-        Tilts(*(Label(f"tilt_{name}_rate", "rad s-1", f"rate of the {tilt.format(name)}")
-                for name in ("rear", "front"))),
+        Tilts(
+            *(
+                Label(f"tilt_{name}_rate", "rad s-1", f"rate of the {tilt.format(name)}")
+                for name in ("rear", "front")
+            )
+        ),
         _each("wheel_rate", "rad s-1", "rate of the wheels, forward positive"),
         _each("error_sum", "rad", "integral of the error of the wheels' rate")
-        if control.integral else (),
+        if control.integral
+        else (),
         _each("direction_seen", "rad", "direction of the axle that the sensors see, smoothed")
-        if control.senses else (),
+        if control.senses
+        else (),
         _each("error_lag", "rad s-1", "error of the wheels' rate behind the derivative's filter")
-        if control.derivative else (),
-    )  # fmt: skip
+        if control.derivative
+        else (),
+    )
     q = Totals(
         _each("wheel_angle", "rad", "angle through which the wheels have turned"),
         Label("work", "J", "work of the motors"),

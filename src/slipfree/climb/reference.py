@@ -132,8 +132,12 @@ class _Cosines(NamedTuple):
 
 def _cosines(tilts: Tilts, alpha: Any) -> _Cosines:
     """Return the cosines of (6) and (8): th_b is the rear tilt, th_a + th_b the front one."""
-    return _Cosines(ca.cos(alpha - tilts.rear), ca.cos(tilts.rear),
-                    ca.cos(tilts.front), ca.cos(alpha - tilts.front))  # fmt: skip
+    return _Cosines(
+        ca.cos(alpha - tilts.rear),
+        ca.cos(tilts.rear),
+        ca.cos(tilts.front),
+        ca.cos(alpha - tilts.front),
+    )
 
 
 def _printed_6_8(tilts: Tilts, alpha: Any, cap: float) -> PerAxle:
@@ -203,9 +207,14 @@ def motors(base: Base, speeds: PerAxle) -> Any:
     rear, middle, front = speeds
     along, aside = base.along, base.aside
     rows = [
-        [rear, 0, aside], [0, -1, along], [-rear, 0, aside], [middle, 0, 0],
-        [front, 0, aside], [0, 1, along], [-front, 0, aside],
-    ]  # fmt: skip
+        [rear, 0, aside],
+        [0, -1, along],
+        [-rear, 0, aside],
+        [middle, 0, 0],
+        [front, 0, aside],
+        [0, 1, along],
+        [-front, 0, aside],
+    ]
     return ca.vertcat(*(ca.horzcat(*row) for row in rows)) / (base.gear * base.radius)
 
 
@@ -265,6 +274,8 @@ def seen_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: PerAxle
     middle = ca.fmax(0, link * turn)
     swing = climber.front.ahead * ca.cos(tilts.front) * rates.front
     rises = PerAxle(ca.fmax(0, -link * turn), middle, middle - climber.middle.ahead * turn + swing)
-    sines = (rise / ca.fmax(climber.radius * ca.fabs(spin), CREEPING)
-             for rise, spin in zip(rises, spins, strict=True))  # fmt: skip
+    sines = (
+        rise / ca.fmax(climber.radius * ca.fabs(spin), CREEPING)
+        for rise, spin in zip(rises, spins, strict=True)
+    )
     return PerAxle(*(ca.asin(ca.fmin(STEEPEST, ca.fmax(0, sine))) for sine in sines))

@@ -111,9 +111,16 @@ def spin_inertia(climber: Climber) -> Array:
 
 
 def climb(
-    climber: Climber, profile: Profile, leg: Leg, cost: str = "time", *, mu: float | None = None,
-    speed: float = 0.25, s: int | npt.ArrayLike = 60, halt: bool = False,
-) -> Climb:  # fmt: skip
+    climber: Climber,
+    profile: Profile,
+    leg: Leg,
+    cost: str = "time",
+    *,
+    mu: float | None = None,
+    speed: float = 0.25,
+    s: int | npt.ArrayLike = 60,
+    halt: bool = False,
+) -> Climb:
     """Return the program that finds how to climb a leg.
 
     Parameters
@@ -166,9 +173,15 @@ def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
 
 
 def _program(
-    climber: Climber, nodes: Way, middles: Way, cost: str, mu: float | None, speed: float, *,
+    climber: Climber,
+    nodes: Way,
+    middles: Way,
+    cost: str,
+    mu: float | None,
+    speed: float,
+    *,
     halt: bool,
-) -> Nlp:  # fmt: skip
+) -> Nlp:
     steps, fastest, weight = np.diff(nodes.s), speed**2, GRAVITY * climber.mass
     count = steps.size
     ends = np.cumsum([0, count + 1, 3 * count, 3 * count, 1]).tolist()
@@ -184,10 +197,24 @@ def _program(
     lower[mu_at], upper[mu_at] = (0.0, MOST) if mu is None else (mu, mu)
     slow = np.minimum(SLOW * fastest, upper[b_at])
     guess = np.concatenate([slow, *_slow_climb(climber, middles, mu)])
-    shaped = {"b": b_at, "normal": n_at.reshape(count, 3), "tangential": t_at.reshape(count, 3),
-              "mu": mu_at}  # fmt: skip
-    return Nlp(x, f, ca.vertcat(*rows), guess, scale, lower, upper,
-               np.concatenate(low), np.concatenate(high), shaped)  # fmt: skip
+    shaped = {
+        "b": b_at,
+        "normal": n_at.reshape(count, 3),
+        "tangential": t_at.reshape(count, 3),
+        "mu": mu_at,
+    }
+    return Nlp(
+        x,
+        f,
+        ca.vertcat(*rows),
+        guess,
+        scale,
+        lower,
+        upper,
+        np.concatenate(low),
+        np.concatenate(high),
+        shaped,
+    )
 
 
 def _cost(
@@ -199,8 +226,10 @@ def _cost(
     ratios = tangential**2 / (normal + UNLOADED * weight) / weight
     creep: ca.MX = ca.sum1(ca.DM(np.repeat(steps, 3)) * ratios)
     costs: dict[str, ca.MX] = {
-        "time": time, "friction": friction + PACE * time, "slip": creep + PACE * time,
-    }  # fmt: skip
+        "time": time,
+        "friction": friction + PACE * time,
+        "slip": creep + PACE * time,
+    }
     return costs[cost]
 
 
@@ -238,8 +267,10 @@ def _rows(
     to_a, to_b = _differences(steps), _means(count)
     inert = [_diagonal(each[:, :, None]) for each in inertia(climber, middles)]
     moving = _sparse((inert[0] @ to_a + inert[1] @ to_b) / weight) @ b
-    held = (_sparse(_diagonal(matrix[:, :, :3]) / weight) @ normal
-            + _sparse(_diagonal(matrix[:, :, 3:]) / weight) @ tangential)  # fmt: skip
+    held = (
+        _sparse(_diagonal(matrix[:, :, :3]) / weight) @ normal
+        + _sparse(_diagonal(matrix[:, :, 3:]) / weight) @ tangential
+    )
     torque = _torques(climber, middles, steps, b, tangential)
     most = np.tile([climber.torque * axle.wheels for axle in climber.axles], count)
     cone, nothing, above = 3 / weight, np.zeros(3 * count), np.full(3 * count, np.inf)
@@ -250,13 +281,12 @@ def _rows(
     return rows, low, high
 
 
-def _torques(
-    climber: Climber, middles: Way, steps: Array, b: ca.MX, tangential: ca.MX
-) -> ca.MX:  # fmt: skip
+def _torques(climber: Climber, middles: Way, steps: Array, b: ca.MX, tangential: ca.MX) -> ca.MX:
     """Return the torques of all motors of every axle in the middles, shape (3 n, 1). [N m]."""
     spin = spin_inertia(climber)
-    linear, square = (_diagonal((each * spin)[:, :, None])
-                      for each in (middles.speeds, middles.slopes))  # fmt: skip
+    linear, square = (
+        _diagonal((each * spin)[:, :, None]) for each in (middles.speeds, middles.slopes)
+    )
     spinning = linear @ _differences(steps) + square @ _means(steps.size)
     return climber.radius * tangential + _sparse(spinning) @ b
 
@@ -305,11 +335,14 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
     spinning = middles.speeds * acceleration[:, None] + middles.slopes * means[:, None]
     wheels = np.array([axle.wheels for axle in climber.axles])
     values = dict(zip(("x", "z", "tilt_rear", "tilt_front"), middles.q.T, strict=True)) | {
-        "s": middles.s, "path_speed": speed, "path_acceleration": acceleration,
+        "s": middles.s,
+        "path_speed": speed,
+        "path_acceleration": acceleration,
         "wheel_rate": middles.speeds * speed[:, None] / climber.radius,
         "torque": (climber.radius * friction + spin_inertia(climber) * spinning) / wheels,
-        "load": unknowns[where["normal"]], "friction": friction,
-    }  # fmt: skip
+        "load": unknowns[where["normal"]],
+        "friction": friction,
+    }
     columns = {label.name: Column(label, values[label.name]) for label in LABELS}
     statistics = {"mu": float(unknowns[where["mu"]][0]), "duration": float(durations.sum())}
     return Trajectory(t, columns, AXLES, statistics=statistics)

@@ -142,10 +142,15 @@ def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
         Largest torque of a wheel's motor. [N m]
     """
     height, lengths, masses = 0.25, (0.400, 0.195), (13.8, 7.8)
-    inertias = [mass * (length**2 + height**2) / 12
-                for mass, length in zip(masses, lengths, strict=True)]  # fmt: skip
-    return planar(step_climber.seven_wheels(joint=joint), (inertias[0], inertias[1]),
-                  (0.010, 0.005, 0.010), torque)  # fmt: skip
+    inertias = [
+        mass * (length**2 + height**2) / 12 for mass, length in zip(masses, lengths, strict=True)
+    ]
+    return planar(
+        step_climber.seven_wheels(joint=joint),
+        (inertias[0], inertias[1]),
+        (0.010, 0.005, 0.010),
+        torque,
+    )
 
 
 def planar(
@@ -200,18 +205,23 @@ def planar(
     )
     bodies = [
         Body(mass, float(center[1] - hinge[1]), float(center[2] - hinge[2]), inertia)
-        for (mass, center), inertia
-        in zip(_bodies(vehicle, carried, rest, values), inertias, strict=True)
-    ]  # fmt: skip
+        for (mass, center), inertia in zip(
+            _bodies(vehicle, carried, rest, values), inertias, strict=True
+        )
+    ]
     return Climber(radii.pop(), bodies[0], bodies[1], rear, middle, front, torque)
 
 
 def _front_body(vehicle: Vehicle) -> tuple[Joint, set[str]]:
     """Return the joint on which the front body pitches, and all parts that it carries."""
     yielding = {c.name for c in vehicle.of("suspension")}
-    pitching = [joint for joint in vehicle.joints if joint.motion == "turn"
-                and joint.coordinates & yielding
-                and abs(unit_vector(joint.axis)[0]) == 1]  # fmt: skip
+    pitching = [
+        joint
+        for joint in vehicle.joints
+        if joint.motion == "turn"
+        and joint.coordinates & yielding
+        and abs(unit_vector(joint.axis)[0]) == 1
+    ]
     if len(pitching) != 1:
         raise ModelError(
             "planar: expected one joint of the suspension that pitches a front body, found "
@@ -229,8 +239,11 @@ def _bodies(
 ) -> Iterator[tuple[float, Array]]:
     """Yield mass and center of all that is not carried by the joint, and of all that is."""
     for on_front in (False, True):
-        masses = [(mass, _numbers(at)) for part, mass, at in vehicle.masses(rest, values)
-                  if (part in carried) == on_front]  # fmt: skip
+        masses = [
+            (mass, _numbers(at))
+            for part, mass, at in vehicle.masses(rest, values)
+            if (part in carried) == on_front
+        ]
         total = sum(mass for mass, _ in masses)
         yield total, np.sum([mass * at for mass, at in masses], axis=0) / total
 

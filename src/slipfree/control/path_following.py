@@ -131,8 +131,9 @@ def follow(dae: Dae[Any, Any, Any, Any, Any], vehicle: Vehicle, path: Path, *, s
         radius = float(np.mean([foot.wheel.radius for foot in plan.feet if foot.leans]))
         turning -= TILT_GAIN * pace * radius / plan.base * sum(tilts) / len(tilts)
     moving = {states[name]: rate for name, rate in rates.items()}
-    wheels = [_rate(foot, v, plan.gain * turning, moving) for foot in plan.feet
-              if foot.wheel.driven]  # fmt: skip
+    wheels = [
+        _rate(foot, v, plan.gain * turning, moving) for foot in plan.feet if foot.wheel.driven
+    ]
     return unpack(dae.u, [*wheels, *rates.values()])
 
 
@@ -261,8 +262,10 @@ def _placed(
         leaning = [name for name, tilt in zip(passive, tilts, strict=True) if abs(tilt) > NEAR]
         upright = Pose(*ca.substitute(list(pose), [level], [ca.SX.zeros(level.numel())]))
         angle = ca.atan2(-upright.rotation[0, 1], upright.rotation[1, 1])
-        effects = {name: ca.jacobian(angle, symbol) for (name, symbol), turn
-                   in zip(states.items(), turns[: len(states)], strict=True)
-                   if abs(turn) > NEAR}  # fmt: skip
+        effects = {
+            name: ca.jacobian(angle, symbol)
+            for (name, symbol), turn in zip(states.items(), turns[: len(states)], strict=True)
+            if abs(turn) > NEAR
+        }
         leans = leaning[0] if leaning and wheel.driven else None
         yield upright, effects, leans, bool((np.abs(turns[len(states) :]) > NEAR).any())

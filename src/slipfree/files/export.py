@@ -109,10 +109,12 @@ def _places(run: Trajectory) -> dict[str, tuple[str, Array]]:
     """Return unit and values of the coordinates of the map."""
     lines = map_lines(run)
     return {
-        line.name: ("degree" if line.name in ("longitude", "latitude") else "m",
-                    line.at + line.scale * run[line.of])
+        line.name: (
+            "degree" if line.name in ("longitude", "latitude") else "m",
+            line.at + line.scale * run[line.of],
+        )
         for line in lines
-    }  # fmt: skip
+    }
 
 
 def _write_path(run: Trajectory, out: Path) -> None:

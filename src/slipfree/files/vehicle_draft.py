@@ -138,8 +138,11 @@ def from_rep103(draft: Draft) -> Draft:
         draft,
         joints=tuple(
             replace(
-                joint, axis=turned_right(unit_vector(joint.axis)), at=turned_right(joint.at),
-                turned=_angles_right(joint.turned), body=_body(joint.body),
+                joint,
+                axis=turned_right(unit_vector(joint.axis)),
+                at=turned_right(joint.at),
+                turned=_angles_right(joint.turned),
+                body=_body(joint.body),
             )
             for joint in draft.joints
         ),
@@ -148,7 +151,7 @@ def from_rep103(draft: Draft) -> Draft:
             for wheel in draft.wheels
         ),
         body=_body(draft.body),
-    )  # fmt: skip
+    )
 
 
 def turned_right(vector: Vector) -> Vector:

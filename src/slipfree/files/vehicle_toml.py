@@ -91,8 +91,9 @@ def _axis(value: Any) -> str | Vector:
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
     numbers = value if isinstance(value, list) else []
-    good = [isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < LARGEST
-            for n in numbers]  # fmt: skip
+    good = [
+        isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < LARGEST for n in numbers
+    ]
     if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
     raise PydanticCustomError("expected", "'x', 'y', 'z' or a vector [x, y, z] other than zero")
@@ -292,8 +293,9 @@ def _hanging(table: VehicleTable) -> Iterator[Fault]:
     for part in ("joints", "wheels"):
         for index, each in enumerate(getattr(table, part)):
             if each.parent not in known:
-                yield Fault((part, index, "parent"), f"{PARENT}: {listed(known)}",
-                            _near(each.parent, known))  # fmt: skip
+                yield Fault(
+                    (part, index, "parent"), f"{PARENT}: {listed(known)}", _near(each.parent, known)
+                )
     told: set[str] = set()
     for index, joint in enumerate(table.joints):
         loop = loop_of(joint.name, parents)
@@ -335,8 +337,9 @@ def _values(table: VehicleTable) -> Iterator[Fault]:
 
 def _sizes(table: VehicleTable) -> Iterator[Fault]:
     """Yield faults of stops and tubes."""
-    slides = {name for joint in table.joints if joint.motion == "slide"
-              for name in _names_in(joint.value)}  # fmt: skip
+    slides = {
+        name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
+    }
     for index, c in enumerate(table.coordinates):
         for key in ("lower", "upper", "rest"):
             value = getattr(c, key) or 0.0

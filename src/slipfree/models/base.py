@@ -71,8 +71,9 @@ def outputs(
     """Return what is sampled along a motion, in map coordinates."""
     o_x, o_y, o_z = terrain.origin
     base = platform(x.x, x.y, z.position.z, x.heading, z.position.roll, z.position.pitch).rotation
-    on_wheels = zip(*(wheel_coordinates(*each) for each in zip(poses, contacts, strict=True)),
-                    strict=True)  # fmt: skip
+    on_wheels = zip(
+        *(wheel_coordinates(*each) for each in zip(poses, contacts, strict=True)), strict=True
+    )
     wheel_u, wheel_v, psi = (tuple(values) for values in on_wheels)
     forward_left_up = ca.horzcat(base[:, 1], -base[:, 0], base[:, 2])
     return Outputs(

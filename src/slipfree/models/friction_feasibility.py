@@ -137,6 +137,9 @@ def _needed(factor: float, friction: Array, *, tips: bool) -> str:
         return ""
     if factor < EXHAUSTED:
         return f"the vehicle needs all the friction that the ground offers, {offered}"
-    needed = (f"a coefficient of friction of at least {factor * low:.4g}" if even
-              else f"{factor:.4g} times the friction that it finds")  # fmt: skip
+    needed = (
+        f"a coefficient of friction of at least {factor * low:.4g}"
+        if even
+        else f"{factor:.4g} times the friction that it finds"
+    )
     return f"the vehicle needs {needed}, the ground offers {offered}"

@@ -206,8 +206,10 @@ def _parts(direct: Any, given: tuple[str, ...], steering: str) -> _Parts:
     The symbols stay those of the direct model. A given component of the angular velocity is a
     new one, with one more equation for the Euler rates.
     """
-    labels = [Label(name, "rad s-1", f"angular velocity of the platform about {name[-1]}")
-              for name in OMEGA]  # fmt: skip
+    labels = [
+        Label(name, "rad s-1", f"angular velocity of the platform about {name[-1]}")
+        for name in OMEGA
+    ]
     symbols = [ca.SX.sym(name) for name in OMEGA]
     u, rates = _sorted(direct.z.rates, direct.u, symbols, given, steering)
     u_labels, rate_labels = _sorted(direct.labels.z.rates, direct.labels.u, labels, given, steering)
@@ -216,12 +218,15 @@ def _parts(direct: Any, given: tuple[str, ...], steering: str) -> _Parts:
     asked = [k for k, name in enumerate(OMEGA) if name in given]
     rest = [k for k in range(3) if k not in asked]
     return _Parts(
-        u, u_labels, rates, rate_labels,
+        u,
+        u_labels,
+        rates,
+        rate_labels,
         ca.vertcat(direct.alg[1], *(turning[k] - symbols[k] for k in asked)),
         (*direct.labels.alg[1], *(replace(labels[k], name=f"{OMEGA[k]}_law") for k in asked)),
         tuple(turning[k] for k in rest),
         tuple(labels[k] for k in rest),
-    )  # fmt: skip
+    )
 
 
 def _sorted(
@@ -242,9 +247,11 @@ def _by_rate(direct: Any, parts: _Parts) -> Dae[Any, Any, Totals, Given, Inverse
     z_labels = ByRate(direct.labels.z.position, parts.rate_labels, direct.labels.z.forces)
     outputs, output_labels = _outputs(direct, parts, growth=True)
     labels = direct.labels._replace(
-        z=z_labels, u=parts.u_labels, y=output_labels,
+        z=z_labels,
+        u=parts.u_labels,
+        y=output_labels,
         alg=(direct.labels.alg[0], parts.equation_labels, direct.labels.alg[2]),
-    )  # fmt: skip
+    )
     return replace(
         direct,
         z=ByRate(direct.z.position, parts.rates, direct.z.forces),
@@ -280,9 +287,13 @@ def _by_angle(
         return ca.substitute(expression, joints, ca.SX.zeros(joints.shape))
 
     labels = Labels(
-        x_labels, z_labels, direct.labels.q, parts.u_labels, y_labels,
+        x_labels,
+        z_labels,
+        direct.labels.q,
+        parts.u_labels,
+        y_labels,
         ((*direct.labels.alg[0], *parts.equation_labels), direct.labels.alg[2]),
-    )  # fmt: skip
+    )
     slow = Label("steering_speed", "m s-1", "the vehicle stands, so that it may be steered anyhow")
     speed = ca.sqrt(direct.z.rates.x**2 + direct.z.rates.y**2)
     return replace(
@@ -374,9 +385,15 @@ def moved(check: SampledCheck, direct: Any, dae: Any) -> SampledCheck:
 
 
 def along(
-    dae: Dae[Any, Any, Totals, Given, InverseOutputs], start: Trajectory,
-    x: Any, y: Any, heading: Any, *, t: Array | None = None, begin: float = 0.0,
-) -> Given:  # fmt: skip
+    dae: Dae[Any, Any, Totals, Given, InverseOutputs],
+    start: Trajectory,
+    x: Any,
+    y: Any,
+    heading: Any,
+    *,
+    t: Array | None = None,
+    begin: float = 0.0,
+) -> Given:
     """Return the inputs of an inverse model that lead along a path in time.
 
     Parameters

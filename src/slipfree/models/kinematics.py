@@ -99,8 +99,10 @@ def direct_kinematics(
     turning, joints = spins(vehicle, z.rates, u), joint_rates(vehicle, z.rates, u)
     q = pack((*x, z.position[:4]))
     q_dot = pack((*z.rates[:2], z.rates.heading, joints, z.rates.z, *z.rates[4:7]))
-    slips = [slip_velocity(wheel, pose, contact, q, q_dot, spin) for wheel, pose, contact, spin
-             in zip(vehicle.wheels, poses, contacts, turning, strict=True)]  # fmt: skip
+    slips = [
+        slip_velocity(wheel, pose, contact, q, q_dot, spin)
+        for wheel, pose, contact, spin in zip(vehicle.wheels, poses, contacts, turning, strict=True)
+    ]
     touching = touch_function(x, z, poses, contacts, lookups)
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
     parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
@@ -111,7 +113,11 @@ def direct_kinematics(
     bears = loads(vehicle, terrain, parts, forces, slips, contacts, (x, z.position, u))
     guess = _guess(vehicle, terrain, x, labels, lookups)
     return Dae(
-        t, x, z, symbols(labels.q), u,
+        t,
+        x,
+        z,
+        symbols(labels.q),
+        u,
         ode=ca.vertcat(z.rates.x, z.rates.y, z.rates.heading, *joints),
         alg=(
             _closures(vehicle, x, z.position, poses, contacts),
@@ -138,7 +144,7 @@ def direct_kinematics(
         suppress_algebraic=law is not None,  # rates with friction are too steep for an error test
         continuation=law.continuation if law else None,
         lookups=lookups.lookups,
-    )  # fmt: skip
+    )
 
 
 def _check(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, traction: Traction) -> None:

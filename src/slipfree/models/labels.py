@@ -150,11 +150,13 @@ def _force_labels(
 def _equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
     """Return the labels of the equations of equilibrium, one for each rate."""
     return tuple(
-        Label(f"equilibrium_{label.name.removesuffix('_rate')}",
-              "1" if label.unit == "m s-1" else "m",
-              f"equilibrium with respect to {label.words.removeprefix('rate of ')}")
+        Label(
+            f"equilibrium_{label.name.removesuffix('_rate')}",
+            "1" if label.unit == "m s-1" else "m",
+            f"equilibrium with respect to {label.words.removeprefix('rate of ')}",
+        )
         for label in leaves(rates.motion)
-    )  # fmt: skip
+    )
 
 
 def slip_unit(unit: str) -> str:
@@ -171,8 +173,10 @@ def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Labe
         )
     if slip == "traction":
         touching = _each(vehicle, "touching", "m s-1", "normal velocity of the contact point")
-        friction = [_each(vehicle, f"friction_{axis}", "m s-1", f"law of friction {axis} the wheel")
-                    for axis in ("along", "across")]  # fmt: skip
+        friction = [
+            _each(vehicle, f"friction_{axis}", "m s-1", f"law of friction {axis} the wheel")
+            for axis in ("along", "across")
+        ]
         return (*_equilibrium_labels(rates), *touching, *friction[0], *friction[1])
     given, needed = len(rates.passive) + len(rates.free), 2 * len(vehicle.wheels) - 3
     if any(wheel.rollers for wheel in vehicle.wheels):

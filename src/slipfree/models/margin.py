@@ -224,9 +224,14 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def inverse_margin(
-    vehicle: Vehicle, direct: Direct, parts: Rolling, model: tuple[Any, Any, Any],
-    given: Sequence[str], steering: str, least: float,
-) -> InverseMargin:  # fmt: skip
+    vehicle: Vehicle,
+    direct: Direct,
+    parts: Rolling,
+    model: tuple[Any, Any, Any],
+    given: Sequence[str],
+    steering: str,
+    least: float,
+) -> InverseMargin:
     """Return the check for an inverse model.
 
     Parameters
@@ -263,8 +268,11 @@ def _reasons(vehicle: Vehicle) -> dict[str, str]:
             if c.name in joint.coordinates or joint.parent in moved:
                 moved.add(joint.name)
         wheels = [wheel.name for wheel in vehicle.wheels if wheel.parent in moved]
-        who = f"the contact of wheel {wheels[0]} lies" if len(wheels) == 1 else (
-            f"the contacts of wheels {_listed(wheels)} lie")  # fmt: skip
+        who = (
+            f"the contact of wheel {wheels[0]} lies"
+            if len(wheels) == 1
+            else (f"the contacts of wheels {_listed(wheels)} lie")
+        )
         reasons[f"{c.name}_rate"] = f"{who} on the axis of {c.name}"
     return reasons
 
@@ -296,8 +304,9 @@ def conditions(
     matrices = [parts.matrix(given, steering, speed)[0] for given in choices]
     function = direct.function("matrices", list(direct.columns()), matrices)
     count = run.t.size
-    rows = [np.column_stack([direct.rows(record, run, k) for k in range(count)])
-            for record in "xzu"]  # fmt: skip
+    rows = [
+        np.column_stack([direct.rows(record, run, k) for k in range(count)]) for record in "xzu"
+    ]
     stacks = _stacked(function.map(count)(*rows), count)
     values = [np.linalg.svd(stack, compute_uv=False) for stack in stacks]
     floor = np.finfo(float).tiny

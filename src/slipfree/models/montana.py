@@ -182,7 +182,11 @@ def montana_kinematics(
     state = configuration, position, u
     bears = loads(vehicle, terrain, parts, z.forces, slips, contacts, state)
     return Dae(
-        t, x, z, symbols(labels.q), u,
+        t,
+        x,
+        z,
+        symbols(labels.q),
+        u,
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
         alg=(balance(slip, slips, contacts, z.rates), bears.equations),
         quad=ca.vertcat(*turning, *bears.work),
@@ -208,7 +212,7 @@ def montana_kinematics(
         size=size,
         suppress_algebraic=True,
         lookups=lookups.lookups,
-    )  # fmt: skip
+    )
 
 
 def _check(vehicle: Vehicle, kappa: float, slip: SlipLaw) -> None:
@@ -250,9 +254,15 @@ def _rolls(
 
 
 def _rolling(
-    wheel: Wheel, terrain: Terrain, at: ContactCoordinates,
-    carrier: Pose, twist: Twist, spin: ca.SX, kappa: float, lookups: LookupTable,
-) -> Rolling:  # fmt: skip
+    wheel: Wheel,
+    terrain: Terrain,
+    at: ContactCoordinates,
+    carrier: Pose,
+    twist: Twist,
+    spin: ca.SX,
+    kappa: float,
+    lookups: LookupTable,
+) -> Rolling:
     """Return how a wheel rolls whose hub moves as the chain does, and towards its place there."""
     both = pair(wheel, terrain, at, lookups)
     pose, frame = both.pose, both.frame
@@ -272,8 +282,9 @@ def _rolling(
 
 def _of_assembly(shared: Any) -> dict[str, Any]:
     """Return the outputs, or labels, of the closure model that are outputs here too."""
-    return {name: value for name, value in shared._asdict().items()
-            if name in AssemblyOutputs._fields}  # fmt: skip
+    return {
+        name: value for name, value in shared._asdict().items() if name in AssemblyOutputs._fields
+    }
 
 
 def _assembled(vehicle: Vehicle, rolls: list[Rolling]) -> Iterator[Limit]:
@@ -302,9 +313,16 @@ def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
         drift_rotation=each("drift_rotation", "rad", "angle of the wheel from its orientation"),
     )
     states = Assembly(
-        x.x, x.y, place.z, x.heading, place.roll, place.pitch, x.joints, place.suspension,
+        x.x,
+        x.y,
+        place.z,
+        x.heading,
+        place.roll,
+        place.pitch,
+        x.joints,
+        place.suspension,
         tuple(ContactCoordinates(*row) for row in contacts),
-    )  # fmt: skip
+    )
     return Labels(states, Unknowns(z.rates, z.forces), q, u, sampled, tuple(equations))
 
 
@@ -351,8 +369,11 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
 
 def _of_motion(name: str) -> bool:
     return not name.endswith("_residual") and name not in {
-        "newton_step", "singular_value", "clearance", *(f"quaternion_{axis}" for axis in "xyzw")
-    }  # fmt: skip
+        "newton_step",
+        "singular_value",
+        "clearance",
+        *(f"quaternion_{axis}" for axis in "xyzw"),
+    }
 
 
 def _difference(first: Trajectory, second: Trajectory, name: str, n: int) -> Difference:

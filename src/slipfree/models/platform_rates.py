@@ -291,12 +291,15 @@ def _rates(
         direct.labels.u.wheels,
         tuple(replace(label, name=f"response_{label.name}") for label in leaves(names)),
         tuple(
-            Label(f"multiplier_{name}", slip_unit(SUBSET[name].unit),
-                  f"multiplier of the given rate {name}: no rates of the driven wheels bring it "
-                  "about here beside the others; leave it out")
+            Label(
+                f"multiplier_{name}",
+                slip_unit(SUBSET[name].unit),
+                f"multiplier of the given rate {name}: no rates of the driven wheels bring it "
+                "about here beside the others; leave it out",
+            )
             for name in given
         ),
-    )  # fmt: skip
+    )
     other = symbols(labels)
     rates = other._replace(motion=direct.z.rates, wheels=direct.u.wheels)
     plane = planar_rates(direct)
@@ -321,17 +324,21 @@ def _labels(
         labels.y,
         tuple(label for name, label in SUBSET.items() if name not in given),
         labels.u.joints,
-        tuple(Label(f"{name}_error", units[name], f"what is missing of the {words[name]}")
-              for name in errors),
-    )  # fmt: skip
+        tuple(
+            Label(f"{name}_error", units[name], f"what is missing of the {words[name]}")
+            for name in errors
+        ),
+    )
     guiding, balance = (
-        tuple(Label(name, slip_unit(label.unit), f"{what} with respect to {label.full}")
-              for label in leaves(record))
+        tuple(
+            Label(name, slip_unit(label.unit), f"{what} with respect to {label.full}")
+            for label in leaves(record)
+        )
         for name, what, record in (
             ("guide", "least slip across wheels that are not steered", guide),
             ("inverse", "least slip at the given rates", rates),
         )
-    )  # fmt: skip
+    )
     return labels._replace(
         z=_blocks(labels.z, guide, rates),
         u=Wanted(tuple(SUBSET[name] for name in given)),
@@ -349,13 +356,16 @@ def _starting(direct: Direct, guide: Any, rates: Any) -> dict[str, Any]:
     return {
         "guess": ca.densify(
             ca.vertcat(
-                direct.guess[:position], ca.SX.zeros(before), direct.guess[position:end],
-                ca.SX.zeros(after), direct.guess[end:],
+                direct.guess[:position],
+                ca.SX.zeros(before),
+                direct.guess[position:end],
+                ca.SX.zeros(after),
+                direct.guess[end:],
             )
         ),
         "scale": np.insert(direct.scale, where, 1.0),
         "shift": (direct.shift[0], np.insert(direct.shift[1], where, 0.0)),
-    }  # fmt: skip
+    }
 
 
 def _driven(dae: Any, joints: tuple[ca.SX, ...], laws: tuple[ca.SX, ...]) -> Any:

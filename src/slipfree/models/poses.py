@@ -83,8 +83,10 @@ def _placed(
     place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))
     found = frames(platform(*place), values)
     columns = np.column_stack([run[name] for name in names]).T
-    out = [ca.horzcat(*(pose.origin for pose in found)),
-           ca.horzcat(*(ca.vec(pose.rotation) for pose in found))]  # fmt: skip
+    out = [
+        ca.horzcat(*(pose.origin for pose in found)),
+        ca.horzcat(*(ca.vec(pose.rotation) for pose in found)),
+    ]
     function = ca.Function("poses", [q], [ca.vec(each) for each in out])
     origins, rotations = (np.array(each).T for each in function.map(run.t.size)(columns))
     shape = run.t.size, len(found)

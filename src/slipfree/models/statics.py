@@ -150,9 +150,11 @@ def following_forces(vehicle: Vehicle, parts: Mechanics, forces: Forces) -> ca.S
     law = []
     for k, mu in enumerate(parts.friction):
         bearing = mu * forces.normal[k] / parts.weight
-        law += [forces.along[k] / parts.weight + bearing * slip[3 * k],
-                forces.across[k] / parts.weight + bearing * slip[3 * k + 1],
-                slip[3 * k + 2]]  # fmt: skip
+        law += [
+            forces.along[k] / parts.weight + bearing * slip[3 * k],
+            forces.across[k] / parts.weight + bearing * slip[3 * k + 1],
+            slip[3 * k + 2],
+        ]
     return ca.vertcat(balanced, *law)
 
 
@@ -206,8 +208,10 @@ def loads(
     if not vehicle.mass:
         return Loads(ca.SX(0, 1), (), (), ())
     outputs = _outputs(vehicle, parts, forces, slips, contacts, state)
-    limits = (*_friction_limits(vehicle, terrain, parts, contacts),
-              *_limits(vehicle, outputs, forces.normal))  # fmt: skip
+    limits = (
+        *_friction_limits(vehicle, terrain, parts, contacts),
+        *_limits(vehicle, outputs, forces.normal),
+    )
     unknown = _are_unknown(forces)
     equations = following_forces(vehicle, parts, forces) if unknown else ca.SX(0, 1)
     return Loads(equations, outputs, limits, (outputs.power,))

@@ -127,8 +127,10 @@ def traction_balance(
     """
     forces = friction_forces(parts, rates, u, law).column
     slip = parts.free @ pack(rates.motion) + parts.driven @ pack(u)
-    sizes = [ca.sqrt(slip[3 * k] ** 2 + slip[3 * k + 1] ** 2 + creep**2)
-             for k in range(len(rates.normal))]  # fmt: skip
+    sizes = [
+        ca.sqrt(slip[3 * k] ** 2 + slip[3 * k + 1] ** 2 + creep**2)
+        for k in range(len(rates.normal))
+    ]
     laws = [
         used * size + slip[3 * k + offset]
         for offset, parts_used in enumerate((rates.along, rates.across))

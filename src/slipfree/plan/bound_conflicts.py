@@ -88,8 +88,10 @@ def _asked(task: Task) -> Iterator[_Bounds]:
     for limit in task.limits:
         yield _bounds(task, limit, LIMIT)
     for limit in task.dae.limits:
-        if not any(ca.is_equal(limit.expression, own.expression) and limit.label == own.label
-                   for own in task.limits):  # fmt: skip
+        if not any(
+            ca.is_equal(limit.expression, own.expression) and limit.label == own.label
+            for own in task.limits
+        ):
             yield _bounds(task, limit, MODEL)
     for label, u, (low, high) in zip(
         leaves(task.dae.labels.u), leaves(task.dae.u), task.inputs, strict=True
@@ -99,8 +101,9 @@ def _asked(task: Task) -> Iterator[_Bounds]:
 
 def _bounds(task: Task, limit: Limit, role: str, fraction: float = np.nan) -> _Bounds:
     shift = shift_of(task, limit.expression)
-    return _Bounds(plainly(limit.label), role, limit.expression, limit.lower, limit.upper, shift,
-                   fraction)  # fmt: skip
+    return _Bounds(
+        plainly(limit.label), role, limit.expression, limit.lower, limit.upper, shift, fraction
+    )
 
 
 def _crossed(task: Task) -> Iterator[str]:
@@ -109,12 +112,16 @@ def _crossed(task: Task) -> Iterator[str]:
         rate = rate_of(label)
         for own, (low, high) in ((label, task.inputs[k]), (rate, task.accelerations[k])):
             if not low <= high:
-                yield (f"{subject(own, INPUT)} must be at least {number(own, low)} and at most "
-                       f"{number(own, high)}: exchange its bounds")  # fmt: skip
+                yield (
+                    f"{subject(own, INPUT)} must be at least {number(own, low)} and at most "
+                    f"{number(own, high)}: exchange its bounds"
+                )
         low, high = task.accelerations[k]
         if low <= high and not low <= 0 <= high and not task.continuous:
-            yield (f"{subject(rate, INPUT)} must be {bounds_words(rate, low, high)}, but an input "
-                   "does not change on the last interval: let the bounds include 0")  # fmt: skip
+            yield (
+                f"{subject(rate, INPUT)} must be {bounds_words(rate, low, high)}, but an input "
+                "does not change on the last interval: let the bounds include 0"
+            )
 
 
 def _known(task: Task, place: Place) -> Array:
@@ -142,9 +149,11 @@ def _outside(task: Task, along: list[_Bounds], role: str, known: Array) -> Itera
         if max(bounds.lower - value, value - bounds.upper) > WITHIN:
             plain = plain_of(task, bounds.expression) is not None
             what = "" if plain else f" ({bounds.label.words.removesuffix(LIMITED)})"
-            yield (f"{_must(bounds)}, but the {role} has "
-                   f"{number(bounds.label, value + bounds.shift)}{what}: {_remedy(role)} or "
-                   f"{_remedy(bounds.role)}")  # fmt: skip
+            yield (
+                f"{_must(bounds)}, but the {role} has "
+                f"{number(bounds.label, value + bounds.shift)}{what}: {_remedy(role)} or "
+                f"{_remedy(bounds.role)}"
+            )
 
 
 def _must(bounds: _Bounds) -> str:

@@ -83,9 +83,16 @@ def groups(program: Program) -> Iterator[Group]:
     for place, piece in zip(task.places, program.pieces[1:], strict=True):
         k = int(np.flatnonzero(np.isin(layout.states[:, -1, 0], piece.where))[0])
         for r, limit in enumerate(place.limits):
-            yield Group(plainly(limit.label), role_of(place.fraction), np.array([begin + r]),
-                         np.array([k]), mesh.ends[[k + 1]], limit.lower, limit.upper,
-                         shift_of(task, limit.expression))  # fmt: skip
+            yield Group(
+                plainly(limit.label),
+                role_of(place.fraction),
+                np.array([begin + r]),
+                np.array([k]),
+                mesh.ends[[k + 1]],
+                limit.lower,
+                limit.upper,
+                shift_of(task, limit.expression),
+            )
         begin += len(piece.labels)
     intervals, parts = np.repeat(np.arange(count), mesh.degree), mesh.nodes[1:]
     for limit in task.limits:
@@ -93,13 +100,29 @@ def groups(program: Program) -> Iterator[Group]:
         if plain is not None:
             record, k = plain
             where = (layout.states if record == "x" else layout.unknowns)[:, :, k].ravel()
-            yield Group(plainly(limit.label), LIMIT, n_g + where, intervals, parts, limit.lower,
-                         limit.upper, shift_of(task, limit.expression))  # fmt: skip
+            yield Group(
+                plainly(limit.label),
+                LIMIT,
+                n_g + where,
+                intervals,
+                parts,
+                limit.lower,
+                limit.upper,
+                shift_of(task, limit.expression),
+            )
     for k, label in enumerate(leaves(task.dae.labels.u)):
         low, high = task.inputs[k]
         where = layout.inputs[:, k]
-        yield Group(label, INPUT, n_g + where, np.arange(where.size).clip(max=count - 1),
-                     mesh.ends[: where.size], low, high, 0.0)  # fmt: skip
+        yield Group(
+            label,
+            INPUT,
+            n_g + where,
+            np.arange(where.size).clip(max=count - 1),
+            mesh.ends[: where.size],
+            low,
+            high,
+            0.0,
+        )
 
 
 def _along(program: Program, piece: Piece) -> Iterator[Group]:
@@ -111,19 +134,38 @@ def _along(program: Program, piece: Piece) -> Iterator[Group]:
     limits = [limit for limit in task.limits if plain_of(task, limit.expression) is None]
     intervals, parts = np.repeat(every, mesh.degree), mesh.nodes[1:]
     points = each * every[:, None] + size * np.arange(mesh.degree)
-    n_x, n_z, n_r = (part.shape[-1] for part in (program.layout.first, program.layout.unknowns,
-                                                  program.layout.roots))  # fmt: skip
+    n_x, n_z, n_r = (
+        part.shape[-1]
+        for part in (program.layout.first, program.layout.unknowns, program.layout.roots)
+    )
     typical = np.concatenate([np.ones(n_x), task.dae.scale[:n_z], np.ones(n_r)])
     for r in range(size):
         where, limit = (points + r).ravel(), r - (size - len(limits))
         label, role = piece.labels[r], EQUATION if limit < 0 else LIMIT
         shift = 0.0 if limit < 0 else shift_of(task, limits[limit].expression)
-        yield Group(plainly(label), role, where, intervals, parts, piece.lower[r],
-                     piece.upper[r], shift, typical[r] if limit < 0 else 0.0)  # fmt: skip
+        yield Group(
+            plainly(label),
+            role,
+            where,
+            intervals,
+            parts,
+            piece.lower[r],
+            piece.upper[r],
+            shift,
+            typical[r] if limit < 0 else 0.0,
+        )
     for r in range(each - rates, each):
         label = replace(piece.labels[r], wheel=None)
-        yield Group(label, INPUT, each * every + r, every, mesh.ends[1:], piece.lower[r],
-                     piece.upper[r], 0.0)  # fmt: skip
+        yield Group(
+            label,
+            INPUT,
+            each * every + r,
+            every,
+            mesh.ends[1:],
+            piece.lower[r],
+            piece.upper[r],
+            0.0,
+        )
 
 
 def violated(
@@ -151,10 +193,18 @@ def violated(
                 continue
             # Of places that are as bad as each other the first one counts.
             k = int(np.flatnonzero(over >= worst - tolerance)[0])
-            yield worst / size, Violation(
-                group.label, float(group.parts[k] * duration), int(group.intervals[k]),
-                float(worst), float(bound + group.shift), float(here[k] + group.shift), group.role,
-            )  # fmt: skip
+            yield (
+                worst / size,
+                Violation(
+                    group.label,
+                    float(group.parts[k] * duration),
+                    int(group.intervals[k]),
+                    float(worst),
+                    float(bound + group.shift),
+                    float(here[k] + group.shift),
+                    group.role,
+                ),
+            )
 
 
 def side_of(group: Group, sign: float) -> float:

@@ -97,22 +97,36 @@ def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relax
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
     values = np.append(_rows(program, first, weights), first)
-    soft = [(group, sign) for group in groups(program) if group.role != EQUATION
-            for sign in (1.0, -1.0) if np.isfinite(side_of(group, sign))]  # fmt: skip
+    soft = [
+        (group, sign)
+        for group in groups(program)
+        if group.role != EQUATION
+        for sign in (1.0, -1.0)
+        if np.isfinite(side_of(group, sign))
+    ]
     sizes = np.array([size_of(group, values) for group, _ in soft])
-    over = [(sign * (side_of(group, sign) - values[group.where])).max(initial=0.0)
-            for group, sign in soft]  # fmt: skip
+    over = [
+        (sign * (side_of(group, sign) - values[group.where])).max(initial=0.0)
+        for group, sign in soft
+    ]
     elastic = _elastic(program, soft, sizes)
     found = solve(elastic, 0 * weights, np.append(first, over), iterations=iterations)
     unknowns = _cheapest(elastic, found, weights, len(soft), iterations)[: first.size]
     values = np.append(_rows(program, unknowns, weights), unknowns)
     relaxed = sorted(violated(program, values, WITHIN), key=lambda pair: -pair[0])
     gave = {(each.role, each.label.full) for _, each in relaxed}
-    held = [each for each in _held(program, soft, found)
-            if each.share > SHARE and (each.role, each.label.full) not in gave]  # fmt: skip
-    return Relaxation(unknowns, [each for _, each in relaxed],
-                      sorted(held, key=lambda each: -each.share) if relaxed else [],
-                      found.success, found.status)  # fmt: skip
+    held = [
+        each
+        for each in _held(program, soft, found)
+        if each.share > SHARE and (each.role, each.label.full) not in gave
+    ]
+    return Relaxation(
+        unknowns,
+        [each for _, each in relaxed],
+        sorted(held, key=lambda each: -each.share) if relaxed else [],
+        found.success,
+        found.status,
+    )
 
 
 def _cheapest(
@@ -124,8 +138,12 @@ def _cheapest(
     upper = elastic.upper.copy()
     upper[-count:] = np.maximum(found.unknowns[-count:], 0.0) + WITHIN / 2
     cost = abs(float(elastic.gradient(found.unknowns / elastic.scale, weights)[0]))
-    again = solve(replace(elastic, upper=upper), weights / max(1.0, cost), found.unknowns,
-                  iterations=iterations)  # fmt: skip
+    again = solve(
+        replace(elastic, upper=upper),
+        weights / max(1.0, cost),
+        found.unknowns,
+        iterations=iterations,
+    )
     return again.unknowns if again.success else found.unknowns
 
 
@@ -160,23 +178,31 @@ def _elastic(program: Program, soft: list[tuple[Group, float]], sizes: Array) ->
     counts = [group.where.size for group, _ in soft]
     which = np.repeat(np.arange(len(soft)), counts)
     own = hard.size + np.arange(which.size)
-    signs, sides = (np.array(part)[which] for part in zip(
-        *((sign, side_of(group, sign)) for group, sign in soft), strict=True))  # fmt: skip
+    signs, sides = (
+        np.array(part)[which]
+        for part in zip(*((sign, side_of(group, sign)) for group, sign in soft), strict=True)
+    )
     n_all = program.g_lower.size + program.scale.size
     pick = _sparse(np.ones(rows.size), np.arange(rows.size), rows, (rows.size, n_all))
     move = _sparse(signs * sizes[which], own, which, (rows.size, len(soft)))
     problem, gradient, jacobian, hessian = _problem(program, pick, move)
-    lower, upper = (_fixed(program, side, free) for side, free in
-                    ((program.lower, -np.inf), (program.upper, np.inf)))  # fmt: skip
+    lower, upper = (
+        _fixed(program, side, free)
+        for side, free in ((program.lower, -np.inf), (program.upper, np.inf))
+    )
     zeros = np.zeros(hard.size)
     return replace(
-        program, problem=problem, gradient=gradient, jacobian=jacobian, hessian=hessian,
+        program,
+        problem=problem,
+        gradient=gradient,
+        jacobian=jacobian,
+        hessian=hessian,
         scale=np.append(program.scale, sizes),
         lower=np.append(lower, np.zeros(len(soft))),
         upper=np.append(upper, np.full(len(soft), np.inf)),
         g_lower=np.append(zeros, np.where(signs > 0, sides, -np.inf)),
         g_upper=np.append(zeros, np.where(signs > 0, np.inf, sides)),
-    )  # fmt: skip
+    )
 
 
 def _problem(
@@ -189,8 +215,9 @@ def _problem(
     n_w, n_g, n_s = program.scale.size, program.g_lower.size, move.shape[1]
     x, p = ca.MX.sym("x", n_w + n_s), program.problem["p"]
     w, s = x[:n_w], x[n_w:]
-    cost = ca.Function("cost", [program.problem[name] for name in "xp"],
-                       [program.problem[name] for name in "fg"])  # fmt: skip
+    cost = ca.Function(
+        "cost", [program.problem[name] for name in "xp"], [program.problem[name] for name in "fg"]
+    )
     f, g = cost(w, p)
     total = ca.sum1(s) + f
     steep = ca.vertcat(program.gradient(w, p)[1], ca.MX.ones(n_s))
@@ -203,9 +230,8 @@ def _problem(
         {"x": x, "p": p, "f": total, "g": rows},
         ca.Function("gradient", [x, p], [total, steep]),
         ca.Function("jacobian", [x, p], [rows, ca.horzcat(slopes, ca.MX(move))]),
-        ca.Function("hessian", [x, p, sigma, multipliers],
-                    [ca.diagcat(curved, ca.MX(n_s, n_s))]),
-    )  # fmt: skip
+        ca.Function("hessian", [x, p, sigma, multipliers], [ca.diagcat(curved, ca.MX(n_s, n_s))]),
+    )
 
 
 def _fixed(program: Program, bounds: Array, free: float) -> Array:

@@ -90,16 +90,21 @@ def explanation(program: Program, solution: Solution, first: Array) -> str:
 def _relaxed_words(relaxation: Relaxation) -> list[str]:
     if not relaxation.success:
         meant = STATUS.get(relaxation.status, "it ended")
-        return [f"what had to give was not found: {meant} ({relaxation.status}) even with all "
-                "bounds but the start and the duration given up; try another guess"]  # fmt: skip
+        return [
+            f"what had to give was not found: {meant} ({relaxation.status}) even with all "
+            "bounds but the start and the duration given up; try another guess"
+        ]
     if not relaxation.relaxed:
-        return ["nothing has to give: a motion that keeps to all constraints was found without the "
-                "costs; try it as a guess, or more iterations"]  # fmt: skip
+        return [
+            "nothing has to give: a motion that keeps to all constraints was found without the "
+            "costs; try it as a guess, or more iterations"
+        ]
     lines = ["a motion was found that gives up (one set that suffices; others may):"]
     for each in relaxation.relaxed:
         given, needed = (number(each.label, value) for value in (each.bound, each.value))
-        lines.append(f"  {subject(each.label, each.role)}: {needed} instead of {given} "
-                     f"at t = {each.t:.4g} s")  # fmt: skip
+        lines.append(
+            f"  {subject(each.label, each.role)}: {needed} instead of {given} at t = {each.t:.4g} s"
+        )
     if relaxation.held:
         lines.append("because these hold; if one of them gives, less of the above must:")
     for held in relaxation.held:

@@ -30,15 +30,26 @@ def solve_nlp(nlp: Nlp, iterations: int = ITERATIONS) -> Solution:
         If there is no solution, or none was found.
     """
     options: dict[str, Any] = {
-        "ipopt": {"print_level": 0, "sb": "yes", "tol": TOLERANCE, "max_iter": iterations,
-                  "mu_strategy": "adaptive", "mumps_permuting_scaling": 0},
-        "print_time": False, "error_on_fail": False, "record_time": True,
-    }  # fmt: skip
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": TOLERANCE,
+            "max_iter": iterations,
+            "mu_strategy": "adaptive",
+            "mumps_permuting_scaling": 0,
+        },
+        "print_time": False,
+        "error_on_fail": False,
+        "record_time": True,
+    }
     solver = ca.nlpsol("nlp", "ipopt", {"x": nlp.x, "f": nlp.f, "g": nlp.g}, options)
     found = solver(
-        x0=nlp.guess / nlp.scale, lbx=nlp.lower / nlp.scale, ubx=nlp.upper / nlp.scale,
-        lbg=nlp.g_lower, ubg=nlp.g_upper,
-    )  # fmt: skip
+        x0=nlp.guess / nlp.scale,
+        lbx=nlp.lower / nlp.scale,
+        ubx=nlp.upper / nlp.scale,
+        lbg=nlp.g_lower,
+        ubg=nlp.g_upper,
+    )
     stats = solver.stats()
     status, count = str(stats["return_status"]), int(stats["iter_count"])
     if not stats["success"]:
@@ -53,6 +64,13 @@ def solve_nlp(nlp: Nlp, iterations: int = ITERATIONS) -> Solution:
         np.array(found[name]).ravel() for name in ("x", "g", "lam_g", "lam_x")
     )
     return Solution(
-        x * nlp.scale, rows, float(found["f"]), row_multipliers, bound_multipliers,
-        status, True, count, {"total": total, "functions": functions, "rest": total - functions},
-    )  # fmt: skip
+        x * nlp.scale,
+        rows,
+        float(found["f"]),
+        row_multipliers,
+        bound_multipliers,
+        status,
+        True,
+        count,
+        {"total": total, "functions": functions, "rest": total - functions},
+    )

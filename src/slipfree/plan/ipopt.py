@@ -23,8 +23,9 @@ PUSH = 1e-9  # from the bounds in a warm start
 WARM: dict[str, Any] = {
     "warm_start_init_point": "yes",
     **{f"warm_start_{name}_push": PUSH for name in ("bound", "slack_bound", "mult_bound")},
-    "warm_start_bound_frac": PUSH, "warm_start_slack_bound_frac": PUSH,
-}  # fmt: skip
+    "warm_start_bound_frac": PUSH,
+    "warm_start_slack_bound_frac": PUSH,
+}
 QUASI_DENSE = 6  # minimum degree ordering for matrices with a few full rows, as of a free duration
 Look = Callable[["Iterate"], bool]
 
@@ -123,8 +124,9 @@ class _Watch(ca.Callback):
             return [1.0]
 
     def _seen(self, arguments: Sequence[ca.DM]) -> Iterate:
-        values = dict(zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments,
-                          strict=True))  # fmt: skip
+        values = dict(
+            zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments, strict=True)
+        )
         rows = np.array(values["g"]).ravel()
         unknowns = np.array(values["x"]).ravel() * self.program.scale
         over = violation(self.program, rows)
@@ -141,10 +143,15 @@ def violation(program: Program, rows: Array) -> float:
 
 
 def solve(
-    program: Program, weights: Array, first: Array, *,
-    warm: Solution | None = None, iterations: int = ITERATIONS, look: Look | None = None,
+    program: Program,
+    weights: Array,
+    first: Array,
+    *,
+    warm: Solution | None = None,
+    iterations: int = ITERATIONS,
+    look: Look | None = None,
     growth: float = GROWTH,
-) -> Solution:  # fmt: skip
+) -> Solution:
     """Return the solution of a program, or else the iterate that violates it least.
 
     Where IPOPT found it infeasible, that is its last one.
@@ -166,9 +173,14 @@ def solve(
     growth : float
         How much the violation may grow at most, over that of the first guess.
     """
-    given = {"x0": completed(program, first) / program.scale, "p": weights,
-             "lbx": program.lower / program.scale, "ubx": program.upper / program.scale,
-             "lbg": program.g_lower, "ubg": program.g_upper}  # fmt: skip
+    given = {
+        "x0": completed(program, first) / program.scale,
+        "p": weights,
+        "lbx": program.lower / program.scale,
+        "ubx": program.upper / program.scale,
+        "lbg": program.g_lower,
+        "ubg": program.g_upper,
+    }
     if warm is not None:
         given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
     ipopt = ({} if warm is None else WARM) | {"max_iter": iterations, "theta_max_fact": growth}
@@ -189,23 +201,39 @@ def kept_going(program: Program, iterations: int) -> ca.Function:
 
     It takes unknowns, divided by their scale, multipliers and bounds under CasADi's names for them.
     """
-    ipopt = WARM | {"max_iter": iterations, "mu_strategy": "monotone", "mu_init": NEARBY,
-                    "accept_every_trial_step": "yes"}  # fmt: skip
+    ipopt = WARM | {
+        "max_iter": iterations,
+        "mu_strategy": "monotone",
+        "mu_init": NEARBY,
+        "accept_every_trial_step": "yes",
+    }
     return _ready(program, ipopt, {})
 
 
 def _ready(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
     """Return IPOPT for a program."""
     quiet: dict[str, Any] = {
-        "print_level": 0, "sb": "yes", "tol": TOLERANCE, "mu_strategy": "adaptive",
+        "print_level": 0,
+        "sb": "yes",
+        "tol": TOLERANCE,
+        "mu_strategy": "adaptive",
         "honor_original_bounds": "yes",
-        "mumps_permuting_scaling": 0, "mumps_pivot_order": QUASI_DENSE, "theta_max_fact": GROWTH,
-    }  # fmt: skip
+        "mumps_permuting_scaling": 0,
+        "mumps_pivot_order": QUASI_DENSE,
+        "theta_max_fact": GROWTH,
+    }
     every: dict[str, Any] = {
-        "ipopt": quiet | ipopt, "print_time": False, "error_on_fail": False, "record_time": True,
-        "grad_f": program.gradient, "jac_g": program.jacobian, "hess_lag": program.hessian,
-        "no_nlp_grad": True, "calc_lam_p": False, "show_eval_warnings": False,
-    }  # fmt: skip
+        "ipopt": quiet | ipopt,
+        "print_time": False,
+        "error_on_fail": False,
+        "record_time": True,
+        "grad_f": program.gradient,
+        "jac_g": program.jacobian,
+        "hess_lag": program.hessian,
+        "no_nlp_grad": True,
+        "calc_lam_p": False,
+        "show_eval_warnings": False,
+    }
     return ca.nlpsol("plan", "ipopt", program.problem, every | options)
 
 

@@ -49,8 +49,9 @@ def bounds_words(label: Label, low: float, high: float) -> str:
         return number(label, low)
     if np.isfinite(low) and np.isfinite(high):
         return f"{_digits(low)} to {number(label, high)}"
-    return f"at least {number(label, low)}" if np.isfinite(low) else \
-        f"at most {number(label, high)}"  # fmt: skip
+    return (
+        f"at least {number(label, low)}" if np.isfinite(low) else f"at most {number(label, high)}"
+    )
 
 
 def _unit(unit: str) -> str:

@@ -121,9 +121,14 @@ def horizon(
     weights = np.array([*(cost.weight for cost in task.costs), task.smooth])
     names = [program.problem[name] for name in "xp"]
     return Horizon(
-        program, plan.course, task.dae.function("targets", [x, z[:n_z], u], [asked]), span, weights,
-        ca.Function("rows", names, [program.problem["g"]]), kept_going(program, iterations),
-    )  # fmt: skip
+        program,
+        plan.course,
+        task.dae.function("targets", [x, z[:n_z], u], [asked]),
+        span,
+        weights,
+        ca.Function("rows", names, [program.problem["g"]]),
+        kept_going(program, iterations),
+    )
 
 
 def _check(task: Task, numbers: dict[str, int]) -> None:
@@ -145,8 +150,13 @@ def begin(window: Horizon) -> Cycle:
     """Return the cycle before the first one: the beginning of the plan, solved for the window."""
     program, layout = window.program, window.program.layout
     first = _along(window, [(window.plan, 0.0)], 0.0, window.span)
-    blank = Cycle(0.0, course(program, first), np.zeros(program.g_lower.size),
-                  np.zeros(program.scale.size), np.inf)  # fmt: skip
+    blank = Cycle(
+        0.0,
+        course(program, first),
+        np.zeros(program.g_lower.size),
+        np.zeros(program.scale.size),
+        np.inf,
+    )
     patient = replace(window, solver=kept_going(program, ITERATIONS))
     return advance(patient, blank, 0.0, first[layout.first])
 
@@ -201,9 +211,15 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     g_lower, g_upper = _bounds(window, t + span)
     rows, bounds = _shifted(program, former, t, span)
     found = window.solver(
-        x0=first / scale, p=window.weights, lbx=lower / scale, ubx=upper / scale, lbg=g_lower,
-        ubg=g_upper, lam_g0=rows, lam_x0=bounds,
-    )  # fmt: skip
+        x0=first / scale,
+        p=window.weights,
+        lbx=lower / scale,
+        ubx=upper / scale,
+        lbg=g_lower,
+        ubg=g_upper,
+        lam_g0=rows,
+        lam_x0=bounds,
+    )
     status = window.solver.stats()["return_status"]
     # IPOPT's own rows are those of its last accepted iterate, which may not be what it returns.
     g = np.array(window.rows(found["x"], window.weights)).ravel()
@@ -252,8 +268,9 @@ def _along(
     unknowns = np.zeros(program.scale.size)
     unknowns[layout.duration] = span
     nodes, n_z = t + span * mesh.nodes, layout.unknowns.shape[2]
-    ends = t + span * (mesh.ends if len(layout.inputs) == mesh.ends.size
-                       else (mesh.ends[1:] + mesh.ends[:-1]) / 2)  # fmt: skip
+    ends = t + span * (
+        mesh.ends if len(layout.inputs) == mesh.ends.size else (mesh.ends[1:] + mesh.ends[:-1]) / 2
+    )
     states = _joined(motions, nodes, PolynomialMotion.states)
     unknown = _joined(motions, nodes, PolynomialMotion.algebraic)
     inputs = _joined(motions, ends, PolynomialMotion.inputs)

@@ -210,10 +210,18 @@ def plan(
     """
     clock = time.process_time()
     task = task_of(
-        dae, start, goal=goal, costs=costs, duration=duration, smooth=smooth,
-        continuous=continuous, limits=limits, way_points=way_points, inputs=inputs,
+        dae,
+        start,
+        goal=goal,
+        costs=costs,
+        duration=duration,
+        smooth=smooth,
+        continuous=continuous,
+        limits=limits,
+        way_points=way_points,
+        inputs=inputs,
         accelerations=accelerations,
-    )  # fmt: skip
+    )
     if intervals < 1:
         raise ModelError(f"plan: expected one interval or more, found {intervals}")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
@@ -225,14 +233,23 @@ def plan(
         search = _resumed(task, mesh, resume, progress)
 
     def proved(search: _Search) -> Proof:
-        return prove(search.program, search.found.unknowns, start, accuracy=accuracy, step=step,
-                     tolerance=tolerance)  # fmt: skip
+        return prove(
+            search.program,
+            search.found.unknowns,
+            start,
+            accuracy=accuracy,
+            step=step,
+            tolerance=tolerance,
+        )
 
     search, proof = _refined(_within_limits(search, progress), proved, progress)
     result = _result(search, proof)
     iterations = sum(stage.iterations for stage in search.stages)
-    statistics = {"cpu_seconds": time.process_time() - clock, "iterations": float(iterations),
-                  "compiled": float(search.program.compiled)}  # fmt: skip
+    statistics = {
+        "cpu_seconds": time.process_time() - clock,
+        "iterations": float(iterations),
+        "compiled": float(search.program.compiled),
+    }
     return replace(result, run=replace(result.run, statistics=statistics))
 
 
@@ -292,11 +309,15 @@ def _resumed(task: Task, mesh: Mesh, resume: Saved, progress: Progress | None) -
         program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh)
         first = carried(former, program, after)
     alike = (first.size, program.g_lower.size, after) == (
-        former.unknowns.size, resume.row_multipliers.size, 0.0)  # fmt: skip
+        former.unknowns.size,
+        resume.row_multipliers.size,
+        0.0,
+    )
     warm = _without_multipliers(program, first)
     if alike:
-        warm = warm._replace(row_multipliers=resume.row_multipliers,
-                             bound_multipliers=resume.bound_multipliers)  # fmt: skip
+        warm = warm._replace(
+            row_multipliers=resume.row_multipliers, bound_multipliers=resume.bound_multipliers
+        )
     return _solved(program, first, "resumed", 1.0, progress, warm)
 
 
@@ -323,8 +344,9 @@ def _solved(
 
 def _weights(program: Program, part: float) -> Array:
     """Return the weights of the program with a part of that of the slip."""
-    weights = [cost.weight * (part if cost.label.name in SLIP else 1.0)
-               for cost in program.task.costs]  # fmt: skip
+    weights = [
+        cost.weight * (part if cost.label.name in SLIP else 1.0) for cost in program.task.costs
+    ]
     return np.array([*weights, program.task.smooth])
 
 
@@ -397,21 +419,34 @@ def _refined(
 
 def _result(search: _Search, proof: Proof) -> Plan:
     program, found, first, stages, run = search
-    values = ca.Function("f", [program.problem["x"], program.problem["p"]],
-                         [program.problem["f"]])  # fmt: skip
+    values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
     units = np.eye(program.problem["p"].numel())
-    costs = {cost.label.name: float(values(found.unknowns / program.scale, unit))
-             for cost, unit in zip(program.task.costs, units, strict=False)}  # fmt: skip
+    costs = {
+        cost.label.name: float(values(found.unknowns / program.scale, unit))
+        for cost, unit in zip(program.task.costs, units, strict=False)
+    }
     if program.task.smooth:
         costs["smoothness"] = float(values(found.unknowns / program.scale, units[-1]))
     run = sampled(program, found.unknowns) if run is None else run
     if not found.success:
-        words = f"the plan is not solved; this is its last iterate: " \
-                f"{explanation(program, found, first)}"  # fmt: skip
+        words = (
+            f"the plan is not solved; this is its last iterate: "
+            f"{explanation(program, found, first)}"
+        )
         run = replace(run, stop=Stop("plan", float(run.t[-1]), words))
     way = course(program, found.unknowns)
     return Plan(
-        run, inputs_along(program.task.dae, way, way.ends), way, proof.replay, proof.difference,
-        proof.violation, costs, found.success, proof.accurate, program, found, stages,
+        run,
+        inputs_along(program.task.dae, way, way.ends),
+        way,
+        proof.replay,
+        proof.difference,
+        proof.violation,
+        costs,
+        found.success,
+        proof.accurate,
+        program,
+        found,
+        stages,
         saved(program, found),
-    )  # fmt: skip
+    )

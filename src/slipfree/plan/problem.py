@@ -58,8 +58,10 @@ def _term(dae: Model, name: str) -> tuple[Label, ca.SX]:
 
 def _work(dae: Model) -> ca.SX:
     """Return the power of the drives that work, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
-    powers = [torque * rate for torque, rate in
-              zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)]  # fmt: skip
+    powers = [
+        torque * rate
+        for torque, rate in zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
+    ]
     return ca.SX(sum((p + ca.sqrt(p**2 + IDLE**2) - IDLE) / 2 for p in powers))
 
 
@@ -70,8 +72,12 @@ def _square(expression: ca.SX) -> ca.SX:
 
 def _squared_unit(dae: Model, name: str) -> str:
     records = (dae.labels.x, dae.labels.z, dae.labels.u, dae.labels.y)
-    unit = next(label.unit for record in records for label in leaves(record)
-                if name in (label.name, label.full))  # fmt: skip
+    unit = next(
+        label.unit
+        for record in records
+        for label in leaves(record)
+        if name in (label.name, label.full)
+    )
     return "s" if unit == "1" else f"({unit})2 s"
 
 
@@ -79,8 +85,9 @@ def limits_of(dae: Model, given: Mapping[str, Range] | Sequence[Limit]) -> tuple
     """Return limits on quantities of a model by name, in map coordinates; others as they are."""
     if not isinstance(given, Mapping):
         return tuple(given)
-    return tuple(limit for name, bounds in given.items()
-                 for limit in _conditions(dae, name, bounds))  # fmt: skip
+    return tuple(
+        limit for name, bounds in given.items() for limit in _conditions(dae, name, bounds)
+    )
 
 
 def _conditions(dae: Model, name: str, bounds: float | Range) -> Iterator[Limit]:
@@ -137,8 +144,7 @@ def places_of(
 def _place(dae: Model, wanted: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
     if not isinstance(wanted, Mapping):
         return tuple(wanted)
-    return tuple(limit for name, value in wanted.items()
-                 for limit in _conditions(dae, name, value))  # fmt: skip
+    return tuple(limit for name, value in wanted.items() for limit in _conditions(dae, name, value))
 
 
 def bounds_of(dae: Model, given: Mapping[str, Range]) -> Array:
@@ -179,10 +185,17 @@ def task_of(
     if not goal:
         raise ModelError("plan: expected a goal, values or ranges by name, found none")
     task = Task(
-        dae, dae.rows("x", start, -1), duration_of(duration), costs_of(dae, costs),
-        tuple(places_of(dae, goal, way_points or {})), limits_of(dae, limits),
-        bounds_of(dae, inputs or {}), bounds_of(dae, accelerations or {}), smooth, continuous,
-    )  # fmt: skip
+        dae,
+        dae.rows("x", start, -1),
+        duration_of(duration),
+        costs_of(dae, costs),
+        tuple(places_of(dae, goal, way_points or {})),
+        limits_of(dae, limits),
+        bounds_of(dae, inputs or {}),
+        bounds_of(dae, accelerations or {}),
+        smooth,
+        continuous,
+    )
     if wrong := conflicts(task, start):
         raise ModelError("plan: " + "; ".join(wrong))
     return task

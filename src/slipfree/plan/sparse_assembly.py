@@ -63,12 +63,18 @@ def assembled(elements: Sequence[Element], scale: Array, n_p: int) -> Functions:
     v = w * scale
     f, g = _cost(elements, v, p), _rows(elements, v, p)
     return Functions(
-        w, p, f, g,
+        w,
+        p,
+        f,
+        g,
         ca.Function("gradient", [w, p], [*_gradient(elements, v, p, scale)]),
         ca.Function("jacobian", [w, p], [*_jacobian(elements, v, p, scale)]),
-        ca.Function("hessian", [w, p, sigma, multipliers],
-                    [_hessian(elements, v, p, scale, (sigma, multipliers))]),
-    )  # fmt: skip
+        ca.Function(
+            "hessian",
+            [w, p, sigma, multipliers],
+            [_hessian(elements, v, p, scale, (sigma, multipliers))],
+        ),
+    )
 
 
 def _arguments(each: Element, v: ca.MX, p: ca.MX) -> list[ca.MX]:
@@ -150,14 +156,16 @@ def _at_places(f: ca.Function, each: Element, arguments: Sequence[ca.MX]) -> lis
 
 
 def _cost(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
-    return sum((ca.sum1(_at_places(each.cost, each, _arguments(each, v, p))[0])
-                for each in elements), ca.MX(0))  # fmt: skip
+    return sum(
+        (ca.sum1(_at_places(each.cost, each, _arguments(each, v, p))[0]) for each in elements),
+        ca.MX(0),
+    )
 
 
 def _rows(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
-    return _ordered(elements, [
-        _at_places(each.rows, each, _arguments(each, v, p))[0] for each in elements
-    ])  # fmt: skip
+    return _ordered(
+        elements, [_at_places(each.rows, each, _arguments(each, v, p))[0] for each in elements]
+    )
 
 
 def _gradient(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> tuple[ca.MX, ca.MX]:
@@ -220,14 +228,21 @@ def _pattern(sparsity: ca.Sparsity) -> tuple[Index, Index]:
 
 def _columns(found: Sequence[Columns], count: int) -> list[ca.MX]:
     """Return results at all places in columns, numbers that hold for all of them repeated."""
-    return [ca.vertcat(ca.MX(0, 1), *(each if each.numel() == count else ca.repmat(each, count)
-                                      for each in entries)) for entries in found]  # fmt: skip
+    return [
+        ca.vertcat(
+            ca.MX(0, 1),
+            *(each if each.numel() == count else ca.repmat(each, count) for each in entries),
+        )
+        for entries in found
+    ]
 
 
 def _sum(
-    values: Sequence[ca.MX], places: Sequence[tuple[Index, Index]], factors: Sequence[Array],
+    values: Sequence[ca.MX],
+    places: Sequence[tuple[Index, Index]],
+    factors: Sequence[Array],
     shape: tuple[int, int],
-) -> ca.MX:  # fmt: skip
+) -> ca.MX:
     """Return a sparse matrix of values times factors, those of the same place added up."""
     rows, columns = (np.concatenate(part) for part in zip(*places, strict=True))
     weights = np.concatenate(factors)

@@ -92,8 +92,10 @@ def point_of(
         alg = ca.substitute(alg, dae.continuation.symbol, dae.continuation.values[-1])
     r, equations, paid = _costs(costs, ca.vertcat(x, z))
     kept = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
-    motion = [Label(f"{label.name}_motion", label.unit, f"motion of {label.words}", label.wheel)
-              for label in leaves(dae.labels.x)]  # fmt: skip
+    motion = [
+        Label(f"{label.name}_motion", label.unit, f"motion of {label.words}", label.wheel)
+        for label in leaves(dae.labels.x)
+    ]
     model = [label for block in dae.labels.alg[: len(blocks)] for label in block]
     own = [Label(f"{label.name}_root", "1", f"root of {label.words}") for label, _ in equations]
     zeros = np.zeros(len(motion) + len(model) + len(own))
@@ -101,12 +103,15 @@ def point_of(
     symbols, results = (dae.t, x, z, r, u), [dae.ode, rows, paid]
     lookups = needed_lookups(dae.lookups, results)
     return Point(
-        ca.Function("point", [*symbols, found_column(lookups)], results), symbols, lookups,
-        (x.numel(), z.numel(), u.numel()), r.numel(),
+        ca.Function("point", [*symbols, found_column(lookups)], results),
+        symbols,
+        lookups,
+        (x.numel(), z.numel(), u.numel()),
+        r.numel(),
         (*motion, *model, *own, *(limit.label for limit in limits)),
         np.append(zeros, [limit.lower for limit in limits]),
         np.append(zeros, [limit.upper for limit in limits]),
-    )  # fmt: skip
+    )
 
 
 def _needed(loop: System, asked: ca.SX) -> tuple[Block, ...]:

@@ -207,30 +207,46 @@ def transcribe(task: Task, mesh: Mesh) -> Program:
     """
     if mesh.degree not in DEGREES:
         raise ModelError(f"plan: expected a degree of 1 to 5, found {mesh.degree}")
-    loop = with_inputs(task.dae, task.dae.inputs(**{
-        label.full: 0.0 for label in leaves(task.dae.labels.u)}), 0)  # fmt: skip
+    loop = with_inputs(
+        task.dae, task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)}), 0
+    )
     bounds, limits = _split(task, loop)
     conditions = [*task.limits, *(limit for place in task.places for limit in place.limits)]
     point = point_of(loop, task.costs, limits, [each.expression for each in conditions])
     layout = _with_roots(positions(mesh, point.sizes, continuous=task.continuous), point)
-    pieces = (_interval(task, point, mesh, layout),
-              *(_place(task, place, mesh, layout) for place in task.places))  # fmt: skip
+    pieces = (
+        _interval(task, point, mesh, layout),
+        *(_place(task, place, mesh, layout) for place in task.places),
+    )
     begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in pieces)]).tolist()
     elements = [
-        _points(task, point, mesh, layout), _rates(task, mesh, layout, len(pieces[0].labels)),
-        *(_met(task, place, mesh, piece, begin)
-          for place, piece, begin in zip(task.places, pieces[1:], begins[1:-1], strict=True)),
-    ]  # fmt: skip
+        _points(task, point, mesh, layout),
+        _rates(task, mesh, layout, len(pieces[0].labels)),
+        *(
+            _met(task, place, mesh, piece, begin)
+            for place, piece, begin in zip(task.places, pieces[1:], begins[1:-1], strict=True)
+        ),
+    ]
     scale = _scale(task, layout)
     made = assembled(elements, scale, len(task.costs) + 1)
     lower, upper = _bounds(task, layout, bounds, scale.size)
     return Program(
-        task, mesh, layout, pieces, {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
-        made.gradient, made.jacobian, made.hessian, scale, lower, upper,
+        task,
+        mesh,
+        layout,
+        pieces,
+        {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
+        made.gradient,
+        made.jacobian,
+        made.hessian,
+        scale,
+        lower,
+        upper,
         np.concatenate([np.tile(each.lower, len(each.where)) for each in pieces]),
         np.concatenate([np.tile(each.upper, len(each.where)) for each in pieces]),
-        _completion(elements[0], made, layout), not elements[0].rows.is_a("SXFunction"),
-    )  # fmt: skip
+        _completion(elements[0], made, layout),
+        not elements[0].rows.is_a("SXFunction"),
+    )
 
 
 def completed(program: Program, unknowns: Array) -> Array:
@@ -247,8 +263,7 @@ def _completion(points: Element, made: Functions, layout: Layout) -> ca.Function
     begin = n_x + layout.unknowns.shape[2]
     rows = points.places[:, begin : begin + n_r].ravel().tolist()
     all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
-    return ca.Function("roots", [made.w],
-                       [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])  # fmt: skip
+    return ca.Function("roots", [made.w], [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])
 
 
 def positions(mesh: Mesh, counts: tuple[int, int, int], *, continuous: bool) -> Layout:
@@ -274,8 +289,12 @@ def _split(
     simple: dict[tuple[str, int], tuple[float, float]] = {}
     rows = []
     for limit in task.limits:
-        found = [(kind, k) for kind, column in (("x", x), ("z", z)) for k in range(column.numel())
-                 if ca.is_equal(limit.expression, column[k])]  # fmt: skip
+        found = [
+            (kind, k)
+            for kind, column in (("x", x), ("z", z))
+            for k in range(column.numel())
+            if ca.is_equal(limit.expression, column[k])
+        ]
         if not found:
             rows.append(limit)
             continue
@@ -295,8 +314,10 @@ def _interval(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Piece:
     names = [label.full for label in leaves(task.dae.labels.u)]
     jumps = _bounded(task)
     rates = [Label(f"{names[k]}_change", "s-2", f"rate of {names[k]}") for k in jumps]
-    low, high = (np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
-                 for side, bounds in enumerate((point.lower, point.upper)))  # fmt: skip
+    low, high = (
+        np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
+        for side, bounds in enumerate((point.lower, point.upper))
+    )
     return Piece(_whole(layout, mesh), (*(point.labels * mesh.degree), *rates), low, high)
 
 
@@ -342,20 +363,28 @@ def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
     ode, rows, paid = point.function(*values, found_column(lookups))
     h = length * duration
     inner = np.repeat(np.arange(count), degree)
-    where = np.hstack([
-        _nodes(layout)[inner], layout.states.reshape(-1, n_x), layout.unknowns.reshape(-1, n_z),
-        layout.roots.reshape(inner.size, -1), *(each[inner] for each in _ends(layout, mesh)),
-        np.full((inner.size, 1), layout.duration),
-    ])  # fmt: skip
+    where = np.hstack(
+        [
+            _nodes(layout)[inner],
+            layout.states.reshape(-1, n_x),
+            layout.unknowns.reshape(-1, n_z),
+            layout.roots.reshape(inner.size, -1),
+            *(each[inner] for each in _ends(layout, mesh)),
+            np.full((inner.size, 1), layout.duration),
+        ]
+    )
     each = len(point.labels)
     jumps = inner[:, None] * len(_bounded(task))
     places = each * np.arange(inner.size)[:, None] + jumps + np.arange(each)
     return element(
         (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
         weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
-        ca.vertcat(nodes @ slopes - h * ode, rows), lookups, (where, places), _constants(mesh),
+        ca.vertcat(nodes @ slopes - h * ode, rows),
+        lookups,
+        (where, places),
+        _constants(mesh),
         compiled=task.dae.compiled,
-    )  # fmt: skip
+    )
 
 
 def _constants(mesh: Mesh) -> Array:
@@ -381,19 +410,29 @@ def _rates(task: Task, mesh: Mesh, layout: Layout, each: int) -> Element:
     where = np.hstack([*_ends(layout, mesh), np.full((count, 1), layout.duration)])
     places = each * np.arange(1, count + 1)[:, None] + np.arange(-len(jumps), 0)
     return element(
-        (ca.vertcat(u, after, duration), length, p), p[-1] * h * ca.sumsqr(change),
-        ca.vertcat(ca.SX(0, 1), *(change[k] for k in jumps)), (), (where, places),
+        (ca.vertcat(u, after, duration), length, p),
+        p[-1] * h * ca.sumsqr(change),
+        ca.vertcat(ca.SX(0, 1), *(change[k] for k in jumps)),
+        (),
+        (where, places),
         np.diff(mesh.ends)[:, None],
-    )  # fmt: skip
+    )
 
 
 def _place(task: Task, place: Place, mesh: Mesh, layout: Layout) -> Piece:
     """Return the rows of a goal or a way-point: conditions on inputs, states and unknowns."""
     k = _nearest(place, mesh)
-    where = np.concatenate([layout.states[k, -1], layout.unknowns[k, -1],
-                            layout.inputs[k + task.continuous], [layout.duration]])  # fmt: skip
-    low, high = (np.array([getattr(limit, side) for limit in place.limits])
-                 for side in ("lower", "upper"))  # fmt: skip
+    where = np.concatenate(
+        [
+            layout.states[k, -1],
+            layout.unknowns[k, -1],
+            layout.inputs[k + task.continuous],
+            [layout.duration],
+        ]
+    )
+    low, high = (
+        np.array([getattr(limit, side) for limit in place.limits]) for side in ("lower", "upper")
+    )
     return Piece(where[None], tuple(limit.label for limit in place.limits), low, high)
 
 
@@ -414,9 +453,13 @@ def _met(task: Task, place: Place, mesh: Mesh, piece: Piece, begin: int) -> Elem
     (rows,) = ca.substitute([rows], before, after)
     n_z = piece.where.size - x.numel() - u.numel() - 1
     return element(
-        (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p), ca.SX(0), rows, lookups,
-        (piece.where, begin + np.arange(len(piece.labels))[None]), np.zeros((1, 0)),
-    )  # fmt: skip
+        (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p),
+        ca.SX(0),
+        rows,
+        lookups,
+        (piece.where, begin + np.arange(len(piece.labels))[None]),
+        np.zeros((1, 0)),
+    )
 
 
 def _scale(task: Task, layout: Layout) -> Array:

@@ -94,9 +94,12 @@ def prove(
     names = [label.full for label in leaves(dae.labels.x)]
     met = max(missed.values(), default=0.0) <= accuracy
     return Proof(
-        replay, dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)), violation, worse,
+        replay,
+        dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)),
+        violation,
+        worse,
         met and replay.stop is None and not worse.any(),
-    )  # fmt: skip
+    )
 
 
 def _named(limits: Sequence[Limit], most: Array) -> dict[str, float]:
@@ -121,8 +124,9 @@ def _missed(
         t, x, z, u = (rows[..., k : k + 1] for rows in samples)
         role = "goal" if place.fraction == 1 else f"way-point at {place.fraction:g}"
         over = _over(program.task.dae, place.limits, (t, x, z, u))[:, 0]
-        found |= {f"{name} at the {role}": size
-                  for name, size in _named(place.limits, over).items()}  # fmt: skip
+        found |= {
+            f"{name} at the {role}": size for name, size in _named(place.limits, over).items()
+        }
     return found
 
 
@@ -142,8 +146,10 @@ def _rows(dae: Model, record: str, run: Trajectory) -> Array:
 def _over(dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
     """Return by how much every limit is violated at every sample, shape (n_limits, n)."""
     values = _values(dae, limits, samples)
-    low, high = (np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
-                 for side in ("lower", "upper"))  # fmt: skip
+    low, high = (
+        np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
+        for side in ("lower", "upper")
+    )
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
 
 

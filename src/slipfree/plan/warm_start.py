@@ -61,16 +61,28 @@ class Saved(NamedTuple):
 def saved(program: Program, found: Solution) -> Saved:
     """Return what a solution leaves."""
     layout: Layout = program.layout
-    sizes = [program.mesh.degree, layout.first.size, layout.unknowns.shape[2],
-             layout.inputs.shape[1], len(layout.inputs) == program.mesh.ends.size]  # fmt: skip
-    return Saved(program.mesh.ends, np.array(sizes, dtype=float), found.unknowns,
-                 found.bound_multipliers, found.row_multipliers,
-                 np.concatenate(program.task.dae.shift), _model(program.task.dae))  # fmt: skip
+    sizes = [
+        program.mesh.degree,
+        layout.first.size,
+        layout.unknowns.shape[2],
+        layout.inputs.shape[1],
+        len(layout.inputs) == program.mesh.ends.size,
+    ]
+    return Saved(
+        program.mesh.ends,
+        np.array(sizes, dtype=float),
+        found.unknowns,
+        found.bound_multipliers,
+        found.row_multipliers,
+        np.concatenate(program.task.dae.shift),
+        _model(program.task.dae),
+    )
 
 
 def _model(dae: Model) -> Array:
-    names = " ".join(label.full for part in (dae.labels.x, dae.labels.z, dae.labels.u)
-                     for label in leaves(part))  # fmt: skip
+    names = " ".join(
+        label.full for part in (dae.labels.x, dae.labels.z, dae.labels.u) for label in leaves(part)
+    )
     return np.array([float(zlib.crc32(names.encode()))])
 
 

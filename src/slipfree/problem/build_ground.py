@@ -126,11 +126,13 @@ def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
         with at(problem, ("terrain", "error")):
             grid = disturbed(grid, error.rms, error.correlation, error.seed)
         rms = float(np.sqrt(np.mean((grid.z - before) ** 2)))
-        told.append((
-            "ground error added",
-            f"random heights, rms {error.rms:g} m (on this ground {rms:.3g} m), correlated over "
-            f"{error.correlation:g} m, seed {error.seed}",
-        ))  # fmt: skip
+        told.append(
+            (
+                "ground error added",
+                f"random heights, rms {error.rms:g} m (on this ground {rms:.3g} m), correlated "
+                f"over {error.correlation:g} m, seed {error.seed}",
+            )
+        )
     return grid, told
 
 
@@ -140,8 +142,11 @@ def _origin(found: Map, horizontal: float, vertical: float) -> Facts:
     x0, kx, y0, ky = found.frame
     if found.frame != Frame() or (horizontal, vertical) != (1, 1):
         x, y = ("longitude", "latitude") if found.geographic else ("x", "y")
-        lines = ((x, x0, kx / horizontal, "x"), (y, y0, ky / horizontal, "y"),
-                 ("z", 0.0, 1 / vertical, "z"))  # fmt: skip
+        lines = (
+            (x, x0, kx / horizontal, "x"),
+            (y, y0, ky / horizontal, "y"),
+            ("z", 0.0, 1 / vertical, "z"),
+        )
         words = ", ".join(f"{name} = {a!r} + {k!r} {of}" for name, a, k, of in lines)
         facts.append(("map coordinates", words))
     return facts
@@ -182,8 +187,9 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
     if not isinstance(name, str):
         return name, "" if name is None else f"{name:g}"
     ending = Path(name).suffix.lower()
-    asked: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES
-                             if ending in NEEDED_BY.get(key, (ending,))}  # fmt: skip
+    asked: dict[str, Any] = {
+        key: getattr(spec, key) for key in OF_FILES if ending in NEEDED_BY.get(key, (ending,))
+    }
     if ground.geographic:
         asked["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
@@ -191,8 +197,11 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
         check_friction(found.grid)  # before it is scaled: the message gives places of the file
     # Both files describe one place, so that both are scaled; coefficients have no length.
     mu = scaled(found.grid, horizontal, 1.0)
-    told = "".join(f"; {key.removeprefix('ground ')} {words}" for key, words in found.told
-                   if not key.startswith("ground map"))  # fmt: skip
+    told = "".join(
+        f"; {key.removeprefix('ground ')} {words}"
+        for key, words in found.told
+        if not key.startswith("ground map")
+    )
     return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{told}"
 
 

@@ -121,8 +121,9 @@ def _draft(path: Path) -> Draft:
     if ending == ".urdf":
         return _urdf(path, Roles({}, {}))
     hint = "; expand it first: xacro FILE > robot.urdf" if ending == ".xacro" else ""
-    raise VehicleError(f"{path}: expected a vehicle file, .toml or .urdf, found {path.suffix!r}"
-                       + hint)  # fmt: skip
+    raise VehicleError(
+        f"{path}: expected a vehicle file, .toml or .urdf, found {path.suffix!r}" + hint
+    )
 
 
 def _completed(file: File) -> Draft:

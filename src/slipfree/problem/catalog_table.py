@@ -22,10 +22,16 @@ from slipfree.vehicle.tree import Vehicle
 CATALOG: dict[str, Callable[..., Vehicle]] = {
     function.__name__: function
     for function in (
-        three_wheeler, differential_drive, ackermann, skid_steer, articulated, rocky7,
-        open_source_rover, seven_wheels,
+        three_wheeler,
+        differential_drive,
+        ackermann,
+        skid_steer,
+        articulated,
+        rocky7,
+        open_source_rover,
+        seven_wheels,
     )
-}  # fmt: skip
+}
 MAY_BE_ZERO = ("r1", "r2", "stiffness", "damping", "bump", "mass", "wheel_mass")
 ANY_SIGN = ("trail", "joint", "preload")
 OWN = ("catalog", "file", "actuated", "name")  # keys that are none of the vehicle's function
@@ -63,8 +69,9 @@ def _kind(key: str, hint: Any) -> Any:
     if hint is float:
         if key in ANY_SIGN:
             return Annotated[float, Field()]
-        return Annotated[float, Field(ge=0)] if key in MAY_BE_ZERO else Annotated[
-            float, Field(gt=0)]  # fmt: skip
+        return (
+            Annotated[float, Field(ge=0)] if key in MAY_BE_ZERO else Annotated[float, Field(gt=0)]
+        )
     return Annotated[Vector, Field(strict=False)] if hint == Vector else hint
 
 

@@ -38,8 +38,11 @@ from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.trajectory import Trajectory
 
 OBSTACLES: Mapping[str, Callable[..., Profile]] = {
-    "ramp": ramp, "step": step, "kerb": kerb, "stairs": stairs,
-}  # fmt: skip
+    "ramp": ramp,
+    "step": step,
+    "kerb": kerb,
+    "stairs": stairs,
+}
 SLACK = 1e-5  # by which wheels may be off their equilibrium on the floor [m]
 SUNK = 2e-3  # by which wheels at rest may sink in, so that what is up is seen to be [m]
 EVEN = 1e-6  # relative difference of times that counts as none
@@ -119,8 +122,17 @@ def build_climb(problem: Problem[schema.Climb]) -> Climbing:
     if spec.control.period is not None:
         held = {f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)}
     inputs = dae.inputs(speed=spec.control.speed, **held)
-    return Climbing(climber, profile, contact, control, dae, start, inputs, *times,
-                    _facts(spec, climber, contact, control))  # fmt: skip
+    return Climbing(
+        climber,
+        profile,
+        contact,
+        control,
+        dae,
+        start,
+        inputs,
+        *times,
+        _facts(spec, climber, contact, control),
+    )
 
 
 def _check_tracking(problem: Problem[schema.Climb]) -> None:
@@ -156,8 +168,9 @@ def _times(problem: Problem[schema.Climb], control: Control, climber: Climber) -
         raise problem_error(problem.source, [fault])
     every = round(time.step / period)
     if every < 1 or abs(every * period - time.step) > EVEN * period:
-        fault = Fault(("time", "step"), f"a multiple of control.period, {period:g} s",
-                      f"{time.step:g}")  # fmt: skip
+        fault = Fault(
+            ("time", "step"), f"a multiple of control.period, {period:g} s", f"{time.step:g}"
+        )
         raise problem_error(problem.source, [fault])
     count = every * int(time.duration / time.step) + 1
     return _Times(np.asarray(period * np.arange(count)), every)
@@ -211,9 +224,12 @@ def _climber(spec: schema.Climber) -> Climber:
 
 
 def _start(
-    problem: Problem[schema.Climb], dae: Dae[Any, Any, Any, Any, Any], climber: Climber,
-    profile: Profile, contact: CompliantContact,
-) -> Trajectory:  # fmt: skip
+    problem: Problem[schema.Climb],
+    dae: Dae[Any, Any, Any, Any, Any],
+    climber: Climber,
+    profile: Profile,
+    contact: CompliantContact,
+) -> Trajectory:
     """Return the vehicle on the floor, the front wheels at their distance from the obstacle."""
     spec = problem.spec.start
     sunk = _sunk(problem, climber, contact)
@@ -222,8 +238,11 @@ def _start(
     speed = problem.spec.control.speed if spec.speed is None else spec.speed
     with at(problem, ("start",)):
         start = settle(dae, guess=None, **standing(climber, contact, front, speed))
-    faults = [fault for k in range(len(profile.solids))
-              if (fault := _misplaced(start, k, sunk, spec.distance)) is not None]  # fmt: skip
+    faults = [
+        fault
+        for k in range(len(profile.solids))
+        if (fault := _misplaced(start, k, sunk, spec.distance)) is not None
+    ]
     if faults:
         raise problem_error(problem.source, faults)
     return start
@@ -235,8 +254,13 @@ def _sunk(problem: Problem[schema.Climb], climber: Climber, contact: CompliantCo
     softest = float(loads.max()) / SUNK
     if not (loads > 0).all():
         axle = int(loads.argmin())
-        faults.append(Fault(("vehicle",), "centers of mass such that all axles bear on a level "
-                            "floor", f"{loads[axle]:.3g} N on the {AXLES[axle]} axle"))  # fmt: skip
+        faults.append(
+            Fault(
+                ("vehicle",),
+                "centers of mass such that all axles bear on a level floor",
+                f"{loads[axle]:.3g} N on the {AXLES[axle]} axle",
+            )
+        )
     elif contact.stiffness < softest:
         expected = (
             f"at least {softest:.3g} N/m, so that wheels sink in by {1e3 * SUNK:g} mm at most"
@@ -286,12 +310,18 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
     if k == 0:
         side = "above it" if off[axle] > 0 else "inside it"
         place: Place = ("profile",)
-        return Fault(place, "the first solid to be a floor, level at height 0 under the vehicle",
-                     f"{wheels} {1e3 * abs(off[axle]):.3g} mm {side}")  # fmt: skip
+        return Fault(
+            place,
+            "the first solid to be a floor, level at height 0 under the vehicle",
+            f"{wheels} {1e3 * abs(off[axle]):.3g} mm {side}",
+        )
     inside = f"{wheels} {-1e3 * gap[axle]:.3g} mm inside solid {k}"
     if AXLES[axle] == "front":
-        return Fault(("start", "distance"), "at least 0 m, so that the vehicle starts outside of "
-                     "all solids", f"{distance:g} m: {inside}")  # fmt: skip
+        return Fault(
+            ("start", "distance"),
+            "at least 0 m, so that the vehicle starts outside of all solids",
+            f"{distance:g} m: {inside}",
+        )
     return Fault(("start",), "a vehicle that starts outside of all solids", inside)
 
 
@@ -313,9 +343,7 @@ class Climbed(NamedTuple):
     arrays: Mapping[str, Array]
 
 
-def climbed(
-    problem: Problem[schema.Climb], setup: Climbing, progress: Progress | None
-) -> Climbed:  # fmt: skip
+def climbed(problem: Problem[schema.Climb], setup: Climbing, progress: Progress | None) -> Climbed:
     """Return the motion of a climb, how it ended and what it averages to.
 
     Raises
@@ -328,8 +356,9 @@ def climbed(
     if spec.plan is None:
         return Climbed(_judged(_simulated(spec, setup, progress), setup), setup, NOTHING)
     with at(problem, ("plan",)):
-        plan = plan_climb(setup.climber, setup.profile, spec.plan, setup.contact.static,
-                          spec.control.speed)  # fmt: skip
+        plan = plan_climb(
+            setup.climber, setup.profile, spec.plan, setup.contact.static, spec.control.speed
+        )
     setup = _tracking(problem, setup, plan)
     run = _judged(_simulated(spec, setup, progress), setup)
     statistics = {**run.statistics, **plan_statistics(plan, run)}
@@ -360,9 +389,7 @@ def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
     return replace(run, statistics=statistics, attributes=attributes)
 
 
-def _simulated(
-    spec: schema.Climb, setup: Climbing, progress: Progress | None
-) -> Trajectory:  # fmt: skip
+def _simulated(spec: schema.Climb, setup: Climbing, progress: Progress | None) -> Trajectory:
     solver = spec.solver
     try:
         if setup.every:
@@ -370,9 +397,14 @@ def _simulated(
                 setup.dae, setup.start, setup.inputs, setup.t, tolerance=solver.tolerance
             )
         return simulate(
-            setup.dae, setup.start, setup.inputs, setup.t, tolerance=solver.tolerance,
-            method=solver.method, progress=progress,
-        )  # fmt: skip
+            setup.dae,
+            setup.start,
+            setup.inputs,
+            setup.t,
+            tolerance=solver.tolerance,
+            method=solver.method,
+            progress=progress,
+        )
     except SolverError as error:
         if error.trajectory is None:
             raise
@@ -387,8 +419,12 @@ def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:
         return {}
     found = metrics(run, setup.climber, setup.profile)
     ends = run.t[window.span][[0, -1]]
-    values = {"climb_from": float(ends[0]), "climb_to": float(ends[1]),
-              "climb_up": float(window.climbed), "climb_limited": found.limited}  # fmt: skip
+    values = {
+        "climb_from": float(ends[0]),
+        "climb_to": float(ends[1]),
+        "climb_up": float(window.climbed),
+        "climb_limited": found.limited,
+    }
     for measure in MEASURES:
         for axle, value in zip(AXLES, getattr(found, measure), strict=True):
             values[f"climb_{measure}_{axle}"] = float(value)
@@ -404,8 +440,10 @@ def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
     if not isfinite(need.mu):
         return {}, f"no forces hold the vehicle where the {need.axle} wheels climb"
     where = f"where the {need.axle} wheels climb"
-    tilts = ", ".join(f"{name} body {round(degrees(tilt))}" for name, tilt in
-                      zip(("rear", "front"), need.q[2:], strict=True))  # fmt: skip
+    tilts = ", ".join(
+        f"{name} body {round(degrees(tilt))}"
+        for name, tilt in zip(("rear", "front"), need.q[2:], strict=True)
+    )
     words = (
         f"needs a coefficient of {need.mu:.3f}, {where} ({tilts} degrees nose-up), with forces "
         "shared for the best"
@@ -415,7 +453,7 @@ def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
 
 def _facts(
     spec: schema.Climb, climber: Climber, contact: CompliantContact, control: Control
-) -> Facts:  # fmt: skip
+) -> Facts:
     """Return what to tell about ground, vehicle and laws of a climb."""
     axles = ", ".join(
         f"{name} {axle.wheels} x {climber.radius:g} m at {axle.ahead + 0:g} m"
@@ -425,14 +463,19 @@ def _facts(
     return [
         ("profile", _profile_words(spec.profile)),
         ("vehicle", f"{spec.vehicle.catalog}: wheels {axles} ahead of the joint"),
-        ("mass", f"rear body {climber.rear_body.mass:g} kg, front body "
-                 f"{climber.front_body.mass:g} kg"),
+        (
+            "mass",
+            f"rear body {climber.rear_body.mass:g} kg, front body {climber.front_body.mass:g} kg",
+        ),
         ("motors", limit),
-        ("friction", f"{contact.static:g} at rest, {contact.dynamic:g} at speed; full at a slip of "
-                     f"{contact.creep:g} m/s"),
+        (
+            "friction",
+            f"{contact.static:g} at rest, {contact.dynamic:g} at speed; full at a slip of "
+            f"{contact.creep:g} m/s",
+        ),
         ("contact", f"stiffness {contact.stiffness:g} N/m, damping {contact.damping:g} s/m"),
         ("control", _control_words(spec, control)),
-    ]  # fmt: skip
+    ]
 
 
 def _control_words(spec: schema.Climb, control: Control) -> str:

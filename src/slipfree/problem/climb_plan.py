@@ -45,7 +45,7 @@ class Planned(NamedTuple):
 
 def plan_climb(
     climber: Climber, profile: Profile, spec: schema.Legs, static: float, speed: float
-) -> Planned:  # fmt: skip
+) -> Planned:
     """Return the plan of a climb.
 
     Parameters
@@ -78,16 +78,20 @@ def plan_climb(
         chosen = _solved(climber, profile, found, spec.cost, mu, fastest, spec.nodes)
     return Planned(
         tuple((plan, unknowns) for plan, _, unknowns, *_ in chosen),
-        _with_progress(in_sequence([run for _, run, *_ in chosen]), climber), least,
-        sum(each.iterations for each in chosen), sum(each.seconds for each in chosen),
-    )  # fmt: skip
+        _with_progress(in_sequence([run for _, run, *_ in chosen]), climber),
+        least,
+        sum(each.iterations for each in chosen),
+        sum(each.seconds for each in chosen),
+    )
 
 
 def _with_progress(run: Trajectory, climber: Climber) -> Trajectory:
     """Return a plan with how far the vehicle has come, as it is told from the motion as well."""
     tilts = (run["tilt_rear"], run["tilt_rear"], run["tilt_front"])
-    ahead = [axle.ahead * (np.cos(tilt) + np.sin(tilt))
-             for axle, tilt in zip(climber.axles, tilts, strict=True)]  # fmt: skip
+    ahead = [
+        axle.ahead * (np.cos(tilt) + np.sin(tilt))
+        for axle, tilt in zip(climber.axles, tilts, strict=True)
+    ]
     come = np.asarray(run["x"] + run["z"] + np.mean(ahead, axis=0))
     return replace(run, columns={**run.columns, PROGRESS.name: Column(PROGRESS, come)})
 
@@ -107,8 +111,9 @@ def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
     found = {
         "climb_plan_duration": plan.run.statistics["duration"],
         "climb_plan_friction": plan.run.statistics["mu"],
-        "climb_plan_iterations": plan.iterations, "climb_plan_seconds": plan.seconds,
-    }  # fmt: skip
+        "climb_plan_iterations": plan.iterations,
+        "climb_plan_seconds": plan.seconds,
+    }
     found |= {f"climb_plan_least_{k + 1}": mu for k, mu in enumerate(plan.least)}
     if come[-1] > end:
         took = run.t[(come > end).argmax()] - run.t[(come > begin).argmax()]
@@ -123,8 +128,9 @@ def arrays_of(plan: Trajectory) -> dict[str, Array]:
         if column.values.ndim == 1:
             found[f"plan_{name}"] = column.values
         else:
-            found |= {f"plan_{name}_{axle}": column.values[:, k]
-                      for k, axle in enumerate(plan.wheels)}  # fmt: skip
+            found |= {
+                f"plan_{name}_{axle}": column.values[:, k] for k, axle in enumerate(plan.wheels)
+            }
     return found
 
 
@@ -137,20 +143,27 @@ class _Solved(NamedTuple):
 
 
 def _solved(
-    climber: Climber, profile: Profile, found: Sequence[Leg], cost: str, mu: float | None,
-    speed: float, nodes: int,
-) -> list[_Solved]:  # fmt: skip
+    climber: Climber,
+    profile: Profile,
+    found: Sequence[Leg],
+    cost: str,
+    mu: float | None,
+    speed: float,
+    nodes: int,
+) -> list[_Solved]:
     solved = []
     for number, leg in enumerate(found):
-        plan = climb(climber, profile, leg, cost, mu=mu, speed=speed, s=nodes,
-                     halt=number < len(found) - 1)  # fmt: skip
+        plan = climb(
+            climber, profile, leg, cost, mu=mu, speed=speed, s=nodes, halt=number < len(found) - 1
+        )
         try:
             solution = solve_nlp(plan.nlp)
         except SolverError as error:
             raise SolverError(f"plan, {_leg(number, leg)}: {error}") from error
         run = history(plan, solution.unknowns)
-        solved.append(_Solved(plan, run, solution.unknowns, solution.iterations,
-                              solution.seconds["total"]))  # fmt: skip
+        solved.append(
+            _Solved(plan, run, solution.unknowns, solution.iterations, solution.seconds["total"])
+        )
     return solved
 
 

@@ -33,8 +33,10 @@ def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "outcome", run.attributes["outcome"]
     duration = run.t[-1] - run.t[0]
     yield "duration", f"{duration:g} s, {run.t.size} samples"
-    tilts = ", ".join(f"{name} body {run[f'tilt_{name}'].min():.3f} to "
-                      f"{run[f'tilt_{name}'].max():.3f}" for name in ("rear", "front"))  # fmt: skip
+    tilts = ", ".join(
+        f"{name} body {run[f'tilt_{name}'].min():.3f} to {run[f'tilt_{name}'].max():.3f}"
+        for name in ("rear", "front")
+    )
     yield "tilts, nose up", f"{tilts} rad"
     yield from _averages(run)
     yield from _planned(run)
@@ -94,8 +96,10 @@ def _slippery(run: Trajectory) -> str:
 def _energy(run: Trajectory) -> str:
     work, rubbed, damped = (run[name][-1] - run[name][0] for name in ("work", "rubbed", "damped"))
     gained = run["energy"] - run["energy"][0]
-    given = sum(sign * (run[name] - run[name][0])
-                for name, sign in (("work", 1), ("rubbed", -1), ("damped", -1)))  # fmt: skip
+    given = sum(
+        sign * (run[name] - run[name][0])
+        for name, sign in (("work", 1), ("rubbed", -1), ("damped", -1))
+    )
     missed = float(np.abs(gained - given).max())
     poor = "; that is much: ask for a smaller solver.tolerance or softer contacts"
     return (

@@ -116,8 +116,9 @@ def _row(
     t, _ = samples(spec.time, {})
     same = dae.inputs(**{key: given.get(key, 0.0) for key in known})
     law = build_law(problem, spec.driver, dae, vehicle, start)
-    drives = [_drive(vehicle, dae, start, inputs, t, spec.solver.tolerance)
-              for inputs in (same, law)]  # fmt: skip
+    drives = [
+        _drive(vehicle, dae, start, inputs, t, spec.solver.tolerance) for inputs in (same, law)
+    ]
     return Row(name, start.wheels, _rank(dae, start), 3 * len(vehicle.wheels), *drives)
 
 

@@ -87,8 +87,10 @@ def way_points_of(problem: Problem[S], spec: schema.Plan) -> dict[float, Wanted]
 
 def facing(problem: Problem[S], wanted: Wanted) -> Wanted:
     """Return what is asked for, with headings that count from the y axis."""
-    return {name: (low + turned(problem), high + turned(problem)) if name == "heading"
-            else (low, high) for name, (low, high) in wanted.items()}  # fmt: skip
+    return {
+        name: (low + turned(problem), high + turned(problem)) if name == "heading" else (low, high)
+        for name, (low, high) in wanted.items()
+    }
 
 
 def ways_of(
@@ -116,13 +118,16 @@ def _routes(
     """Return ways over the ground through all places; several of them only without way-points."""
     with at(problem, ("driver",)):
         if len(places) == 2:
-            found = routes(layers, places[0], places[1], driver.count,
-                           turning_radius=driver.turning_radius)  # fmt: skip
+            found = routes(
+                layers, places[0], places[1], driver.count, turning_radius=driver.turning_radius
+            )
             return tuple(way.points for way in found)
         if driver.count > 1:
             raise ModelError("driver: several routes are sought without way-points only; count = 1")
-        legs = [route(layers, one, other, turning_radius=driver.turning_radius)
-                for one, other in pairwise(places)]  # fmt: skip
+        legs = [
+            route(layers, one, other, turning_radius=driver.turning_radius)
+            for one, other in pairwise(places)
+        ]
         return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
 
 

@@ -68,10 +68,12 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
         _check_rolls(vehicle)
         terrain = build_terrain(problem, ground)
         dae = inverse_kinematics(
-            vehicle, terrain, given=tuple(given),
+            vehicle,
+            terrain,
+            given=tuple(given),
             steering="rate" if points is not None else spec.steering,
             least_margin=0.0 if sought else LEAST_MARGIN,
-        )  # fmt: skip
+        )
         direct = direct_kinematics(vehicle, terrain, slip="rolling")
     direct = replace(direct, compiled=spec.solver.compiled)
     dae = replace(dae, compiled=spec.solver.compiled)
@@ -101,8 +103,11 @@ def _given(given: dict[str, float]) -> Iterator[Fault]:
         yield Fault(("given", ours[0]), expected, ", ".join(given))
     for name, value in given.items():
         if not isinstance(value, float):
-            yield Fault(("given", name), "a number", "values in time, which only "
-                        f"{', '.join(SUBSET)} may have")  # fmt: skip
+            yield Fault(
+                ("given", name),
+                "a number",
+                f"values in time, which only {', '.join(SUBSET)} may have",
+            )
     if len(given) != 3:
         listed = f": {', '.join(given)}" if given else ""
         yield Fault(("given",), "three rates of the platform", f"{len(given)}{listed}")
@@ -185,8 +190,15 @@ def drive_along(
         return drive_subset(setup, tolerance, progress)
     sought = [c.name for c in setup.vehicle.of("commanded")]
     try:
-        found = drive(setup.dae, setup.model, setup.start, setup.inputs, setup.t,
-                      sought=sought, tolerance=tolerance)  # fmt: skip
+        found = drive(
+            setup.dae,
+            setup.model,
+            setup.start,
+            setup.inputs,
+            setup.t,
+            sought=sought,
+            tolerance=tolerance,
+        )
     except SolverError as error:
         if error.trajectory is None:
             raise

@@ -127,11 +127,13 @@ def _by_verb(schemas: Sequence[type[A]], data: Mapping[str, Any], source: Source
         if data["verb"] == verb:
             return schema
     hint = next(
-        (f"; use slipfree {command} {source.path}"
-         for command, others in COMMANDS.items()
-         if data["verb"] in [_verb(other) for other in others]),
+        (
+            f"; use slipfree {command} {source.path}"
+            for command, others in COMMANDS.items()
+            if data["verb"] in [_verb(other) for other in others]
+        ),
         "",
-    )  # fmt: skip
+    )
     expected = f"{' or '.join(map(repr, verbs))} for this command"
     raise problem_error(source, [Fault(("verb",), expected, _shown(data["verb"]) + hint)])
 

@@ -118,13 +118,31 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     else:
         starts = [(build_law(problem, spec.driver, dae, vehicle, start), float(t[-1]))]
     with at(problem, ("plan",)):
-        task_of(dae, start, **_asked(problem, spec, keep_out, (dae, vehicle, terrain), between),
-                duration=spec.plan.duration or spec.time.duration)  # fmt: skip
+        task_of(
+            dae,
+            start,
+            **_asked(problem, spec, keep_out, (dae, vehicle, terrain), between),
+            duration=spec.plan.duration or spec.time.duration,
+        )
     goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
     return Planning(
-        ground, terrain, vehicle, dae, dae, start, starts[0][0], t, f"plan to {goal}", layers,
-        places, keep_out, ways, tuple(starts), spec, between,
-    )  # fmt: skip
+        ground,
+        terrain,
+        vehicle,
+        dae,
+        dae,
+        start,
+        starts[0][0],
+        t,
+        f"plan to {goal}",
+        layers,
+        places,
+        keep_out,
+        ways,
+        tuple(starts),
+        spec,
+        between,
+    )
 
 
 def _along(dae: Model, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
@@ -146,14 +164,25 @@ def planned(
     length = resume.course.duration if resume else float(guesses[0].t[-1])
     with at(problem, ("plan",)):
         found = plan(
-            setup.dae, setup.start, guesses,
-            **_asked(problem, spec, setup.keep_out, (setup.dae, setup.vehicle, setup.terrain),
-                     setup.between),
-            duration=spec.plan.duration or (length, length), intervals=spec.plan.intervals,
-            degree=spec.plan.degree, accuracy=spec.plan.accuracy,
-            tolerance=spec.solver.tolerance, step=spec.time.step, resume=resume,
+            setup.dae,
+            setup.start,
+            guesses,
+            **_asked(
+                problem,
+                spec,
+                setup.keep_out,
+                (setup.dae, setup.vehicle, setup.terrain),
+                setup.between,
+            ),
+            duration=spec.plan.duration or (length, length),
+            intervals=spec.plan.intervals,
+            degree=spec.plan.degree,
+            accuracy=spec.plan.accuracy,
+            tolerance=spec.solver.tolerance,
+            step=spec.time.step,
+            resume=resume,
             progress=_telling(tell),
-        )  # fmt: skip
+        )
     run, stop = found.replay, found.run.stop
     if stop is not None and not found.success:
         words = f"{stop.words}; {GO_ON}" if found.solution.status == STOPPED else stop.words
@@ -177,16 +206,24 @@ def figure_options(setup: Planning) -> dict[str, Any]:
 
 
 def _asked(
-    problem: Problem[S], spec: schema.Plan, keep_out: tuple[Region, ...],
-    model: tuple[Model, Vehicle, Bicubic], between: Mapping[float, Wanted],
-) -> dict[str, Any]:  # fmt: skip
+    problem: Problem[S],
+    spec: schema.Plan,
+    keep_out: tuple[Region, ...],
+    model: tuple[Model, Vehicle, Bicubic],
+    between: Mapping[float, Wanted],
+) -> dict[str, Any]:
     """Return what a plan is asked for, as arguments of `plan`."""
     limits = (*limits_of(model[0], spec.limits), *_kept_out(keep_out, *model))
     return {
-        "goal": facing(problem, spec.goal), "costs": spec.costs, "smooth": spec.plan.smooth,
-        "continuous": spec.plan.continuous, "limits": limits, "way_points": between,
-        "inputs": spec.bounds, "accelerations": spec.accelerations,
-    }  # fmt: skip
+        "goal": facing(problem, spec.goal),
+        "costs": spec.costs,
+        "smooth": spec.plan.smooth,
+        "continuous": spec.plan.continuous,
+        "limits": limits,
+        "way_points": between,
+        "inputs": spec.bounds,
+        "accelerations": spec.accelerations,
+    }
 
 
 def _kept_out(
@@ -197,17 +234,23 @@ def _kept_out(
     o_x, o_y, _ = terrain.origin
     _, _, reach = extents(vehicle)
     return [
-        Limit(Label(f"keep_out_{k}", "m",
-                    f"the circle around the wheels touches {region.words}"),
-              region.outside(x + o_x, y + o_y), reach, np.inf)
+        Limit(
+            Label(f"keep_out_{k}", "m", f"the circle around the wheels touches {region.words}"),
+            region.outside(x + o_x, y + o_y),
+            reach,
+            np.inf,
+        )
         for k, region in enumerate(keep_out)
-    ]  # fmt: skip
+    ]
 
 
 def _inaccurate(spec: schema.Plan, found: Plan) -> Stop:
     """Return in words that a plan is solved, but simulated less exactly than was asked for."""
-    parts = {name: size for name, size in (found.difference | found.violation).items()
-             if size > spec.plan.accuracy}  # fmt: skip
+    parts = {
+        name: size
+        for name, size in (found.difference | found.violation).items()
+        if size > spec.plan.accuracy
+    }
     worst = ", ".join(f"{name} by {size:.1e}" for name, size in parts.items())
     last = found.stages[-1]
     advice = "raise plan.intervals or plan.accuracy"
@@ -248,8 +291,10 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
 
     def progress(words: str, iterate: Iterate) -> bool:
         nonlocal begun
-        line = f"{words}: iteration {iterate.number}, cost {iterate.cost:.6g}, violation " \
-               f"{iterate.violation:.1e}"  # fmt: skip
+        line = (
+            f"{words}: iteration {iterate.number}, cost {iterate.cost:.6g}, violation "
+            f"{iterate.violation:.1e}"
+        )
         try:
             if tell is not None:
                 tell(line)
@@ -273,8 +318,13 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
     try:
         start = settle(model, **values)
-        run = rerun(model, start, found.course, step=setup.spec.time.step,
-                    tolerance=max(setup.spec.solver.tolerance, FRICTION_TOLERANCE))  # fmt: skip
+        run = rerun(
+            model,
+            start,
+            found.course,
+            step=setup.spec.time.step,
+            tolerance=max(setup.spec.solver.tolerance, FRICTION_TOLERANCE),
+        )
     except (SlipfreeError, np.linalg.LinAlgError) as error:  # a plan stands without it
         return {"by_friction": f"not simulated: {error}"}
     if run.stop is not None:

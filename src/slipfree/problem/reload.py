@@ -95,8 +95,9 @@ def problem_of(
             problem = read(copy, settings)
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
-            raise ProblemError(f"{file}: its problem is not one of this version:", *faults) \
-                from error  # fmt: skip
+            raise ProblemError(
+                f"{file}: its problem is not one of this version:", *faults
+            ) from error
     recorded = unescape_name(run.attributes.get("problem_folder", ""))
     place = _folder(file, problem.spec, recorded, folder)
     source = replace(problem.source, path=place / name)
@@ -134,8 +135,10 @@ def _check_vehicle(
     if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
         raise _changed(file, "vehicle", named, "its wheels or joints have other names")
     placed = wheel_poses(vehicle, run)
-    center, contact = (np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
-                       for name in ("center", "contact"))  # fmt: skip
+    center, contact = (
+        np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
+        for name in ("center", "contact")
+    )
     away = np.linalg.norm(placed.origins - center, axis=-1)
     along = np.einsum("nki,nki->nk", contact - center, placed.rotations[..., 0])
     r1, r2 = (np.array([getattr(wheel, name) for wheel in vehicle.wheels]) for name in ("r1", "r2"))
@@ -146,9 +149,12 @@ def _check_vehicle(
 
 
 def _check_ground(
-    file: Path, run: Trajectory, terrain: Bicubic, vehicle: Vehicle,
+    file: Path,
+    run: Trajectory,
+    terrain: Bicubic,
+    vehicle: Vehicle,
     problem: Problem[schema.Motion],
-) -> None:  # fmt: skip
+) -> None:
     """Refuse a ground that is not where the wheels of the motion touched it."""
     off = np.abs(terrain.elevation(run["contact_x"], run["contact_y"]) - run["contact_z"]).max()
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
@@ -163,9 +169,7 @@ def _changed(file: Path, what: str, named: str, words: str) -> DataError:
     )
 
 
-def _planned(
-    run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic
-) -> Trajectory | None:  # fmt: skip
+def _planned(run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic) -> Trajectory | None:
     """Return the plan that a motion simulates, as far as its poses go; None if there is none.
 
     States and algebraic unknowns of a plan are the first quantities of its simulation, in order,
@@ -203,7 +207,7 @@ def _turns(run: Trajectory, t: Array) -> Column:
 
 def _planned_climb(
     run: Trajectory, arrays: Mapping[str, Array], climber: Climber
-) -> Trajectory | None:  # fmt: skip
+) -> Trajectory | None:
     """Return the plan that a climb tracks, at the times when it is as far; None if there is none.
 
     Its time counts from when the motion has come to where the plan begins.

@@ -31,18 +31,41 @@ from slipfree.trajectory import Column, Trajectory
 from slipfree.version import __version__
 
 CHECKS = (  # the facts that tell how far a result is to be trusted
-    "closure residual", "Newton step", "drift of the assembly", "singular value",
-    "contact certificate", "not converged", "diagnostics failed", "margin", "simulated",
-    "round trip", "replay by the direct model",
-    "replay stopped early", "driven by friction", "friction", "  best distribution", "energy",
-    "slow climb", "integrator", "collocation",
-)  # fmt: skip
+    "closure residual",
+    "Newton step",
+    "drift of the assembly",
+    "singular value",
+    "contact certificate",
+    "not converged",
+    "diagnostics failed",
+    "margin",
+    "simulated",
+    "round trip",
+    "replay by the direct model",
+    "replay stopped early",
+    "driven by friction",
+    "friction",
+    "  best distribution",
+    "energy",
+    "slow climb",
+    "integrator",
+    "collocation",
+)
 OF_AXLES = {"wheel_rate": "rad s-1", "friction": "N", "load": "N"}  # what figures show of a plan
 VERSION = "_version"
 ELSEWHERE = (  # attributes that are told in other places
-    "problem", "settings", "history", "title", "outcome", "slow_climb", "by_friction",
-    "replay_stopped", "failed_diagnostics", "date_created", "problem_folder",
-)  # fmt: skip
+    "problem",
+    "settings",
+    "history",
+    "title",
+    "outcome",
+    "slow_climb",
+    "by_friction",
+    "replay_stopped",
+    "failed_diagnostics",
+    "date_created",
+    "problem_folder",
+)
 
 
 class _Drawn(NamedTuple):
@@ -103,8 +126,11 @@ def _set_up(found: Mapping[str, str]) -> Facts:
 
 def _versions(file: Path, found: Mapping[str, str]) -> Facts:
     """Return what computed a result, and what identifies its file."""
-    parts = [(name.removesuffix(VERSION), words) for name, words in found.items()
-             if name.endswith(VERSION)]  # fmt: skip
+    parts = [
+        (name.removesuffix(VERSION), words)
+        for name, words in found.items()
+        if name.endswith(VERSION)
+    ]
     return [
         ("computed", found.get("date_created", "unknown when")),
         *parts,

@@ -178,10 +178,10 @@ class Guide(Driver):
         description="of the law; a route is sought over the map"
     )
     turning_radius: NonNegative = Field(default=1.0, description="of a route, at least [m]")
-    paths: Annotated[tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
-                     Field(strict=False, min_length=1)] = Field(
-        default=None, description="several paths of way-points: the cheapest plan counts [m]"
-    )  # fmt: skip
+    paths: Annotated[
+        tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
+        Field(strict=False, min_length=1),
+    ] = Field(default=None, description="several paths of way-points: the cheapest plan counts [m]")
     count: Annotated[int, Field(ge=1)] = Field(
         default=1, description="of routes: of the plans they lead to the cheapest counts"
     )

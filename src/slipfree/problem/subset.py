@@ -67,8 +67,9 @@ def build_subset(problem: Problem[S], spec: schema.Inverse) -> Setup:
                 formulas[name] = _formula(name, value, dae.t)
     numbers = {name: value for name, value in given.items() if name not in formulas}
     t, rates = samples(spec.time, numbers)
-    first = {name: value[0] if isinstance(value, np.ndarray) else value
-             for name, value in rates.items()}  # fmt: skip
+    first = {
+        name: value[0] if isinstance(value, np.ndarray) else value for name, value in rates.items()
+    }
     sought = [name for name in steered(vehicle, direct) if name not in spec.start]
     errors = [f"{name}_error" for name in sought]
     with at(problem, ("given",)):
@@ -130,8 +131,9 @@ def drive_subset(
     else:
         n = again.t.size if again.stop is None else again.t.size - 1
         names = [label.full for label in leaves(direct.labels.x)]
-        gaps |= {f"replay_{name}": float(np.abs(again[name][:n] - run[name][:n]).max())
-                 for name in names}  # fmt: skip
+        gaps |= {
+            f"replay_{name}": float(np.abs(again[name][:n] - run[name][:n]).max()) for name in names
+        }
         if again.stop is not None and run.stop is None:
             early["replay_stopped"] = f"at {again.stop.t:.6g} s: {again.stop.words}"
     return replace(run, statistics={**run.statistics, **gaps}, attributes=early)

@@ -21,9 +21,16 @@ def motion_facts(run: Trajectory) -> Facts:
     if is_climb(run):
         return [*climb_facts(run)]
     return [
-        *_way(run), *_inverse(run), *_planned(run), *_slip(run), *_tilt(run), *_forces(run),
-        *_trust(run), *_cost(run), *_end(run),
-    ]  # fmt: skip
+        *_way(run),
+        *_inverse(run),
+        *_planned(run),
+        *_slip(run),
+        *_tilt(run),
+        *_forces(run),
+        *_trust(run),
+        *_cost(run),
+        *_end(run),
+    ]
 
 
 def ranges(run: Trajectory) -> Facts:
@@ -107,8 +114,11 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
     counts = run.statistics
     if "plan_iterations" not in counts:
         return
-    costs = {name.removeprefix("plan_cost_"): value for name, value in counts.items()
-             if name.startswith("plan_cost_")}  # fmt: skip
+    costs = {
+        name.removeprefix("plan_cost_"): value
+        for name, value in counts.items()
+        if name.startswith("plan_cost_")
+    }
     yield (
         "plan",
         ", ".join(f"{name} {value:.6g}" for name, value in costs.items())
@@ -117,11 +127,17 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
             f"{counts['plan_seconds_functions']:.3g} s in functions"
         ),
     )
-    gaps = [(name.removeprefix("plan_difference_"), size) for name, size in counts.items()
-            if name.startswith("plan_difference_")]  # fmt: skip
+    gaps = [
+        (name.removeprefix("plan_difference_"), size)
+        for name, size in counts.items()
+        if name.startswith("plan_difference_")
+    ]
     listed = ", ".join(f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps)
-    over = [f"{name.removeprefix('plan_violation_')} by {size:.1e}" for name, size in counts.items()
-            if name.startswith("plan_violation_") and size > ROUNDING]  # fmt: skip
+    over = [
+        f"{name.removeprefix('plan_violation_')} by {size:.1e}"
+        for name, size in counts.items()
+        if name.startswith("plan_violation_") and size > ROUNDING
+    ]
     kept = f"; it goes beyond {', '.join(over)}" if over else "; it keeps to all limits"
     if run.stop is not None and run.stop.name == "plan":
         kept = ""  # which limits matter the reasons say
@@ -282,8 +298,11 @@ def _collocated(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 def _replayed(run: Trajectory) -> Iterator[tuple[str, str]]:
     """Yield how far a replay by the direct model is from the motion, if there was one."""
-    gaps = {name.removeprefix("replay_"): size for name, size in run.statistics.items()
-            if name.startswith("replay_")}  # fmt: skip
+    gaps = {
+        name.removeprefix("replay_"): size
+        for name, size in run.statistics.items()
+        if name.startswith("replay_")
+    }
     listed = ", ".join(
         f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps.items()
     )

@@ -165,8 +165,10 @@ def _forces(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Iterator[tup
     elif is_determinate(vehicle):
         how = "equilibrium determines them"
     else:
-        how = f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are left open by " \
-              "equilibrium: the load-weighted ones are taken"  # fmt: skip
+        how = (
+            f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are left open by "
+            "equilibrium: the load-weighted ones are taken"
+        )
     yield "contact forces", f"{count}: {how}"
 
 
@@ -241,10 +243,15 @@ def conditioning(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Facts:
         point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
         jacobian = np.array(block.jacobian(*point)) * dae.sizes.alg[block.span, None]
         _, values, right = np.linalg.svd(jacobian)
-        size = [abs(part) if label in moving else 0.0
-                for part, label in zip(right[-1], labels[block.span], strict=True)]  # fmt: skip
-        weak = [labels[block.span][k].full for k in np.argsort(size)[::-1]
-                if size[k] > SHARE * max(size)]  # fmt: skip
+        size = [
+            abs(part) if label in moving else 0.0
+            for part, label in zip(right[-1], labels[block.span], strict=True)
+        ]
+        weak = [
+            labels[block.span][k].full
+            for k in np.argsort(size)[::-1]
+            if size[k] > SHARE * max(size)
+        ]
         words = f"{values[0] / values[-1]:.3g} at the start, weakest in {', '.join(weak)}"
         facts.append((f"condition of {name}", words))
     return facts

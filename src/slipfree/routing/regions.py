@@ -55,9 +55,11 @@ class Disc:
     def bounds(self) -> tuple[float, float, float, float]:
         """``x_min, x_max, y_min, y_max`` in map coordinates [m]."""
         return (
-            self.x - self.radius, self.x + self.radius,
-            self.y - self.radius, self.y + self.radius,
-        )  # fmt: skip
+            self.x - self.radius,
+            self.x + self.radius,
+            self.y - self.radius,
+            self.y + self.radius,
+        )
 
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return how far a point lies outside, negative inside, as an expression [m].

@@ -30,8 +30,12 @@ from slipfree.routing.traversability import (
 )
 
 # Neighbours on the grid and the knight's moves: headings 27 degrees apart, ways at most 2.8 % long.
-MOVES = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if max(abs(i), abs(j)) and
-              (math.gcd(i, j) == 1))  # fmt: skip
+MOVES = tuple(
+    (i, j)
+    for i in range(-2, 3)
+    for j in range(-2, 3)
+    if max(abs(i), abs(j)) and (math.gcd(i, j) == 1)
+)
 
 DEEPER = 4.0  # factor on the cost of an earlier route's surroundings when the next one is sought
 TRIES = 4  # how often in a row a route may be none that is new

@@ -194,10 +194,13 @@ def _effort(field: _Field, p: Array, aim: _Aim) -> tuple[float, Array, Array]:
     sharp += (rule / aim.sharpest**2 * (excess > 0))[:, None, None] * _squares(inward)
     hessians = (
         (MIDDLE, (rule * (missing > 0))[:, None, None] * _squares(normal)),
-        (EDGE, (cost / length)[:, None, None] * (np.eye(2) - _squares(along))
-         + 2 / aim.step * _squares(along)),
+        (
+            EDGE,
+            (cost / length)[:, None, None] * (np.eye(2) - _squares(along))
+            + 2 / aim.step * _squares(along),
+        ),
         (BEND / aim.step**2, stiff * np.eye(2) + sharp),
-    )  # fmt: skip
+    )
     return float(total), _gathered(gradients, p), _banded(hessians, len(p))
 
 

@@ -101,8 +101,10 @@ def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> No
 def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
     """Return rear axle, joint and front axle, and the centers of mass, both of shape (2, n)."""
     joint = np.array([run["x"][k], run["z"][k]])
-    ends = [np.array([run[name, axle][k] for name in ("axle_x", "axle_z")])
-            for axle in ("rear", "front")]  # fmt: skip
+    ends = [
+        np.array([run[name, axle][k] for name in ("axle_x", "axle_z")])
+        for axle in ("rear", "front")
+    ]
     centers = []
     for body, name in ((climber.rear_body, "rear"), (climber.front_body, "front")):
         cosine, sine = np.cos(run[f"tilt_{name}"][k]), np.sin(run[f"tilt_{name}"][k])
@@ -115,8 +117,7 @@ def _framed(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
     """Show all of a motion, and a little of the ground below it."""
     reach, x, z = climber.radius + ROOM, run["axle_x"], run["axle_z"]
     top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)
-    ax.set(xlim=(x.min() - reach, x.max() + reach),
-           ylim=(z.min() - climber.radius - BELOW, top))  # fmt: skip
+    ax.set(xlim=(x.min() - reach, x.max() + reach), ylim=(z.min() - climber.radius - BELOW, top))
     return ax
 
 
@@ -284,9 +285,13 @@ def climb_figures(
 
 
 def save_climb_figures(
-    run: Trajectory, climber: Climber, profile: Profile, folder: str | Path,
-    formats: Sequence[str] = ("png",), plan: Trajectory | None = None,
-) -> list[Path]:  # fmt: skip
+    run: Trajectory,
+    climber: Climber,
+    profile: Profile,
+    folder: str | Path,
+    formats: Sequence[str] = ("png",),
+    plan: Trajectory | None = None,
+) -> list[Path]:
     """Write the figures of a climb to a folder, which is made if needed, and return their files.
 
     Parameters
@@ -329,8 +334,9 @@ def _references(run: Trajectory, climber: Climber) -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     references(run, climber, panels[0])
     tilts(run, panels[1])
-    return style.finished(style.stacked(figure, panels), run, panels,
-                          "Thin: speed of the rim. Shaded: not averaged.")  # fmt: skip
+    return style.finished(
+        style.stacked(figure, panels), run, panels, "Thin: speed of the rim. Shaded: not averaged."
+    )
 
 
 def _slip(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
@@ -340,10 +346,12 @@ def _slip(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
     true_slip(run, climber, profile, panels[1])
     disturbance(run, panels[2])
     return style.finished(
-        style.stacked(figure, panels), run, panels[:1],
+        style.stacked(figure, panels),
+        run,
+        panels[:1],
         f"Drawn up to {HIGHEST:g} %. Equation (20) takes the middle axle's speed for all wheels. "
         "Shaded: not averaged.",
-    )  # fmt: skip
+    )
 
 
 def _forces(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
@@ -351,8 +359,12 @@ def _forces(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     loads(run, profile, panels[0])
     torques(run, climber, panels[1])
-    return style.finished(style.stacked(figure, panels), run, panels[:1],
-                          "Short peaks of impacts are cut off. Shaded: not averaged.")  # fmt: skip
+    return style.finished(
+        style.stacked(figure, panels),
+        run,
+        panels[:1],
+        "Short peaks of impacts are cut off. Shaded: not averaged.",
+    )
 
 
 def _plan(run: Trajectory, plan: Trajectory, climber: Climber, profile: Profile) -> Figure:
@@ -360,8 +372,12 @@ def _plan(run: Trajectory, plan: Trajectory, climber: Climber, profile: Profile)
     panels = figure.subplots(2, 1, sharex=True)
     planned_speeds(run, plan, climber, panels[0])
     planned_friction(run, plan, profile, panels[1])
-    return style.finished(style.stacked(figure, panels), run, panels[:1],
-                          "Thin: driven. Dashed: the friction that the plan uses.")  # fmt: skip
+    return style.finished(
+        style.stacked(figure, panels),
+        run,
+        panels[:1],
+        "Thin: driven. Dashed: the friction that the plan uses.",
+    )
 
 
 def _outcome(run: Trajectory) -> str:
@@ -408,8 +424,9 @@ class _Film:
 
     def __init__(self, climber: Climber, ax: Axes) -> None:
         self.climber, colors = climber, style.PALETTE[: len(AXLES)]
-        self.wheels = [Circle((0, 0), climber.radius, fc="white", ec=each, lw=1.6)
-                       for each in colors]  # fmt: skip
+        self.wheels = [
+            Circle((0, 0), climber.radius, fc="white", ec=each, lw=1.6) for each in colors
+        ]
         for wheel in self.wheels:
             ax.add_patch(wheel)
         self.spokes: list[Line2D] = [ax.plot([], [], color=each, lw=1)[0] for each in colors]

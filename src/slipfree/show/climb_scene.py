@@ -127,9 +127,7 @@ def _actor(
     return Actor(name, color, run.t, tuple(bodies), contacts, arrows, ghost, scene.stopped(run))
 
 
-def _bodies(
-    climber: Climber, run: Trajectory, origin: Array, color: Color
-) -> Iterable[scene.Body]:  # fmt: skip
+def _bodies(climber: Climber, run: Trajectory, origin: Array, color: Color) -> Iterable[scene.Body]:
     """Yield both bodies, on the joint that they share."""
     joint = np.stack([run["x"], np.zeros(run.t.size), run["z"]], axis=1) - origin
     rear = (climber.rear.ahead, max(climber.middle.ahead, climber.rear.ahead / 2))
@@ -166,9 +164,7 @@ def _abreast(climber: Climber, k: int) -> Array:
     return np.linspace(-half, half, count) if count > 1 else np.zeros(1)
 
 
-def _wheels(
-    climber: Climber, run: Trajectory, origin: Array, color: Color
-) -> Iterable[scene.Body]:  # fmt: skip
+def _wheels(climber: Climber, run: Trajectory, origin: Array, color: Color) -> Iterable[scene.Body]:
     tube = TUBE * climber.radius
     looks = ((tyre(tube, climber.radius - tube), TYRE), (spokes(0.97 * climber.radius), color))
     for k, axle in enumerate(AXLES):
@@ -178,9 +174,7 @@ def _wheels(
             yield scene.Body(f"{axle} {number + 1}", looks, at.T - origin, turned)
 
 
-def _contacts(
-    each: Climbed, run: Trajectory, origin: Array
-) -> tuple[Array, tuple[Arrows, ...]]:  # fmt: skip
+def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tuple[Arrows, ...]]:
     """Return contact points of all wheels with all solids that bear them, slip and forces there."""
     if "load_0" not in run.columns:
         return np.full((run.t.size, 1, 3), np.nan), ()
@@ -190,8 +184,9 @@ def _contacts(
         tangents = np.stack([normals[..., 1], -normals[..., 0]], axis=-1)
         for k, axle in enumerate(AXLES):
             normal, tangent = _lifted(normals[:, k]), _lifted(tangents[:, k])
-            load, rubbing, slip = (run[f"{name}_{number}", axle][:, None]
-                                   for name in ("load", "friction", "slip"))  # fmt: skip
+            load, rubbing, slip = (
+                run[f"{name}_{number}", axle][:, None] for name in ("load", "friction", "slip")
+            )
             center = np.stack([run["axle_x", axle], np.zeros(run.t.size), run["axle_z", axle]], 1)
             touch = np.where(load > LOADED, center - each.climber.radius * normal, np.nan) - origin
             for across in _abreast(each.climber, k):

@@ -107,16 +107,26 @@ class _Film:
     def _ground(self, middle: Array) -> Any:
         """Draw the ground around the vehicle, as far as the map goes."""
         west, east, south, north = self.terrain.domain
-        x, y = (np.clip(np.linspace(at - self.reach, at + self.reach, CELLS) + origin, low, high)
-                for at, origin, low, high in zip(middle, self.scene.origin, (west, south),
-                                                 (east, north), strict=False))  # fmt: skip
+        x, y = (
+            np.clip(np.linspace(at - self.reach, at + self.reach, CELLS) + origin, low, high)
+            for at, origin, low, high in zip(
+                middle, self.scene.origin, (west, south), (east, north), strict=False
+            )
+        )
         x, y = np.meshgrid(x, y, indexing="ij")
         z = self.terrain.elevation(x, y)
         o_x, o_y, o_z = self.scene.origin
         return self.space.plot_surface(
-            x - o_x, y - o_y, z - o_z, color="0.95", lw=0.2, edgecolor="0.65", rcount=CELLS,
-            ccount=CELLS, zorder=0,
-        )  # fmt: skip
+            x - o_x,
+            y - o_y,
+            z - o_z,
+            color="0.95",
+            lw=0.2,
+            edgecolor="0.65",
+            rcount=CELLS,
+            ccount=CELLS,
+            zorder=0,
+        )
 
     def _vehicle(self, actor: Actor, k: int) -> list[Any]:
         """Draw the faces of the vehicle's parts, the nearest last."""
@@ -155,8 +165,15 @@ def _draw_map(ax: Axes, scene: Scene, drives: Sequence[Driven]) -> list[Any]:
     places = []
     for actor in scene.actors:
         way, color = actor.bodies[0].origins + scene.origin, _shares(actor.color)
-        ax.plot(way[:, 0], way[:, 1], color=color, lw=1, ls="--" if actor.ghost else "-",
-                label=actor.name, zorder=3)  # fmt: skip
+        ax.plot(
+            way[:, 0],
+            way[:, 1],
+            color=color,
+            lw=1,
+            ls="--" if actor.ghost else "-",
+            label=actor.name,
+            zorder=3,
+        )
         places += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
     for name in scene.scales:
         if scene.scales[name]:

@@ -96,8 +96,9 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     ways = [np.stack([run["x"], run["y"]], axis=1) for run in _runs(drives)]
     fine = refined(drawn, first.terrain, ways, NEXT * reach, FINE * reach)
     origin = np.round([x.mean(), y.mean(), z.mean()])
-    layers = [each._replace(colors=fine.spread(each.colors))
-              for each in _layers(drawn, first, window)]  # fmt: skip
+    layers = [
+        each._replace(colors=fine.spread(each.colors)) for each in _layers(drawn, first, window)
+    ]
     warnings = [*_off(drives, fine, SEEN), *_others(drives)]
     actors = []
     for k, drive in enumerate(drives):
@@ -119,11 +120,17 @@ def _runs(drives: Sequence[Driven]) -> list[Trajectory]:
 
 def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
     """Return the part of the ground to draw: the surroundings of all paths, on the map."""
-    x, y = (np.concatenate([np.append(run[name], run[f"contact_{name}"]) for run in _runs(drives)])
-            for name in "xy")  # fmt: skip
+    x, y = (
+        np.concatenate([np.append(run[name], run[f"contact_{name}"]) for run in _runs(drives)])
+        for name in "xy"
+    )
     around = ground_drawing.about(x, y, grid, MARGIN)
-    least = [x.min() - NEXT * reach, x.max() + NEXT * reach,
-             y.min() - NEXT * reach, y.max() + NEXT * reach]  # fmt: skip
+    least = [
+        x.min() - NEXT * reach,
+        x.max() + NEXT * reach,
+        y.min() - NEXT * reach,
+        y.max() + NEXT * reach,
+    ]
     low, high = slice(0, None, 2), slice(1, None, 2)
     whole = np.array(ground_drawing.whole(grid))
     found = np.empty(4)
@@ -148,8 +155,12 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
     wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
     wide = (window[0] - wide_x, window[1] + wide_x, window[2] - wide_y, window[3] + wide_y)
     whole = ground_drawing.whole(terrain.grid)
-    near = (max(wide[0], whole[0]), min(wide[1], whole[1]),
-            max(wide[2], whole[2]), min(wide[3], whole[3]))  # fmt: skip
+    near = (
+        max(wide[0], whole[0]),
+        min(wide[1], whole[1]),
+        max(wide[2], whole[2]),
+        min(wide[3], whole[3]),
+    )
     part = Bicubic(cut(terrain.grid, near), terrain.center, terrain.mu)
     layers = traversability(part, drive.vehicle, keep_out=drive.keep_out)
     places = np.stack(np.meshgrid(drawn.x, drawn.y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -173,15 +184,18 @@ def _actor(
     axles = wheels.rotations[..., 0]
     arrows = [] if ghost else _arrows(run, drive.terrain, contacts, axles)
     return Actor(
-        name, color, run.t, tuple(b._replace(origins=b.origins - origin) for b in bodies),
-        contacts - origin, tuple(a._replace(starts=a.starts - origin) for a in arrows), ghost,
+        name,
+        color,
+        run.t,
+        tuple(b._replace(origins=b.origins - origin) for b in bodies),
+        contacts - origin,
+        tuple(a._replace(starts=a.starts - origin) for a in arrows),
+        ghost,
         stopped(run),
-    )  # fmt: skip
+    )
 
 
-def _parts(
-    vehicle: Vehicle, parts: Placed, wheels: Placed, color: Color
-) -> Iterable[Body]:  # fmt: skip
+def _parts(vehicle: Vehicle, parts: Placed, wheels: Placed, color: Color) -> Iterable[Body]:
     """Yield the platform and the parts of the joints, as rods to what they carry."""
     radius = max(wheel.radius for wheel in vehicle.wheels)
     names = ["platform", *(joint.name for joint in vehicle.joints)]
@@ -194,8 +208,11 @@ def _parts(
                 away = parts.origins[:, names.index(joint.name)] - origins
                 places = np.einsum("nji,nj->ni", rotations, away)
                 ends += [places.min(axis=0), places.max(axis=0)]
-        meshes = [rod((0.0, 0.0, 0.0), end, ROD * radius) for end in ends
-                  if np.linalg.norm(end) > ROD * radius]  # fmt: skip
+        meshes = [
+            rod((0.0, 0.0, 0.0), end, ROD * radius)
+            for end in ends
+            if np.linalg.norm(end) > ROD * radius
+        ]
         if name == "platform":
             away = wheels.origins[0] - origins[0]
             meshes.append(chassis(away @ rotations[0], radius))
@@ -288,5 +305,7 @@ def _others(drives: Sequence[Driven]) -> Iterable[str]:
                 "lower where it went: show them one by one"
             )
         if apart > SAME:
-            yield (f"The ground is that of {first.name}; that of {drive.name} differs by up to "
-                   f"{apart:.3g} m where it went.")  # fmt: skip
+            yield (
+                f"The ground is that of {first.name}; that of {drive.name} differs by up to "
+                f"{apart:.3g} m where it went."
+            )

@@ -39,9 +39,12 @@ def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
 
 
 def write_film(
-    writer: AbstractMovieWriter, figure: Figure, file: Path, show: Callable[[T], None],
+    writer: AbstractMovieWriter,
+    figure: Figure,
+    file: Path,
+    show: Callable[[T], None],
     steps: Iterable[T],
-) -> None:  # fmt: skip
+) -> None:
     """Write a film of a figure as it is after each step is shown; the file is old or whole.
 
     Raises

@@ -123,9 +123,14 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     order = np.argsort(largest, kind="stable")
     scale = colormaps[COLOURS].with_extremes(over=OVER)
     lines = LineCollection(
-        list(pieces[order]), array=largest[order], cmap=scale, norm=Normalize(0, 1),
-        linewidths=2, capstyle="round", zorder=3,
-    )  # fmt: skip
+        list(pieces[order]),
+        array=largest[order],
+        cmap=scale,
+        norm=Normalize(0, 1),
+        linewidths=2,
+        capstyle="round",
+        zorder=3,
+    )
     ax.add_collection(lines, autolim=False)
     bar = ax.figure.colorbar(lines, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max")
     bar.set_label(f"{_quantity(run)} [1]")
@@ -290,14 +295,27 @@ def _mark_worst(run: Trajectory, ax: Axes) -> None:
     value, top = run["utilisation"][k, wheel], ax.get_ylim()[1]
     above = value > top
     at = (run.t[k], min(value, top))
-    ax.plot(*at, "^" if above else "o", color=style.look(wheel)["color"], mec="black",
-            ms=5, clip_on=False, zorder=5)  # fmt: skip
+    ax.plot(
+        *at,
+        "^" if above else "o",
+        color=style.look(wheel)["color"],
+        mec="black",
+        ms=5,
+        clip_on=False,
+        zorder=5,
+    )
     part = (run.t[k] - run.t[0]) / max(float(np.ptp(run.t)), 1e-300)
     side = "left" if part < EDGES else "right" if part > 1 - EDGES else "center"
     away = {"left": 7, "center": 0, "right": -7}[side] if above else 0
     clear = 1.0 if CROWDED < value < 1 else at[1]
     ax.annotate(
-        _worst_words(run), (at[0], clear), (away, -4 if above else 6), textcoords="offset points",
-        ha=side, va="top" if above else "bottom", fontsize=7, zorder=6,
+        _worst_words(run),
+        (at[0], clear),
+        (away, -4 if above else 6),
+        textcoords="offset points",
+        ha=side,
+        va="top" if above else "bottom",
+        fontsize=7,
+        zorder=6,
         bbox={"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1},
-    )  # fmt: skip
+    )

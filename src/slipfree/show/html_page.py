@@ -58,8 +58,11 @@ def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable
         + (f'<div style="{WARNING}">{escape(actor.stop)}</div>' if actor.stop else "")
         for actor in scene.actors
     )
-    arrows = "".join(swatch(ARROWS[name], f"{name}: {each}") for name in scene.scales
-                     if (each := scale_words(scene, name)))  # fmt: skip
+    arrows = "".join(
+        swatch(ARROWS[name], f"{name}: {each}")
+        for name in scene.scales
+        if (each := scale_words(scene, name))
+    )
     notes = "".join(f"<p>{escape(note)}</p>" for note in (*scene.notes, *words))
     box = (
         f'<div id="slipfree" style="{BOX}"><b>{escape(title)}</b>{legend(layer)}{runs}{arrows}'

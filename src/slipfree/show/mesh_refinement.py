@@ -59,8 +59,10 @@ class Refined(NamedTuple):
         whole = colors.reshape(*self.grid.z.shape, 3).astype(float)
         i, j = np.nonzero(self.near)
         a, b = self._shares()
-        corners = [(whole[i + p, j + q], (a if p else 1 - a) * (b if q else 1 - b))
-                   for p, q in product((0, 1), repeat=2)]  # fmt: skip
+        corners = [
+            (whole[i + p, j + q], (a if p else 1 - a) * (b if q else 1 - b))
+            for p, q in product((0, 1), repeat=2)
+        ]
         mixed = sum(color[:, None, None, :] * share[None, :, :, None] for color, share in corners)
         fine = np.rint(mixed).astype(np.uint8).reshape(-1, 3)
         return np.concatenate([colors, fine])
@@ -74,8 +76,9 @@ class Refined(NamedTuple):
         s, t = (np.clip(np.floor(each), 0, k - 1) for each in (u, v))
         total = np.zeros(np.shape(x))
         for p, q in product((0, 1), repeat=2):
-            fine = self.terrain.elevation(self.grid.x[i] + (s + p) * h_x / k,
-                                          self.grid.y[j] + (t + q) * h_y / k)  # fmt: skip
+            fine = self.terrain.elevation(
+                self.grid.x[i] + (s + p) * h_x / k, self.grid.y[j] + (t + q) * h_y / k
+            )
             corner = np.where(k > 1, fine, self.grid.z[i + p, j + q])
             share = (u - s if p else 1 - u + s) * (v - t if q else 1 - v + t)
             total += share * corner

@@ -42,8 +42,9 @@ def joined(*meshes: Mesh) -> Mesh:
 def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
     """Return the surface through a grid of points, shape (n, m, 3), closed in either direction."""
     n, m, _ = points.shape
-    i, j = (np.arange(size if each else size - 1)
-            for size, each in zip((n, m), closed, strict=True))  # fmt: skip
+    i, j = (
+        np.arange(size if each else size - 1) for size, each in zip((n, m), closed, strict=True)
+    )
     first, right = i[:, None] * m, ((i + 1) % n)[:, None] * m
     here, up = j[None, :], ((j + 1) % m)[None, :]
     a, b, c, d = first + here, right + here, right + up, first + up
@@ -75,8 +76,9 @@ def spokes(radius: float) -> Mesh:
     angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
     ends = [(0.0, float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]
     sizes = [2 * SPOKE, *[SPOKE] * (SPOKES - 1)]
-    return joined(*(rod((0.0, 0.0, 0.0), end, size * radius)
-                    for end, size in zip(ends, sizes, strict=True)))  # fmt: skip
+    return joined(
+        *(rod((0.0, 0.0, 0.0), end, size * radius) for end, size in zip(ends, sizes, strict=True))
+    )
 
 
 def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float) -> Mesh:
@@ -107,16 +109,23 @@ def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
     k = np.arange(1, n - 1)
     fan = np.stack([np.zeros_like(k), k, k + 1], axis=1)
     # Each end has vertices of its own, so that edges stay sharp when normals are averaged.
-    caps = [Mesh(outline, fan[:, ::-1].astype(np.uint32)),
-            Mesh(outline + np.asarray(along), fan.astype(np.uint32))]  # fmt: skip
+    caps = [
+        Mesh(outline, fan[:, ::-1].astype(np.uint32)),
+        Mesh(outline + np.asarray(along), fan.astype(np.uint32)),
+    ]
     return joined(side, *caps)
 
 
 def plate(half_width: float, rear: float, front: float, thickness: float) -> Mesh:
     """Return a flat body around the origin, x right, y forward, pointed where its front is. [m]."""
     shoulder = front - 0.25 * (front - rear)
-    corners = ((-half_width, rear), (half_width, rear), (half_width, shoulder), (0.0, front),
-               (-half_width, shoulder))  # fmt: skip
+    corners = (
+        (-half_width, rear),
+        (half_width, rear),
+        (half_width, shoulder),
+        (0.0, front),
+        (-half_width, shoulder),
+    )
     outline = np.array([(x, y, -thickness / 2) for x, y in corners])
     return extruded(outline, (0.0, 0.0, thickness))
 

@@ -136,9 +136,16 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
     x, y, z = ground_drawing.patch(grid, window, MESH)
     ax.computed_zorder = False
     ax.plot_surface(
-        *np.meshgrid(x, y, indexing="ij"), z, **_colours(z), rcount=MESH, ccount=MESH,
-        linewidth=0.12, edgecolor=(0, 0, 0, 0.3), zorder=1, clip_on=False,
-    )  # fmt: skip
+        *np.meshgrid(x, y, indexing="ij"),
+        z,
+        **_colours(z),
+        rcount=MESH,
+        ccount=MESH,
+        linewidth=0.12,
+        edgecolor=(0, 0, 0, 0.3),
+        zorder=1,
+        clip_on=False,
+    )
     over: dict[str, Any] = {"zorder": 3, "clip_on": False, "path_effects": style.halo(2.2)}
     for k, wheel in enumerate(run.wheels):
         at = [run[f"contact_{axis}", wheel] for axis in "xyz"]

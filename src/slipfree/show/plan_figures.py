@@ -89,16 +89,28 @@ def ways(found: Sequence[Array], ax: Axes) -> Axes:
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         name = f"way {k + 1}" if len(found) > 1 else "way to start from"
         ax.plot(
-            *points.T, color=PLATFORM, ls=style.DASHES[1 + k % 3], lw=1.0, zorder=3,
-            label=f"{name}, {length:.4g} m", path_effects=style.halo(2.0),
-        )  # fmt: skip
+            *points.T,
+            color=PLATFORM,
+            ls=style.DASHES[1 + k % 3],
+            lw=1.0,
+            zorder=3,
+            label=f"{name}, {length:.4g} m",
+            path_effects=style.halo(2.0),
+        )
     return ax
 
 
 def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
     """Draw the planned motion of the platform's centre, and the places it is to pass."""
-    ax.plot(run["x"], run["y"], color=PLATFORM, lw=1.6, zorder=4, label="planned motion",
-            path_effects=style.halo(3.0))  # fmt: skip
+    ax.plot(
+        run["x"],
+        run["y"],
+        color=PLATFORM,
+        lw=1.6,
+        zorder=4,
+        label="planned motion",
+        path_effects=style.halo(3.0),
+    )
     marks: dict[str, Any] = {"ls": "none", "mec": "black", "zorder": 5}
     for name, x, y in places:
         shape, color, size = {"start": ("o", "white", 5), "goal": ("*", "white", 9)}.get(
@@ -283,8 +295,11 @@ def _promise(run: Trajectory) -> str:
         if name.startswith(start)
         and (unit := style.unit(run.columns[name.removeprefix(start)].label.unit))
     ]
-    return f"Simulated with the planned inputs; misses the plan by {', '.join(missed)}." \
-        if missed else ""  # fmt: skip
+    return (
+        f"Simulated with the planned inputs; misses the plan by {', '.join(missed)}."
+        if missed
+        else ""
+    )
 
 
 def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:

@@ -181,14 +181,20 @@ class Scene(NamedTuple):
     @property
     def span(self) -> tuple[float, float]:
         """First and last time of all motions [s]."""
-        return (min(float(actor.t[0]) for actor in self.actors),
-                max(float(actor.t[-1]) for actor in self.actors))  # fmt: skip
+        return (
+            min(float(actor.t[0]) for actor in self.actors),
+            max(float(actor.t[-1]) for actor in self.actors),
+        )
 
 
 def framed(
-    ground: Ground, actors: Iterable[Actor], origin: Array, reach: float, notes: Iterable[str],
+    ground: Ground,
+    actors: Iterable[Actor],
+    origin: Array,
+    reach: float,
+    notes: Iterable[str],
     warnings: Iterable[str] = (),
-) -> Scene:  # fmt: skip
+) -> Scene:
     """Return a scene with the scales of its arrows."""
     actors = tuple(actors)
     scales = {name: _scale(name, actors, LONGEST * reach) for name in LEAST}
@@ -241,8 +247,12 @@ def chassis(places: Array, radius: float) -> Mesh:
 
 def _sizes(name: str, actors: Iterable[Actor]) -> Array:
     """Return the lengths of all vectors of a name that can be drawn."""
-    found = [np.linalg.norm(each.vectors, axis=-1).ravel() for actor in actors
-             for each in actor.arrows if each.name == name]  # fmt: skip
+    found = [
+        np.linalg.norm(each.vectors, axis=-1).ravel()
+        for actor in actors
+        for each in actor.arrows
+        if each.name == name
+    ]
     sizes = np.concatenate([*found, np.zeros(0)])
     return np.asarray(sizes[np.isfinite(sizes)])
 

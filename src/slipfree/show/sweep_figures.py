@@ -59,8 +59,9 @@ def curve(swept: Swept, ax: Axes) -> Axes:
         if varied.numbers:
             ax.fill_between(x, low, high, color=PALETTE[0], alpha=0.2, lw=0, label="range")
         else:
-            ax.vlines(x[there], low[there], high[there], color=PALETTE[0], lw=3, alpha=0.3,
-                      label="range")  # fmt: skip
+            ax.vlines(
+                x[there], low[there], high[there], color=PALETTE[0], lw=3, alpha=0.3, label="range"
+            )
         at = np.repeat(x, values.shape[1])
         ax.plot(at, values.ravel(), ".", ms=3, mew=0, color="0.35", label="runs", zorder=2)
     _name_axis(ax.xaxis, varied)
@@ -162,15 +163,26 @@ def _ticks(axis: Any, values: Sequence[str]) -> None:
     every = -(-len(values) // (2 * ROOM))
     words = [value.strip('"') for value in values[::every]]
     crowded = axis.axis_name == "x" and sum(map(len, words)) > 6 * ROOM
-    axis.set_ticks(range(0, len(values), every), words, rotation=45 if crowded else 0,
-                   **({"ha": "right"} if crowded else {}))  # fmt: skip
+    axis.set_ticks(
+        range(0, len(values), every),
+        words,
+        rotation=45 if crowded else 0,
+        **({"ha": "right"} if crowded else {}),
+    )
 
 
 def _write_values(mean: Array, drawn: Any, ax: Axes) -> None:
     for i, j in np.argwhere(np.isfinite(mean)).tolist():
         light = drawn.norm(mean[i, j]) > 0.6
-        ax.text(i, j, f"{mean[i, j]:.3g}", ha="center", va="center", fontsize=6,
-                color="black" if light else "white")  # fmt: skip
+        ax.text(
+            i,
+            j,
+            f"{mean[i, j]:.3g}",
+            ha="center",
+            va="center",
+            fontsize=6,
+            color="black" if light else "white",
+        )
 
 
 def _labelled(name: str, unit: str) -> str:

@@ -186,24 +186,37 @@ class _Drawn:
         self.frames = []
         for count, body in enumerate(actor.bodies, 1):
             name = f"{root}/body {count}"  # parts may be called like any other node
-            self.frames.append((server.scene.add_frame(name, show_axes=False), body.origins,
-                                body.quaternions))  # fmt: skip
+            self.frames.append(
+                (server.scene.add_frame(name, show_axes=False), body.origins, body.quaternions)
+            )
             for number, (mesh, color) in enumerate(body.meshes):
                 server.scene.add_mesh_simple(
-                    f"{name}/{number}", mesh.vertices, mesh.faces, color=color, side="double",
-                    flat_shading=not actor.ghost, wireframe=actor.ghost,
-                )  # fmt: skip
+                    f"{name}/{number}",
+                    mesh.vertices,
+                    mesh.faces,
+                    color=color,
+                    side="double",
+                    flat_shading=not actor.ghost,
+                    wireframe=actor.ghost,
+                )
         self.label = server.scene.add_label(f"{root}/name", actor.name, anchor="bottom-center")
         self.above = np.array([0.0, 0.0, (0.6 + 0.25 * k) * scene.reach])  # names side by side
         size = SIZES["contact"] * scene.reach
         # A browser takes what it draws to be where it was at first: so all of it moves along.
         self.here = server.scene.add_frame(f"{root}/here", show_axes=False)
         self.contacts = server.scene.add_point_cloud(
-            f"{root}/here/contacts", np.zeros((1, 3)), CONTACT, point_size=size,
-            point_shape="circle", precision="float32",
-        )  # fmt: skip
-        self.arrows = [(_add_arrows(server, scene, f"{root}/here", each), each)
-                       for each in actor.arrows if scene.scales[each.name]]  # fmt: skip
+            f"{root}/here/contacts",
+            np.zeros((1, 3)),
+            CONTACT,
+            point_size=size,
+            point_shape="circle",
+            precision="float32",
+        )
+        self.arrows = [
+            (_add_arrows(server, scene, f"{root}/here", each), each)
+            for each in actor.arrows
+            if scene.scales[each.name]
+        ]
         self.shown = {each.name: True for each in actor.arrows}
         _add_tracks(server, root, actor)
 
@@ -283,10 +296,14 @@ def linear(colors: Colors) -> Colors:
 def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arrows) -> Any:
     sizes = {name: SIZES[name] * scene.reach for name in ("shaft", "head", "tip")}
     return server.scene.add_arrows(
-        f"{root}/{arrows.name}", np.zeros((1, 2, 3)), ARROWS[arrows.name],
-        shaft_radius=sizes["shaft"], head_radius=sizes["head"], head_length=sizes["tip"],
+        f"{root}/{arrows.name}",
+        np.zeros((1, 2, 3)),
+        ARROWS[arrows.name],
+        shaft_radius=sizes["shaft"],
+        head_radius=sizes["head"],
+        head_length=sizes["tip"],
         visible=False,
-    )  # fmt: skip
+    )
 
 
 def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:

@@ -158,8 +158,9 @@ class Scheme:
             q[:, here] = total + rates @ self.basis.integrals(at).T
             total = total + rates @ self.basis.integrals(np.ones(1)).T
         rest = np.full((self.loop.dae.guess.numel() - len(z), t.size), np.nan)
-        return Samples(t, x, np.concatenate([z, rest]), q,
-                       np.repeat(self.loop.u[:, :1], t.size, axis=1))  # fmt: skip
+        return Samples(
+            t, x, np.concatenate([z, rest]), q, np.repeat(self.loop.u[:, :1], t.size, axis=1)
+        )
 
 
 def schemes(loop: System, sought: Mask) -> list[Scheme]:
@@ -196,9 +197,15 @@ class Drive(NamedTuple):
 
 @computing
 def drive(
-    inverse: Model, direct: Model, start: Trajectory, inputs: Any, t: Array, *,
-    sought: Sequence[str] = ("steer",), tolerance: float = 1e-8,
-) -> Drive:  # fmt: skip
+    inverse: Model,
+    direct: Model,
+    start: Trajectory,
+    inputs: Any,
+    t: Array,
+    *,
+    sought: Sequence[str] = ("steer",),
+    tolerance: float = 1e-8,
+) -> Drive:
     """Return the motion of an inverse model, some of whose states are found, and its replay.
 
     Elements are shortened until two degrees agree on the sought states within the tolerance, or as
@@ -500,12 +507,21 @@ def nearest(dae: Model, *, weights: Mapping[str, float] | None = None, **pose: f
     first[weight > 0] = wish[weight > 0]
     found = _least_change(dae, first, wish, weight) + shift
     values = dict(zip(names, found, strict=True))
-    run = settle(dae, guess={name: values[name] for name in names[n_x:]},
-                 **{name: values[name] for name in names[:n_x]})  # fmt: skip
-    change = {name: _first(run, label) - asked[name]
-              for name, label in zip(names, labels, strict=True) if name in asked}  # fmt: skip
-    total = sum(weights.get(name, 1.0) * size**2 for name, size in change.items()
-                if np.isfinite(weights.get(name, 1.0)))  # fmt: skip
+    run = settle(
+        dae,
+        guess={name: values[name] for name in names[n_x:]},
+        **{name: values[name] for name in names[:n_x]},
+    )
+    change = {
+        name: _first(run, label) - asked[name]
+        for name, label in zip(names, labels, strict=True)
+        if name in asked
+    }
+    total = sum(
+        weights.get(name, 1.0) * size**2
+        for name, size in change.items()
+        if np.isfinite(weights.get(name, 1.0))
+    )
     statistics = {"change": float(np.sqrt(total))}
     return replace(run, statistics=statistics | {f"change_{k}": v for k, v in change.items()})
 

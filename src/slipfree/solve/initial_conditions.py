@@ -67,9 +67,12 @@ def consistent(
 
 
 def _eased(
-    loop: System, block: Block, point: tuple[float, Array, Array, Array],
-    stage: tuple[float, float], depth: int,
-) -> Array:  # fmt: skip
+    loop: System,
+    block: Block,
+    point: tuple[float, Array, Array, Array],
+    stage: tuple[float, float],
+    depth: int,
+) -> Array:
     """Return the unknowns at the second value of the continuation from those at the first.
 
     If needed, it goes by way of others at the geometric mean, at most ``depth`` times.

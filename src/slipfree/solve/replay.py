@@ -110,8 +110,9 @@ def _law(dae: Model, t: Array, values: Array, end: float) -> Any:
         t = np.append(t, end)
         spline = make_interp_spline(t, spline(t), k=degree)
     at = ca.MX.sym("t")
-    value = ca.Function.bspline("law", [spline.t.tolist()], spline.c.ravel().tolist(), [degree],
-                                values.shape[1])  # fmt: skip
+    value = ca.Function.bspline(
+        "law", [spline.t.tolist()], spline.c.ravel().tolist(), [degree], values.shape[1]
+    )
     law = ca.Function("law", [at], [value(at)], {"never_inline": True})
     inside = ca.fmin(ca.fmax(dae.t, t[0]), t[-1])
     return unpack(dae.u, ca.vertsplit(law(inside)))

@@ -94,9 +94,15 @@ def simulate(
 
 
 def _simulated(
-    dae: Dae[Any, Any, Any, Any, Any], start: Trajectory, inputs: Any, t: Array, tolerance: float,
-    method: Method | None, progress: Progress | None, heed: InterruptGuard,
-) -> Trajectory:  # fmt: skip
+    dae: Dae[Any, Any, Any, Any, Any],
+    start: Trajectory,
+    inputs: Any,
+    t: Array,
+    tolerance: float,
+    method: Method | None,
+    progress: Progress | None,
+    heed: InterruptGuard,
+) -> Trajectory:
     """Return the motion, what gets lost of interruptions kept."""
     t = usable_times(t)
     if not FINEST <= tolerance < 1:
@@ -327,8 +333,9 @@ def _attempted(
     try:
         # one column for each output time, that of the interval which it ends
         with hushed():
-            found = integrator(x0=at.x / x_size, z0=at.z[: loop.moving] / m_size,
-                               u=np.column_stack([u[:, :1], u]))  # fmt: skip
+            found = integrator(
+                x0=at.x / x_size, z0=at.z[: loop.moving] / m_size, u=np.column_stack([u[:, :1], u])
+            )
     except RuntimeError as error:
         task.heed.check()
         raise SolverError(reason(str(error))) from error

@@ -223,9 +223,11 @@ def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
     slopes = ca.Function("slopes", [unknown, symbol], [block.jacobian(*at), equations])
     problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": equations}
     options: dict[str, Any] = {
-        "error_on_fail": False, "max_iter": FOLLOWING, "show_eval_warnings": False,
+        "error_on_fail": False,
+        "max_iter": FOLLOWING,
+        "show_eval_warnings": False,
         "jacobian_function": slopes,
-    }  # fmt: skip
+    }
     solver = ca.rootfinder("following", "newton", problem, options)
     return ca.vertcat(before, solver(x0=guess, p=given)["x"], rest)
 

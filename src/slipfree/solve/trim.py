@@ -80,8 +80,15 @@ def seek(
         return np.array(loop.outputs(0.0, x, z, loop.u[:, 0])[0]).ravel()[rows]
 
     if where:
-        result = least_squares(outputs, x[where], method="lm", max_nfev=TRIALS * len(where),
-                               xtol=SETTLED, ftol=SETTLED, gtol=SETTLED)  # fmt: skip
+        result = least_squares(
+            outputs,
+            x[where],
+            method="lm",
+            max_nfev=TRIALS * len(where),
+            xtol=SETTLED,
+            ftol=SETTLED,
+            gtol=SETTLED,
+        )
         x[where] = result.x
     return _under(loop, x, first)
 
@@ -90,9 +97,11 @@ def _known(dae: Model, start: Trajectory) -> Array:
     """Return the unknowns of a start, local; zero where it has none of that name."""
     pairs = zip(leaves(dae.labels.z), dae.shift[1], strict=True)
     return np.array(
-        [start.of(label)[-1] - shift if label.name in start.columns else 0.0
-         for label, shift in pairs]
-    )  # fmt: skip
+        [
+            start.of(label)[-1] - shift if label.name in start.columns else 0.0
+            for label, shift in pairs
+        ]
+    )
 
 
 def _needed(loop: System, outputs: Sequence[ca.SX]) -> tuple[Block, ...]:

@@ -115,9 +115,11 @@ class Log:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Close the file, which lets others open it."""
         with suppress(OSError):  # of what could not be written, which was told
             self._file.close()
@@ -166,8 +168,9 @@ class Log:
     def _row(self, number: int, line: Mapping[str, Any]) -> Row:
         try:
             row = Row(**line)
-            figures = {name: (float(value), str(unit)) for name, (value, unit)
-                       in row.figures.items()}  # fmt: skip
+            figures = {
+                name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()
+            }
             return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
         except (TypeError, ValueError, AttributeError) as error:
             raise self._damaged(number) from error

@@ -16,13 +16,27 @@ from slipfree.trajectory import Trajectory, path_length
 Figures = dict[str, tuple[float, str]]
 END = ("x", "y", "z", "heading", "pitch", "roll", "yaw", "tilt_rear", "tilt_front")
 LARGEST = (
-    "pitch", "roll", "utilisation", "utilisation_best", "friction_needed", "drive_torque", "torque",
-    "power", "steering_slip", "drift_position", "closure_residual", "newton_step",
-)  # fmt: skip
+    "pitch",
+    "roll",
+    "utilisation",
+    "utilisation_best",
+    "friction_needed",
+    "drive_torque",
+    "torque",
+    "power",
+    "steering_slip",
+    "drift_position",
+    "closure_residual",
+    "newton_step",
+)
 LEAST = (
-    "tip_over_margin", "force_normal", "clearance", "relative_curvature", "singular_value",
+    "tip_over_margin",
+    "force_normal",
+    "clearance",
+    "relative_curvature",
+    "singular_value",
     "inverse_margin",
-)  # fmt: skip
+)
 GAINED = ("work", "rubbed", "damped", "energy", "potential_energy")
 MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 CLOCK = "seconds"  # statistics with this in their names differ from run to run
@@ -78,8 +92,11 @@ def _of_samples(run: Trajectory) -> Iterator[tuple[str, Quantity]]:
     for name in GAINED:
         if name in run.columns:
             yield name, Quantity(run[name][-1] - run[name][0], units[name])
-    tilts = [name for name in run if name.startswith("tilt_")
-             and not name.endswith(("_rate", "_stop", "_torque"))]  # fmt: skip
+    tilts = [
+        name
+        for name in run
+        if name.startswith("tilt_") and not name.endswith(("_rate", "_stop", "_torque"))
+    ]
     if tilts:
         yield "tilt_largest", Quantity(max(np.abs(run[name]).max() for name in tilts), "rad")
     if not is_climb(run):

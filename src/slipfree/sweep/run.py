@@ -86,5 +86,8 @@ def result_path(folder: Path, sweep: Sweep, number: int) -> Path:
 
 def not_kept(folder: Path, sweep: Sweep, rows: Sequence[Row]) -> list[Row]:
     """Return the runs that have a motion, but no result file in a folder."""
-    return [row for row in rows
-            if row.t is not None and not result_path(folder, sweep, row.run).exists()]  # fmt: skip
+    return [
+        row
+        for row in rows
+        if row.t is not None and not result_path(folder, sweep, row.run).exists()
+    ]

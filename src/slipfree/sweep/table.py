@@ -54,9 +54,13 @@ def write_table(file: Path, sweep: Sweep, rows: Sequence[Row]) -> None:
     ordered = [done[number] for number in sorted(done)]
     units = {name: unit for row in ordered for name, (_, unit) in row.figures.items()}
     head = [
-        "run", *sweep.keys, "outcome", "words", "time reached (s)",
+        "run",
+        *sweep.keys,
+        "outcome",
+        "words",
+        "time reached (s)",
         *(f"{name} ({unit})" if unit else name for name, unit in units.items()),
-    ]  # fmt: skip
+    ]
     lines = [_line(run, done[run.number], units) for run in sweep.runs() if run.number in done]
 
     def fill(part: Path) -> None:

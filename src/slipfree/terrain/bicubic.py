@@ -80,8 +80,11 @@ class Bicubic:
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields; an unpickled copy computes the same coefficients again."""
         return {
-            "grid": self.grid, "center": self.center, "mu": self.mu, "through": self.through,
-        }  # fmt: skip
+            "grid": self.grid,
+            "center": self.center,
+            "mu": self.mu,
+            "through": self.through,
+        }
 
     @cached_property
     def origin(self) -> tuple[float, float, float]:
@@ -133,10 +136,12 @@ class Bicubic:
     def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """Along x and y: the node nearest to the local origin, and the last cell."""
         counts = []
-        for axis, at, h in zip((self.grid.x, self.grid.y), self.origin, self.grid.spacing,
-                               strict=False):  # fmt: skip
-            counts.append((int(np.clip(np.rint((at - axis[0]) / h), 0, axis.size - 1)),
-                           axis.size - 2))  # fmt: skip
+        for axis, at, h in zip(
+            (self.grid.x, self.grid.y), self.origin, self.grid.spacing, strict=False
+        ):
+            counts.append(
+                (int(np.clip(np.rint((at - axis[0]) / h), 0, axis.size - 1)), axis.size - 2)
+            )
         return counts[0], counts[1]
 
     def _in_cells(self, x: Any, y: Any) -> tuple[Any, Any]:

@@ -14,17 +14,29 @@ import casadi as ca
 from slipfree.errors import ModelError
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
-    "sin": (1, ca.sin), "cos": (1, ca.cos), "tan": (1, ca.tan),
-    "asin": (1, ca.asin), "acos": (1, ca.acos), "atan": (1, ca.atan), "atan2": (2, ca.atan2),
-    "sqrt": (1, ca.sqrt), "exp": (1, ca.exp), "log": (1, ca.log), "abs": (1, ca.fabs),
-}  # fmt: skip
+    "sin": (1, ca.sin),
+    "cos": (1, ca.cos),
+    "tan": (1, ca.tan),
+    "asin": (1, ca.asin),
+    "acos": (1, ca.acos),
+    "atan": (1, ca.atan),
+    "atan2": (2, ca.atan2),
+    "sqrt": (1, ca.sqrt),
+    "exp": (1, ca.exp),
+    "log": (1, ca.log),
+    "abs": (1, ca.fabs),
+}
 CONSTANTS = {"pi": math.pi}
 LARGEST = 1e300  # number that a formula may hold
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b,
-    ast.UAdd: lambda a: a, ast.USub: lambda a: -a,
-}  # fmt: skip
+    ast.Add: lambda a, b: a + b,
+    ast.Sub: lambda a, b: a - b,
+    ast.Mult: lambda a, b: a * b,
+    ast.Div: lambda a, b: a / b,
+    ast.Pow: lambda a, b: a**b,
+    ast.UAdd: lambda a: a,
+    ast.USub: lambda a: -a,
+}
 LONGEST = 1000  # characters of a formula
 DEEPEST = 50  # nesting of a formula
 

@@ -38,10 +38,22 @@ WIDE = 0.01  # by which distances along x of a map in degrees may be wrong
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of that ellipsoid [m], [1]
 STEEP = 50.0  # median slope that no ground in metres has, but one in degrees [1]
 UNREADABLE = (  # what reading a damaged numpy archive raises
-    ValueError, EOFError, OSError, RuntimeError, NotImplementedError, MemoryError, SyntaxError,
-    KeyError, TypeError, OverflowError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
-    zlib.error, lzma.LZMAError,
-)  # fmt: skip
+    ValueError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    NotImplementedError,
+    MemoryError,
+    SyntaxError,
+    KeyError,
+    TypeError,
+    OverflowError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+)
 TIFF, POINTS = (".tif", ".tiff"), (".xyz", ".txt", ".csv")
 ENDINGS = (".npz", ".asc", *TIFF, ".png", *POINTS)
 NEEDED_BY = {"cell": (*TIFF, ".png"), "registration": (*TIFF, ".png"), "spacing": POINTS}
@@ -183,16 +195,20 @@ def _found(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heig
 
 def _check_degrees(found: Heights, *, local: bool) -> None:
     """Refuse degrees that are taken for metres, and metres that are taken for degrees."""
-    reach = (f"x from {found.x[0]:.9g} to {found.x[-1]:.9g}, y from {found.y[0]:.9g} to "
-             f"{found.y[-1]:.9g}")  # fmt: skip
+    reach = (
+        f"x from {found.x[0]:.9g} to {found.x[-1]:.9g}, y from {found.y[0]:.9g} to "
+        f"{found.y[-1]:.9g}"
+    )
     fits = max(abs(found.x[[0, -1]])) <= 360 and max(abs(found.y[[0, -1]])) <= 90
     if local and not (found.geographic or (found.placed and fits and not found.crs)):
         raise DataError(
             f"geographic: expected a map in degrees, found {found.crs or 'one in metres'} with "
             f"{reach}; take geographic out"
         )
-    remedy = ('; ask for geographic = "local", or reproject it to metres: gdalwarp -t_srs '
-              "EPSG:326xx in out.tif (xx: the UTM zone)")  # fmt: skip
+    remedy = (
+        '; ask for geographic = "local", or reproject it to metres: gdalwarp -t_srs '
+        "EPSG:326xx in out.tif (xx: the UTM zone)"
+    )
     if found.geographic and not local:
         raise DataError(f"expected a map in metres, found degrees ({found.crs}): {reach}{remedy}")
     if local or found.crs or not (found.placed and fits):
@@ -261,9 +277,11 @@ def local_frame(longitude: Array, latitude: Array) -> Frame:
     middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
     degree = EARTH_RADIUS * np.deg2rad(1.0)
     return Frame(
-        float(longitude[0]), float(1 / (degree * np.cos(middle))),
-        float(latitude[0]), float(1 / degree),
-    )  # fmt: skip
+        float(longitude[0]),
+        float(1 / (degree * np.cos(middle))),
+        float(latitude[0]),
+        float(1 / degree),
+    )
 
 
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:

@@ -64,8 +64,9 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     )
     if repeated:
         told += f"; {repeated} in the same places averaged, at most {apart:.3g} m apart in height"
-    return Heights(x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"),
-                                               ("ground points", told)))  # fmt: skip
+    return Heights(
+        x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"), ("ground points", told))
+    )
 
 
 def _columns(path: Path) -> Array:

@@ -39,13 +39,23 @@ WORDS = {
 BITS, PHOTOMETRIC, ORIENTATION, SAMPLES, FORMAT = 258, 262, 274, 277, 339
 SCALE, TIEPOINT, TRANSFORM, KEYS, METADATA, NODATA = 33550, 33922, 34264, 34735, 42112, 42113
 MODEL, RASTER, PROJECTED, GEOGRAPHIC, UNITS, ANGLES, VERTICAL = (
-    1024, 1025, 3072, 2048, 3076, 2054, 4099,
-)  # fmt: skip
+    1024,
+    1025,
+    3072,
+    2048,
+    3076,
+    2054,
+    4099,
+)
 USER_DEFINED, METRE, DEGREE = 32767, 9001, 9102
 UTM = (range(32601, 32661), range(32701, 32761), range(25828, 25839), range(26901, 26924))
 EXACT = {(1, 8), (1, 16), (2, 16), (2, 32), (3, 32)}  # sample formats and bits that Pillow keeps
-PNG_KINDS = {2: "colours", 3: "a palette of colours", 4: "grey and transparency",
-             6: "colours and transparency"}  # fmt: skip
+PNG_KINDS = {
+    2: "colours",
+    3: "a palette of colours",
+    4: "grey and transparency",
+    6: "colours and transparency",
+}
 
 
 class Reading(NamedTuple):
@@ -126,8 +136,11 @@ def _refuse(expected: str, found: str, remedy: str) -> NoReturn:
 def _unplaced(width: int, height: int, ask: Reading) -> _Place:
     """Return where the nodes of a raster lie that does not say so."""
     if ask.cell is None or ask.registration is None:
-        lacking = [name for name, value in zip(("cell", "registration"), ask[1:], strict=True)
-                   if value is None]  # fmt: skip
+        lacking = [
+            name
+            for name, value in zip(("cell", "registration"), ask[1:], strict=True)
+            if value is None
+        ]
         _refuse(
             f"{' and '.join(lacking)} for a raster that does not say where it lies",
             "none",
@@ -145,14 +158,21 @@ def _check_unasked(ask: Reading) -> None:
     """Refuse what a raster that lies somewhere says itself."""
     for name, value in zip(("cell", "registration"), ask[1:], strict=True):
         if value is not None:
-            _refuse(f"no {name} for a file that says it itself", f"{name} = {value!r}",
-                    f"take {name} out, or correct the file by gdal_edit")  # fmt: skip
+            _refuse(
+                f"no {name} for a file that says it itself",
+                f"{name} = {value!r}",
+                f"take {name} out, or correct the file by gdal_edit",
+            )
 
 
 def _placed(
-    transform: tuple[float, float, float, float, float, float], size: tuple[int, int],
-    registration: str, crs: str, *, geographic: bool,
-) -> _Place:  # fmt: skip
+    transform: tuple[float, float, float, float, float, float],
+    size: tuple[int, int],
+    registration: str,
+    crs: str,
+    *,
+    geographic: bool,
+) -> _Place:
     """Return where nodes lie by the affine map from the corners of pixels to coordinates.
 
     ``x = a column + b row + c`` and ``y = d column + e row + f``, columns and rows counted from the
@@ -168,8 +188,15 @@ def _placed(
         )
     width, height = size
     south = f + (e / 2 if e > 0 else e * (height - 0.5))
-    return _Place(Axis(c + a / 2, a, width), Axis(south, abs(e), height), e > 0, registration, crs,
-                  geographic, True)  # fmt: skip
+    return _Place(
+        Axis(c + a / 2, a, width),
+        Axis(south, abs(e), height),
+        e > 0,
+        registration,
+        crs,
+        geographic,
+        True,
+    )
 
 
 def _turned(rows: Array, place: _Place) -> Array:
@@ -231,9 +258,11 @@ def _from_dataset(file: Any, ask: Reading) -> Heights:
     lengths = _lengths(file.crs, place, part)
     top = j.start if place.upward else place.y.size - j.stop
     rows = file.read(
-        1, window=((top, top + j.stop - j.start), (i.start, i.stop)), masked=True,
+        1,
+        window=((top, top + j.stop - j.start), (i.start, i.stop)),
+        masked=True,
         out_dtype=np.float64,
-    )  # fmt: skip
+    )
     heights = rows.filled(np.nan) * file.scales[0] + file.offsets[0]
     found = _heights(place, part, heights, f"GeoTIFF of {file.dtypes[0]}")
     return found._replace(told=found.told + _scale_facts(file) + lengths)
@@ -259,16 +288,20 @@ def _check_band(file: Any) -> None:
     unit = (file.units[0] or "").lower()
     if unit not in METRES:
         _refuse(
-            "heights in metres", f"the unit {file.units[0]!r}",
+            "heights in metres",
+            f"the unit {file.units[0]!r}",
             "convert them, for example from feet: gdal_calc.py -A in.tif --calc='A*0.3048' "
             "--type=Float64 --outfile=out.tif",
-        )  # fmt: skip
+        )
 
 
 def _dataset_place(file: Any, ask: Reading) -> _Place:
     if file.gcps[0]:
-        _refuse("a raster on an upright grid", f"{len(file.gcps[0])} ground control points",
-                "resample it: gdalwarp in.tif out.tif")  # fmt: skip
+        _refuse(
+            "a raster on an upright grid",
+            f"{len(file.gcps[0])} ground control points",
+            "resample it: gdalwarp in.tif out.tif",
+        )
     if file.transform.is_identity:
         return _unplaced(file.width, file.height, ask)
     _check_unasked(ask)
@@ -309,8 +342,10 @@ def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[
     """
     if crs is None or not crs.is_projected:
         return ()
-    x, y = ((axis.nodes(each)[0] + axis.nodes(each)[-1]) / 2
-            for axis, each in zip((place.x, place.y), part, strict=True))  # fmt: skip
+    x, y = (
+        (axis.nodes(each)[0] + axis.nodes(each)[-1]) / 2
+        for axis, each in zip((place.x, place.y), part, strict=True)
+    )
     found = _metres(crs, x, y)
     if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):  # NaN outside the projection's reach
         _refuse(
@@ -319,8 +354,13 @@ def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[
             f"x = {x:.9g}, y = {y:.9g} ({place.crs})",
             TO_METRES,
         )
-    return (("ground map scale", f"1 m of the map is {found[0]:.5f} m along x and {found[1]:.5f} "
-             "m along y on the ellipsoid"),)  # fmt: skip
+    return (
+        (
+            "ground map scale",
+            f"1 m of the map is {found[0]:.5f} m along x and {found[1]:.5f} "
+            "m along y on the ellipsoid",
+        ),
+    )
 
 
 def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
@@ -452,7 +492,10 @@ def _geokey_crs(keys: Mapping[int, int]) -> tuple[str, bool]:
     unit = keys.get(ANGLES) == DEGREE if geographic else keys.get(UNITS) == METRE
     known = geographic or any(code in family for family in UTM)
     if not known or code == USER_DEFINED or not unit or keys.get(VERTICAL, METRE) != METRE:
-        _refuse("a UTM reference system in metres, or one in degrees, with a number",
-                f"code {code}, unit {keys.get(ANGLES if geographic else UNITS, 'none')}, height "
-                f"unit {keys.get(VERTICAL, 'none')}", GEO)  # fmt: skip
+        _refuse(
+            "a UTM reference system in metres, or one in degrees, with a number",
+            f"code {code}, unit {keys.get(ANGLES if geographic else UNITS, 'none')}, height "
+            f"unit {keys.get(VERTICAL, 'none')}",
+            GEO,
+        )
     return f"EPSG:{code}", geographic

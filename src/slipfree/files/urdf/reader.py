@@ -150,10 +150,13 @@ class _Reading:
         shape = self._shape(joint)
         if shape is None:
             if link.meshed:
-                self.faults.add(joint.line, f"joint {joint.name!r}: expected a cylinder or a "
-                                "sphere as its wheel, found a mesh, whose radius is not known; "
-                                f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or what "
-                                f"moves it if it is none{self._in_file()}")  # fmt: skip
+                self.faults.add(
+                    joint.line,
+                    f"joint {joint.name!r}: expected a cylinder or a "
+                    "sphere as its wheel, found a mesh, whose radius is not known; "
+                    f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or what "
+                    f"moves it if it is none{self._in_file()}",
+                )
             return False
         return _is_about(shape, axis)
 
@@ -194,8 +197,11 @@ class _Reading:
             if joint.child in carrying or tree.links[joint.child].mass:
                 kept.append(joint)
                 carrying.add(joint.parent)
-        left = [j.name for j in tree.joints.values() if j.name not in names | on_wheels
-                and j not in kept]  # fmt: skip
+        left = [
+            j.name
+            for j in tree.joints.values()
+            if j.name not in names | on_wheels and j not in kept
+        ]
         if left:
             self.notes.append(f"left out, since they carry no wheel and no mass: {', '.join(left)}")
         return kept[::-1]
@@ -203,17 +209,25 @@ class _Reading:
     def _joint(self, joint: UrdfJoint, parent: str) -> Joint:
         """Return a joint of the vehicle."""
         return Joint(
-            joint.name, parent, _axis(joint), joint.at, self._value(joint),
+            joint.name,
+            parent,
+            _axis(joint),
+            joint.at,
+            self._value(joint),
             "slide" if joint.type == "prismatic" else "turn",
-            _body(self.tree, joint.child), joint.turned,
-        )  # fmt: skip
+            _body(self.tree, joint.child),
+            joint.turned,
+        )
 
     def _value(self, joint: UrdfJoint) -> str:
         """Return the formula of a joint, and note the coordinate that it needs."""
         if joint.type in ("floating", "planar"):
-            self.faults.add(joint.line, f"joint {joint.name!r}: expected fixed, revolute, "
-                            f"continuous or prismatic, found {joint.type}; split it into such "
-                            "joints")  # fmt: skip
+            self.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected fixed, revolute, "
+                f"continuous or prismatic, found {joint.type}; split it into such "
+                "joints",
+            )
             return "0"
         leader, multiplier, offset = self._leader(joint)
         role = self.roles.joints.get(leader.name)
@@ -262,16 +276,21 @@ class _Reading:
             role = JointRole("commanded")
         if role is None or role.kind == "fixed":
             if joint not in [each for each, _ in self.unsaid]:
-                self._ask(joint, f'{joint.name} = "passive"', "passive, commanded, suspension or "
-                          "fixed, or a wheel if its link is one")  # fmt: skip
+                self._ask(
+                    joint,
+                    f'{joint.name} = "passive"',
+                    "passive, commanded, suspension or fixed, or a wheel if its link is one",
+                )
             return name
         if name != joint.name:
             self.notes.append(f"joint {joint.name} is the coordinate {name}")
         for key in ("lower", "upper", "rest"):
             value = role.keywords.get(key, 0.0)
             if joint.type != "prismatic" and (words := degrees_words(value)):
-                self.faults.add(joint.line, f"joint {joint.name!r}: {key}: expected radians "
-                                f"({words}), found {value:g}")  # fmt: skip
+                self.faults.add(
+                    joint.line,
+                    f"joint {joint.name!r}: {key}: expected radians ({words}), found {value:g}",
+                )
         words = f"joint {joint.name} of the URDF"
         self.coordinates[name] = Coordinate(name, role.kind, **{"words": words, **role.keywords})
         return name
@@ -287,9 +306,12 @@ class _Reading:
     def _ask(self, joint: UrdfJoint, example: str, choice: str) -> None:
         self.unsaid.append((joint, example))
         table = "wheels" if choice.startswith("driven") else "joints"
-        self.faults.add(joint.line, f"joint {joint.name!r}: expected what moves it, found no "
-                        f"transmission, command interface or mimic; write {table} = {{ {example} "
-                        f"}} ({choice}){self._in_file()}")  # fmt: skip
+        self.faults.add(
+            joint.line,
+            f"joint {joint.name!r}: expected what moves it, found no "
+            f"transmission, command interface or mimic; write {table} = {{ {example} "
+            f"}} ({choice}){self._in_file()}",
+        )
 
     def _in_file(self) -> str:
         return f' in a vehicle file with urdf = "{Path(self.tree.file).name}"'
@@ -342,55 +364,79 @@ class _Reading:
     def _wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
         """Return a wheel of the vehicle; none if it cannot be one."""
         if joint.parent not in part_of:
-            self.faults.add(joint.line, f"joint {joint.name!r}: expected a wheel on a part of the "
-                            "vehicle, found it on another wheel")  # fmt: skip
+            self.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a wheel on a part of the "
+                "vehicle, found it on another wheel",
+            )
             return None
         role = self.roles.wheels.get(joint.name, WheelRole())
         size = self._size(joint, role)
         below = self.tree.below(joint.child)
         if size is None or any(each.moves for each in below):
             if size is not None:
-                self.faults.add(joint.line, f"joint {joint.name!r}: expected a wheel that carries "
-                                "nothing that moves, found joints below it")  # fmt: skip
+                self.faults.add(
+                    joint.line,
+                    f"joint {joint.name!r}: expected a wheel that carries "
+                    "nothing that moves, found joints below it",
+                )
             return None
         radius, tube, at = size
         driven = role.driven
         if driven is None:
             driven = joint.name in self.tree.actuated
             if not driven:
-                self._ask(joint, f"{joint.name} = {{ driven = true }}", "driven = false if it is "
-                          "free")  # fmt: skip
+                self._ask(
+                    joint, f"{joint.name} = {{ driven = true }}", "driven = false if it is free"
+                )
         links = [joint.child, *(each.child for each in below)]
         mass = sum(self.tree.links[link].mass or 0.0 for link in links)
         name = re.sub(r"[^\w-]", "_", joint.name)
         if name != joint.name:
             self.notes.append(f"joint {joint.name} carries the wheel {name}")
         return Wheel(
-            name, part_of[joint.parent], _sum(joint.at, rotation_of(joint.turned) @ at), tube,
-            radius - tube, driven, role.grip, mass, self._axle(joint), role.rollers,
-        )  # fmt: skip
+            name,
+            part_of[joint.parent],
+            _sum(joint.at, rotation_of(joint.turned) @ at),
+            tube,
+            radius - tube,
+            driven,
+            role.grip,
+            mass,
+            self._axle(joint),
+            role.rollers,
+        )
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
         """Return rolling radius, tube and place of a wheel in its link."""
         shape = self._shape(joint)
         radius = role.radius or (shape.radius if shape else None)
         if radius is None:
-            self.faults.add(joint.line, f"joint {joint.name!r}: expected a cylinder or a sphere as "
-                            f"its wheel, found none; write wheels = {{ {joint.name} = {{ radius = "
-                            f"... }} }}{self._in_file()}")  # fmt: skip
+            self.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a cylinder or a sphere as "
+                f"its wheel, found none; write wheels = {{ {joint.name} = {{ radius = "
+                f"... }} }}{self._in_file()}",
+            )
             return None
         ball = shape is not None and shape.kind == "sphere"
         tube = role.tube if role.tube is not None else radius if ball else self.roles.tube
         if tube > radius:
-            self.faults.add(joint.line, f"joint {joint.name!r}: expected a tube of at most the "
-                            f"radius, {radius:g} m, found {tube:g}")  # fmt: skip
+            self.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a tube of at most the "
+                f"radius, {radius:g} m, found {tube:g}",
+            )
             return None
         if shape is None:
             return radius, tube, ORIGIN
         if joint.moves and _eccentricity(shape, unit_vector(joint.axis)) > CENTERED:
-            self.faults.add(joint.line, f"joint {joint.name!r}: expected a wheel about its axis, "
-                            f"found its {shape.kind} at {_spelled(shape.at)} m; move one to the "
-                            "other")  # fmt: skip
+            self.faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a wheel about its axis, "
+                f"found its {shape.kind} at {_spelled(shape.at)} m; move one to the "
+                "other",
+            )
             return None
         return radius, tube, shape.at
 
@@ -402,8 +448,10 @@ class _Reading:
         axis = rotation_of(joint.turned) @ unit_vector(joint.axis)
         left = float((parent @ axis)[1])
         if left < -SIDEWAYS:
-            self.notes.append(f"wheel {joint.name}: its rate is positive forward here, about "
-                              "the opposite of its joint's axis")  # fmt: skip
+            self.notes.append(
+                f"wheel {joint.name}: its rate is positive forward here, about "
+                "the opposite of its joint's axis"
+            )
             return _vector(axis)
         if left < SIDEWAYS:
             self.notes.append(f"wheel {joint.name}: rolls to a side; its rate has its joint's sign")
@@ -432,8 +480,10 @@ class _Reading:
         ]
         away = [j.name for j in self.wheels if self._hangs_off(j)]
         if away:
-            self.notes.append(f"mass taken at the wheel's centre, not where the inertial has it: "
-                              f"{', '.join(away)}")  # fmt: skip
+            self.notes.append(
+                f"mass taken at the wheel's centre, not where the inertial has it: "
+                f"{', '.join(away)}"
+            )
         if thin:
             self.notes.append(f"cylinders taken as thin discs (tube = ...): {', '.join(thin)}")
 

@@ -126,8 +126,10 @@ def read_tree(data: bytes, file: str) -> Tree:
         faults.stop()
     for each in _everything(robot):
         if each.tag.startswith("xacro:") or any("${" in text for text in each.attributes.values()):
-            faults.add(each.line, "expected plain URDF, found xacro; expand it first: "
-                       f"xacro {file} > robot.urdf")  # fmt: skip
+            faults.add(
+                each.line,
+                f"expected plain URDF, found xacro; expand it first: xacro {file} > robot.urdf",
+            )
             faults.stop()
     for tag in ("link", "joint"):
         _check_names(robot, tag, faults)
@@ -170,8 +172,10 @@ def _link(element: Element, faults: Faults) -> Link:
         if weighed is not None:
             mass = _number(weighed, "value", None, faults, f"link {name!r}: mass")
             if mass < 0:
-                faults.add(weighed.line, f"link {name!r}: expected a mass of zero or more "
-                           f"kilograms, found {mass:g}")  # fmt: skip
+                faults.add(
+                    weighed.line,
+                    f"link {name!r}: expected a mass of zero or more kilograms, found {mass:g}",
+                )
     shapes = {
         tag: tuple(shape for e in element.all(tag) if (shape := _shape(e, faults, name)))
         for tag in ("collision", "visual")
@@ -190,8 +194,10 @@ def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
         if found is not None:
             radius = _number(found, "radius", None, faults, f"link {link!r}: {kind}")
             if not 0 < radius <= LARGEST:
-                faults.add(found.line, f"link {link!r}: expected the radius of a {kind} in "
-                           f"metres, found {radius:g}")  # fmt: skip
+                faults.add(
+                    found.line,
+                    f"link {link!r}: expected the radius of a {kind} in metres, found {radius:g}",
+                )
             return Shape("cylinder" if kind == "cylinder" else "sphere", radius, at, turned)
     return None
 
@@ -213,15 +219,22 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
     if pointed is not None:
         axis = _vector(pointed, "xyz", FORWARD, faults, f"{who}: axis")
         if not math.hypot(*axis) > 0 and kind not in ("fixed", "floating"):
-            faults.add(pointed.line, f"{who}: expected an axis other than zero, found 0 0 0; "
-                       'write <axis xyz="0 1 0"/> for one to the left')  # fmt: skip
+            faults.add(
+                pointed.line,
+                f"{who}: expected an axis other than zero, found 0 0 0; "
+                'write <axis xyz="0 1 0"/> for one to the left',
+            )
     lower, upper = _limits(element, kind, faults, who)
     mimic = element.first("mimic")
-    follows = None if mimic is None else Mimic(
-        _text(mimic, "joint", faults, f"{who}: mimic"),
-        _number(mimic, "multiplier", 1.0, faults, f"{who}: mimic"),
-        _number(mimic, "offset", 0.0, faults, f"{who}: mimic"),
-    )  # fmt: skip
+    follows = (
+        None
+        if mimic is None
+        else Mimic(
+            _text(mimic, "joint", faults, f"{who}: mimic"),
+            _number(mimic, "multiplier", 1.0, faults, f"{who}: mimic"),
+            _number(mimic, "offset", 0.0, faults, f"{who}: mimic"),
+        )
+    )
     return UrdfJoint(
         name, kind, ends[0], ends[1], at, turned, axis, lower, upper, follows, element.line
     )
@@ -252,8 +265,11 @@ def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]
     at = _vector(origin, "xyz", ORIGIN, faults, f"{who}: origin")
     turned = _vector(origin, "rpy", ORIGIN, faults, f"{who}: origin")
     if max(map(abs, at)) > LARGEST:
-        faults.add(origin.line, f"{who}: expected xyz in metres, at most {LARGEST:g} (did you mean "
-                   f"millimetres?), found {origin.attributes['xyz']}")  # fmt: skip
+        faults.add(
+            origin.line,
+            f"{who}: expected xyz in metres, at most {LARGEST:g} (did you mean "
+            f"millimetres?), found {origin.attributes['xyz']}",
+        )
     for angle in turned:
         if words := degrees_words(angle):
             faults.add(origin.line, f"{who}: expected rpy in radians ({words}), found {angle:g}")
@@ -302,20 +318,28 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) 
     for joint in joints.values():
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
-                faults.add(joint.line, f"joint {joint.name!r}: expected a link of this file as "
-                           f"{role}, found {link!r}")  # fmt: skip
+                faults.add(
+                    joint.line,
+                    f"joint {joint.name!r}: expected a link of this file as {role}, found {link!r}",
+                )
         if joint.child in parent_of:
             other = parent_of[joint.child].name
-            faults.add(joint.line, f"joint {joint.name!r}: expected a tree, found a closed loop: "
-                       f"link {joint.child!r} hangs on joint {other!r} as well; cut the loop at "
-                       "one of the two")  # fmt: skip
+            faults.add(
+                joint.line,
+                f"joint {joint.name!r}: expected a tree, found a closed loop: "
+                f"link {joint.child!r} hangs on joint {other!r} as well; cut the loop at "
+                "one of the two",
+            )
         parent_of[joint.child] = joint
     if faults.found:
         return ""
     roots = [name for name in links if name not in parent_of]
     if len(roots) > 1:
-        faults.add(1, "expected one link that carries all others, found "
-                   f"{', '.join(map(repr, roots))}: hang them on each other by joints")  # fmt: skip
+        faults.add(
+            1,
+            "expected one link that carries all others, found "
+            f"{', '.join(map(repr, roots))}: hang them on each other by joints",
+        )
         return ""
     root = roots[0] if roots else ""
     _, loose = in_order({child: joint.parent for child, joint in parent_of.items()}, root)

@@ -52,8 +52,16 @@ def differential_drive(
     """
     _positive("differential_drive", half_track=half_track, caster_ahead=caster_ahead)
     drop = -(r1 + r2) * (1 - caster_scale)
-    caster = Wheel("caster", "fork", (0.0, -trail, drop), r1 * caster_scale, r2 * caster_scale,
-                   driven=False, mass=wheel_mass, grip=grip)  # fmt: skip
+    caster = Wheel(
+        "caster",
+        "fork",
+        (0.0, -trail, drop),
+        r1 * caster_scale,
+        r2 * caster_scale,
+        driven=False,
+        mass=wheel_mass,
+        grip=grip,
+    )
     return Vehicle(
         "differential_drive",
         (Coordinate("caster_angle", "passive", "angle of the caster, left positive"),),
@@ -100,25 +108,46 @@ def ackermann(
     _positive("ackermann", half_track=half_track, wheelbase=wheelbase)
     turned = "atan2({0}*tan(steer), {0} {2} {1}*tan(steer))"
     knuckles = tuple(
-        Joint(f"{side}_knuckle", "axle", "z", (way * half_track, 0.0, 0.0),
-              turned.format(repr(wheelbase), repr(half_track), "+" if way > 0 else "-"))
+        Joint(
+            f"{side}_knuckle",
+            "axle",
+            "z",
+            (way * half_track, 0.0, 0.0),
+            turned.format(repr(wheelbase), repr(half_track), "+" if way > 0 else "-"),
+        )
         for side, way in SIDES.items()
-    )  # fmt: skip
+    )
     return Vehicle(
         "ackermann",
         (
             Coordinate("rock", "suspension", "rocking of the front axle, right side down positive"),
-            Coordinate("steer", "commanded", "steering angle in the middle of the front axle, "
-                       "left positive", -steer_stop, steer_stop),
+            Coordinate(
+                "steer",
+                "commanded",
+                "steering angle in the middle of the front axle, left positive",
+                -steer_stop,
+                steer_stop,
+            ),
         ),
         (Joint("axle", "platform", "y", (0.0, wheelbase, 0.0), "rock"), *knuckles),
         (
             *_pair("rear_", "platform", half_track, 0.0, r1, r2, mass=wheel_mass, grip=grip),
-            *(Wheel(f"front_{side}", f"{side}_knuckle", ORIGIN, r1, r2, driven=False,
-                    mass=wheel_mass, grip=grip) for side in SIDES),
+            *(
+                Wheel(
+                    f"front_{side}",
+                    f"{side}_knuckle",
+                    ORIGIN,
+                    r1,
+                    r2,
+                    driven=False,
+                    mass=wheel_mass,
+                    grip=grip,
+                )
+                for side in SIDES
+            ),
         ),
         Body(mass, center_of_mass),
-    )  # fmt: skip
+    )
 
 
 def skid_steer(
@@ -150,11 +179,22 @@ def skid_steer(
     """
     _positive("skid_steer", half_track=half_track, wheelbase=wheelbase)
     wheels = tuple(
-        Wheel(f"{end}_{side}", *(("rocker", (0.0, y, 0.0)) if side == "right" else
-                                 ("platform", (-half_track, y, 0.0))), r1, r2,
-              driven=True, mass=wheel_mass, grip=grip)
-        for side in SIDES for end, y in (("front", wheelbase / 2), ("rear", -wheelbase / 2))
-    )  # fmt: skip
+        Wheel(
+            f"{end}_{side}",
+            *(
+                ("rocker", (0.0, y, 0.0))
+                if side == "right"
+                else ("platform", (-half_track, y, 0.0))
+            ),
+            r1,
+            r2,
+            driven=True,
+            mass=wheel_mass,
+            grip=grip,
+        )
+        for side in SIDES
+        for end, y in (("front", wheelbase / 2), ("rear", -wheelbase / 2))
+    )
     return Vehicle(
         "skid_steer",
         (Coordinate("rock", "suspension", "rocking of the right side, front up positive"),),
@@ -205,8 +245,9 @@ def articulated(
     return Vehicle(
         "articulated",
         (
-            Coordinate("bend", "commanded", "angle of the rear half, left positive",
-                       -bend_stop, bend_stop),
+            Coordinate(
+                "bend", "commanded", "angle of the rear half, left positive", -bend_stop, bend_stop
+            ),
             Coordinate("twist", "suspension", "twist of the rear half, right side down positive"),
         ),
         (
@@ -218,19 +259,34 @@ def articulated(
             *_pair("rear_", "rear_half", half_track, -rear, r1, r2, mass=wheel_mass, grip=grip),
         ),
         Body(mass, center_of_mass),
-    )  # fmt: skip
+    )
 
 
 def _pair(
-    prefix: str, part: str, half_track: float, ahead: float, r1: float, r2: float, *,
-    mass: float, grip: float,
-) -> tuple[Wheel, ...]:  # fmt: skip
+    prefix: str,
+    part: str,
+    half_track: float,
+    ahead: float,
+    r1: float,
+    r2: float,
+    *,
+    mass: float,
+    grip: float,
+) -> tuple[Wheel, ...]:
     """Return driven wheels right and left of a part."""
     return tuple(
-        Wheel(f"{prefix}{side}", part, (way * half_track, ahead, 0.0), r1, r2, driven=True,
-              mass=mass, grip=grip)
+        Wheel(
+            f"{prefix}{side}",
+            part,
+            (way * half_track, ahead, 0.0),
+            r1,
+            r2,
+            driven=True,
+            mass=mass,
+            grip=grip,
+        )
         for side, way in SIDES.items()
-    )  # fmt: skip
+    )
 
 
 def _positive(name: str, **lengths: float) -> None:

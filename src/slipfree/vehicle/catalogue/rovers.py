@@ -70,15 +70,30 @@ def rocker_bogie(
     ModelError
         If a radius or a place is not one.
     """
-    coordinates = [Coordinate("rocker", "suspension", "right rocker, front up positive; the left "
-                              "one turns the other way")]  # fmt: skip
+    coordinates = [
+        Coordinate(
+            "rocker",
+            "suspension",
+            "right rocker, front up positive; the left one turns the other way",
+        )
+    ]
     joints, wheels = [], []
     side_of = stations["middle"].half_track
     for side, way in SIDES.items():
-        coordinates.append(Coordinate(f"bogie_{side}", "suspension", f"{side} bogie on its rocker, "
-                                      "front up positive"))  # fmt: skip
-        joints.append(Joint(f"rocker_{side}", "platform", "x", (way * side_of, *differential),
-                            "rocker" if way > 0 else "-rocker"))  # fmt: skip
+        coordinates.append(
+            Coordinate(
+                f"bogie_{side}", "suspension", f"{side} bogie on its rocker, front up positive"
+            )
+        )
+        joints.append(
+            Joint(
+                f"rocker_{side}",
+                "platform",
+                "x",
+                (way * side_of, *differential),
+                "rocker" if way > 0 else "-rocker",
+            )
+        )
         arm = (0.0, bogie[0] - differential[0], bogie[1] - differential[1])
         joints.append(Joint(f"bogie_{side}", f"rocker_{side}", "x", arm, f"bogie_{side}"))
     for end, place in stations.items():
@@ -92,8 +107,18 @@ def rocker_bogie(
                 coordinates.append(Coordinate(steer, "commanded", words))
                 joints.append(Joint(steer, part, "z", at, steer))
                 part, at = steer, ORIGIN
-            wheels.append(Wheel(f"{end}_{side}", part, at, r1, radius - r1, driven=True,
-                                mass=wheel_mass, grip=grip))  # fmt: skip
+            wheels.append(
+                Wheel(
+                    f"{end}_{side}",
+                    part,
+                    at,
+                    r1,
+                    radius - r1,
+                    driven=True,
+                    mass=wheel_mass,
+                    grip=grip,
+                )
+            )
     body = Body(mass, center_of_mass)
     return Vehicle(name, tuple(coordinates), tuple(joints), tuple(wheels), body)
 
@@ -146,9 +171,18 @@ def rocky7(
         "middle": Station(half_track, bogie[0] + half, axles, on_bogie=True, steered=False),
         "rear": Station(half_track, bogie[0] - half, axles, on_bogie=True, steered=corners),
     }
-    return rocker_bogie("rocky7", stations, differential=(ahead, above), bogie=bogie, radius=0.065,
-                        r1=r1, mass=mass, center_of_mass=center_of_mass, wheel_mass=wheel_mass,
-                        grip=grip)  # fmt: skip
+    return rocker_bogie(
+        "rocky7",
+        stations,
+        differential=(ahead, above),
+        bogie=bogie,
+        radius=0.065,
+        r1=r1,
+        mass=mass,
+        center_of_mass=center_of_mass,
+        wheel_mass=wheel_mass,
+        grip=grip,
+    )
 
 
 def open_source_rover(
@@ -188,7 +222,15 @@ def open_source_rover(
         "middle": Station(0.2556, 0.0, axles, on_bogie=True, steered=False),
         "rear": Station(0.184, -0.267, axles, on_bogie=False, steered=True),
     }
-    return rocker_bogie("open_source_rover", stations, differential=(-0.02, 0.0),
-                        bogie=(0.095, axles + 0.095), radius=0.075, r1=r1, mass=mass,
-                        center_of_mass=center_of_mass, wheel_mass=wheel_mass,
-                        grip=grip)  # fmt: skip
+    return rocker_bogie(
+        "open_source_rover",
+        stations,
+        differential=(-0.02, 0.0),
+        bogie=(0.095, axles + 0.095),
+        radius=0.075,
+        r1=r1,
+        mass=mass,
+        center_of_mass=center_of_mass,
+        wheel_mass=wheel_mass,
+        grip=grip,
+    )

@@ -60,37 +60,54 @@ def seven_wheels(
             f"with a positive stiffness, found {stiffness} N/m"
         )
     radius, behind, ahead, lengths, above = 0.066, 0.215, 0.255, (0.400, 0.195), 0.05
-    pressed = [Coordinate(f"press_{end}", "suspension",
-                          f"height of the wheel between the {end} pair on its springs",
-                          stiffness=stiffness, rest=-preload / stiffness)
-               for end in ("rear", "front")]  # fmt: skip
+    pressed = [
+        Coordinate(
+            f"press_{end}",
+            "suspension",
+            f"height of the wheel between the {end} pair on its springs",
+            stiffness=stiffness,
+            rest=-preload / stiffness,
+        )
+        for end in ("rear", "front")
+    ]
     middles = (-behind - radius + lengths[0] / 2, ahead - joint + radius - lengths[1] / 2)
 
     def wheel(name: str, part: str, at: Vector, axle: Axis = "x") -> Wheel:
         return Wheel(name, part, at, 0.0, radius, driven=True, grip=grip, axle=axle, rollers=True)
 
-    pairs = [wheel(f"{end}_{side}", part, (way * half_track, y, 0.0))
-             for end, part, y in (("rear", "platform", -behind), ("front", "twist", ahead - joint))
-             for side, way in SIDES.items()]  # fmt: skip
+    pairs = [
+        wheel(f"{end}_{side}", part, (way * half_track, y, 0.0))
+        for end, part, y in (("rear", "platform", -behind), ("front", "twist", ahead - joint))
+        for side, way in SIDES.items()
+    ]
     return Vehicle(
         "seven_wheels",
         (
             Coordinate("pitch_joint", "suspension", "pitch of the front body, nose up positive"),
-            Coordinate("roll_joint", "suspension", "roll of the front body, right side down "
-                       "positive"),
+            Coordinate(
+                "roll_joint", "suspension", "roll of the front body, right side down positive"
+            ),
             *pressed,
         ),
         (
             Joint("hinge", "platform", "x", (0.0, joint, 0.0), "pitch_joint"),
-            Joint("twist", "hinge", "y", ORIGIN, "roll_joint",
-                  body=Body(7.8, (0.0, middles[1], above))),
+            Joint(
+                "twist",
+                "hinge",
+                "y",
+                ORIGIN,
+                "roll_joint",
+                body=Body(7.8, (0.0, middles[1], above)),
+            ),
             Joint("rear_press", "platform", "z", (0.0, -behind, 0.0), "press_rear", "slide"),
             Joint("front_press", "twist", "z", (0.0, ahead - joint, 0.0), "press_front", "slide"),
         ),
         (
-            *pairs[:2], wheel("rear_across", "rear_press", ORIGIN, (0.0, -1.0, 0.0)),
+            *pairs[:2],
+            wheel("rear_across", "rear_press", ORIGIN, (0.0, -1.0, 0.0)),
             wheel("middle", "platform", ORIGIN),
-            *pairs[2:], wheel("front_across", "front_press", ORIGIN, "y"),
+            *pairs[2:],
+            wheel("front_across", "front_press", ORIGIN, "y"),
         ),
         Body(13.8, (0.0, middles[0], above)),
-    )  # fmt: skip
+    )
