@@ -121,20 +121,21 @@ def with_inputs(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) 
     linear = any(isinstance(value, PiecewiseLinear) for value in leaves(inputs))
     numbers = np.concatenate([values, slopes]) if linear else values
     if any(isinstance(value, ca.SX) for value in leaves(inputs)):
-        return _compiled(dae, law, ca.vertcat(u, slope) if linear else u)._replace(u=numbers)
-    return (_sloping if linear else _open)(dae)._replace(u=numbers)
+        system = _compiled(dae, law, ca.vertcat(u, slope) if linear else u)
+    else:
+        system = _under_numbers(dae, linear=linear)
+    return system._replace(u=numbers)
 
 
 @lru_cache(maxsize=8)
-def _open(dae: Dae[Any, Any, Any, Any, Any]) -> System:
-    """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers."""
-    return _compiled(dae, list(leaves(dae.u)), dae.columns()[2])
+def _under_numbers(dae: Dae[Any, Any, Any, Any, Any], *, linear: bool) -> System:
+    """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers.
 
-
-@lru_cache(maxsize=8)
-def _sloping(dae: Dae[Any, Any, Any, Any, Any]) -> System:
-    """Compile a model whose inputs are linear in time, given by values at zero and slopes."""
+    If they are linear in time, they are given by values at zero and slopes.
+    """
     u = dae.columns()[2]
+    if not linear:
+        return _compiled(dae, list(leaves(dae.u)), u)
     slopes = ca.SX.sym("slope", u.numel())
     return _compiled(dae, ca.vertsplit(u + slopes * dae.t), ca.vertcat(u, slopes))
 
