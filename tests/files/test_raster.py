@@ -8,6 +8,7 @@ import importlib.util
 import struct
 import threading
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -543,3 +544,18 @@ def test_a_picture_larger_than_memory_is_refused_unread(tmp_path):
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", b"") + chunk(b"IEND", b""))
     with pytest.raises(DataError, match="fits into memory, found a larger one"):
         read_map(path, cell=1.0, registration="area")
+
+
+def test_a_file_that_gdal_cannot_read_is_closed(tmp_path, monkeypatch):
+    opened, of_path = [], Path.open
+
+    def watched(self, *args, **options):
+        opened.append(of_path(self, *args, **options))
+        return opened[-1]
+
+    (tmp_path / "m.tif").write_bytes(b"II*\x00\x08\x00\x00\x00" + bytes(200))
+    monkeypatch.setattr(Path, "open", watched)
+    with pytest.raises(DataError, match="found one that cannot be read"):
+        read_map(tmp_path / "m.tif")
+    assert opened
+    assert all(file.closed for file in opened)

@@ -549,7 +549,11 @@ def test_a_problem_drives_a_vehicle_file():
             "unknown key 'mass'",
         ),
         ("vehicle.file=w.toml", "w.toml: expected a problem file, found that it cannot be read"),
-        ("vehicle.file=v.txt", "v.txt: expected a vehicle file, .toml or .urdf, found '.txt'"),
+        (
+            "vehicle.file=v.txt",
+            "p.toml:3: vehicle: v.txt: expected a vehicle file, .toml or .urdf, found "
+            "one that ends in '.txt'; check the name",
+        ),
     ],
 )
 @pytest.mark.usefixtures("folder")

@@ -138,8 +138,9 @@ class Case(NamedTuple):
             elif kind == "folder":
                 path.mkdir()
             elif kind == "loop of two":
-                path.symlink_to(folder / "other")
-                (folder / "other").symlink_to(path)
+                other = folder / f"other than {len(name)} {name[-8:]}"
+                path.symlink_to(other)
+                other.symlink_to(path)
             else:
                 path.symlink_to(path if kind == "loop" else kind)
 

@@ -97,6 +97,8 @@ def read_vehicle(path: str | Path) -> Vehicle:
     VehicleError
         For all that is wrong, with file and line; it holds a draft of what can be said all the
         same.
+    DataError
+        If the name of the file has another ending.
     """
     draft = _draft(Path(path))
     try:
@@ -120,9 +122,10 @@ def _draft(path: Path) -> Draft:
         return _completed(file) if "urdf" in file.data else read_toml(file)
     if ending == ".urdf":
         return _urdf(path, Roles({}, {}))
-    hint = "; expand it first: xacro FILE > robot.urdf" if ending == ".xacro" else ""
-    raise VehicleError(
-        f"{path}: expected a vehicle file, .toml or .urdf, found {path.suffix!r}" + hint
+    hint = "expand it first: xacro FILE > robot.urdf" if ending == ".xacro" else "check the name"
+    raise DataError(
+        f"{path}: expected a vehicle file, .toml or .urdf, found one that ends in "
+        f"{path.suffix or path.name!r}; {hint}"
     )
 
 

@@ -7,7 +7,7 @@ import re
 import struct
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -226,9 +226,15 @@ def _by_rasterio(path: Path, ask: Reading) -> Heights:
     from rasterio.errors import NotGeoreferencedWarning
 
     try:
-        with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=CACHE):
+        # GDAL does not close what it opened of a file that it cannot read.
+        with (
+            ExitStack() as opened,
+            warnings.catch_warnings(),
+            rasterio.Env(GDAL_CACHEMAX=CACHE),
+        ):
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(GDAL_NAME, driver="GTiff", opener=partial(_open_only, path)) as file:
+            opener = partial(_open_only, path, opened)
+            with rasterio.open(GDAL_NAME, driver="GTiff", opener=opener) as file:
                 return _from_dataset(file, ask)
     except DataError:
         raise
@@ -240,7 +246,7 @@ def _by_rasterio(path: Path, ask: Reading) -> Heights:
         ) from error
 
 
-def _open_only(path: Path, name: str, mode: str = "rb") -> BinaryIO:
+def _open_only(path: Path, opened: ExitStack, name: str, mode: str = "rb") -> BinaryIO:
     """Open the raster for GDAL, which knows it as `GDAL_NAME` and finds no other file.
 
     Beside a raster GDAL looks for masks, world files, ``.aux.xml`` and more, which can change
@@ -248,7 +254,7 @@ def _open_only(path: Path, name: str, mode: str = "rb") -> BinaryIO:
     """
     if Path(name).name != GDAL_NAME or not mode.startswith("r"):
         raise FileNotFoundError(name)
-    return path.open("rb")
+    return opened.enter_context(path.open("rb"))
 
 
 def _from_dataset(file: Any, ask: Reading) -> Heights:
