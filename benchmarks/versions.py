@@ -14,6 +14,10 @@ the least CPU time of each and the ratio of these minima.
 ``python benchmarks/versions.py points --old PYTHON [--new PYTHON]`` evaluates residuals, Jacobians
 and the Hessians of plans at random points, for all models on all kinds of ground, and prints the
 largest difference over the largest entry.
+
+``python benchmarks/versions.py stations --old PYTHON [--new PYTHON]`` runs a small problem on a map
+and prints the functions between the problem and the integrator, and those that a height passes
+between the file of the map and the Jacobian that IDAS gets.
 """
 
 from __future__ import annotations
@@ -261,6 +265,65 @@ np.savez(sys.argv[1], **found)
 """
 
 
+STATIONS = r'''
+import sys, tempfile
+from pathlib import Path
+import casadi as ca, numpy as np
+import slipfree
+try:
+    from slipfree.problem.load import read
+    from slipfree.problem.solve import run
+except ModuleNotFoundError:  # version 0.1.0
+    from slipfree.problem.read import read
+    from slipfree.problem.run import run
+root, make, stacks, order = str(Path(slipfree.__file__).parent), ca.integrator, [], []
+HEIGHT = ("terrain.bicubic", "terrain.kernel", "terrain.base.poly", "terrain.base._sums",
+          "contact.closure.closure", "contact.closure.touch", "contact.closure.contact_frame",
+          "calls",
+          "lookups", "solve.equations", "compiled", "codegen_cache", "dae.Dae.function")
+
+
+def name(code):
+    module = Path(code.co_filename).relative_to(root).with_suffix("").as_posix().replace("/", ".")
+    return f"{module}.{code.co_qualname}".replace("<locals>.", "")
+
+
+def watching(*args, **options):
+    frame, stack = sys._getframe(1), []
+    while frame:
+        if frame.f_code.co_filename.startswith(root) and "forks" not in frame.f_code.co_filename:
+            stack.append(name(frame.f_code))
+        frame = frame.f_back
+    stacks.append(stack[::-1])
+    return make(*args, **options)
+
+
+def profile(frame, event, _):
+    if event == "call" and frame.f_code.co_filename.startswith(root):
+        found = name(frame.f_code)
+        if found.startswith(HEIGHT) and "<" not in found and found not in order:
+            order.append(found)
+
+
+folder, x = Path(tempfile.mkdtemp()), np.linspace(-3, 3, 25)
+np.savez(folder / "g.npz", x=x, y=x, z=np.zeros((25, 25)))
+(folder / "p.toml").write_text("""verb = "direct"
+terrain.file = "g.npz"
+vehicle.catalog = "three_wheeler"
+start.heading = 0
+inputs = {right_rate = 0.5, left_rate = 0.4, steer_rate = 0}
+time = {duration = 1, step = 0.5}
+""")
+ca.integrator = watching
+sys.setprofile(profile)
+run(read(folder / "p.toml"))
+sys.setprofile(None)
+for title, found in (("a wheel rate", stacks[0]), ("a height", order)):
+    print(f"{title}: {len(found)}")
+    print("\n".join(f"  {each}" for each in found))
+'''
+
+
 def print_points(old: str, new: str) -> None:
     """Print the largest differences of two versions at random points."""
     with tempfile.TemporaryDirectory() as folder:
@@ -302,11 +365,22 @@ def main() -> None:
     times.add_argument("--new", default=sys.executable)
     times.add_argument("--cases", nargs="*", default=CASES)
     times.add_argument("--repeats", type=int, default=REPEATS)
+    stations = commands.add_parser("stations")
+    stations.add_argument("--old", required=True)
+    stations.add_argument("--new", default=sys.executable)
     points = commands.add_parser("points")
     points.add_argument("--old", required=True)
     points.add_argument("--new", default=sys.executable)
     asked = parser.parse_args()
     heading()
+    if asked.command == "stations":
+        for python in (asked.old, asked.new):
+            print(
+                subprocess.run(
+                    [python, "-c", STATIONS], check=True, text=True, capture_output=True
+                ).stdout
+            )
+        return
     if asked.command == "points":
         print_points(asked.old, asked.new)
         return
