@@ -27,10 +27,10 @@ from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.profile import Profile, flat, step
 from slipfree.climb.reference import PerAxle, Tilts, motors, odometry, ratios, reference
 from slipfree.climb.vehicle import AXLES, seven_wheels
-from slipfree.errors import SolverError
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.trajectory import SolverError
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "physics"))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))

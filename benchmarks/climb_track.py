@@ -17,7 +17,7 @@ from slipfree.climb.noise import Noise
 from slipfree.climb.plan_tracking import Tracking
 from slipfree.climb.profile import Profile, step
 from slipfree.climb.vehicle import Climber
-from slipfree.errors import SolverError
+from slipfree.trajectory import SolverError
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.climb_cases import (

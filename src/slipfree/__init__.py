@@ -8,7 +8,7 @@ from slipfree.version import __version__
 if TYPE_CHECKING:
     from slipfree.control.path_following import follow, straight
     from slipfree.dae import Dae
-    from slipfree.errors import DataError, ModelError, SlipfreeError, SolverError
+    from slipfree.errors import DataError, ModelError, SlipfreeError
     from slipfree.geometry.path import Path
     from slipfree.models.friction_feasibility import best_utilisation
     from slipfree.models.kinematics import direct_kinematics
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from slipfree.terrain.analytic import Analytic
     from slipfree.terrain.base import Grid, Terrain
     from slipfree.terrain.bicubic import Bicubic
-    from slipfree.trajectory import Trajectory
+    from slipfree.trajectory import SolverError, Trajectory
     from slipfree.vehicle.catalogue.carts import (
         ackermann,
         articulated,
@@ -64,7 +64,7 @@ __all__ = [
 
 _HOMES = {
     "dae": ("Dae",),
-    "errors": ("DataError", "ModelError", "SlipfreeError", "SolverError"),
+    "errors": ("DataError", "ModelError", "SlipfreeError"),
     "geometry.path": ("Path",),
     "control.path_following": ("follow", "straight"),
     "models.friction_feasibility": ("best_utilisation",),
@@ -75,7 +75,7 @@ _HOMES = {
     "terrain.analytic": ("Analytic",),
     "terrain.base": ("Grid", "Terrain"),
     "terrain.bicubic": ("Bicubic",),
-    "trajectory": ("Trajectory",),
+    "trajectory": ("SolverError", "Trajectory"),
     "vehicle.catalogue.three_wheeler": ("three_wheeler",),
     "vehicle.tree": ("Vehicle", "actuated"),
     "vehicle.catalogue.carts": ("ackermann", "articulated", "differential_drive", "skid_steer"),

@@ -1,4 +1,4 @@
-"""The one numeric record that every solver returns and every plot and file takes."""
+"""The numeric record that every solver returns and every plot and file takes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.errors import ModelError
+from slipfree.errors import ModelError, SlipfreeError
 from slipfree.records import Array, Label
 
 
@@ -31,7 +31,7 @@ class Stop(NamedTuple):
 
 
 class Column(NamedTuple):
-    """One quantity over time: what it is, and its values.
+    """One quantity over time: its label and its values.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Trajectory:
         return values[:, self.wheels.index(wheel)]
 
     def of(self, label: Label) -> Array:
-        """Return the samples of what a label names, that of one wheel if it names one."""
+        """Return the samples of the quantity of a label, of one wheel if the label names one."""
         return self[label.name] if label.wheel is None else self[label.name, label.wheel]
 
     def __iter__(self) -> Iterator[str]:
@@ -107,6 +107,20 @@ class Trajectory:
         """Return some of the samples, ended for the reason given."""
         columns = {k: Column(c.label, c.values[span]) for k, c in self.columns.items()}
         return replace(self, t=self.t[span], columns=columns, stop=stop)
+
+
+class SolverError(SlipfreeError, RuntimeError):
+    """The question was fine, but the solver found no answer.
+
+    Attributes
+    ----------
+    trajectory : Trajectory or None
+        The motion that was reached before the solver stopped.
+    """
+
+    def __init__(self, message: str, trajectory: Trajectory | None = None) -> None:
+        super().__init__(message)
+        self.trajectory = trajectory
 
 
 def joined(*runs: Trajectory) -> Trajectory:

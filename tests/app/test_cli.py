@@ -17,10 +17,9 @@ from typer.testing import CliRunner
 import slipfree
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app
-from slipfree.errors import SolverError
 from slipfree.files import netcdf
 from slipfree.problem import solve as runner
-from slipfree.trajectory import Stop
+from slipfree.trajectory import SolverError, Stop
 
 STARTERS = Path(slipfree.__file__).parent / "starters"
 

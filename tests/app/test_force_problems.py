@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 from helpers.friction_cases import slope
 from slipfree import best_utilisation, direct_kinematics, settle, three_wheeler
 from slipfree.cli import app
-from slipfree.errors import SolverError
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
 from slipfree.models import friction_feasibility
@@ -21,6 +20,7 @@ from slipfree.models.force_distribution import least_utilisation
 from slipfree.problem import solve as runner
 from slipfree.problem.load import read
 from slipfree.problem.solve import build, run
+from slipfree.trajectory import SolverError
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\

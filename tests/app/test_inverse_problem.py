@@ -13,14 +13,13 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from slipfree.cli import app
-from slipfree.errors import SolverError
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem import inverse
 from slipfree.problem import solve as runner
 from slipfree.problem.load import read
 from slipfree.problem.solve import build, run
-from slipfree.trajectory import Stop
+from slipfree.trajectory import SolverError, Stop
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 GIVEN = """\

@@ -21,9 +21,10 @@ from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.profile import kerb, ramp, stairs, step
 from slipfree.climb.time_scaling import MOVING, climb, history, in_sequence
 from slipfree.climb.vehicle import AXLES, seven_wheels
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.nlp import Nlp
 from slipfree.plan.external_nlp import solve_nlp
+from slipfree.trajectory import SolverError
 
 SPEED, WEIGHT = 0.25, 9.81 * 21.6
 PROFILES = {"ramp": ramp(np.pi / 4, 0.09), **{f"{mm} mm": step(mm / 1000) for mm in (50, 90, 128)}}

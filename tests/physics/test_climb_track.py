@@ -30,8 +30,9 @@ from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.time_scaling import climb as program
 from slipfree.climb.time_scaling import history, in_sequence
 from slipfree.climb.vehicle import seven_wheels
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.plan.external_nlp import solve_nlp
+from slipfree.trajectory import SolverError
 
 CLIMBER = seven_wheels(torque=AMPLE)
 UNTIL = 13.0

@@ -8,10 +8,11 @@ from numpy.testing import assert_allclose
 from helpers.toy_models import model
 from slipfree import Analytic, direct_kinematics, three_wheeler
 from slipfree.dae import PiecewiseLinear
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
+from slipfree.trajectory import SolverError
 
 
 def test_a_stiff_equation_has_its_solution():

@@ -22,8 +22,9 @@ import scipy.sparse
 from slipfree.climb.contact_path import Leg, Way, axle_arms, legs, sample, tangents
 from slipfree.climb.profile import Profile, step
 from slipfree.climb.vehicle import Body, Climber
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.records import Array
+from slipfree.trajectory import SolverError
 from slipfree.vehicle.tree import GRAVITY
 
 MOST = 10.0  # a larger coefficient of friction counts as none

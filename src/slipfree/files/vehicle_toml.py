@@ -14,15 +14,8 @@ from pydantic_core import PydanticCustomError
 
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import Fault, ProblemError, listed, names, validation_fault, vast
-from slipfree.files.toml.source_lines import (
-    PIECE,
-    Place,
-    Source,
-    key_lines,
-    loaded,
-    read_text,
-    spelled,
-)
+from slipfree.files.toml.reader import parse_toml, read_text
+from slipfree.files.toml.source_lines import PIECE, Place, Source, key_lines, spelled
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.toml.types import Place as Place3
 from slipfree.files.vehicle_draft import (
@@ -194,7 +187,7 @@ class File(NamedTuple):
 def open_file(path: Path) -> File:
     """Return what a TOML file holds; ProblemError if it cannot be read."""
     text = read_text(path)
-    data = loaded(path, text)
+    data = parse_toml(path, text)
     lines = key_lines(text)
     for part in PARTS:
         if (part,) in lines and (part, 0) not in lines:

@@ -7,10 +7,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import SolverError
 from slipfree.interrupt import heeded
 from slipfree.nlp import Nlp
 from slipfree.plan.ipopt import ITERATIONS, TOLERANCE, Solution
+from slipfree.trajectory import SolverError
 
 
 @heeded

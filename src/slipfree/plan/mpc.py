@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.plan.ipopt import ITERATIONS, kept_going, violation
@@ -24,6 +24,7 @@ from slipfree.plan.polynomial_motion import PolynomialMotion, course
 from slipfree.plan.transcription import Index, Mesh, Program, Task, completed, transcribe
 from slipfree.plan.verification import inputs_along
 from slipfree.records import Array
+from slipfree.trajectory import SolverError
 
 APART = 1e-6  # times that are nearer are one [s]
 GOING_ON = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")

@@ -9,12 +9,11 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Limit, PiecewiseLinear
-from slipfree.errors import SolverError
 from slipfree.plan.polynomial_motion import ROUNDING, PolynomialMotion, course
 from slipfree.plan.transcription import Index, Mesh, Model, Program
 from slipfree.records import Array, Mask, leaves
 from slipfree.solve.simulate import simulate
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import SolverError, Trajectory
 
 PART = 0.01  # of the width between the bounds of a limit that counts, if that is less
 NEAR = 0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it

@@ -21,7 +21,7 @@ from slipfree.climb.plan_tracking import Tracking, course
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
@@ -35,7 +35,7 @@ from slipfree.records import Array
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import SolverError, Trajectory
 
 OBSTACLES: Mapping[str, Callable[..., Profile]] = {
     "ramp": ramp,

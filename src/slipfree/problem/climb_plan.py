@@ -12,11 +12,10 @@ from slipfree.climb.contact_path import Leg, legs
 from slipfree.climb.profile import Profile
 from slipfree.climb.time_scaling import Climb, climb, history, in_sequence
 from slipfree.climb.vehicle import Climber
-from slipfree.errors import SolverError
 from slipfree.plan.external_nlp import solve_nlp
 from slipfree.problem import schema
 from slipfree.records import Array, Label
-from slipfree.trajectory import Column, Trajectory
+from slipfree.trajectory import Column, SolverError, Trajectory
 
 PROGRESS = Label("progress", "m", "mean of place and height of the axles")
 

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import SolverError
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.slip import measured_slip
 from slipfree.problem import schema
@@ -25,7 +24,7 @@ from slipfree.problem.load import Problem
 from slipfree.records import Array, leaves
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
-from slipfree.trajectory import Stop, Trajectory
+from slipfree.trajectory import SolverError, Stop, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 RANK = 1e-9  # singular values below this part of the largest are zero

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.files.toml.errors import Fault, names, problem_error
 from slipfree.models.inverse import LEAST_MARGIN, PLANAR, along, inverse_kinematics
 from slipfree.models.kinematics import direct_kinematics
@@ -33,7 +33,7 @@ from slipfree.problem.subset import build_subset, drive_subset, is_subset
 from slipfree.records import Array
 from slipfree.solve.collocation import drive
 from slipfree.solve.trim import moving
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)

@@ -14,12 +14,13 @@ from pydantic import ValidationError
 from slipfree.files.toml.errors import (
     Fault,
     ProblemError,
-    _shown,
+    format_value,
     problem_error,
     validation_fault,
     vast,
 )
-from slipfree.files.toml.source_lines import Place, Source, key_lines, key_path, loaded, read_text
+from slipfree.files.toml.reader import parse_toml, read_text
+from slipfree.files.toml.source_lines import Place, Source, key_lines, key_path
 from slipfree.problem.schema import (
     ALTERNATIVES,
     Asked,
@@ -102,7 +103,7 @@ def _read(schemas: Sequence[type[A]], path: str | Path, settings: Sequence[str])
     """Return the problem in a TOML file, by the schema that its verb names."""
     path = Path(path)
     text = read_text(path)
-    data = loaded(path, text)
+    data = parse_toml(path, text)
     places = _replaced(data, settings)
     source = Source(path, text, key_lines(text), places)
     schema = _by_verb(schemas, data, source)
@@ -135,7 +136,7 @@ def _by_verb(schemas: Sequence[type[A]], data: Mapping[str, Any], source: Source
         "",
     )
     expected = f"{' or '.join(map(repr, verbs))} for this command"
-    raise problem_error(source, [Fault(("verb",), expected, _shown(data["verb"]) + hint)])
+    raise problem_error(source, [Fault(("verb",), expected, format_value(data["verb"]) + hint)])
 
 
 def _verb(schema: type[Asked]) -> str:
@@ -231,7 +232,7 @@ def _path(spec: Asked) -> Iterator[Fault]:
     for name in ("x", "y", "heading"):
         place, column = ("path", name), getattr(path, name)
         if path.file is not None and column is not None:
-            yield Fault(place, "no array beside a file", _shown(list(column)))
+            yield Fault(place, "no array beside a file", format_value(list(column)))
         elif path.file is None and len(column or ()) != len(times):
             expected = f"an array of {len(times)} numbers, one for each of t"
             yield Fault(place, expected, f"{len(column)}" if column is not None else "none")

@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.control.path_following import follow
 from slipfree.dae import Dae, Limit
-from slipfree.errors import SlipfreeError, SolverError
+from slipfree.errors import SlipfreeError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.models.kinematics import direct_kinematics
@@ -50,7 +50,7 @@ from slipfree.routing.traversability import Traversability, extents, traversabil
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import Stop, Trajectory, path_length
+from slipfree.trajectory import SolverError, Stop, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
 ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from slipfree.errors import SolverError
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.errors import ProblemError
 from slipfree.forks import computing
@@ -28,7 +27,7 @@ from slipfree.records import Array, leaves
 from slipfree.regular_files import escape_name
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.base import Grid
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import SolverError, Trajectory
 
 Progress = Callable[[float], None]
 

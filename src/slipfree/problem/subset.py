@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.errors import ModelError, SlipfreeError, SolverError
+from slipfree.errors import ModelError, SlipfreeError
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.platform_rates import steered, subset_kinematics
@@ -29,7 +29,7 @@ from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.simulate import simulate
 from slipfree.solve.trim import seek
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.formula import evaluate
 
 MOTION = ("velocity_x", "velocity_y", "heading_rate")

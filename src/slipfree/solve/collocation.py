@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SlipfreeError, SolverError
+from slipfree.errors import ModelError, SlipfreeError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.lookups import needed_lookups, substitute_lookups
@@ -30,7 +30,7 @@ from slipfree.solve.sampling import Samples, followed, table
 from slipfree.solve.settle import first_violation, settle
 from slipfree.solve.simulate import simulate, usable_times
 from slipfree.solve.system import System, with_inputs
-from slipfree.trajectory import Stop, Trajectory
+from slipfree.trajectory import SolverError, Stop, Trajectory
 
 Model = Dae[Any, Any, Any, Any, Any]
 DEGREES = (8, 10, 12, 14)  # numbers of collocation points of an element that are tried

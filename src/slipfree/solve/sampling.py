@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import SampledCheck
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.records import Array, Label, Mask, leaves
 from slipfree.solve.initial_conditions import consistent
 from slipfree.solve.system import FOLLOWING, Block, System
-from slipfree.trajectory import Column, Trajectory
+from slipfree.trajectory import Column, SolverError, Trajectory
 
 AXES = ("time", "wheel")  # of results: no quantity is called so
 

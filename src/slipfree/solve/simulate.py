@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import InterruptGuard
 from slipfree.records import Array
@@ -24,7 +24,7 @@ from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
 from slipfree.solve.settle import first_violation
 from slipfree.solve.stop_diagnosis import ending
 from slipfree.solve.system import System, with_inputs
-from slipfree.trajectory import Stop, Trajectory, joined
+from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time

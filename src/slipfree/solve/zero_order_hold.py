@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SolverError
+from slipfree.errors import ModelError
 from slipfree.interrupt import InterruptGuard
 from slipfree.lookups import found_column
 from slipfree.records import Array, leaves, unpack
@@ -18,7 +18,7 @@ from slipfree.solve.sampling import Samples, table
 from slipfree.solve.settle import first_violation
 from slipfree.solve.simulate import COUNTS, STEPS, hushed, reason, usable_times
 from slipfree.solve.system import System, with_inputs
-from slipfree.trajectory import Stop, Trajectory
+from slipfree.trajectory import SolverError, Stop, Trajectory
 
 EVEN = 1e-6  # relative difference between sample times that counts as none
 

@@ -50,7 +50,7 @@ class Quantity(NamedTuple):
 
 
 def figures_of(run: Trajectory, spec: Motion | Climb) -> Figures:
-    """Return what a motion comes to, by name: value and unit.
+    """Return the figures of a motion by name: value and unit.
 
     Parameters
     ----------

@@ -19,7 +19,8 @@ from typing import Any
 
 from slipfree.errors import DataError, SlipfreeError
 from slipfree.sweep.log import LOST
-from slipfree.sweep.task import Done, Task, nothing, serve
+from slipfree.sweep.process import serve
+from slipfree.sweep.task import Done, Task, without_motion
 from slipfree.threads import NAMES
 from slipfree.version import __version__
 
@@ -65,7 +66,7 @@ class _Worker:
                     f"a process for the runs could not start ({how}): see what it printed; what "
                     "is finished is kept, and the same command goes on"
                 ) from error
-            done = nothing(task, LOST, f"its process died ({how})")
+            done = without_motion(task, LOST, f"its process died ({how})")
         if done is None:
             self.ready = True
         else:
@@ -159,7 +160,7 @@ def _result(task: Task, future: Any, address: str) -> Done:
         done: Done = future.result()
         return done
     if future.status == "error":
-        return nothing(task, LOST, f"its worker failed ({future.exception()})")
+        return without_motion(task, LOST, f"its worker failed ({future.exception()})")
     raise _gone(address)
 
 

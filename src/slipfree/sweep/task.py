@@ -1,17 +1,8 @@
-"""What a process gets for a run and gives back, and how it waits for it.
-
-The process that hands out runs needs no solvers, so they are imported where a run is done.
-"""
+"""Tasks of a sweep, and their results."""
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
-import warnings
 from collections.abc import Mapping
-from multiprocessing import parent_process
-from multiprocessing.connection import Connection, wait
 from typing import NamedTuple
 
 from slipfree.files.netcdf import NOTHING
@@ -23,7 +14,7 @@ COMPLETE = "complete"  # figure of every run: 1 if it reached its end
 
 
 class Task(NamedTuple):
-    """What a process needs for a run: all of the problem but the files that it names.
+    """A run for a process: the problem without the files that it names.
 
     Attributes
     ----------
@@ -50,7 +41,7 @@ class Task(NamedTuple):
 
 
 class Done(NamedTuple):
-    """What came of a task.
+    """The result of a task.
 
     Attributes
     ----------
@@ -67,36 +58,13 @@ class Done(NamedTuple):
     arrays: Mapping[str, Array] = NOTHING
 
 
-def serve(pipe: Connection) -> None:
-    """Do tasks from a pipe until its other end is closed, or the process there has ended."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent decides
-    warnings.simplefilter("ignore")  # which the parent tells
-    os.dup2(2, 1)  # what solvers print must not get into the summary
-    from slipfree.sweep.worker import work
-
-    try:
-        pipe.send(None)  # ready
-        while True:
-            pipe.send(work(pipe.recv()))
-    except (EOFError, OSError):
-        return
-
-
-def _end_with_parent() -> None:
-    """End this process, even in the middle of a run, as soon as that which began it ends."""
-    if (parent := parent_process()) is not None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-
-def nothing(task: Task, outcome: str, words: str, seconds: float = 0.0) -> Done:
-    """Return the row of a run that came to nothing: it failed, or was lost."""
+def without_motion(task: Task, outcome: str, words: str, seconds: float = 0.0) -> Done:
+    """Return the result of a run that failed or was lost."""
     return Done(
         Row(task.run, own_settings(task), outcome, words, None, {COMPLETE: (0.0, "1")}, seconds)
     )
 
 
 def own_settings(task: Task) -> tuple[str, ...]:
-    """Return what is set for this run and not for all."""
+    """Return the settings of this run that other runs do not share."""
     return task.settings[len(task.settings) - task.own :]

@@ -9,19 +9,20 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from slipfree.errors import SlipfreeError, SolverError
+from slipfree.errors import SlipfreeError
 from slipfree.problem.load import Problem, read
 from slipfree.problem.schema import Climb, Motion
 from slipfree.problem.solve import run as solved
 from slipfree.sweep.log import FAILED, LOST, Row
 from slipfree.sweep.metrics import figures_of
-from slipfree.sweep.task import Done, Task, nothing, own_settings
+from slipfree.sweep.task import Done, Task, own_settings, without_motion
+from slipfree.trajectory import SolverError
 
 ALONE = threading.Lock()  # CasADi's objects are not made for several threads
 
 
 def work(task: Task) -> Done:
-    """Return what comes of a task; whatever goes wrong is told in its row.
+    """Return the result of a task; its row reports every error.
 
     A disk that is full or memory that is short are no fault of the run: it is lost.
     """
@@ -37,7 +38,7 @@ def work(task: Task) -> Done:
         outcome, words = FAILED, f"{type(error).__name__}: {error}"
     folder = str(Path(task.file).parent)
     words = words.replace(f"{folder}{os.sep}", "")
-    return nothing(task, outcome, words, time.perf_counter() - begin)
+    return without_motion(task, outcome, words, time.perf_counter() - begin)
 
 
 def _worked(task: Task, begin: float) -> Done:

@@ -1,18 +1,16 @@
-"""Errors in TOML files: what was expected, what was found, and on which line."""
+"""Errors in TOML files: expectation, finding and line."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 from pydantic import BaseModel
 
 from slipfree.errors import DataError
-
-if TYPE_CHECKING:
-    from slipfree.files.toml.source_lines import Place, Source
+from slipfree.files.toml.source_lines import Place, Source
 
 
 class ProblemError(DataError):
@@ -76,19 +74,19 @@ def names(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[
 
 
 def vast(value: Any, place: Place = ()) -> Iterator[Fault]:
-    """Yield a fault for every number with which there is no reckoning."""
+    """Yield a fault for each finite number larger than 1e100 in size."""
     if isinstance(value, Mapping | list):
         parts = value.items() if isinstance(value, Mapping) else enumerate(value)
         for key, part in parts:
             yield from vast(part, (*place, key))
     elif isinstance(value, float | int) and VAST < abs(value) < inf:
-        yield Fault(place, f"a number of at most {VAST:g} in size", _shown(value))
+        yield Fault(place, f"a number of at most {VAST:g} in size", format_value(value))
 
 
 def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
-    """Return what pydantic found, in our words."""
+    """Return the fault that pydantic reports, in the words of the package."""
     place, kind = tuple(error["loc"]), error["type"]
-    found = "none" if kind == "missing" else _shown(error["input"])
+    found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
         model = _model(schema, place[:-1])
         return _unknown(place, list(model.model_fields))
@@ -138,8 +136,8 @@ def _cut(text: str) -> str:
     return text if len(text) < 40 else text[:37] + "..."
 
 
-def _shown(value: Any, deepest: int = DEEPEST) -> str:
-    """Return a value as TOML would have it, shortened."""
+def format_value(value: Any, deepest: int = DEEPEST) -> str:
+    """Return a value as TOML text, shortened."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -151,6 +149,6 @@ def _shown(value: Any, deepest: int = DEEPEST) -> str:
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, list):
-        parts = [_shown(each, deepest - 1) for each in value[:4] if deepest]
+        parts = [format_value(each, deepest - 1) for each in value[:4] if deepest]
         return f"[{', '.join([*parts, *['...'] * (len(value) > len(parts))])}]"
     return str(value)

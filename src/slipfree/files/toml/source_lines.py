@@ -7,14 +7,6 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from slipfree.errors import DataError
-from slipfree.files.toml.errors import ProblemError
-from slipfree.regular_files import read_bytes, regular_file
-
-if TYPE_CHECKING:
-    pass
 
 Place = tuple[str | int, ...]
 
@@ -64,7 +56,7 @@ class Source:
         return _longest(place, self.settings) is not None
 
     def order(self, place: Place) -> int:
-        """Return the line of a value, for sorting; what the command line set comes last."""
+        """Return the line of a value, for sorting; values set by the command line come last."""
         if self.is_set(place):
             return self.text.count("\n") + 2
         return self._line(place)
@@ -151,59 +143,3 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
             pieces.append(piece)
             depth += (piece in "[{") - (piece in "]}")
         line += piece.count("\n")
-
-
-MOST_BYTES = 10_000_000  # of a file of TOML
-# Python's reader takes hours for keys of very many parts.
-LONG_KEY = re.compile(
-    r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
-)
-
-
-def loaded(path: Path, text: str) -> dict[str, Any]:
-    """Return what a text in TOML holds; ProblemError if it is none, or nested beyond reason."""
-    if (found := LONG_KEY.search(text)) is not None:
-        line = text.count("\n", 0, found.start()) + 1
-        raise ProblemError(
-            f"{path}:{line}: expected keys of a few parts, found one of more than 60 parts"
-        )
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProblemError(_syntax(path, text, str(error))) from error
-    except RecursionError as error:
-        raise ProblemError(
-            f"{path}: expected arrays and tables nested a few deep, found them hundreds deep"
-        ) from error
-    except ValueError as error:  # of a number
-        raise ProblemError(f"{path}: expected numbers, found one that is none: {error}") from error
-
-
-def read_text(path: Path) -> str:
-    """Return the text of a file of TOML; ProblemError if it cannot be read or is none in UTF-8."""
-    try:
-        with regular_file(path, "a problem file") as size:
-            if size > MOST_BYTES:
-                raise DataError(
-                    f"{path}: expected a file of TOML of at most {MOST_BYTES / 1e6:g} MB, found "
-                    f"{size / 1e6:.3g} MB; check the name"
-                )
-            raw = read_bytes(path, "a problem file")
-    except DataError as error:
-        raise ProblemError(str(error)) from error
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise ProblemError(
-            f"{path}:{line}: expected text in UTF-8, found the byte {raw[error.start]:#04x}"
-        ) from error
-
-
-def _syntax(path: Path, text: str, message: str) -> str:
-    """Return tomllib's message with the line in front; before Python 3.14 only its text has it."""
-    found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
-    if found is None:
-        last = len(text.splitlines()) or 1
-        return f"{path}:{last}: expected TOML, found an error at the end: {message}"
-    return f"{path}:{found[2]}: expected TOML, found an error in column {found[3]}: {found[1]}"
