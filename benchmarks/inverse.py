@@ -195,7 +195,7 @@ def in_time() -> None:
         inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
         replay = ""
         if sought:
-            found = drive(dae, direct, begin, inputs, t)
+            found = drive(dae, direct, begin, inputs, t, sought=["steer"])
             back = found.run
             replay = f", replay within {max(found.difference.values()):.1e} m, rad"
         else:

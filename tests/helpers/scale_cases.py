@@ -25,7 +25,8 @@ from slipfree.dae import power_of_length
 from slipfree.models.inverse import along, inverse_kinematics
 from slipfree.models.montana import montana_kinematics
 from slipfree.models.platform_rates import subset_kinematics
-from slipfree.solve.collocation import drive, settle_contact
+from slipfree.problem.contact_start import settle_contact
+from slipfree.solve.collocation import drive
 from slipfree.vehicle.catalogue.rovers import open_source_rover
 
 TOLERANCE = 1e-8
@@ -115,7 +116,7 @@ def path(scale: float, ground: Ground) -> Trajectory:
     y = radius * (ca.sin(heading) - np.sin(1.0))
     t = np.linspace(0, 6, 61)
     inputs = along(back, start, x, y, heading)
-    return drive(back, dae, start, inputs, t, tolerance=TOLERANCE).run
+    return drive(back, dae, start, inputs, t, sought=["steer"], tolerance=TOLERANCE).run
 
 
 def rover(scale: float) -> Trajectory:

@@ -29,7 +29,7 @@ from slipfree.models.margin import (
     steering_note,
     steering_slip,
 )
-from slipfree.solve.collocation import drive, nearest, settle_contact
+from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import consistent
 from slipfree.solve.sampling import Samples, followed, table
 from slipfree.solve.system import with_inputs
@@ -175,7 +175,14 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
     t = np.linspace(0, 8, 161)
     direct, begin, run = direct_run(HILLS, t, tolerance=1e-13, x=1.0, y=0.5)
     dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
-    found = drive(dae, direct, begin, along(dae, begin, run["x"], run["y"], run["heading"], t=t), t)
+    found = drive(
+        dae,
+        direct,
+        begin,
+        along(dae, begin, run["x"], run["y"], run["heading"], t=t),
+        t,
+        sought=["steer"],
+    )
     growth = found.run["steering_growth"]
     assert growth.min() < 0 < growth.max()
     error = found.run.statistics["sought_error"]
@@ -197,7 +204,14 @@ def test_path_on_a_map_crosses_too():
     law = straight(direct, three_wheeler(), begin, speed=0.135)
     run = simulate(direct, begin, law, t, tolerance=1e-12)
     dae = inverse_kinematics(three_wheeler(), terrain, least_margin=0.0)
-    found = drive(dae, direct, begin, along(dae, begin, run["x"], run["y"], run["heading"], t=t), t)
+    found = drive(
+        dae,
+        direct,
+        begin,
+        along(dae, begin, run["x"], run["y"], run["heading"], t=t),
+        t,
+        sought=["steer"],
+    )
     growth = found.run["steering_growth"]
     assert growth.min() < 0 < growth.max()
     for name in WHEEL_RATES:
@@ -213,7 +227,14 @@ def test_path_by_expressions_of_time():
     heading = 1.0 + 0.02 * dae.t
     x = -1.0 + 0.135 / 0.02 * (ca.cos(heading) - np.cos(1.0))
     y = 0.135 / 0.02 * (ca.sin(heading) - np.sin(1.0))
-    found = drive(dae, direct, begin, along(dae, begin, x, y, heading), np.linspace(0, 6, 61))
+    found = drive(
+        dae,
+        direct,
+        begin,
+        along(dae, begin, x, y, heading),
+        np.linspace(0, 6, 61),
+        sought=["steer"],
+    )
     turned = found.run["heading"]
     assert_allclose(turned, 1.0 + 0.02 * found.run.t, atol=1e-10)
     assert_allclose(found.replay["y"], 6.75 * (np.sin(turned) - np.sin(1.0)), atol=2e-6)
@@ -230,7 +251,14 @@ def test_collocation_of_a_system_with_a_known_slow_solution():
     heading = rate * dae.t  # the middle of the rear axle moves along its own heading
     x = 0.5 * (1 - ca.sin(heading)) - 0.5 - 6.75 * (1 - ca.cos(heading))
     y = 0.5 * ca.cos(heading) - 0.5 + 6.75 * ca.sin(heading)
-    found = drive(dae, direct, begin, along(dae, begin, x, y, heading), np.linspace(0, 4, 41))
+    found = drive(
+        dae,
+        direct,
+        begin,
+        along(dae, begin, x, y, heading),
+        np.linspace(0, 4, 41),
+        sought=["steer"],
+    )
     steer = np.arctan(1.5 * rate / 0.135)
     assert_allclose(found.run["steer"], steer, atol=1e-10)
     assert_allclose(found.run["tilt_left"], 0, atol=1e-10)
@@ -350,59 +378,6 @@ def test_steering_angle_needs_motion():
         simulate(dae, begin, dae.inputs(**dict.fromkeys(PLANAR, 0.0)), np.array([0.0, 1.0]))
 
 
-def test_start_from_one_contact(rng):
-    for terrain in (HILLS, case1()[0]):
-        dae = closure_model(three_wheeler(), terrain)
-        for wheel in ("right", "left", "front"):
-            joints = dict(
-                zip(
-                    ("heading", "tilt_right", "tilt_left", "steer"),
-                    rng.uniform(-0.2, 0.2, 4),
-                    strict=True,
-                )
-            )
-            stood = settle(dae, x=0.4, y=0.2, **joints)
-            place = {name: stood[name, wheel][0] for name in ("contact_x", "contact_y")}
-            found = settle_contact(dae, wheel, **place, **joints)
-            for name in ("x", "y", "z", "heading", "roll", "pitch"):
-                assert_allclose(found[name][0], stood[name][0], rtol=0, atol=1e-12, err_msg=name)
-
-
-def test_start_from_the_contact_of_the_paper():
-    """Left contact at (-1, 0), no tilt, no steering; the heading is ours to choose."""
-    dae = closure_model(three_wheeler(), HILLS)
-    found = settle_contact(dae, "left", contact_x=-1.0, contact_y=0.0)
-    assert found["contact_x", "left"][0] == pytest.approx(-1, abs=1e-14)
-    assert found["heading"][0] == 0
-
-
-def test_nearest_pose_changes_least(rng):
-    dae = closure_model(three_wheeler(), HILLS)
-    stood = settle(dae, x=0.4, y=0.2, heading=0.5, steer=0.1)
-    names = ("x", "y", "z", "heading", "roll", "pitch", "tilt_right", "tilt_left", "steer")
-    pose = {name: stood[name][0] for name in names}
-    assert nearest(dae, **pose).statistics["change"] < 1e-9
-    pose = {name: value + rng.uniform(-0.05, 0.05) for name, value in pose.items()}
-    found = nearest(dae, **pose)
-    change = found.statistics["change"]
-    assert_allclose(change, np.sqrt(sum((found[n][0] - pose[n]) ** 2 for n in names)), rtol=1e-12)
-    for _ in range(20):  # no neighbour on the ground is nearer
-        moved = {
-            n: found[n][0] + rng.uniform(-1e-3, 1e-3)
-            for n in names
-            if n in ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
-        }
-        other = settle(dae, **moved)
-        assert np.sqrt(sum((other[n][0] - pose[n]) ** 2 for n in names)) > change
-    kept = nearest(dae, weights={"x": np.inf, "y": np.inf, "heading": np.inf}, **pose)
-    assert_allclose(
-        [kept[n][0] for n in ("x", "y", "heading")],
-        [pose["x"], pose["y"], pose["heading"]],
-        atol=1e-12,
-    )
-    assert kept.statistics["change"] > change
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -471,40 +446,21 @@ def test_drives_are_checked():
     with pytest.raises(ModelError, match=r"sought: expected some of x, y, .*, found sail"):
         drive(dae, direct, begin, inputs, t, sought=["sail"])
     with pytest.raises(ModelError, match="does not determine heading_rate, velocity_x"):
-        drive(dae, dae, begin, inputs, t)
+        drive(dae, dae, begin, inputs, t, sought=["steer"])
     late = dae.inputs(velocity_x=0.0, velocity_y=ca.sqrt(dae.t - 0.5), heading_rate=0.0)
     with pytest.raises(SolverError, match=r"no motion from t = 0 to .* s follows the path"):
-        drive(dae, direct, begin, late, t)
+        drive(dae, direct, begin, late, t, sought=["steer"])
 
 
 def test_path_ends_at_a_limit():
     direct = closure_model(three_wheeler(tilt_stop=0.1), HILLS)
     dae = inverse_kinematics(three_wheeler(tilt_stop=0.1), HILLS, least_margin=0.0)
     begin, t = settle(direct), np.linspace(0, 4, 41)
-    found = drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t)
+    found = drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t, sought=["steer"])
     assert found.run.stop.name in ("tilt_left_stop", "tilt_right_stop")
     assert found.run.t[-1] < 4
     with pytest.raises(ModelError, match="before the second the stop of tilt"):
-        drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t[[0, -1]])
+        drive(dae, direct, begin, dae.inputs(**PAPER_MOTION), t[[0, -1]], sought=["steer"])
     leaning = settle(closure_model(three_wheeler(), HILLS), tilt_left=0.2)
     with pytest.raises(ModelError, match="the start is not valid: the stop of tilt_left"):
-        drive(dae, direct, leaning, dae.inputs(**PAPER_MOTION), t)
-
-
-def test_starts_are_checked():
-    dae = closure_model(three_wheeler(), HILLS)
-    with pytest.raises(ModelError, match=r"no contact of a wheel 'rear' .* front, left, right"):
-        settle_contact(dae, "rear", contact_x=0.0, contact_y=0.0)
-    with pytest.raises(ModelError, match="y follow from the contact; leave them out"):
-        settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, y=1.0)
-    with pytest.raises(ModelError, match="not known: azimuth"):
-        settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, azimuth=1.0)
-    with pytest.raises(ModelError, match="nearest: 'azimuth' is not known"):
-        nearest(dae, azimuth=1.0)
-    with pytest.raises(ModelError, match="nearest: z must be finite"):
-        nearest(dae, z=np.nan)
-    with pytest.raises(ModelError, match="weight of z must not be negative"):
-        nearest(dae, z=2.0, weights={"z": -1.0})
-    names = ("x", "y", "z", "heading", "roll", "pitch")
-    with pytest.raises(ModelError, match="cannot stand near the given pose"):
-        nearest(dae, **dict.fromkeys(names, 0.0), weights=dict.fromkeys(names, np.inf))
+        drive(dae, direct, leaning, dae.inputs(**PAPER_MOTION), t, sought=["steer"])

@@ -1,17 +1,16 @@
-"""States and inputs found from what is wanted: motions along a path, starts from a contact or pose.
+"""Collocation of motions some of whose states have no initial value but follow from a path.
 
-Along a path the steering of a vehicle is sought, not integrated. Its rate enters the equations of
-rolling with a lever that may be small and change sign, so that an initial value of the angle is
-forgotten at once or never held: the angle follows from the path. Collocation finds it. On every
-element the states that are sought are polynomials without an initial value; the others continue
-from element to element, so that the elements can be solved one after the other. What is left over
-at the ends, the jump of the sought states between elements, measures the error.
+The rate of such a state, as of a steering angle, enters the equations with a factor that may be
+small and change sign, so that an initial value is forgotten at once or never held: the state
+follows from the path. On every element the states that are sought are polynomials without an
+initial value; the others continue from element to element, so that the elements are solved one
+after the other. The jump of the sought states between elements measures the error.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -22,9 +21,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.forks import computing
-from slipfree.interrupt import heeded
-from slipfree.lookups import needed_lookups, substitute_lookups
-from slipfree.records import Array, Label, Mask, leaves, unpack
+from slipfree.records import Array, Mask, leaves, unpack
 from slipfree.solve.radau import Basis, basis
 from slipfree.solve.sampling import Samples, followed, table
 from slipfree.solve.settle import first_violation, settle
@@ -203,7 +200,7 @@ def drive(
     inputs: Any,
     t: Array,
     *,
-    sought: Sequence[str] = ("steer",),
+    sought: Sequence[str],
     tolerance: float = 1e-8,
 ) -> Drive:
     """Return the motion of an inverse model, some of whose states are found, and its replay.
@@ -256,7 +253,7 @@ def drive(
     run = replace(run, statistics=statistics)
     laws = _laws(direct, inverse, best, elements)
     try:
-        return Drive(run, laws, *_replayed(direct, run, laws, tolerance))
+        return Drive(run, laws, *_replay(direct, run, laws, tolerance))
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         raise SolverError(f"the replay by the direct model failed: {error}", run) from error
 
@@ -311,7 +308,7 @@ def _guess(loop: System, t: float, x: Array, z: Array) -> Array:
 
 
 def _standing(loop: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples after a Newton step on the first block, and what is left over."""
+    """Return the samples after a Newton step on the first block, and their residuals."""
     block, z = loop.blocks[0], samples.z.copy()
     for k, t in enumerate(samples.t):
         point = (t, samples.x[:, k], z[:, k], samples.u[:, k], block.stages[-1])
@@ -356,209 +353,13 @@ def _laws(direct: Model, inverse: Model, best: Scheme, elements: Sequence[Elemen
     return unpack(direct.u, ca.vertsplit(law(inside)))
 
 
-def _replayed(
+def _replay(
     direct: Model, run: Trajectory, laws: Any, tolerance: float
 ) -> tuple[Trajectory, dict[str, float]]:
-    """Return the direct model's motion from the same start, and how far it is from the run."""
+    """Return the direct model's motion from the same start, and its difference from the run."""
     states = {label.full: float(run[label.name][0]) for label in leaves(direct.labels.x)}
     replay = simulate(
         direct, settle(direct, guess=None, **states), laws, run.t, tolerance=tolerance
     )
     n = replay.t.size if replay.stop is None else replay.t.size - 1
     return replay, {name: float(np.abs(replay[name][:n] - run[name][:n]).max()) for name in states}
-
-
-def settle_contact(
-    dae: Model, wheel: str, *, contact_x: float, contact_y: float, **start: float
-) -> Trajectory:
-    """Return the vehicle standing with one wheel's contact at a given place.
-
-    The contact point of one wheel, the heading and the joints are chosen; nine closure equations
-    of a three-wheeler then determine place, height, roll and pitch of its platform and the other
-    two contact points.
-
-    Parameters
-    ----------
-    dae : Dae
-        A closure model: its states hold ``x`` and ``y``, its first unknowns the contact points.
-    wheel : str
-        Name of the wheel.
-    contact_x, contact_y : float
-        Contact point on the map. [m]
-    **start : float
-        Heading and joints by name; others are zero. [rad, m]
-
-    Raises
-    ------
-    ModelError
-        If the wheel or a name is unknown, or the vehicle cannot stand so.
-    """
-    known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
-    if wheel not in known:
-        names = ", ".join(sorted(filter(None, known))) or "none"
-        raise ModelError(
-            f"settle_contact: no contact of a wheel {wheel!r} is sought; known: {names}"
-        )
-    fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
-    if fixed:
-        raise ModelError(
-            f"settle_contact: {' and '.join(fixed)} follow from the contact; leave them out"
-        )
-    place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
-    found = settle(_exchanged(dae, list(place)), guess=None, **place, **start)
-    return _settled(dae, found)
-
-
-def _settled(dae: Model, found: Trajectory) -> Trajectory:
-    """Return the start of a model at what was found for its states and unknowns by name."""
-    states, unknowns = (
-        {label.full: _first(found, label) for label in leaves(record)}
-        for record in (dae.labels.x, dae.labels.z[0])
-    )
-    return settle(dae, guess=unknowns, **states)
-
-
-def _first(run: Trajectory, label: Label) -> float:
-    return float(run[label.name if label.wheel is None else (label.name, label.wheel)][0])
-
-
-def _exchanged(dae: Model, given: Sequence[str]) -> Model:
-    """Return the model with ``x`` and ``y`` among its unknowns, and a contact point known.
-
-    For starts only: checks and rates are those of the model as it was.
-    """
-    x, z = list(leaves(dae.x)), list(leaves(dae.z))
-    x_labels, z_labels = list(leaves(dae.labels.x)), list(leaves(dae.labels.z))
-    x_shift, z_shift = (part.copy() for part in dae.shift)
-    guess = ca.vertsplit(dae.guess)
-    contact = []
-    for axis, name in zip(("x", "y"), given, strict=True):
-        i = [label.full for label in x_labels].index(axis)
-        j = [label.full for label in z_labels].index(name)
-        x[i], z[j], x_labels[i], z_labels[j] = z[j], x[i], z_labels[j], x_labels[i]
-        x_shift[i], z_shift[j] = z_shift[j], x_shift[i]
-        contact.append((x[i], z[j], j))
-    platform = ca.vertcat(*(symbol for _, symbol, _ in contact))
-    # the first guess of a contact lies a fixed way from the platform's centre
-    offsets = ca.substitute([guess[j] for *_, j in contact], [platform], [ca.SX.zeros(2)])
-    places = [point - offset for (point, _, _), offset in zip(contact, offsets, strict=True)]
-    own, before, after = substitute_lookups(
-        needed_lookups(dae.lookups, guess), [platform], [ca.vertcat(*places)]
-    )
-    guess = ca.substitute(guess, before, after)
-    for (_, _, j), place in zip(contact, places, strict=True):
-        guess[j] = place
-    return replace(
-        dae,
-        x=unpack(dae.x, x),
-        z=unpack(dae.z, z),
-        labels=dae.labels._replace(
-            x=unpack(dae.labels.x, x_labels), z=unpack(dae.labels.z, z_labels)
-        ),
-        guess=ca.vertcat(*guess),
-        shift=(x_shift, z_shift),
-        checks=(),
-        lookups=(*dae.lookups, *own),
-    )
-
-
-@computing
-@heeded
-def nearest(dae: Model, *, weights: Mapping[str, float] | None = None, **pose: float) -> Trajectory:
-    """Return the vehicle standing in the pose nearest to a given one.
-
-    The weighted sum of squared changes is least among all poses in which every wheel touches the
-    ground.
-
-    Parameters
-    ----------
-    dae : Dae
-        A closure model.
-    weights : mapping of str to float, optional
-        Weight of the change of a coordinate; one by default, so that a metre counts as a radian;
-        infinite to keep it. [1/m2, 1/rad2]
-    **pose : float
-        States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
-        ``pitch`` and joints. States that are not named count as zero; what else is not named is
-        free. [m, rad]
-
-    Returns
-    -------
-    Trajectory
-        One sample; its ``statistics`` hold ``change``, the root of the sum, and the change of
-        every coordinate that counts.
-
-    Raises
-    ------
-    ModelError
-        If a name is unknown, a value is not finite, a weight negative, or the vehicle cannot
-        stand near there.
-    """
-    labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
-    names, n_x = [label.full for label in labels], dae.ode.numel()
-    weights = weights or {}
-    _check_pose(names, pose, weights)
-    asked = {**{label.full: 0.0 for label in leaves(dae.labels.x)}, **pose}
-    shift = np.concatenate(dae.shift)[: len(names)]
-    wish = np.array([asked.get(name, 0.0) for name in names]) - shift
-    weight = np.array([weights.get(name, 1.0) * (name in asked) for name in names])
-    guess = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
-    first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
-    first[weight > 0] = wish[weight > 0]
-    found = _least_change(dae, first, wish, weight) + shift
-    values = dict(zip(names, found, strict=True))
-    run = settle(
-        dae,
-        guess={name: values[name] for name in names[n_x:]},
-        **{name: values[name] for name in names[:n_x]},
-    )
-    change = {
-        name: _first(run, label) - asked[name]
-        for name, label in zip(names, labels, strict=True)
-        if name in asked
-    }
-    total = sum(
-        weights.get(name, 1.0) * size**2
-        for name, size in change.items()
-        if np.isfinite(weights.get(name, 1.0))
-    )
-    statistics = {"change": float(np.sqrt(total))}
-    return replace(run, statistics=statistics | {f"change_{k}": v for k, v in change.items()})
-
-
-def _check_pose(
-    names: Sequence[str], pose: Mapping[str, float], weights: Mapping[str, float]
-) -> None:
-    for name in (*pose, *weights):
-        if name not in names:
-            raise ModelError(f"nearest: {name!r} is not known; known: {', '.join(names)}")
-    for name, value in pose.items():
-        if not np.isfinite(value):
-            raise ModelError(f"nearest: {name} must be finite, found {value}")
-    for name, weight in weights.items():
-        if not weight >= 0:
-            raise ModelError(f"nearest: the weight of {name} must not be negative, found {weight}")
-
-
-def _least_change(dae: Model, first: Array, wish: Array, weight: Array) -> Array:
-    """Return states and pose that satisfy the first equations with the least weighted change."""
-    unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
-    counts = np.isfinite(weight)
-    change = np.where(counts, weight, 0.0)
-    cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
-    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
-    rows = dae.function("closure", [unknowns], [dae.alg[0]])
-    symbols = ca.MX.sym("unknowns", unknowns.numel())
-    changed = ca.Function("cost", [unknowns], [cost / 2])
-    problem = {"x": symbols, "f": changed(symbols), "g": rows(symbols)}
-    options: dict[str, Any] = {"ipopt": quiet, "print_time": False, "error_on_fail": False}
-    solver = ca.nlpsol("nearest", "ipopt", problem, options)
-    bound = np.where(counts, np.inf, 0.0)
-    centre = np.where(counts, 0.0, wish)
-    found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
-    if not solver.stats()["success"]:
-        raise ModelError(
-            "nearest: the vehicle cannot stand near the given pose "
-            f"({solver.stats()['return_status']}); give one that is nearer to the ground"
-        )
-    return np.array(found["x"]).ravel()

@@ -1,0 +1,56 @@
+"""Start from the contact point of one wheel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.records import leaves
+from slipfree.solve.starts import settle_exchanged
+from slipfree.trajectory import Trajectory
+
+
+def settle_contact(
+    dae: Dae[Any, Any, Any, Any, Any],
+    wheel: str,
+    *,
+    contact_x: float,
+    contact_y: float,
+    **start: float,
+) -> Trajectory:
+    """Return the vehicle standing with one wheel's contact at a given place.
+
+    The contact point of one wheel, the heading and the joints are chosen; nine closure equations
+    of a three-wheeler then determine place, height, roll and pitch of its platform and the other
+    two contact points.
+
+    Parameters
+    ----------
+    dae : Dae
+        A closure model: its states hold ``x`` and ``y``, its first unknowns the contact points.
+    wheel : str
+        Name of the wheel.
+    contact_x, contact_y : float
+        Contact point on the map. [m]
+    **start : float
+        Heading and joints by name; others are zero. [rad, m]
+
+    Raises
+    ------
+    ModelError
+        If the wheel or a name is unknown, or the vehicle cannot stand so.
+    """
+    known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
+    if wheel not in known:
+        names = ", ".join(sorted(filter(None, known))) or "none"
+        raise ModelError(
+            f"settle_contact: no contact of a wheel {wheel!r} is sought; known: {names}"
+        )
+    fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
+    if fixed:
+        raise ModelError(
+            f"settle_contact: {' and '.join(fixed)} follow from the contact; leave them out"
+        )
+    place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
+    return settle_exchanged(dae, dict(zip(("x", "y"), place, strict=True)), **place, **start)

@@ -1,0 +1,221 @@
+"""Starts from other data than all states: some unknowns in their place, or a pose nearby."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.forks import computing
+from slipfree.interrupt import heeded
+from slipfree.records import Array, leaves, unpack
+from slipfree.solve.settle import settle
+from slipfree.trajectory import Trajectory
+
+Model = Dae[Any, Any, Any, Any, Any]
+
+
+def settle_exchanged(dae: Model, exchange: Mapping[str, str], **start: float) -> Trajectory:
+    """Return the vehicle standing at rest where some unknowns of its pose have given values.
+
+    As many states are solved for in their place.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    exchange : mapping of str to str
+        Names of the states to solve for, and of the unknown of the pose, the first field of ``z``,
+        that is given instead of each; both have the same unit.
+    **start : float
+        Values of these unknowns and of the other states by name; others are zero. [rad, m]
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown or given twice, units differ, or the vehicle cannot stand there.
+    """
+    names, pose = (
+        [label.full for label in leaves(record)] for record in (dae.labels.x, dae.labels.z[0])
+    )
+    for name, known in (*((n, names) for n in exchange), *((n, pose) for n in exchange.values())):
+        if name not in known:
+            raise ModelError(
+                f"settle_exchanged: {name!r} cannot be exchanged; expected one of "
+                f"{', '.join(known)}"
+            )
+    if len(set(exchange.values())) < len(exchange):
+        raise ModelError(
+            "settle_exchanged: expected a different unknown in place of each state, found "
+            f"{', '.join(exchange.values())}"
+        )
+    i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
+    model = _exchange(dae, i, j)
+    guess = _exchanged_guess(dae, i, j, model.start(**start))
+    return _settle_at(dae, settle(replace(model, guess=ca.SX(guess)), guess=None, **start))
+
+
+def _exchange(dae: Model, i: Sequence[int], j: Sequence[int]) -> Model:
+    """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
+
+    For starts only: rates are those of the model as it was, and it has no checks.
+    """
+    x, z = list(leaves(dae.x)), list(leaves(dae.z))
+    x_labels, z_labels = list(leaves(dae.labels.x)), list(leaves(dae.labels.z))
+    x_shift, z_shift = (part.copy() for part in dae.shift)
+    for a, b in zip(i, j, strict=True):
+        if x_labels[a].unit != z_labels[b].unit:
+            raise ModelError(
+                f"settle_exchanged: expected an unknown in {x_labels[a].unit} in place of "
+                f"{x_labels[a].full}, found {z_labels[b].full} in {z_labels[b].unit}"
+            )
+        x[a], z[b], x_labels[a], z_labels[b] = z[b], x[a], z_labels[b], x_labels[a]
+        x_shift[a], z_shift[b] = z_shift[b], x_shift[a]
+    return replace(
+        dae,
+        x=unpack(dae.x, x),
+        z=unpack(dae.z, z),
+        labels=dae.labels._replace(
+            x=unpack(dae.labels.x, x_labels), z=unpack(dae.labels.z, z_labels)
+        ),
+        shift=(x_shift, z_shift),
+        checks=(),
+    )
+
+
+def _exchanged_guess(dae: Model, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
+    """Return an initial guess of ``z`` of the exchanged model from its states, by a Newton step.
+
+    The step makes the model's own guess of the unknowns ``j`` equal to their given values; it is
+    exact where that guess is linear in the states ``i``, as that of places is in places.
+    """
+    states = dae.columns()[0]
+    rows = dae.guess[j]
+    slope = dae.function("slope", [states], [rows, ca.jacobian(rows, states[i])])
+    x = given.copy()
+    x[i] = 0.0
+    guess, jacobian = (np.array(part) for part in slope(x))
+    x[i] = np.linalg.lstsq(jacobian, given[i] - guess.ravel(), rcond=None)[0]
+    z = np.array(dae.function("guess", [states], [dae.guess])(x)).ravel()
+    z[j] = x[i]
+    return z
+
+
+def _settle_at(dae: Model, found: Trajectory) -> Trajectory:
+    """Return the start of a model at the states and pose of a sample."""
+    states, pose = (
+        {label.full: float(found.of(label)[0]) for label in leaves(record)}
+        for record in (dae.labels.x, dae.labels.z[0])
+    )
+    return settle(dae, guess=pose, **states)
+
+
+@computing
+@heeded
+def settle_nearest(
+    dae: Model, *, weights: Mapping[str, float] | None = None, **pose: float
+) -> Trajectory:
+    """Return the vehicle standing in the pose nearest to a given one.
+
+    The weighted sum of squared changes is least among all poses that satisfy the first block of
+    equations.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    weights : mapping of str to float, optional
+        Weight of the change of a coordinate; one by default, so that a metre counts as a radian;
+        infinite to keep it. [1/m2, 1/rad2]
+    **pose : float
+        States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
+        ``pitch`` and joints. States that are not named count as zero; what else is not named is
+        free. [m, rad]
+
+    Returns
+    -------
+    Trajectory
+        One sample; its ``statistics`` hold ``change``, the root of the sum, and the change of
+        every coordinate that counts.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown, a value is not finite, a weight negative, or the vehicle cannot
+        stand near there.
+    """
+    labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
+    names, n_x = [label.full for label in labels], dae.ode.numel()
+    weights = weights or {}
+    _check_pose(names, pose, weights)
+    asked = {**{label.full: 0.0 for label in leaves(dae.labels.x)}, **pose}
+    shift = np.concatenate(dae.shift)[: len(names)]
+    wish = np.array([asked.get(name, 0.0) for name in names]) - shift
+    weight = np.array([weights.get(name, 1.0) * (name in asked) for name in names])
+    guess = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(wish[:n_x])).ravel()
+    first = np.concatenate([wish[:n_x], guess[: len(names) - n_x]])
+    first[weight > 0] = wish[weight > 0]
+    found = _least_change(dae, first, wish, weight) + shift
+    values = dict(zip(names, found, strict=True))
+    run = settle(
+        dae,
+        guess={name: values[name] for name in names[n_x:]},
+        **{name: values[name] for name in names[:n_x]},
+    )
+    change = {
+        name: float(run.of(label)[0]) - asked[name]
+        for name, label in zip(names, labels, strict=True)
+        if name in asked
+    }
+    total = sum(
+        weights.get(name, 1.0) * size**2
+        for name, size in change.items()
+        if np.isfinite(weights.get(name, 1.0))
+    )
+    statistics = {"change": float(np.sqrt(total))}
+    return replace(run, statistics=statistics | {f"change_{k}": v for k, v in change.items()})
+
+
+def _check_pose(
+    names: Sequence[str], pose: Mapping[str, float], weights: Mapping[str, float]
+) -> None:
+    for name in (*pose, *weights):
+        if name not in names:
+            raise ModelError(f"settle_nearest: {name!r} is not known; known: {', '.join(names)}")
+    for name, value in pose.items():
+        if not np.isfinite(value):
+            raise ModelError(f"settle_nearest: {name} must be finite, found {value}")
+    for name, weight in weights.items():
+        if not weight >= 0:
+            raise ModelError(
+                f"settle_nearest: the weight of {name} must not be negative, found {weight}"
+            )
+
+
+def _least_change(dae: Model, first: Array, wish: Array, weight: Array) -> Array:
+    """Return states and pose that satisfy the first equations with the least weighted change."""
+    unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
+    counts = np.isfinite(weight)
+    change = np.where(counts, weight, 0.0)
+    cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
+    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
+    rows = dae.function("rows", [unknowns], [dae.alg[0]])
+    symbols = ca.MX.sym("unknowns", unknowns.numel())
+    changed = ca.Function("cost", [unknowns], [cost / 2])
+    problem = {"x": symbols, "f": changed(symbols), "g": rows(symbols)}
+    options: dict[str, Any] = {"ipopt": quiet, "print_time": False, "error_on_fail": False}
+    solver = ca.nlpsol("nearest", "ipopt", problem, options)
+    bound = np.where(counts, np.inf, 0.0)
+    centre = np.where(counts, 0.0, wish)
+    found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
+    if not solver.stats()["success"]:
+        raise ModelError(
+            "settle_nearest: the vehicle cannot stand near the given pose "
+            f"({solver.stats()['return_status']}); give one that is nearer to the ground"
+        )
+    return np.array(found["x"]).ravel()
