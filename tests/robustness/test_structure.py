@@ -31,6 +31,7 @@ def structure(tmp_path):
 
 def test_sources_have_no_import_cycles(structure):
     cycles, _ = structure
+    assert (ROOT / "src" / "slipfree" / "__init__.py").exists()
     assert cycles(ROOT / "src") == []
 
 

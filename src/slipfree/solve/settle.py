@@ -52,7 +52,7 @@ def settle(
 
 
 def first_guess(dae: Dae[Any, Any, Any, Any, Any], x: Array, given: Mapping[str, float]) -> Array:
-    """Return a first guess of ``z``, local, with what is given by name in map coordinates."""
+    """Return an initial guess of ``z``, local, from values by name in map coordinates."""
     z = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
     for name, value in given.items():
