@@ -1,9 +1,9 @@
 """The command line: ``slipfree new | examples | run | check | vehicle | compare | info ...``.
 
-Exit codes: 0 done; 1 stopped early or failed, with what was reached saved; 2 bad input, or an extra
-that is not installed; 130 interrupted. ``--quiet``, ``--verbose`` and ``--json`` belong to every
-command (`cli.voice`). What a command needs is imported inside it, so that ``slipfree --help``
-answers at once.
+Exit codes: 0 done; 1 stopped early or failed, with the motion that was reached saved; 2 bad input,
+or an extra that is not installed; 130 interrupted. ``--quiet``, ``--verbose`` and ``--json`` belong
+to every command (`cli.messages`). What a command needs is imported inside it, so that
+``slipfree --help`` answers at once.
 """
 
 from __future__ import annotations

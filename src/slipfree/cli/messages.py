@@ -29,7 +29,7 @@ import typer
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
     DONE: "done",
-    STOPPED: "stopped early or failed; what was reached is saved",
+    STOPPED: "stopped early or failed; files lists what was saved",
     BAD_INPUT: "bad input, or an extra that is not installed",
     INTERRUPTED: "interrupted",
 }
