@@ -66,6 +66,9 @@ class Trajectory:
         Counts and times of the solver.
     attributes : mapping of str to str
         Words about the whole: problem file, versions.
+    events : mapping of str to ndarray
+        Times at which the events that `simulate` was given occurred, by name; result files do not
+        keep them. [s]
     """
 
     t: Array
@@ -74,6 +77,7 @@ class Trajectory:
     stop: Stop | None = None
     statistics: Mapping[str, float] = field(default_factory=dict)
     attributes: Mapping[str, str] = field(default_factory=dict)
+    events: Mapping[str, Array] = field(default_factory=dict)
 
     def __getitem__(self, name: str | tuple[str, str]) -> Array:
         """Return the samples of a quantity, or those of one wheel.
@@ -106,7 +110,10 @@ class Trajectory:
     def part(self, span: slice, stop: Stop | None = None) -> Trajectory:
         """Return some of the samples, ended for the reason given."""
         columns = {k: Column(c.label, c.values[span]) for k, c in self.columns.items()}
-        return replace(self, t=self.t[span], columns=columns, stop=stop)
+        t = self.t[span]
+        first, last = t.min(initial=np.inf), t.max(initial=-np.inf)
+        events = {k: v[(v >= first) & (v <= last)] for k, v in self.events.items()}
+        return replace(self, t=t, columns=columns, stop=stop, events=events)
 
 
 class SolverError(SlipfreeError, RuntimeError):
@@ -130,7 +137,8 @@ def joined(*runs: Trajectory) -> Trajectory:
         for name, column in runs[0].columns.items()
     }
     t = np.concatenate([run.t for run in runs])
-    return replace(runs[0], t=t, columns=columns, stop=runs[-1].stop)
+    events = {k: np.concatenate([run.events[k] for run in runs]) for k in runs[0].events}
+    return replace(runs[0], t=t, columns=columns, stop=runs[-1].stop, events=events)
 
 
 def path_length(run: Trajectory) -> float:

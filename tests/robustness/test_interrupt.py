@@ -15,7 +15,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
 
 from helpers.cases import hills
@@ -246,6 +246,14 @@ def test_swallowed_around_a_call(name, monkeypatch):
     monkeypatch.setattr(simulate, name, swallowing)
     with pytest.raises(KeyboardInterrupt):
         moved()
+
+
+@pytest.mark.parametrize("method", ["idas", "cvodes"])
+def test_a_progress_that_returns_false_keeps_what_was_reached(method):
+    whole, run = moved(method), moved(method, lambda t: t < 0.7)
+    assert run.stop.name == "interrupted"
+    assert 0.7 <= run.t[-1] < whole.t[-1]
+    assert_allclose(run["x"][:-1], whole["x"][: run.t.size - 1], atol=1e-8)
 
 
 def test_a_progress_that_deals_with_it_goes_on():

@@ -21,6 +21,8 @@ from slipfree import (
 from slipfree.dae import Labels, Limit, PiecewiseLinear
 from slipfree.records import Label, symbols
 from slipfree.solve import simulate as module
+from slipfree.solve.events import Event
+from slipfree.trajectory import joined
 
 
 class State(NamedTuple):
@@ -135,13 +137,16 @@ def test_start_beyond_a_limit_is_refused():
 
 
 def test_failure_keeps_what_was_reached(capfd):
-    """X' = x^2 escapes to infinity at t = 1."""
+    """X' = x^2 escapes to infinity at t = 1.
+
+    The integrator's last step is so near to it that six digits of its time say 1.
+    """
     dae = model(lambda _t, x, _u: x**2)
-    with pytest.raises(SolverError, match=r"integrator stopped at t = 0\.9\d* s") as failure:
+    with pytest.raises(SolverError, match=r"integrator stopped at t = (1|0\.9\d*) s") as failure:
         simulate(dae, settle(dae, value=1.0), dae.inputs(speed=0.0), np.linspace(0, 2, 101))
     reached = failure.value.trajectory
     assert reached.stop.name == "solver"
-    assert 0.9 < reached.t[-1] < 1
+    assert 0.999 < reached.t[-1] < 1 + 1e-6
     early = reached.t < 0.99  # the error grows without bound as well
     assert_allclose(reached["value"][early], 1 / (1 - reached.t[early]), rtol=1e-4)
     assert capfd.readouterr().err == ""
@@ -210,6 +215,142 @@ def test_progress_does_not_change_the_motion():
     assert len(seen) < 2 * plain.statistics["steps"] + 10
 
 
+def test_progress_ascends_although_calls_are_repeated():
+    """Here after jumps of the input and up to a limit, over several chunks of samples."""
+    label = Label("wall", "m", "the wall is reached")
+    dae = model(lambda _t, _x, u: u, [lambda x, _z: (label, x.value, -np.inf, 2.5)])
+    rates, seen = np.repeat([1.0, -1.0, 2.0, 1.0], 1250), []
+    t = np.linspace(0, 8, 5001)
+    run = simulate(dae, settle(dae), dae.inputs(speed=rates), t, progress=seen.append)
+    assert run.stop.name == "wall"
+    assert_allclose(run.t[-1], 5.25, atol=1e-5)
+    assert (np.diff(seen) > 0).all()
+    assert seen[-1] >= run.t[-1]
+
+
+def test_progress_that_returns_false_ends_the_motion():
+    dae = follows_input()
+    start, inputs, seen = settle(dae), dae.inputs(speed=ca.cos(dae.t)), []
+
+    def progress(t):
+        seen.append(t)
+        return t < 1.23
+
+    run = simulate(dae, start, inputs, T, progress=progress)
+    assert run.stop == (
+        "interrupted",
+        seen[-1],
+        "the progress callable ended the motion by returning False",
+    )
+    assert 1.23 <= run.t[-1] == seen[-1] < 1.5
+    assert_allclose(run["value"], np.sin(run.t), atol=1e-7)
+    assert_array_equal(run.t[:-1], T[: run.t.size - 1])
+    assert run.statistics["steps"] > 10
+
+
+@pytest.mark.parametrize("dt", [0.5, 0.1])
+def test_event_of_a_linear_motion(dt):
+    dae = follows_input()
+    t, x = np.arange(0, 2.01, dt), dae.x.value
+    events = [
+        Event(x - 0.77, name="rising"),
+        Event(0.77 - x, name="falling"),
+        Event(dae.t - 1.5, name="on a sample"),
+        Event(dae.z.block[0] - 0.25, name="of an unknown"),
+        Event(x - 5.0, name="never"),
+        Event(x, name="at the start"),
+    ]
+    run = simulate(dae, settle(dae), dae.inputs(speed=1.0), t, events=events)
+    assert run.stop is None
+    assert_array_equal(run.t, t)
+    expected = ([0.77], [0.77], [1.5], [0.5], [], [])
+    assert list(run.events) == [event.name for event in events]
+    for times, closed in zip(run.events.values(), expected, strict=True):
+        assert_allclose(times, closed, atol=1e-8)
+
+
+def test_every_crossing_of_an_oscillation_is_found():
+    dae = follows_input()
+    t, law = np.linspace(0, 10, 101), dae.inputs(speed=ca.cos(3 * dae.t))
+    event = Event(dae.x.value, name="zero")
+    run = simulate(dae, settle(dae), law, t, tolerance=1e-10, events=[event])
+    assert_allclose(run.events["zero"], np.arange(1, 10) * np.pi / 3, atol=1e-8)
+    part = run.part(slice(20, 61))
+    assert_allclose(part.events["zero"], np.arange(2, 6) * np.pi / 3, atol=1e-8)
+    again = joined(run.part(slice(50)), run.part(slice(50, None)))
+    assert_array_equal(again.events["zero"], run.events["zero"])
+
+
+def test_event_at_a_jump_of_an_input():
+    dae = follows_input()
+    law = dae.inputs(speed=np.repeat([1.0, -0.3], 10))
+    run = simulate(dae, settle(dae), law, T, events=[Event(dae.u.rate)])
+    assert_allclose(run.events["event"], [1.0], atol=1e-12)
+
+
+def test_motion_ends_at_an_event_that_stops_it_and_goes_on_from_there():
+    dae = follows_input()
+    t, law = np.linspace(0, 3, 7), dae.inputs(speed=ca.cos(dae.t))
+    stop = Event(dae.x.value - 0.9, stop=True, name="far")
+    half = Event(dae.x.value - 0.5, name="half")
+    later = Event(dae.t - 1.4, name="later")  # within the interval in which the motion ends
+    start = settle(dae)
+    run = simulate(dae, start, law, t, events=[later, stop, half])
+    assert run.stop == ("far", run.t[-1], "the event 'far' occurred")
+    assert_allclose(run.t, [0.0, 0.5, 1.0, np.arcsin(0.9)], atol=1e-7)
+    assert_allclose(run["value"][-1], 0.9, atol=1e-12)
+    assert_allclose(run["square"][-1], 0.81, atol=1e-12)
+    assert_allclose(run.events["far"], run.t[-1:], atol=0)
+    assert_allclose(run.events["half"], [np.pi / 6], atol=1e-7)
+    assert run.events["later"].size == 0
+    rest = simulate(dae, run, law, np.linspace(run.t[-1], 3, 7), events=[stop])
+    assert rest.stop.name == "far"  # on the way back
+    assert_allclose(rest.t[-1], np.pi - np.arcsin(0.9), atol=1e-6)
+
+
+@pytest.mark.parametrize(("place", "name"), [(0.8, "passed"), (0.95, "wall")])
+def test_the_earlier_one_of_event_and_limit_ends_the_motion(place, name):
+    """Both lie between the same two samples."""
+    label = Label("wall", "m", "the wall is reached")
+    dae = model(lambda _t, _x, u: u, [lambda x, _z: (label, x.value, -np.inf, 0.9)])
+    event = Event(dae.x.value - place, stop=True, name="passed")
+    run = simulate(dae, settle(dae), dae.inputs(speed=1.0), np.linspace(0, 3, 4), events=[event])
+    assert run.stop.name == name
+    assert_allclose(run.t[-1], min(place, 0.9), atol=2e-6)
+    assert run.events["passed"].size == (name == "passed")
+
+
+def test_event_of_a_vehicle_is_where_a_limit_would_be():
+    """Here on a ground that is looked up."""
+    terrain, reference = case1()
+    stopped = direct_kinematics(three_wheeler(tilt_stop=0.2), terrain)
+    free = direct_kinematics(three_wheeler(), terrain)
+    end = simulate(stopped, settle(stopped), stopped.inputs(**PAPER_RATES), reference["t"])
+    assert end.stop.name == "tilt_right_stop"
+    curvature = next(each for each in free.limits if each.label.full == "relative_curvature[right]")
+    events = [
+        Event(free.named("tilt_right")[0] - end["tilt_right"][-1], name="tilt"),
+        Event(curvature.expression - end.of(curvature.label)[-1], name="curvature"),
+    ]
+    run = simulate(free, settle(free), free.inputs(**PAPER_RATES), reference["t"], events=events)
+    assert_allclose(run.events["tilt"], end.t[-1:], atol=1e-6)
+    assert np.abs(run.events["curvature"] - end.t[-1]).min() < 1e-6
+
+
+def test_events_are_checked():
+    dae = model(lambda _t, _x, u: u, [lambda x, _z: (Label("wall", "m", ""), x.value, -9.0, 9.0)])
+    x, start = dae.x.value, settle(dae)
+    for events, words in (
+        ([Event(x), Event(x - 1)], "the name 'event' is used twice"),
+        ([Event(x, name="wall")], "the name 'wall' is used twice, by events or by a limit"),
+        ([Event(ca.vertcat(x, x))], "expected a scalar SX"),
+        ([Event(1.0)], "expected a scalar SX, found 1.0"),
+        ([Event(x - ca.SX.sym("q"))], "event 'event': q is not a symbol of the model"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            simulate(dae, start, dae.inputs(speed=1.0), T, events=events)
+
+
 def test_interrupt_is_a_keyboard_interrupt():
     dae = follows_input()
 
@@ -276,15 +417,16 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     start, t = settle(dae), np.linspace(0, 1, 6)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
     plain = simulate(dae, start, inputs, t, tolerance=1e-6)
-    attempted, first = module._attempted, []
+    integrator, first = module._integrator, []
 
-    def rejecting(task, at, t, u, given):
-        if not given:
-            first.append(at.z)
-            raise SolverError(f"{module.NO_START} (IDA_LINESEARCH_FAIL)")
-        return attempted(task, at, t, u, given)
+    def rejecting(solver, spy, t, given):
+        def fail(**start):
+            first.append(start)
+            raise RuntimeError("IDA_LINESEARCH_FAIL")
 
-    monkeypatch.setattr(module, "_attempted", rejecting)
+        return integrator(solver, spy, t, given) if given else fail
+
+    monkeypatch.setattr(module, "_integrator", rejecting)
     shifted = module._state(module.with_inputs(dae, inputs, 5), start, 0.0)
     shifted = shifted._replace(z=shifted.z + 1e-3)
     monkeypatch.setattr(module, "_state", lambda *_: shifted)

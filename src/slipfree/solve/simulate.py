@@ -19,6 +19,7 @@ from slipfree.forks import computing
 from slipfree.interrupt import InterruptGuard
 from slipfree.records import Array
 from slipfree.solve.equations import scaled_jacobian
+from slipfree.solve.events import Event, WatchedEvent, crossings_of, values_of, watch_events
 from slipfree.solve.initial_conditions import consistent
 from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
 from slipfree.solve.settle import first_violation
@@ -28,14 +29,14 @@ from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
 REFINED = 64  # sub-intervals in which a crossing is sought at a time
-CROSSING = 1e-6  # to which a crossing is located [s]
+CROSSING = 1e-6  # to which a crossing is bracketed [s]
 FINEST = 1e-14  # tolerance below which rounding rules
 LEEWAY = 100.0  # tolerances by which an eased model's equations may be missed at a sample
 BEYOND = 1e-6  # of a limit's unit or size; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
 NO_START = "no consistent start was found"
 CHUNK = 2000  # samples looked at together, for the sake of memory
-Progress = Callable[[float], None]
+Progress = Callable[[float], bool | None]
 Method = Literal["idas", "cvodes"]
 
 
@@ -48,13 +49,15 @@ def simulate(
     *,
     tolerance: float = 1e-8,
     method: Method | None = None,
+    events: Sequence[Event] = (),
     progress: Progress | None = None,
 ) -> Trajectory:
     """Return the motion from a start under given inputs.
 
-    The integrator takes one call; at every sample the algebraic unknowns then get one Newton step,
-    and the limits and checks of the model are looked at. The first violation ends the motion: the
-    crossing is located between the samples and the rest is cut off.
+    The integrator takes one call from jump to jump of the inputs; at every sample the algebraic
+    unknowns then get one Newton step, and the limits and checks of the model are looked at. The
+    first violation ends the motion: the crossing is located between the samples and the rest is
+    cut off.
 
     Parameters
     ----------
@@ -73,71 +76,57 @@ def simulate(
     method : {"idas", "cvodes"}, optional
         CVODES by default where the motion has no algebraic unknowns, which it cannot solve for;
         its error test then includes the quadratures. IDAS otherwise.
+    events : sequence of Event, optional
+        Zero crossings to locate. A crossing is found by a change of sign between two samples, so
+        an even number of crossings between them is missed; its time is then located to the
+        accuracy of the integration, by three short integrations or so. An expression that is zero
+        at the start, to the tolerance, has no sign there.
     progress : callable, optional
-        Called with the time reached, once for each step or so. It does not change the motion.
+        Called with the time reached, ascending, once for each step or so. It does not change the
+        motion, except that it ends there with the stop ``"interrupted"`` if the callable returns
+        False. An exception of the callable comes through.
 
     Returns
     -------
     Trajectory
-        ``stop`` says why it ended early, if it did.
+        ``stop`` says why it ended early, if it did; ``events`` has the times of the events.
 
     Raises
     ------
     ModelError
-        If times, tolerance, method or inputs are not usable or the start is not valid under the
-        inputs.
+        If times, tolerance, method, events or inputs are not usable or the start is not valid
+        under the inputs.
     SolverError
         If the integrator fails; ``trajectory`` holds what was reached.
     """
-    with InterruptGuard() as heed:
-        return _simulated(dae, start, inputs, t, tolerance, method, progress, heed)
-
-
-def _simulated(
-    dae: Dae[Any, Any, Any, Any, Any],
-    start: Trajectory,
-    inputs: Any,
-    t: Array,
-    tolerance: float,
-    method: Method | None,
-    progress: Progress | None,
-    heed: InterruptGuard,
-) -> Trajectory:
-    """Return the motion, what gets lost of interruptions kept."""
     t = usable_times(t)
     if not FINEST <= tolerance < 1:
         raise ModelError(
             f"tolerance: expected a number from {FINEST:g} to below 1, found {tolerance}"
         )
-    loop = with_inputs(dae, inputs, t.size - 1)
-    task = _Task(loop, tolerance, _method(loop, method), progress, heed, guarded=True)
-    first = _state(loop, start, t[0])
-    clock = time.process_time()
-    march = _integrate(task, first, t, loop.u)
-    run, samples, fault = _looked_at(task, march.samples, progress)
-    if march.beyond and fault is None:  # a limit was only grazed: go on without looking
-        at, left = Samples(*(row[..., -1:] for row in samples)), t > samples.t[-1]
-        if left.any():
+    watched = watch_events(dae, events)
+    stops = tuple(each for each in watched if each.event.stop)
+    with InterruptGuard() as guard:
+        system = with_inputs(dae, inputs, t.size - 1)
+        solver = _Solver(system, tolerance, _method(system, method), guard)
+        first = _state(system, start, t[0])
+        clock = time.process_time()
+        spy = _Spy(guard, progress, guarded=True)
+        samples, counts, end = _march(solver, spy, first, t, system.u)
+        whole, samples, found = _looked_at(solver, samples, stops)
+        left = t > samples.t[-1]
+        if isinstance(end, _BeyondError) and found is None and left.any():
+            spy.guarded = False  # a limit was only grazed: go on without looking
             rest = np.append(samples.t[-1], t[left])
-            more = _integrate(task._replace(guarded=False), at, rest, loop.u[:, 1 - rest.size :])
-            march = _after(samples, march.statistics, more)
-            run, samples, fault = _looked_at(task, march.samples, progress)
-    if fault is not None:
-        run = _cut(task, run, samples, fault)
-    statistics = march.statistics | {
-        "tolerance": tolerance,
-        "cpu_seconds": time.process_time() - clock,
-    }
-    run = replace(run, statistics=statistics)
-    if (march.failure and fault is None) or (run.stop and run.stop.name.endswith("_residual")):
-        why = ending(loop, samples, fault[0] if fault else None)
-        if why is not None:
-            return replace(run, stop=why._replace(t=float(run.t[-1])))
-    if march.failure and fault is None:
-        words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {march.failure}"
-        run = replace(run, stop=Stop("solver", float(run.t[-1]), words))
-        raise SolverError(words, run)
-    return run
+            at, u = _column(samples, -1), system.u[:, 1 - rest.size :]
+            more, cost, end = _march(solver, spy, at, rest, u)
+            counts = _sum(counts, cost)
+            whole, samples, found = _looked_at(solver, _chained([samples, more]), stops)
+        run = whole if found is None else _cut(solver, whole, samples, found, stops)
+        times = {each.event.name: _times(solver, whole, samples, each, run) for each in watched}
+        statistics = {"tolerance": tolerance, "cpu_seconds": time.process_time() - clock}
+        run = replace(run, statistics=counts | statistics, events=times)
+        return _ended(system, run, samples, found, end)
 
 
 def usable_times(t: Array) -> Array:
@@ -151,235 +140,237 @@ def usable_times(t: Array) -> Array:
     return t
 
 
-def _method(loop: System, method: Method | None) -> Method:
+def _method(system: System, method: Method | None) -> Method:
     """Return how to integrate, or refuse what cannot be."""
     if method is None:
-        return "idas" if loop.moving else "cvodes"
+        return "idas" if system.moving else "cvodes"
     if method not in get_args(Method):
         raise ModelError(f"method: expected one of {', '.join(get_args(Method))}, found {method!r}")
-    if method == "cvodes" and loop.moving:
+    if method == "cvodes" and system.moving:
         raise ModelError(
-            f"method: 'cvodes' cannot solve for the {loop.moving} algebraic unknowns of this "
+            f"method: 'cvodes' cannot solve for the {system.moving} algebraic unknowns of this "
             "model; use 'idas'"
         )
     return method
 
 
-def _state(loop: System, start: Trajectory, t: float) -> Samples:
+def _state(system: System, start: Trajectory, t: float) -> Samples:
     """Return the last sample of a trajectory, made consistent with the inputs."""
-    dae = loop.dae
+    dae = system.dae
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
-    z = consistent(loop, t, x, z, loop.u[:, 0])
+    z = consistent(system, t, x, z, system.u[:, 0])
     q = dae.rows("q", start, -1)
-    return Samples(np.array([t]), x[:, None], z[:, None], q[:, None], loop.u[:, :1])
+    return Samples(np.array([t]), x[:, None], z[:, None], q[:, None], system.u[:, :1])
 
 
-class March(NamedTuple):
-    """What the integrator reached, what it cost, and why it stopped, if it did.
+class _Solver(NamedTuple):
+    """How to integrate."""
 
-    ``beyond`` says that it stopped since a step had gone beyond a limit.
-    """
-
-    samples: Samples
-    statistics: dict[str, float]
-    failure: str
-    beyond: bool = False
+    system: System
+    tolerance: float
+    method: Method
+    guard: InterruptGuard
 
 
 class _BeyondError(Exception):
     """A step of the integrator went beyond a limit of the model."""
 
-    def __init__(self, t: float) -> None:
-        super().__init__(t)
-        self.t = t
+
+class _RefusedError(Exception):
+    """The progress callable ended the motion."""
 
 
-class _Task(NamedTuple):
-    """How to integrate: what does not change from call to call."""
-
-    loop: System
-    tolerance: float
-    method: Method
-    progress: Progress | None
-    heed: InterruptGuard
-    guarded: bool
+End = SolverError | _BeyondError | _RefusedError
 
 
-def _integrate(task: _Task, first: Samples, t: Array, u: Array, depth: int = 2) -> March:
-    """Integrate in one call; if that fails, in windows, so that what was reached is kept.
+def _march(
+    solver: _Solver, spy: _Spy, first: Samples, t: Array, u: Array
+) -> tuple[Samples, dict[str, float], End | None]:
+    """Integrate from jump to jump of the inputs.
 
-    After a failure the inputs' jumps end the calls, since the integrator may not find a consistent
-    start behind one. Then the window is halved until a part succeeds, down to a single interval;
-    that interval is divided in the same way, ``depth`` times at most. A call that goes beyond a
-    limit is made again up to there, and is the last.
+    Returns the samples reached, what they cost, and why they end before the last time, if they do.
     """
-    samples, counts, failure = first, dict.fromkeys(COUNTS, 0.0), ""
-    left, window, last = 0, t.size - 1, t.size - 1
-    jumps, split = 1 + np.flatnonzero((np.diff(u, axis=1) != 0).any(axis=0)), False
-    while left < last and window:
-        right = min(left + window, last)
-        if split:
-            right = min(right, *jumps[jumps > left], last)
-        at = _at(task.loop, samples, u[:, left])
-        span = t[left : right + 1]
+    parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
+    jumps = 1 + np.flatnonzero((np.diff(u, axis=1) != 0).any(axis=0))
+    for right in (*jumps.tolist(), t.size - 1):
+        at = _restarted(solver.system, parts[-1], u[:, left])
+        part, cost, end = _reached(solver, spy, at, t[left : right + 1], u[:, left:right])
+        parts.append(part)
+        counts, left = _sum(counts, cost), right
+        if end is not None:
+            break
+    return _chained(parts), counts, end
+
+
+def _reached(
+    solver: _Solver, spy: _Spy, at: Samples, t: Array, u: Array
+) -> tuple[Samples, dict[str, float], End | None]:
+    """Integrate over ``t``; if that ends at a step before the last time, again up to that step.
+
+    If the integrator fails there as well, up to one of the steps before, which are the fewer the
+    more often it fails.
+    """
+    spy.times.clear()
+    try:
+        return *_solved(solver, spy, at, t, u), None
+    except (SolverError, _BeyondError, _RefusedError) as error:
+        end = error
+    seen, left_out = sorted({each for each in spy.times if each > t[0]}), 1
+    while seen:
+        span = np.append(t[t < seen[-1]], seen[-1])
         try:
-            part, cost = _call(task, at, span, u[:, left:right])
-        except _BeyondError as end:
-            span = np.append(span[span < end.t], end.t)
-            rest = March(at, dict.fromkeys(COUNTS, 0.0), "")
-            if span.size > 1:
-                given = u[:, left : left + span.size - 1]
-                rest = _integrate(task._replace(guarded=False), at, span, given, depth)
-            return _after(samples, counts, rest)._replace(beyond=not rest.failure)
-        except SolverError as error:
-            failure = str(error)
-            if split or not (jumps > left).any():
-                window = (right - left) // 2
-            split = True
-            continue
-        samples, left = _chained(samples, part), right
-        counts = {name: counts[name] + cost[name] for name in counts}
-    march = March(samples, counts, failure if left < last else "")
-    if left < last and depth:
-        at = Samples(*(part[..., -1:] for part in samples))
-        fine = np.linspace(t[left], t[left + 1], REFINED + 1)
-        given = np.repeat(u[:, left : left + 1], REFINED, axis=1)
-        rest = _integrate(task, at, fine, given, depth - 1)
-        march = _after(samples, counts, rest)
-        if not rest.beyond:
-            march = march._replace(failure=failure)
-    return march
+            return *_solved(solver, _Spy(solver.guard), at, span, u[:, : span.size - 1]), end
+        except SolverError:
+            seen, left_out = seen[:-left_out], 2 * left_out
+    return at, dict.fromkeys(COUNTS, 0.0), end
 
 
-def _at(loop: System, samples: Samples, u: Array) -> Samples:
+def _solved(
+    solver: _Solver, spy: _Spy, at: Samples, t: Array, u: Array
+) -> tuple[Samples, dict[str, float]]:
+    """Integrate over all of ``t``, where no input jumps, in one call, or raise.
+
+    IDAS's own search may find no consistent start because the one given is consistent to rounding.
+    Then that one is made so and taken.
+    """
+    system, given = solver.system, dict[str, Any]()
+    x_size, m_size = (size[:, None] for size in _sizes(system))
+    while True:
+        integrator = _integrator(solver, spy, t, given)
+        states = {"x0": at.x / x_size, "z0": at.z[: system.moving] / m_size}
+        try:
+            # one column for each output time, that of the interval which it ends
+            with hushed():
+                found = integrator(**states, u=np.column_stack([u[:, :1], u]))
+            break
+        except RuntimeError as error:
+            solver.guard.check()
+            words = reason(str(error))
+            taken = None if given or NO_START not in words else _taken(system, at, u[:, 0])
+            if taken is None:
+                raise SolverError(words) from error
+            at, given = taken
+    solver.guard.check()
+    x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
+    x, z = x * x_size, z * m_size
+    z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
+    x[:, :1], z[:, :1] = at.x, at.z
+    statistics = integrator.stats()
+    counts = {name: float(statistics[key]) for name, key in COUNTS.items()}
+    inputs = np.column_stack([u, u[:, -1:]])
+    return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
+
+
+def _taken(system: System, at: Samples, u: Array) -> tuple[Samples, dict[str, Any]] | None:
+    """Return a start made consistent, and the options by which IDAS takes it, if it can be."""
+    t, x = float(at.t[0]), at.x[:, 0]
+    try:
+        z = consistent(system, t, x, at.z[:, 0], u, eased=False)
+    except ModelError:
+        return None
+    rates = np.array(system.core(t, x, z[: system.moving], u)[0]).ravel()
+    slopes = rates / system.dae.sizes.x
+    return at._replace(z=z[:, None]), {"calc_ic": False, "init_xdot": slopes.tolist()}
+
+
+def _restarted(system: System, samples: Samples, u: Array) -> Samples:
     """Return the last sample, made consistent with the inputs that come if they jump there."""
-    at = Samples(*(part[..., -1:] for part in samples))
+    at = _column(samples, -1)
     if np.array_equal(at.u[:, -1], u):
         return at
     for eased in (False, True):
         try:
-            z = consistent(loop, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=eased)
+            z = consistent(system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=eased)
         except ModelError:  # the integrator tells
             continue
         return at._replace(z=z[:, None], u=u[:, None])
     return at
 
 
-def _after(samples: Samples, counts: dict[str, float], rest: March) -> March:
-    """Return a march with what went before it."""
-    together = {name: counts[name] + rest.statistics[name] for name in counts}
-    return rest._replace(samples=_chained(samples, rest.samples), statistics=together)
+def _column(samples: Samples, k: int) -> Samples:
+    """Return one sample."""
+    return Samples(*(row[..., [k]] for row in samples))
 
 
-def _chained(first: Samples, second: Samples) -> Samples:
-    """Return samples and those that go on from their last one as one."""
-    pairs = zip(first.head(-1), second, strict=True)
-    return Samples(*(np.concatenate(pair, axis=-1) for pair in pairs))
+def _chained(parts: Sequence[Samples]) -> Samples:
+    """Return samples as one, of which each part goes on from the last sample of the one before."""
+    rows = zip(*(part.head(-1) for part in parts[:-1]), parts[-1], strict=True)
+    return Samples(*(np.concatenate(row, axis=-1) for row in rows))
+
+
+def _sum(counts: dict[str, float], more: dict[str, float]) -> dict[str, float]:
+    return {name: counts[name] + more[name] for name in counts}
+
+
+class _Found(NamedTuple):
+    """The first sample at or beyond a limit or an event, and the stop that it means."""
+
+    k: int
+    stop: Stop
+    event: WatchedEvent | None
 
 
 def _looked_at(
-    task: _Task, samples: Samples, progress: Progress | None
-) -> tuple[Trajectory, Samples, tuple[int, Stop] | None]:
-    """Return the corrected samples up to the first that breaks a limit, and which one that is."""
-    loop, runs = task.loop, list[Trajectory]()
+    solver: _Solver, samples: Samples, watched: Sequence[WatchedEvent], *, limited: bool = True
+) -> tuple[Trajectory, Samples, _Found | None]:
+    """Return the corrected samples, and the first that breaks a limit or lies beyond an event.
+
+    Samples long after one that breaks a limit are left out. Without limits, which take most of the
+    time, the trajectory has times only.
+    """
+    system, runs, parts = solver.system, list[Trajectory](), list[Samples]()
     # Where all friction is used, states within the tolerance may have no exact equilibrium.
-    unsolved = max(UNSOLVED, LEEWAY * task.tolerance) if loop.dae.continuation else UNSOLVED
-    parts: list[Samples] = []
-    fault = None
+    unsolved = max(UNSOLVED, LEEWAY * solver.tolerance) if system.dae.continuation else UNSOLVED
+    found = list[_Found]()
     for left in range(0, samples.t.size, CHUNK):
         part = Samples(*(row[..., left : left + CHUNK] for row in samples))
-        part, report = corrected(loop, part)
-        runs.append(table(loop, part, report))
+        part, report = corrected(system, part)
+        runs.append(table(system, part, report) if limited else Trajectory(part.t, {}))
         parts.append(part)
-        found = first_violation(loop, runs[-1], part, unsolved)
-        if progress is not None:
-            task.heed.call(progress, float(part.t[-1]))
-        if found is not None:
-            fault = left + found[0], found[1]
+        fault = first_violation(system, runs[-1], part, unsolved) if limited else None
+        if fault is not None:
+            found.append(_Found(left + fault[0], fault[1], None))
             break
     rows = zip(*parts, strict=True)
-    return joined(*runs), Samples(*(np.concatenate(row, axis=-1) for row in rows)), fault
+    run, samples = joined(*runs), Samples(*(np.concatenate(row, axis=-1) for row in rows))
+    for each in watched:
+        for k in crossings_of(each, system, samples, solver.tolerance)[:1]:
+            name = each.event.name
+            stop = Stop(name, float(run.t[k]), f"the event {name!r} occurred")
+            found.append(_Found(k, stop, each))
+    return run, samples, min(found, key=lambda one: one.k, default=None)
 
 
-def _call(task: _Task, at: Samples, t: Array, u: Array) -> tuple[Samples, dict[str, float]]:
-    """Integrate over all of ``t`` in one call, or raise.
-
-    IDAS's own search may find no consistent start because the one given is consistent to rounding.
-    Then that one is made so and taken; not behind jumps of the inputs, which change it.
-    """
-    try:
-        return _attempted(task, at, t, u, {})
-    except SolverError as error:
-        if NO_START not in str(error) or (np.diff(u, axis=1) != 0).any():
-            raise
-        loop, begin, x = task.loop, float(t[0]), at.x[:, 0]
-        try:
-            z = consistent(loop, begin, x, at.z[:, 0], u[:, 0], eased=False)
-        except ModelError:
-            raise error from None
-    rates = loop.core(begin, x, z[: loop.moving], u[:, 0])[0]
-    slopes = np.array(rates).ravel() / loop.dae.sizes.x
-    kept = {"calc_ic": False, "init_xdot": slopes.tolist()}
-    return _attempted(task, at._replace(z=z[:, None]), t, u, kept)
-
-
-def _attempted(
-    task: _Task, at: Samples, t: Array, u: Array, given: dict[str, Any]
-) -> tuple[Samples, dict[str, float]]:
-    """Integrate with options for the start."""
-    loop, spy = task.loop, _Spy(task)  # which lives as long as the integrator
-    integrator = _integrator(task, spy, t, given)
-    x_size, m_size = (size[:, None] for size in _sizes(loop))
-    try:
-        # one column for each output time, that of the interval which it ends
-        with hushed():
-            found = integrator(
-                x0=at.x / x_size, z0=at.z[: loop.moving] / m_size, u=np.column_stack([u[:, :1], u])
-            )
-    except RuntimeError as error:
-        task.heed.check()
-        raise SolverError(reason(str(error))) from error
-    task.heed.check()
-    x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
-    x, z = x * x_size, z * m_size
-    z = np.concatenate([z, np.full((len(at.z) - len(z), t.size), np.nan)])
-    x[:, :1], z[:, :1] = at.x, at.z
-    statistics = integrator.stats()
-    cost = {name: float(statistics[key]) for name, key in COUNTS.items()}
-    inputs = np.column_stack([u, u[:, -1:]])
-    return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), cost
-
-
-def _integrator(task: _Task, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.Function:
+def _integrator(solver: _Solver, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.Function:
     """Return the integrator over all of ``t``, of states and unknowns divided by their sizes."""
-    loop, dae = task.loop, task.loop.dae
-    x_size, m_size = _sizes(loop)
-    counts = [x_size.size, m_size.size, loop.u.shape[0]]
+    system, dae = solver.system, solver.system.dae
+    x_size, m_size = _sizes(system)
+    counts = [x_size.size, m_size.size, system.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", counts, strict=True))]
     t_0, x, m, u = symbols
     point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
-    ode, alg = loop.core(*point)
-    quad = ca.vertcat(loop.quad(*point), spy(ca.vertcat(t_0, loop.margin(*point))))
-    system = dict(zip("txzu", symbols, strict=True))
-    system |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
+    ode, alg = system.core(*point)
+    quad = ca.vertcat(system.quad(*point), spy(ca.vertcat(t_0, system.margin(*point))))
+    problem = dict(zip("txzu", symbols, strict=True))
+    problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
     options: dict[str, Any] = {
-        "reltol": task.tolerance,
-        "abstol": task.tolerance,
+        "reltol": solver.tolerance,
+        "abstol": solver.tolerance,
         "max_num_steps": STEPS,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    if task.method == "idas":
+    if solver.method == "idas":
         options |= {"suppress_algebraic": dae.suppress_algebraic, **given}
-        options |= {"cache": {"jacF": scaled_jacobian(loop.jacobian, x_size, m_size)}}
+        options |= {"cache": {"jacF": scaled_jacobian(system.jacobian, x_size, m_size)}}
     else:
         options["quad_err_con"] = True
-    return ca.integrator("motion", task.method, system, float(t[0]), t, options)
+    return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
 
 
-def _sizes(loop: System) -> tuple[Array, Array]:
+def _sizes(system: System) -> tuple[Array, Array]:
     """Return the units in which the integrator has the states and the unknowns of the motion."""
-    return loop.dae.sizes.x, loop.dae.sizes.z[: loop.moving]
+    return system.dae.sizes.x, system.dae.sizes.z[: system.moving]
 
 
 @contextmanager
@@ -418,15 +409,21 @@ def reason(message: str) -> str:
 
 
 class _Spy(ca.Callback):
-    """A quadrature that is always zero and looks on: it tells the time and stops beyond limits.
+    """A quadrature that is always zero and looks on: it remembers and reports the times of steps.
 
+    It ends the call at a step beyond a limit, if it is guarded, or where the progress says so.
     Both integrators evaluate quadratures once a step, outside Newton's method, and zero passes
-    every error test, so that looking on does not change the motion.
+    every error test, so that looking on does not change the motion. It must live as long as the
+    integrator.
     """
 
-    def __init__(self, task: _Task) -> None:
+    def __init__(
+        self, guard: InterruptGuard, progress: Progress | None = None, *, guarded: bool = False
+    ) -> None:
         ca.Callback.__init__(self)
-        self.task = task
+        self.guard, self.progress, self.guarded = guard, progress, guarded
+        self.times: list[float] = []
+        self.reported = -np.inf
         self.construct("spy", {})
 
     def get_sparsity_in(self, _index: int) -> ca.Sparsity:
@@ -439,37 +436,110 @@ class _Spy(ca.Callback):
 
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
         """Look at a step."""
-        self.task.heed.call(self._look, *_doubles(arguments[0]))
+        self.guard.call(self._look, *_doubles(arguments[0]))
         _doubles(results[0])[0] = 0.0
         return 0
 
     def _look(self, t: float, margin: float) -> None:
-        if self.task.progress is not None:
-            self.task.progress(t)
-        if self.task.guarded and not margin >= -BEYOND:
-            raise _BeyondError(t)
+        self.times.append(t)
+        if self.progress is not None and t > self.reported:
+            self.reported = t
+            if self.progress(t) is False:
+                raise _RefusedError
+        if self.guarded and not margin >= -BEYOND:
+            raise _BeyondError
 
 
 def _doubles(memory: memoryview) -> memoryview[float]:
     return memory.cast("b").cast("d")
 
 
-def _cut(task: _Task, run: Trajectory, samples: Samples, fault: tuple[int, Stop]) -> Trajectory:
-    """Return the motion up to the crossing, located on ever finer samples between two."""
-    k, stop = fault
-    if k == 0:
-        raise ModelError(f"the start is not valid: {stop.words}")
-    kept, quiet = run.part(slice(k)), task._replace(progress=None, guarded=False)
+def _cut(
+    solver: _Solver,
+    run: Trajectory,
+    samples: Samples,
+    found: _Found,
+    stops: Sequence[WatchedEvent],
+) -> Trajectory:
+    """Return the motion up to the limit or event that ends it."""
+    if found.k == 0:
+        raise ModelError(f"the start is not valid: {found.stop.words}")
+    kept, tail = run.part(slice(found.k)), _located(solver, run, samples, found, stops)
+    return joined(kept, tail) if tail.t[0] > kept.t[-1] else replace(kept, stop=tail.stop)
+
+
+def _ended(
+    system: System, run: Trajectory, samples: Samples, found: _Found | None, end: End | None
+) -> Trajectory:
+    """Return the motion with the reason for its end, or raise that the integrator failed."""
+    t, failed = float(run.t[-1]), isinstance(end, SolverError) and found is None
+    if failed or (run.stop and run.stop.name.endswith("_residual")):
+        why = ending(system, samples, found.k if found else None)
+        if why is not None:
+            return replace(run, stop=why._replace(t=t))
+    if failed:
+        words = f"the integrator stopped at t = {t:.6g} s: {end}"
+        run = replace(run, stop=Stop("solver", t, words))
+        raise SolverError(words, run)
+    if isinstance(end, _RefusedError) and found is None:
+        words = "the progress callable ended the motion by returning False"
+        run = replace(run, stop=Stop("interrupted", t, words))
+    return run
+
+
+def _times(
+    solver: _Solver,
+    whole: Trajectory,
+    samples: Samples,
+    each: WatchedEvent,
+    run: Trajectory,
+) -> Array:
+    """Return the times at which an event occurred in a motion, of which ``run`` is kept."""
+    if each.event.stop:
+        return run.t[-1:] if run.stop and run.stop.name == each.event.name else run.t[:0]
+    stop, times = Stop(each.event.name, 0.0, ""), list[float]()
+    for k in crossings_of(each, solver.system, samples, solver.tolerance):
+        if whole.t[k - 1] < run.t[-1]:
+            found = _Found(k, stop, each)
+            times.extend(_located(solver, whole, samples, found, [each], limited=False).t)
+    return np.array([each for each in times if each <= run.t[-1]])
+
+
+def _located(
+    solver: _Solver,
+    run: Trajectory,
+    samples: Samples,
+    found: _Found,
+    watched: Sequence[WatchedEvent],
+    *,
+    limited: bool = True,
+) -> Trajectory:
+    """Return the sample at which a limit or an event is reached, sought on ever finer samples.
+
+    It is the last valid one at a limit, and between the last two at an event.
+    """
+    k, stop, event = found
     while run.t[k] - run.t[k - 1] > CROSSING:
-        at = Samples(*(part[..., k - 1 : k] for part in samples))
         t = np.linspace(run.t[k - 1], run.t[k], REFINED + 1)
         u = np.repeat(samples.u[:, k - 1 : k], REFINED, axis=1)
-        march = _integrate(quiet, at, t, u, depth=0)
-        fine, finer, found = _looked_at(task, march.samples, None)
-        if found is None or found[0] == 0:  # the crossing lies on a sample, within the tolerance
-            run, k = (fine, fine.t.size) if found is None else (run, k)
+        march, *_ = _march(solver, _Spy(solver.guard), _column(samples, k - 1), t, u)
+        fine, finer, nearer = _looked_at(solver, march, watched, limited=limited)
+        if nearer is None or nearer.k == 0:  # it lies on one of the two samples
+            past = nearer is not None
+            if event is not None and nearer is None:
+                last = values_of(event, solver.system, finer)[-1]
+                past = last * values_of(event, solver.system, samples)[k] > 0
+            if not past:
+                run, k = fine, fine.t.size
+            event = None
             break
-        (k, stop), run, samples = found, fine, finer
-    stop = stop._replace(t=float(run.t[k - 1]))
-    tail = run.part(slice(k - 1, k), stop)
-    return joined(kept, tail) if tail.t[0] > kept.t[-1] else replace(kept, stop=stop)
+        (k, stop, event), run, samples = nearer, fine, finer
+    tail = run.part(slice(k - 1, k))
+    if event is not None:
+        before, after = values_of(event, solver.system, samples)[k - 1 : k + 1]
+        share = before / (before - after)
+        pairs = zip(_column(samples, k - 1), _column(samples, k), strict=True)
+        at = Samples(*(one + share * (other - one) for one, other in pairs))
+        at = at._replace(u=samples.u[:, [k - 1]])
+        tail = _looked_at(solver, at, (), limited=limited)[0]
+    return replace(tail, stop=stop._replace(t=float(tail.t[0])))

@@ -1,0 +1,95 @@
+"""Events: zero crossings of expressions along a motion, found by changes of sign at samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.lookups import found_column
+from slipfree.records import Array
+from slipfree.solve.sampling import Samples
+from slipfree.solve.system import System
+
+
+class Event(NamedTuple):
+    """A zero crossing of an expression along a motion, in either direction.
+
+    Attributes
+    ----------
+    expression : SX, shape (1, 1)
+        In the symbols of the model, which are in its local coordinates.
+    stop : bool
+        Whether the motion ends at the first crossing, with a stop of this name.
+    name : str
+        Key of the times in `Trajectory.events`.
+    """
+
+    expression: ca.SX
+    stop: bool = False
+    name: str = "event"
+
+
+class WatchedEvent(NamedTuple):
+    """An event, and its expression as a function of ``t, x, z`` and the inputs' values."""
+
+    event: Event
+    function: ca.Function
+
+
+def watch_events(
+    dae: Dae[Any, Any, Any, Any, Any], events: Sequence[Event]
+) -> tuple[WatchedEvent, ...]:
+    """Return events with their functions.
+
+    Raises
+    ------
+    ModelError
+        If a name is used twice, or an expression is not a scalar of the model's symbols.
+    """
+    symbols, watched = (dae.t, *dae.columns()), list[WatchedEvent]()
+    names = {limit.label.full for limit in dae.limits}
+    for event in events:
+        name, expression = event.name, event.expression
+        if name in names:
+            raise ModelError(
+                f"events: the name {name!r} is used twice, by events or by a limit of the model; "
+                "give each event a name of its own"
+            )
+        names.add(name)
+        if not isinstance(expression, ca.SX) or expression.shape != (1, 1):
+            raise ModelError(f"event {name!r}: expected a scalar SX, found {expression!r}")
+        if dae.continuation is not None:
+            meant = ca.SX(dae.continuation.values[-1])
+            expression = ca.substitute(expression, dae.continuation.symbol, meant)
+        known = [*symbols, found_column(dae.lookups)]
+        if free := ca.Function("event", known, [expression], {"allow_free": True}).free_sx():
+            raise ModelError(f"event {name!r}: {free[0]} is not a symbol of the model")
+        watched.append(WatchedEvent(event, dae.function("event", symbols, [expression])))
+    return tuple(watched)
+
+
+def values_of(watched: WatchedEvent, system: System, samples: Samples) -> Array:
+    """Return the values of an event's expression, shape (n,), at samples."""
+    count, at = samples.t.size, (samples.t[None], samples.x, samples.z)
+    inputs = system.outputs.map(count)(*at, samples.u)[2]
+    return np.array(watched.function.map(count)(*at, inputs)).ravel()
+
+
+def crossings_of(
+    watched: WatchedEvent, system: System, samples: Samples, tolerance: float
+) -> list[int]:
+    """Return the indices of samples between which and the one before an event occurs.
+
+    A first value within the tolerance of zero has no sign.
+    """
+    values = values_of(watched, system, samples)
+    if abs(values[0]) <= tolerance:
+        values[0] = 0.0
+    before, after = values[:-1], values[1:]
+    crossed = ((before < 0) & (after >= 0)) | ((before > 0) & (after <= 0))
+    return [int(k) + 1 for k in np.flatnonzero(crossed)]
