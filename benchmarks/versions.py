@@ -452,7 +452,7 @@ def print_differences(old: Path, new: Path, only: list[str]) -> None:
     """Print the largest differences of results of the same names."""
     for name in names(only):
         if not (old / f"{name}.nc").exists() or not (new / f"{name}.nc").exists():
-            print(f"{name:22} no result")
+            print(f"{name:22} no result of that name in both folders")
             continue
         found = differences(variables(old / f"{name}.nc"), variables(new / f"{name}.nc"))
         worst = sorted(found, key=lambda each: -found[each])[:3]
