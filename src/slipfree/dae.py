@@ -233,7 +233,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
 
         Parameters
         ----------
-        **values : float, ndarray of shape (n - 1,), Linear or SX
+        **values : float, ndarray of shape (n - 1,), PiecewiseLinear or SX
             A constant; one value, or one linear function of time, for each interval between
             samples; or an expression of the model's symbols, such as a function of ``t`` or a
             feedback law.

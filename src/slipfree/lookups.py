@@ -18,7 +18,7 @@ from slipfree.errors import ModelError
 
 
 class Lookup(NamedTuple):
-    """A question of a model, and the symbols of the answer.
+    """An argument of a function in a model, and the symbols of the result.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Lookup(NamedTuple):
 
 
 class LookupTable:
-    """The lookups of a model while it is made; the same question is asked once.
+    """The lookups of a model while it is made; identical questions share one.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class LookupTable:
     """
 
     def __init__(self) -> None:
-        self._known: dict[tuple[int, ...], tuple[Lookup, ca.Function]] = {}
+        self._known: dict[tuple[float, ...], tuple[Lookup, ca.Function]] = {}
 
     @property
     def lookups(self) -> tuple[Lookup, ...]:
@@ -68,7 +68,9 @@ class LookupTable:
         order : float
             See `Lookup`.
         """
-        key = (hash(function), *(entry.element_hash() for entry in ca.vertsplit(question)))
+        question = ca.densify(question)
+        entries = (entry.element_hash() for entry in ca.vertsplit(question))
+        key = (hash(function), order, *entries)
         if key not in self._known:
             found = ca.SX.sym(f"found{len(self._known)}", function.numel_out(0))
             lookup = Lookup(question, found, _constant(function), order)
@@ -100,7 +102,7 @@ def needed_lookups(lookups: Sequence[Lookup], expressions: Sequence[ca.SX]) -> t
 
 
 def _symbols(expression: ca.SX) -> set[int]:
-    """Return what tells the symbols of an expression apart."""
+    """Return the hashes of the symbols of an expression."""
     return {symbol.element_hash() for symbol in ca.symvar(expression)}
 
 
@@ -117,7 +119,7 @@ def check_order(lookups: Sequence[Lookup], order: int, purpose: str) -> None:
 def substitute_lookups(
     lookups: Sequence[Lookup], symbols: Sequence[ca.SX], values: Sequence[ca.SX]
 ) -> tuple[tuple[Lookup, ...], list[ca.SX], list[ca.SX]]:
-    """Return lookups with values in place of symbols, and what else is to be substituted.
+    """Return lookups with values in place of symbols, and the substitution of their results.
 
     Returns
     -------

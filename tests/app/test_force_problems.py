@@ -158,6 +158,12 @@ def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
     assert "leans" not in result.stderr  # its wheels are upright
 
 
+def test_a_motion_that_ends_where_the_model_is_singular_is_explained():
+    found = run(read(PROBLEMS / "paper_direct.toml", ["slip=traction", "terrain.friction=0.6"]))
+    assert found.trajectory.stop.name == "no_equilibrium"
+    assert "coefficient of friction" in found.trajectory.stop.words
+
+
 @pytest.mark.usefixtures("file")
 def test_no_equilibrium_tells_how_far_a_wheel_leans():
     settings = (

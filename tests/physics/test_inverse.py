@@ -11,6 +11,8 @@ from numpy.testing import assert_allclose
 from helpers.cases import case1, closure_model, hills
 from slipfree import (
     Analytic,
+    Bicubic,
+    Grid,
     ModelError,
     SolverError,
     Vehicle,
@@ -464,3 +466,23 @@ def test_path_ends_at_a_limit():
     leaning = settle(closure_model(three_wheeler(), HILLS), tilt_left=0.2)
     with pytest.raises(ModelError, match="the start is not valid: the stop of tilt_left"):
         drive(dae, direct, leaning, dae.inputs(**PAPER_MOTION), t, sought=["steer"])
+
+
+@pytest.mark.parametrize("steering", ["rate", "angle"])
+def test_a_steered_wheel_beside_its_axis_has_a_guess_on_a_map(steering):
+    """The guess looks the ground up below the wheels; angles that are sought are zero in it."""
+    vehicle = three_wheeler()
+    off = replace(vehicle.wheels[2], at=(0.0, -0.1, 0.0))
+    vehicle = replace(vehicle, wheels=(*vehicle.wheels[:2], off))
+    axis = np.linspace(-4, 4, 41)
+    heights = 0.05 * np.sin(axis)[:, None] * np.cos(axis)
+    guesses = []
+    for ground in (
+        Bicubic(Grid(axis, axis, heights)),
+        Analytic(lambda x, y: 0.05 * ca.sin(x) * ca.cos(y)),
+    ):
+        dae = inverse_kinematics(vehicle, ground, steering=steering)
+        function = dae.function("guess", [dae.columns()[0]], [dae.guess])
+        guesses.append(np.array(function(np.full(function.size1_in(0), 0.1))))
+    assert_allclose(guesses[0][0] + heights.mean(), guesses[1][0], atol=1e-4)
+    assert_allclose(guesses[0][1:], guesses[1][1:], atol=1e-4)

@@ -394,14 +394,37 @@ def test_a_program_without_a_compiler_is_interpreted(monkeypatch):
         assert not program(1, build=True).compiled
 
 
+def test_elements_may_call_functions():
+    """Cost and rows at two places, against the same as a formula."""
+    v, none = ca.SX.sym("v", 2), ca.SX.sym("none", 0)
+    a = ca.MX.sym("a")
+    wave = ca.Function("wave", [a], [ca.sin(a) * a**2], {"never_inline": True})
+    where, places = np.array([[0, 1], [2, 1]]), np.array([[0], [1]])
+
+    def made(f):
+        cost, row = f(v[0]) * v[1], f(v[1] * v[0])
+        return assembled(
+            [element((v, none, none), cost, row, (), (where, places), np.zeros((2, 0)))],
+            np.array([1.0, 2.0, 0.5]),
+            0,
+        )
+
+    called, formula = made(wave), made(lambda x: ca.sin(x) * x**2)
+    at, prices = [0.3, -0.7, 1.1], [0.4, -0.9]
+    for one, other in (
+        (called.gradient(at, []), formula.gradient(at, [])),
+        (called.jacobian(at, []), formula.jacobian(at, [])),
+        ([called.hessian(at, [], 0.6, prices)], [formula.hessian(at, [], 0.6, prices)]),
+    ):
+        for a, b in zip(one, other, strict=True):
+            assert_allclose(np.array(ca.DM(a)), np.array(ca.DM(b)), rtol=1e-13, atol=1e-14)
+
+
 def test_what_plans_cannot_differentiate_is_refused():
     v, at = ca.SX.sym("v"), np.zeros((1, 1), dtype=int)
     none = ca.SX.sym("none", 0)
     a = ca.MX.sym("a")
     square = ca.Function("square", [a], [a**2], {"never_inline": True})
-    called = element((v, none, none), ca.SX(0), square(v), (), (at, at), np.zeros((1, 0)))
-    with pytest.raises(ModelError, match="formulas, found a call of 'square'"):
-        assembled([called], np.ones(1), 0)
     lookups = LookupTable()
     found = lookups.find(square, v, order=1)
     with pytest.raises(ModelError, match="derivatives are right up to order 1"):

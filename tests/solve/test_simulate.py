@@ -228,13 +228,14 @@ def test_progress_ascends_although_calls_are_repeated():
     assert seen[-1] >= run.t[-1]
 
 
-def test_progress_that_returns_false_ends_the_motion():
+@pytest.mark.parametrize("kind", [bool, np.bool_])
+def test_progress_that_returns_false_ends_the_motion(kind):
     dae = follows_input()
     start, inputs, seen = settle(dae), dae.inputs(speed=ca.cos(dae.t)), []
 
     def progress(t):
         seen.append(t)
-        return t < 1.23
+        return kind(t < 1.23)
 
     run = simulate(dae, start, inputs, T, progress=progress)
     assert run.stop == (

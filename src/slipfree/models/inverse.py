@@ -24,6 +24,7 @@ import numpy as np
 
 from slipfree.dae import Dae, Labels, Limit, SampledCheck
 from slipfree.errors import ModelError
+from slipfree.lookups import needed_lookups, substitute_lookups
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.margin import EULER, OMEGA, VELOCITY, inverse_margin, omega, rolling
 from slipfree.models.records import Configuration, Dependent, Forces, Outputs, Totals
@@ -321,13 +322,18 @@ def _starting(
     position, forces = (len(list(leaves(part))) for part in (direct.z.position, direct.z.forces))
     rest = len(list(leaves(z_labels))) - position - forces
     column = ca.vertcat(ca.SX(0, 1), *angles)
-    guess = ca.substitute(direct.guess[:position], column, ca.SX.zeros(column.shape))
+    poses = [direct.guess[:position]]
+    lookups, before, after = substitute_lookups(
+        needed_lookups(direct.lookups, poses), [column], [ca.SX.zeros(column.shape)]
+    )
+    (guess,) = ca.substitute(poses, before, after)
     radius, end = direct.scale[position - 1], direct.scale.size - forces  # of a contact point
     sizes = [radius if label.unit in ("m", "m s-1") else 1.0 for label in leaves(z_labels)]
     sizes[position + rest :] = direct.scale[end:]
     still = np.zeros(rest + forces)
     return {
         "guess": ca.densify(ca.vertcat(guess, ca.SX.zeros(rest), direct.guess[end:])),
+        "lookups": (*direct.lookups, *lookups),
         "scale": np.array(sizes),
         "shift": (x_shift, np.concatenate([direct.shift[1][:position], still])),
     }

@@ -114,8 +114,8 @@ def _replayed(function: ca.Function, arguments: Sequence[Columns]) -> list[list[
     if function.find_functions():
         name = function.find_functions()[0].name()
         raise ModelError(
-            f"plan: expected costs and limits that are formulas, found a call of {name!r}; write "
-            "it as an expression, or look it up (slipfree.lookups)"
+            f"plan: expected lookups whose questions are formulas, found a call of {name!r}; write "
+            "it as an expression"
         )
     work: dict[int, ca.MX] = {}
     results = [[ca.MX(0)] * function.nnz_out(k) for k in range(function.n_out())]
@@ -147,7 +147,7 @@ def _split(rows: ca.MX) -> Columns:
 def _at_places(f: ca.Function, each: Element, arguments: Sequence[ca.MX]) -> list[ca.MX]:
     """Return the results of a function of an element, entry by entry, each a column of places."""
     count = len(each.where)
-    if f.is_a("SXFunction"):
+    if f.is_a("SXFunction") and not f.find_functions():
         # A loop over a column takes a tenth of the interpreter's time for as many numbers.
         return _columns(_replayed(f, [*map(_split, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]

@@ -444,7 +444,8 @@ class _Spy(ca.Callback):
         self.times.append(t)
         if self.progress is not None and t > self.reported:
             self.reported = t
-            if self.progress(t) is False:
+            answer = self.progress(t)
+            if isinstance(answer, bool | np.bool_) and not answer:
                 raise _RefusedError
         if self.guarded and not margin >= -BEYOND:
             raise _BeyondError

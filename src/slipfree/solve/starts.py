@@ -13,6 +13,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
+from slipfree.lookups import check_order, needed_lookups
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.settle import settle
 from slipfree.trajectory import Trajectory
@@ -85,6 +86,7 @@ def _exchange(dae: Model, i: Sequence[int], j: Sequence[int]) -> Model:
         ),
         shift=(x_shift, z_shift),
         checks=(),
+        compiled=False,  # it is used once
     )
 
 
@@ -204,6 +206,7 @@ def _least_change(dae: Model, first: Array, wish: Array, weight: Array) -> Array
     change = np.where(counts, weight, 0.0)
     cost = ca.dot(ca.DM(change), (unknowns - ca.DM(wish)) ** 2)
     quiet = {"print_level": 0, "sb": "yes", "tol": 1e-12}
+    check_order(needed_lookups(dae.lookups, [dae.alg[0]]), 3, "settle_nearest")
     rows = dae.function("rows", [unknowns], [dae.alg[0]])
     symbols = ca.MX.sym("unknowns", unknowns.numel())
     changed = ca.Function("cost", [unknowns], [cost / 2])

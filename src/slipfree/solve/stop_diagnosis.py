@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
 from slipfree.solve.initial_conditions import UnsolvedError, consistent
 from slipfree.solve.sampling import Samples
@@ -37,9 +38,10 @@ def ending(loop: System, samples: Samples, fault: int | None) -> Stop | None:
         x = x + SOON * np.array(loop.core(t, x, z[: loop.moving], u)[0]).ravel()
     try:
         found = consistent(loop, t, x, z, u)
-    except UnsolvedError as error:
+    except ModelError as error:
+        reached = error.z if isinstance(error, UnsolvedError) else z  # else they are singular
         for limit in loop.dae.limits:
-            words = limit.describe(x, error.z) if limit.describe else ""
+            words = limit.describe(x, reached) if limit.describe else ""
             if words:
                 return Stop(limit.label.full, t, words)
         return None
@@ -61,6 +63,6 @@ def _is_solved(loop: System, t: float, x: Array, z: Array, u: Array) -> bool:
     """Return whether the unknowns of a sample are those that its states and inputs lead to."""
     try:
         found = consistent(loop, t, x, z, u, eased=False)
-    except UnsolvedError:
+    except ModelError:
         return True  # nothing to compare with
     return bool(np.abs((found - z) / loop.dae.scale)[: loop.moving].max() < JUMP)

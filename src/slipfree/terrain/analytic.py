@@ -55,6 +55,8 @@ class Analytic:
     Notes
     -----
     An instance can be pickled if its functions can: use ones defined at the top of a module.
+    A formula should not call ``casadi.interpolant`` with ``"bspline"``: its third derivatives on
+    knots and its fourth derivatives write beyond their memory (CasADi 3.8.2). Use `Bicubic`.
 
     Examples
     --------

@@ -200,7 +200,7 @@ class Bicubic:
         return self._interpolated_cell(), 0.0
 
     def _interpolated_cell(self) -> ca.Function:
-        """Return what the compiled evaluator does, of CasADi's look-up of a table."""
+        """Return the function of `kernel.c`, made of a table of CasADi's."""
         (i_0, i_last), (j_0, j_last) = self._cells
         x_0, y_0, _ = self.origin
         h_x, h_y = self.grid.spacing
@@ -210,10 +210,9 @@ class Bicubic:
         j = ca.fmin(ca.fmax(ca.floor(b + ON_KNOT), -j_0), j_last - j_0)
         c = ca.reshape(_gather(self._table)(ca.vertcat(i + i_0, j + j_0)), 4, 4)
         left, right = (ca.DM(_middle() / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
-        # NaN is put into a valid cell, whose polynomial returns NaN about a centre that is NaN.
         center = [
-            self.grid.x[i_0] - x_0 + (i + 0.5) * h_x + 0 * at[0],
-            self.grid.y[j_0] - y_0 + (j + 0.5) * h_y + 0 * at[1],
+            self.grid.x[i_0] - x_0 + (i + 0.5) * h_x,
+            self.grid.y[j_0] - y_0 + (j + 0.5) * h_y,
         ]
         return ca.Function("cell", [at], [ca.vertcat(*center, ca.vec(left @ c @ right.T))])
 

@@ -4,8 +4,9 @@
  *
  * Every ground that is open has a slot, whose function carries its number in its name: groundN,
  * from (x, y, key) to the middle of the cell and the 16 derivatives there, orders in x fastest.
- * CasADi counts its own uses of it (incref, decref); a slot in use is not given away. The key tells grounds apart that have had the same slot: functions
- * of another one, say from another process, give no number instead of its heights.
+ * CasADi counts its own uses of it (incref, decref); a slot in use is not given away. The key tells
+ * grounds apart that have had the same slot: functions of another one, say from another process,
+ * give no number instead of its heights.
  */
 #include <math.h>
 #include <stddef.h>
@@ -82,8 +83,7 @@ static double height(const Ground *g, double x, double y) {
   return sum;
 }
 
-/* What is not this ground's gets NaN, not an error: CasADi's SX functions do not look at what a
- * called function returns, and take what they find in its place. */
+/* A key of another ground gives NaN, not an error: integrators and searches recover from it. */
 static int refused(const Ground *g, const double **arg, double *res, int count) {
   if (g->table && arg[0] && arg[0][2] == g->key) return 0;
   while (count--) res[count] = NAN;
@@ -97,9 +97,8 @@ static int polynomial(const Ground *g, const double **arg, double *res) {
   if (!res || refused(g, arg, res, 18)) return 0;
   c = corner(g, arg[0][0], arg[0][1], &a, &b, &i, &j);
   basis(0.5, 3, middle);
-  /* A place that is no number has no cell: the centre is none either. */
-  res[0] = g->x + (i + 0.5) * g->h_x + 0 * a;
-  res[1] = g->y + (j + 0.5) * g->h_y + 0 * b;
+  res[0] = g->x + (i + 0.5) * g->h_x;
+  res[1] = g->y + (j + 0.5) * g->h_y;
   for (m = 0; m < 4; m++) {
     for (k = 0; k < 4; k++)
       line[k] = middle[m][0] * c[k] + middle[m][1] * c[g->width + k] + middle[m][2] * c[2 * g->width + k]
