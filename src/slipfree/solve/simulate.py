@@ -34,6 +34,7 @@ FINEST = 1e-14  # tolerance below which rounding rules
 LEEWAY = 100.0  # tolerances by which an eased model's equations may be missed at a sample
 BEYOND = 1e-6  # of a limit's unit or size; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
+STARTS = 20  # anew after failures of the integrator, in a stretch without jumps of inputs
 NO_START = "no consistent start was found"
 CHUNK = 2000  # samples looked at together, for the sake of memory
 Progress = Callable[[float], bool | None]
@@ -194,12 +195,42 @@ def _march(
     jumps = 1 + np.flatnonzero((np.diff(u, axis=1) != 0).any(axis=0))
     for right in (*jumps.tolist(), t.size - 1):
         at = _restarted(solver.system, parts[-1], u[:, left])
-        part, cost, end = _reached(solver, spy, at, t[left : right + 1], u[:, left:right])
+        part, cost, end = _again(solver, spy, at, t[left : right + 1], u[:, left:right])
         parts.append(part)
         counts, left = _sum(counts, cost), right
         if end is not None:
             break
     return _chained(parts), counts, end
+
+
+def _again(
+    solver: _Solver, spy: _Spy, at: Samples, t: Array, u: Array
+) -> tuple[Samples, dict[str, float], End | None]:
+    """Integrate over ``t``; where the integrator fails, start anew from its last step.
+
+    A new start has a small step and a Jacobian of its own, with which it often passes. The motion
+    ends where no new start gets on.
+    """
+    part, counts, end = _reached(solver, spy, at, t, u)
+    for _ in range(STARTS):
+        if not isinstance(end, SolverError) or part.t.size == 1:
+            break
+        on = _consistent(solver.system, _column(part, -1), u[:, 0], eased=False)
+        if on is None:
+            break
+        rest = np.append(part.t[-1], t[t > part.t[-1]])
+        more, cost, end = _reached(solver, spy, on, rest, u[:, 1 - rest.size :])
+        counts = _sum(counts, cost)
+        if more.t.size == 1:
+            break
+        kept = np.isin(part.t, t)
+        part = Samples(
+            *(
+                np.concatenate([a[..., kept], b[..., 1:]], axis=-1)
+                for a, b in zip(part, more, strict=True)
+            )
+        )
+    return part, counts, end
 
 
 def _reached(
@@ -278,13 +309,17 @@ def _restarted(system: System, samples: Samples, u: Array) -> Samples:
     at = _column(samples, -1)
     if np.array_equal(at.u[:, -1], u):
         return at
-    for eased in (False, True):
-        try:
-            z = consistent(system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=eased)
-        except ModelError:  # the integrator tells
-            continue
-        return at._replace(z=z[:, None], u=u[:, None])
-    return at
+    found = (_consistent(system, at, u, eased=eased) for eased in (False, True))
+    return next((each for each in found if each is not None), at)  # else the integrator tells
+
+
+def _consistent(system: System, at: Samples, u: Array, *, eased: bool) -> Samples | None:
+    """Return a sample made consistent with inputs, None if it cannot be."""
+    try:
+        z = consistent(system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=eased)
+    except ModelError:
+        return None
+    return at._replace(z=z[:, None], u=u[:, None])
 
 
 def _column(samples: Samples, k: int) -> Samples:
