@@ -195,7 +195,11 @@ def _march(
     jumps = 1 + np.flatnonzero((np.diff(u, axis=1) != 0).any(axis=0))
     for right in (*jumps.tolist(), t.size - 1):
         at = _restarted(solver.system, parts[-1], u[:, left])
-        part, cost, end = _again(solver, spy, at, t[left : right + 1], u[:, left:right])
+        span, inputs = t[left : right + 1], u[:, left:right]
+        part, cost, end = _reached(solver, spy, at, span, inputs)
+        if isinstance(end, SolverError):
+            part, more, end = _continued(solver, spy, part, end, span, inputs)
+            cost = _sum(cost, more)
         parts.append(part)
         counts, left = _sum(counts, cost), right
         if end is not None:
@@ -203,34 +207,35 @@ def _march(
     return _chained(parts), counts, end
 
 
-def _again(
-    solver: _Solver, spy: _Spy, at: Samples, t: Array, u: Array
+def _continued(
+    solver: _Solver, spy: _Spy, part: Samples, end: SolverError, t: Array, u: Array
 ) -> tuple[Samples, dict[str, float], End | None]:
-    """Integrate over ``t``; where the integrator fails, start anew from its last step.
+    """Go on over ``t`` from the last step before a failure of the integrator, by new starts.
 
     A new start has a small step and a Jacobian of its own, with which it often passes. The motion
     ends where no new start gets on.
     """
-    part, counts, end = _reached(solver, spy, at, t, u)
+    counts, last = dict.fromkeys(COUNTS, 0.0), end
     for _ in range(STARTS):
-        if not isinstance(end, SolverError) or part.t.size == 1:
-            break
-        on = _consistent(solver.system, _column(part, -1), u[:, 0], eased=False)
-        if on is None:
-            break
+        at = _consistent(solver.system, _column(part, -1), u[:, 0], eased=False)
+        if part.t.size == 1 or at is None:
+            return part, counts, last
         rest = np.append(part.t[-1], t[t > part.t[-1]])
-        more, cost, end = _reached(solver, spy, on, rest, u[:, 1 - rest.size :])
+        more, cost, reason_of_end = _reached(solver, spy, at, rest, u[:, 1 - rest.size :])
         counts = _sum(counts, cost)
         if more.t.size == 1:
-            break
+            return part, counts, last
         kept = np.isin(part.t, t)
         part = Samples(
             *(
-                np.concatenate([a[..., kept], b[..., 1:]], axis=-1)
-                for a, b in zip(part, more, strict=True)
+                np.concatenate([before[..., kept], after[..., 1:]], axis=-1)
+                for before, after in zip(part, more, strict=True)
             )
         )
-    return part, counts, end
+        if not isinstance(reason_of_end, SolverError):
+            return part, counts, reason_of_end
+        last = reason_of_end
+    return part, counts, last
 
 
 def _reached(
