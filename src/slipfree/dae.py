@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
@@ -16,12 +16,6 @@ from slipfree.errors import ModelError
 from slipfree.lookups import Lookup, lookup_function
 from slipfree.records import Array, Label, leaves, pack, unpack
 from slipfree.trajectory import Trajectory
-
-X = TypeVar("X")
-Z = TypeVar("Z")
-Q = TypeVar("Q")
-U = TypeVar("U")
-Y = TypeVar("Y")
 
 
 class Limit(NamedTuple):
@@ -119,7 +113,7 @@ class Sizes(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Dae(Generic[X, Z, Q, U, Y]):
+class Dae:
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
 
     ``z`` and ``alg`` may be empty: then it is an ordinary differential equation.
@@ -169,14 +163,14 @@ class Dae(Generic[X, Z, Q, U, Y]):
     """
 
     t: ca.SX
-    x: X
-    z: Z
-    q: Q
-    u: U
+    x: Any
+    z: Any
+    q: Any
+    u: Any
     ode: ca.SX
     alg: tuple[ca.SX, ...]
     quad: ca.SX
-    y: Y
+    y: Any
     labels: Labels
     limits: tuple[Limit, ...]
     checks: tuple[SampledCheck, ...]
@@ -228,7 +222,7 @@ class Dae(Generic[X, Z, Q, U, Y]):
         sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
         return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
 
-    def inputs(self, **values: Any) -> U:
+    def inputs(self, **values: Any) -> Any:
         """Return the record of inputs from values by name.
 
         Parameters

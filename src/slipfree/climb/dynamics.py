@@ -13,7 +13,7 @@ from slipfree.climb.control import Commands, Control, check_period, torques
 from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked
 from slipfree.climb.profile import Profile
-from slipfree.climb.records import Inputs, OnSolid, Outputs, State, Totals, labels_of
+from slipfree.climb.records import OnSolid, Outputs, State, labels_of
 from slipfree.climb.reference import PerAxle, reference, seen_directions
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.dae import Dae, Limit
@@ -41,7 +41,7 @@ def climbing(
     contact: CompliantContact = CompliantContact(),  # noqa: B008
     *,
     period: float | None = None,
-) -> Dae[State, tuple[()], Totals, Inputs, Outputs]:
+) -> Dae:
     """Return the motion of a vehicle that climbs under control of its wheels.
 
     Seven degrees of freedom without constraints: two bodies on a joint, three axles, and a

@@ -72,9 +72,7 @@ class _Plan(NamedTuple):
     gain: float
 
 
-def straight(
-    dae: Dae[Any, Any, Any, Any, Any], vehicle: Vehicle, start: Trajectory, *, speed: float
-) -> Any:
+def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> Any:
     """Return inputs that drive a vehicle straight on, along its heading at the start.
 
     Parameters, errors and law are those of `follow`, on the line ahead of the last sample of
@@ -86,7 +84,7 @@ def straight(
     return follow(dae, vehicle, Path(np.array([(x, y), ahead])), speed=speed)
 
 
-def follow(dae: Dae[Any, Any, Any, Any, Any], vehicle: Vehicle, path: Path, *, speed: float) -> Any:
+def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     """Return inputs that keep the platform's centre on a path.
 
     A point runs along the path at the given speed, from its beginning at t = 0. Heading,
@@ -137,9 +135,7 @@ def follow(dae: Dae[Any, Any, Any, Any, Any], vehicle: Vehicle, path: Path, *, s
     return unpack(dae.u, [*wheels, *rates.values()])
 
 
-def _guidance(
-    dae: Dae[Any, Any, Any, Any, Any], path: Path, plan: _Plan, speed: float
-) -> tuple[ca.SX, ca.SX]:
+def _guidance(dae: Dae, path: Path, plan: _Plan, speed: float) -> tuple[ca.SX, ca.SX]:
     """Return the speed and the turning rate that lead to the point that runs along the path."""
     place = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
     way, base = np.sign(speed), plan.base

@@ -27,7 +27,7 @@ from slipfree.errors import ModelError
 from slipfree.lookups import needed_lookups, substitute_lookups
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.margin import EULER, OMEGA, VELOCITY, inverse_margin, omega, rolling
-from slipfree.models.records import Configuration, Dependent, Forces, Outputs, Totals
+from slipfree.models.records import Configuration, Dependent, Forces, Outputs
 from slipfree.records import Array, Label, leaves, pack, unpack
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
@@ -106,7 +106,7 @@ def inverse_kinematics(
     given: Sequence[str] = PLANAR,
     steering: Steering = "rate",
     least_margin: float = LEAST_MARGIN,
-) -> Dae[Any, Any, Totals, Given, InverseOutputs]:
+) -> Dae:
     """Return the motion of a vehicle that rolls without slip under given rates of its platform.
 
     Parameters
@@ -201,7 +201,7 @@ class _Parts(NamedTuple):
     omega_labels: tuple[Label, ...]
 
 
-def _parts(direct: Any, given: tuple[str, ...], steering: str) -> _Parts:
+def _parts(direct: Dae, given: tuple[str, ...], steering: str) -> _Parts:
     """Return the rates of the direct model sorted into given and unknown, and the equations.
 
     The symbols stay those of the direct model. A given component of the angular velocity is a
@@ -243,7 +243,7 @@ def _sorted(
     return Given(tuple(known[name] for name in given)), unknown
 
 
-def _by_rate(direct: Any, parts: _Parts) -> Dae[Any, Any, Totals, Given, InverseOutputs]:
+def _by_rate(direct: Dae, parts: _Parts) -> Dae:
     """Return the model whose unknowns are rates: the direct model with other inputs."""
     z_labels = ByRate(direct.labels.z.position, parts.rate_labels, direct.labels.z.forces)
     outputs, output_labels = _outputs(direct, parts, growth=True)
@@ -264,9 +264,7 @@ def _by_rate(direct: Any, parts: _Parts) -> Dae[Any, Any, Totals, Given, Inverse
     )
 
 
-def _by_angle(
-    vehicle: Vehicle, direct: Any, parts: _Parts
-) -> Dae[Any, Any, Totals, Given, InverseOutputs]:
+def _by_angle(vehicle: Vehicle, direct: Dae, parts: _Parts) -> Dae:
     """Return the model whose unknowns are steering angles, as if they were at rest."""
     kinds = [c.kind for c in vehicle.coordinates if c.kind != "suspension"]
     still = [k for k, kind in enumerate(kinds) if kind == "passive"]
@@ -316,7 +314,7 @@ def _by_angle(
 
 
 def _starting(
-    direct: Any, z_labels: Any, x_shift: Array, angles: tuple[ca.SX, ...] = ()
+    direct: Dae, z_labels: Any, x_shift: Array, angles: tuple[ca.SX, ...] = ()
 ) -> dict[str, Any]:
     """Return guess, sizes and shift of a model that adds angles and rates to the pose."""
     position, forces = (len(list(leaves(part))) for part in (direct.z.position, direct.z.forces))
@@ -339,7 +337,7 @@ def _starting(
     }
 
 
-def _outputs(direct: Any, parts: _Parts, *, growth: bool) -> tuple[InverseOutputs, InverseOutputs]:
+def _outputs(direct: Dae, parts: _Parts, *, growth: bool) -> tuple[InverseOutputs, InverseOutputs]:
     """Return the outputs and their labels; the growth is filled in later."""
     joints = pack(direct.u.joints)
     words = "rate at which the steering runs away from the given motion, if positive"
@@ -382,7 +380,7 @@ class _Moved:
         return np.array(found[0]), np.array(found[1])
 
 
-def moved(check: SampledCheck, direct: Any, dae: Any) -> SampledCheck:
+def moved(check: SampledCheck, direct: Dae, dae: Any) -> SampledCheck:
     """Return a check of the direct model's pose for an inverse model."""
     others = len(list(leaves(direct.z[1:])))
     z = ca.vertcat(pack(direct.z.position), ca.SX.zeros(others))
@@ -391,7 +389,7 @@ def moved(check: SampledCheck, direct: Any, dae: Any) -> SampledCheck:
 
 
 def along(
-    dae: Dae[Any, Any, Totals, Given, InverseOutputs],
+    dae: Dae,
     start: Trajectory,
     x: Any,
     y: Any,
@@ -440,7 +438,8 @@ def along(
             wrong.append(f"{name} = {first:.6g}, the vehicle stands at {there:.6g}")
     if wrong:
         raise ModelError(f"path: it starts elsewhere than the start: {'; '.join(wrong)}")
-    return dae.inputs(**rates)
+    inputs: Given = dae.inputs(**rates)
+    return inputs
 
 
 def _path_rate(

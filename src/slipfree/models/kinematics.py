@@ -28,13 +28,9 @@ from slipfree.models.base import (
 )
 from slipfree.models.labels import labels_of
 from slipfree.models.records import (
-    Algebraic,
     Configuration,
     Dependent,
-    Inputs,
-    Outputs,
     SlipLaw,
-    Totals,
 )
 from slipfree.models.slip import slip_velocity
 from slipfree.models.statics import loads, mechanics
@@ -51,7 +47,7 @@ def direct_kinematics(
     *,
     slip: SlipLaw = "least",
     traction: Traction = Traction(),  # noqa: B008 - a frozen record
-) -> Dae[Configuration, Algebraic, Totals, Inputs, Outputs]:
+) -> Dae:
     """Return the motion of a vehicle over a ground under given rates.
 
     Positions follow from closure: every wheel touches the ground, three equations in its two

@@ -35,7 +35,6 @@ TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
 SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
 NEAR = 0.02  # lever of a contact on the axis, relative to the rolling radius
 ROUNDING = 1e-14  # relative singular value that counts as zero
-Direct = Dae[Any, Any, Any, Any, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +107,7 @@ def omega(heading: ca.SX, roll: ca.SX) -> ca.SX:
     )
 
 
-def rolling(vehicle: Vehicle, direct: Direct) -> Rolling:
+def rolling(vehicle: Vehicle, direct: Dae) -> Rolling:
     """Return the slip by columns, from the direct model with ``slip="rolling"``."""
     z, u = direct.z, direct.u
     rates = z.rates
@@ -132,7 +131,7 @@ def rolling(vehicle: Vehicle, direct: Direct) -> Rolling:
     )
 
 
-def _angles(vehicle: Vehicle, direct: Direct) -> tuple[ca.SX, tuple[str, ...]]:
+def _angles(vehicle: Vehicle, direct: Dae) -> tuple[ca.SX, tuple[str, ...]]:
     """Return derivatives of the slip in the commanded coordinates, the pose following them."""
     names = tuple(c.name for c in vehicle.of("commanded"))
     kept = [c.name for c in vehicle.coordinates if c.kind != "suspension"]
@@ -225,7 +224,7 @@ def _listed(names: Sequence[str]) -> str:
 
 def inverse_margin(
     vehicle: Vehicle,
-    direct: Direct,
+    direct: Dae,
     parts: Rolling,
     model: tuple[Any, Any, Any],
     given: Sequence[str],

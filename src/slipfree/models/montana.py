@@ -48,10 +48,8 @@ from slipfree.models.records import (
     Dependent,
     ForceOutputs,
     Forces,
-    Inputs,
     Rates,
     SlipLaw,
-    Totals,
 )
 from slipfree.models.statics import loads, mechanics
 from slipfree.records import Array, Label, leaves, pack, symbols
@@ -137,7 +135,7 @@ class Rolling(NamedTuple):
 
 def montana_kinematics(
     vehicle: Vehicle, terrain: Terrain, *, slip: SlipLaw = "least", kappa: float = 10.0
-) -> Dae[Assembly, Unknowns, Totals, Inputs, AssemblyOutputs]:
+) -> Dae:
     """Return the same motion as ``direct_kinematics`` from contact equations at rate level.
 
     Its start is a sample of the closure model, settled or later: ``simulate`` finds all states

@@ -37,7 +37,6 @@ from slipfree.models.labels import slip_unit
 from slipfree.models.reach import (
     DEFAULT,
     SUBSET,
-    Direct,
     ReachMargin,
     check_given,
     planar_rates,
@@ -46,12 +45,10 @@ from slipfree.models.reach import (
 )
 from slipfree.models.records import (
     Algebraic,
-    Configuration,
     Dependent,
     Forces,
     Outputs,
     Rates,
-    Totals,
 )
 from slipfree.records import Label, leaves, pack, symbols, unpack
 from slipfree.terrain.base import Terrain
@@ -123,7 +120,7 @@ def subset_kinematics(
     terrain: Terrain,
     *,
     given: Sequence[str] = DEFAULT,
-) -> Dae[Configuration, Found | Algebraic, Totals, Wanted, SubsetOutputs]:
+) -> Dae:
     """Return the motion of any vehicle under given rates of its platform.
 
     Parameters
@@ -151,7 +148,7 @@ def subset_kinematics(
     """
     given = tuple(given)
     check_given(vehicle, given)
-    direct: Any = direct_kinematics(vehicle, terrain)
+    direct: Dae = direct_kinematics(vehicle, terrain)
     u = Wanted(tuple(ca.SX.sym(name) for name in given))
     plane = planar_rates(direct)
     guide, guide_labels, guiding = _guide(vehicle, direct, given, u)
@@ -187,9 +184,7 @@ def _blocks(z: Any, guide: Guide | tuple[()], rates: Any) -> Any:
     return Found(z.position, guide, rates, z.forces)
 
 
-def steered(
-    vehicle: Vehicle, direct: Direct, kind: Kind = "commanded"
-) -> dict[str, dict[int, ca.SX]]:
+def steered(vehicle: Vehicle, direct: Dae, kind: Kind = "commanded") -> dict[str, dict[int, ca.SX]]:
     """Return how much coordinates of a kind turn wheels, by the wheels' numbers.
 
     About the platform's up axis, left positive; only coordinates that turn some. [rad/rad, rad/m]
@@ -208,7 +203,7 @@ def steered(
 
 
 def _guide(
-    vehicle: Vehicle, direct: Direct, given: tuple[str, ...], u: Wanted
+    vehicle: Vehicle, direct: Dae, given: tuple[str, ...], u: Wanted
 ) -> tuple[Any, Any, list[ca.SX]]:
     """Return unknowns, labels and equations of the motion that guides the steering, if any."""
     by_drives = steered(vehicle, direct)
@@ -244,7 +239,7 @@ def _motion(rates: Any) -> tuple[Any, ...]:
     return (*rates[:6], *rates.suspension)
 
 
-def _guided(direct: Direct, guide: Guide, expressions: list[ca.SX]) -> list[ca.SX]:
+def _guided(direct: Dae, guide: Guide, expressions: list[ca.SX]) -> list[ca.SX]:
     """Return expressions of the guiding motion, with wheels and joints at rest."""
     rates = direct.z.rates
     still = pack((direct.u, rates.free, rates.passive))
@@ -253,7 +248,7 @@ def _guided(direct: Direct, guide: Guide, expressions: list[ca.SX]) -> list[ca.S
     return list(ca.substitute(found, [slots], [pack(guide.motion)]))
 
 
-def _steering_errors(vehicle: Vehicle, direct: Direct, guide: Any) -> dict[str, ca.SX]:
+def _steering_errors(vehicle: Vehicle, direct: Dae, guide: Any) -> dict[str, ca.SX]:
     """Return by how much steered coordinates are short of the guiding motion. [rad, m].
 
     Carriers move with ``along`` and ``across`` at the contacts of the wheels that a coordinate
@@ -282,7 +277,7 @@ def _laws(vehicle: Vehicle, errors: Mapping[str, ca.SX]) -> tuple[ca.SX, ...]:
 
 
 def _rates(
-    direct: Direct, given: tuple[str, ...], u: Wanted
+    direct: Dae, given: tuple[str, ...], u: Wanted
 ) -> tuple[SubsetRates, SubsetRates, ca.SX]:
     """Return unknown rates, their labels, and the conditions for least slip at the given rates."""
     names, equations = direct.labels.z.rates, direct.alg[1]
@@ -347,7 +342,7 @@ def _labels(
     )
 
 
-def _starting(direct: Direct, guide: Any, rates: Any) -> dict[str, Any]:
+def _starting(direct: Dae, guide: Any, rates: Any) -> dict[str, Any]:
     """Return guess, sizes and shift: what is new begins at zero."""
     position, motion = (len(list(leaves(part))) for part in direct.z[:2])
     before, end = len(list(leaves(guide))), position + motion
@@ -368,7 +363,7 @@ def _starting(direct: Direct, guide: Any, rates: Any) -> dict[str, Any]:
     }
 
 
-def _driven(dae: Any, joints: tuple[ca.SX, ...], laws: tuple[ca.SX, ...]) -> Any:
+def _driven(dae: Dae, joints: tuple[ca.SX, ...], laws: tuple[ca.SX, ...]) -> Dae:
     """Return the model with laws in place of the rates of the commanded joints."""
     symbols_, law = pack(joints), ca.vertcat(ca.SX(0, 1), *laws)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -29,10 +28,9 @@ DEFAULT = ("forward", "yaw_rate")
 RANK = 1e-9  # relative singular value below which wheels have no effect on a given rate
 MISSED = 1e-9  # part of the given rates that may be missed
 LEAST_MARGIN = 5e-3  # smallest singular value at which given rates still count as reached
-Direct = Dae[Any, Any, Any, Any, Any]
 
 
-def planar_rates(direct: Direct) -> dict[str, ca.SX]:
+def planar_rates(direct: Dae) -> dict[str, ca.SX]:
     """Return the platform's rates in its heading frame, in the direct model's symbols."""
     rates, c, s = direct.z.rates, ca.cos(direct.x.heading), ca.sin(direct.x.heading)
     return {
@@ -109,7 +107,7 @@ class Response:
         )
 
 
-def response_of(vehicle: Vehicle, direct: Direct, given: tuple[str, ...]) -> Response:
+def response_of(vehicle: Vehicle, direct: Dae, given: tuple[str, ...]) -> Response:
     """Return the response of a direct model of least slip, for some given rates."""
     function = direct.function(
         "response", [pack(direct.x), pack(direct.z.position)], response_matrices(direct, given)
@@ -124,7 +122,7 @@ def response_of(vehicle: Vehicle, direct: Direct, given: tuple[str, ...]) -> Res
     )
 
 
-def response_matrices(direct: Direct, given: tuple[str, ...]) -> list[ca.SX]:
+def response_matrices(direct: Dae, given: tuple[str, ...]) -> list[ca.SX]:
     """Return the matrices of a response, see `Response`, in the symbols of the direct model."""
     rates, u = pack(direct.z.rates), pack(direct.u)
     slip = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
@@ -135,7 +133,7 @@ def response_matrices(direct: Direct, given: tuple[str, ...]) -> list[ca.SX]:
 
 
 def check_reach(
-    vehicle: Vehicle, direct: Direct, stand: Trajectory, given: Sequence[str] = DEFAULT
+    vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str] = DEFAULT
 ) -> None:
     """Raise ModelError, with its name, for a given rate that wheels do not bring about.
 
@@ -152,7 +150,7 @@ def check_reach(
         raise ModelError(f"{vehicle.name}: {words}")
 
 
-def _parts(response: Response, direct: Direct, stand: Trajectory) -> list[Array]:
+def _parts(response: Response, direct: Dae, stand: Trajectory) -> list[Array]:
     """Return the matrices of the response at the last sample of a trajectory."""
     x, z = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
     position = z[: len(list(leaves(direct.z.position)))]
@@ -161,7 +159,7 @@ def _parts(response: Response, direct: Direct, stand: Trajectory) -> list[Array]
 
 def wheel_rates(
     vehicle: Vehicle,
-    direct: Direct,
+    direct: Dae,
     stand: Trajectory,
     *,
     joints: Mapping[str, float] | None = None,

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Limit
+from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
@@ -31,7 +31,7 @@ from slipfree.plan.polynomial_motion import (
     unknowns_of,
 )
 from slipfree.plan.problem import Range, task_of
-from slipfree.plan.transcription import Cost, Mesh, Model, Program, Task, transcribe
+from slipfree.plan.transcription import Cost, Mesh, Program, Task, transcribe
 from slipfree.plan.verification import Proof, inputs_along, prove, refined
 from slipfree.plan.warm_start import Saved, local, saved
 from slipfree.records import Array
@@ -137,7 +137,7 @@ class _Search(NamedTuple):
 @computing
 @heeded
 def plan(
-    dae: Model,
+    dae: Dae,
     start: Trajectory,
     guess: Trajectory | Sequence[Trajectory],
     *,

@@ -8,11 +8,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Limit
+from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.messages import LIMITED
-from slipfree.plan.transcription import Cost, Model, Place, Task
+from slipfree.plan.transcription import Cost, Place, Task
 from slipfree.records import Array, Label, leaves
 from slipfree.trajectory import Trajectory
 
@@ -29,7 +29,7 @@ def duration_of(value: float | Range) -> Range:
     return float(low), float(high)
 
 
-def costs_of(dae: Model, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
+def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
     """Return terms of the cost from weights by name; terms as they are."""
     if not isinstance(given, Mapping):
         return tuple(given)
@@ -41,7 +41,7 @@ def costs_of(dae: Model, given: Mapping[str, float] | Sequence[Cost]) -> tuple[C
     return tuple(costs)
 
 
-def _term(dae: Model, name: str) -> tuple[Label, ca.SX]:
+def _term(dae: Dae, name: str) -> tuple[Label, ca.SX]:
     """Return label and expression of a term of the cost."""
     if name == "time":
         return Label(name, "s", "duration"), ca.SX(1)
@@ -56,7 +56,7 @@ def _term(dae: Model, name: str) -> tuple[Label, ca.SX]:
     return Label(name, _squared_unit(dae, name), f"squared {name}, integrated over time"), squares
 
 
-def _work(dae: Model) -> ca.SX:
+def _work(dae: Dae) -> ca.SX:
     """Return the power of the drives that work, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
     powers = [
         torque * rate
@@ -70,7 +70,7 @@ def _square(expression: ca.SX) -> ca.SX:
     return expression.dep(0) if expression.op() == ca.OP_SQRT else expression**2
 
 
-def _squared_unit(dae: Model, name: str) -> str:
+def _squared_unit(dae: Dae, name: str) -> str:
     records = (dae.labels.x, dae.labels.z, dae.labels.u, dae.labels.y)
     unit = next(
         label.unit
@@ -81,7 +81,7 @@ def _squared_unit(dae: Model, name: str) -> str:
     return "s" if unit == "1" else f"({unit})2 s"
 
 
-def limits_of(dae: Model, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
     """Return limits on quantities of a model by name, in map coordinates; others as they are."""
     if not isinstance(given, Mapping):
         return tuple(given)
@@ -90,7 +90,7 @@ def limits_of(dae: Model, given: Mapping[str, Range] | Sequence[Limit]) -> tuple
     )
 
 
-def _conditions(dae: Model, name: str, bounds: float | Range) -> Iterator[Limit]:
+def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
     """Yield limits on a quantity, in map coordinates; one a wheel if it belongs to wheels."""
     low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
     if not low <= high:
@@ -129,7 +129,7 @@ def _rounded(limit: Limit) -> Limit:
 
 
 def places_of(
-    dae: Model,
+    dae: Dae,
     goal: Mapping[str, float | Range] | Sequence[Limit],
     way_points: Mapping[float, Mapping[str, float | Range]],
 ) -> Iterator[Place]:
@@ -141,13 +141,13 @@ def places_of(
     yield Place(1.0, _place(dae, goal))
 
 
-def _place(dae: Model, wanted: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+def _place(dae: Dae, wanted: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
     if not isinstance(wanted, Mapping):
         return tuple(wanted)
     return tuple(limit for name, value in wanted.items() for limit in _conditions(dae, name, value))
 
 
-def bounds_of(dae: Model, given: Mapping[str, Range]) -> Array:
+def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     """Return bounds by name as rows, one for each input; infinite where none are given."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
@@ -161,7 +161,7 @@ def bounds_of(dae: Model, given: Mapping[str, Range]) -> Array:
 
 
 def task_of(
-    dae: Model,
+    dae: Dae,
     start: Trajectory,
     *,
     goal: Mapping[str, float | Range] | Sequence[Limit],

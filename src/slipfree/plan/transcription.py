@@ -26,7 +26,6 @@ from slipfree.records import Array, Label, leaves
 from slipfree.solve.system import System, with_inputs
 
 DEGREES = (1, 2, 3, 4, 5)
-Model = Dae[Any, Any, Any, Any, Any]
 
 
 class Place(NamedTuple):
@@ -72,7 +71,7 @@ class Task:
         Whether inputs are continuous and linear on every interval, else constant on it.
     """
 
-    dae: Model
+    dae: Dae
     start: Array
     duration: tuple[float, float]
     costs: tuple[Cost, ...]

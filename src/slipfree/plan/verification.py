@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Limit, PiecewiseLinear
+from slipfree.dae import Dae, Limit, PiecewiseLinear
 from slipfree.plan.polynomial_motion import ROUNDING, PolynomialMotion, course
-from slipfree.plan.transcription import Index, Mesh, Model, Program
+from slipfree.plan.transcription import Index, Mesh, Program
 from slipfree.records import Array, Mask, leaves
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
@@ -135,14 +135,14 @@ def _allowed(limits: Sequence[Limit], accuracy: float) -> Array:
     return np.where(widths > 0, np.minimum(accuracy, PART * np.abs(widths)), accuracy)
 
 
-def _rows(dae: Model, record: str, run: Trajectory) -> Array:
+def _rows(dae: Dae, record: str, run: Trajectory) -> Array:
     """Return states, unknowns or inputs of all samples in local coordinates, in columns."""
     shift = {"x": dae.shift[0], "z": dae.shift[1]}.get(record)
     rows = np.array([run.of(label) for label in leaves(getattr(dae.labels, record))])
     return rows if shift is None else rows - shift[:, None]
 
 
-def _over(dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
+def _over(dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
     """Return by how much every limit is violated at every sample, shape (n_limits, n)."""
     values = _values(dae, limits, samples)
     low, high = (
@@ -152,9 +152,7 @@ def _over(dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Arra
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
 
 
-def _values(
-    dae: Model, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
-) -> Array:
+def _values(dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
     t, x, z, u = samples
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     f = dae.function("limits", [dae.t, *dae.columns()], [rows])
@@ -183,7 +181,7 @@ def refined(mesh: Mesh, worse: Mask) -> Mesh:
     return mesh._replace(ends=np.sort(np.concatenate([mesh.ends, middles[worse]])))
 
 
-def inputs_along(dae: Model, found: PolynomialMotion, times: Array) -> Any:
+def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Any:
     """Return what drives a model along a plan, for ``simulate`` at times that hold all its ends."""
     names = [label.full for label in leaves(dae.labels.u)]
     ends, values = found.ends, found.unknowns[found.layout.inputs].T
@@ -197,7 +195,7 @@ def inputs_along(dae: Model, found: PolynomialMotion, times: Array) -> Any:
 
 
 def rerun(
-    dae: Model, start: Trajectory, found: PolynomialMotion, *, step: float, tolerance: float
+    dae: Dae, start: Trajectory, found: PolynomialMotion, *, step: float, tolerance: float
 ) -> Trajectory:
     """Return the motion of a model under the inputs of a plan, or what is reached of it."""
     # Limits are crossed just behind the kinks of the inputs: samples of Chebyshev's.

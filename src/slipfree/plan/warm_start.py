@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.plan.ipopt import Solution
 from slipfree.plan.polynomial_motion import PolynomialMotion
-from slipfree.plan.transcription import Layout, Mesh, Model, Program, positions
+from slipfree.plan.transcription import Layout, Mesh, Program, positions
 from slipfree.records import Array, leaves
 
 PREFIX = "plan_"  # of the names of the arrays
@@ -79,14 +80,14 @@ def saved(program: Program, found: Solution) -> Saved:
     )
 
 
-def _model(dae: Model) -> Array:
+def _model(dae: Dae) -> Array:
     names = " ".join(
         label.full for part in (dae.labels.x, dae.labels.z, dae.labels.u) for label in leaves(part)
     )
     return np.array([float(zlib.crc32(names.encode()))])
 
 
-def local(former: Saved, dae: Model) -> PolynomialMotion:
+def local(former: Saved, dae: Dae) -> PolynomialMotion:
     """Return a saved motion in the local coordinates of a model.
 
     Raises

@@ -52,8 +52,8 @@ class Setup:
     ground: Ground
     terrain: Bicubic
     vehicle: Vehicle
-    model: Dae[Any, Any, Any, Any, Any]
-    dae: Dae[Any, Any, Any, Any, Any]
+    model: Dae
+    dae: Dae
     start: Trajectory
     inputs: Any
     t: Array
@@ -71,7 +71,7 @@ def turned(problem: Problem[S]) -> float:
     return -np.pi / 2 if getattr(problem.spec, "frame", "paper") == "rep103" else 0.0
 
 
-def build_start(problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any]) -> Trajectory:
+def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
     """Return the vehicle at rest where the problem starts."""
     values: dict[str, Any] = dict(problem.spec.start)
     if "heading" in values:
@@ -137,9 +137,7 @@ def samples(
     return t, {name: by_interval(value) for name, value in inputs.items()}
 
 
-def check_names(
-    problem: Problem[S], dae: Dae[Any, Any, Any, Any, Any], inputs: Iterable[str] | None
-) -> None:
+def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> None:
     """Raise for all states and inputs of the problem that the model does not have, or lacks."""
     faults = [*names(("start",), problem.spec.start, _names(dae.labels.x))]
     if inputs is not None:

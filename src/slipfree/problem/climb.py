@@ -80,7 +80,7 @@ class Climbing:
     profile: Profile
     contact: CompliantContact
     control: Control | Tracking
-    dae: Dae[Any, Any, Any, Any, Any]
+    dae: Dae
     start: Trajectory
     inputs: Any
     t: Array
@@ -225,7 +225,7 @@ def _climber(spec: schema.Climber) -> Climber:
 
 def _start(
     problem: Problem[schema.Climb],
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
     climber: Climber,
     profile: Profile,
     contact: CompliantContact,

@@ -105,7 +105,7 @@ def _row(
     problem: Problem[schema.Compare],
     name: str,
     vehicle: Vehicle,
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
 ) -> Row:
     spec, start = problem.spec, build_start(problem, dae)
     known = [label.full for label in leaves(dae.labels.u)]
@@ -123,7 +123,7 @@ def _row(
 
 def _drive(
     vehicle: Vehicle,
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
     start: Trajectory,
     inputs: Any,
     t: Array,
@@ -151,7 +151,7 @@ def _drive(
     )
 
 
-def _rank(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> int:
+def _rank(dae: Dae, start: Trajectory) -> int:
     """Return the rank of the slip in the unknown rates: of ``A`` in ``A'A``, the model's block."""
     loop = with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.records import leaves
@@ -12,7 +10,7 @@ from slipfree.trajectory import Trajectory
 
 
 def settle_contact(
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
     wheel: str,
     *,
     contact_x: float,

@@ -39,7 +39,7 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
     terrain = build_terrain(problem, ground)
-    dae: Dae[Any, Any, Any, Any, Any]
+    dae: Dae
     model = dae = build_model(problem, spec, vehicle, terrain)
     check_names(problem, dae, spec.inputs)
     start = build_start(problem, dae)
@@ -60,7 +60,7 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
 
 def build_model(
     problem: Problem[S], spec: schema.Direct | schema.Plan, vehicle: Vehicle, terrain: Terrain
-) -> Dae[Any, Any, Any, Any, Any]:
+) -> Dae:
     """Return the model of a vehicle on a ground by the law of slip that a problem asks for."""
     if spec.traction is not None and spec.slip != "traction":
         where = problem.source.where(("traction",))
@@ -74,7 +74,7 @@ def build_model(
 def build_law(
     problem: Problem[S],
     driver: schema.Driver,
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
 ) -> Any:

@@ -40,7 +40,6 @@ KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
 LEAST_POINTS = 6  # way-points of a spline of degree five
 SLOW = 0.1  # speed from which a motion is sought whose velocity is not given [m/s]
-Model = Dae[Any, Any, Any, Any, Any]
 
 
 def is_sought(spec: schema.Motion) -> bool:
@@ -169,7 +168,7 @@ def _times(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]
         yield Fault(("time", "duration"), expected, f"{duration:g}")
 
 
-def _ahead(direct: Model, vehicle: Vehicle, start: Trajectory, given: dict[str, float]) -> Any:
+def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: dict[str, float]) -> Any:
     """Return inputs of the direct model that move the vehicle about as it is given."""
     heading, speed = float(start["heading"][-1]), SLOW
     if "velocity_x" in given and "velocity_y" in given:

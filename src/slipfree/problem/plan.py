@@ -57,7 +57,6 @@ ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
 FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
 GO_ON = "go on with --resume OUT.nc"  # its own result file
 Tell = Callable[[str], None]
-Model = Dae[Any, Any, Any, Any, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +96,7 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
     terrain = build_terrain(problem, ground)
-    dae: Model = build_model(problem, spec, vehicle, terrain)
+    dae: Dae = build_model(problem, spec, vehicle, terrain)
     check_names(problem, dae, spec.inputs)
     keep_out, between = regions(problem, spec), way_points_of(problem, spec)
     places, exact = places_of(problem, spec, between, terrain.domain)
@@ -145,7 +144,7 @@ def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
     )
 
 
-def _along(dae: Model, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
+def _along(dae: Dae, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
     """Return the law that follows a path, and how long that lasts."""
     path = Path(way)
     return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
@@ -209,7 +208,7 @@ def _asked(
     problem: Problem[S],
     spec: schema.Plan,
     keep_out: tuple[Region, ...],
-    model: tuple[Model, Vehicle, Bicubic],
+    model: tuple[Dae, Vehicle, Bicubic],
     between: Mapping[float, Wanted],
 ) -> dict[str, Any]:
     """Return what a plan is asked for, as arguments of `plan`."""
@@ -227,7 +226,7 @@ def _asked(
 
 
 def _kept_out(
-    keep_out: tuple[Region, ...], dae: Model, vehicle: Vehicle, terrain: Bicubic
+    keep_out: tuple[Region, ...], dae: Dae, vehicle: Vehicle, terrain: Bicubic
 ) -> list[Limit]:
     """Return that the circle around the wheels keeps out of the places that are named."""
     x, y = dae.x.x, dae.x.y
@@ -313,7 +312,7 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     able = setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.slip != "traction"):
         return {}
-    model: Model = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
+    model: Dae = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
     model = replace(model, compiled=setup.dae.compiled)
     values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
     try:

@@ -81,7 +81,7 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
         return Description(_drawn(vehicle), facts, faults)
 
 
-def _told(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Description:
+def _told(vehicle: Vehicle, dae: Dae, start: Trajectory) -> Description:
     facts = [*counts(vehicle, dae), *conditioning(dae, start), *_notes(vehicle)]
     return Description(_drawn(vehicle), facts, ())
 
@@ -155,7 +155,7 @@ def _kind(c: Coordinate | None) -> str:
     return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
 
 
-def _forces(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Iterator[tuple[str, str]]:
+def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
     """Yield what decides the forces of a vehicle with mass."""
     if not vehicle.mass:
         return
@@ -172,7 +172,7 @@ def _forces(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Iterator[tup
     yield "contact forces", f"{count}: {how}"
 
 
-def counts(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Facts:
+def counts(vehicle: Vehicle, dae: Dae) -> Facts:
     """Return what decides the motion: unknowns and equations, named and counted."""
     wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
@@ -204,7 +204,7 @@ def counts(vehicle: Vehicle, dae: Dae[Any, Any, Any, Any, Any]) -> Facts:
     ]
 
 
-def _equations(dae: Dae[Any, Any, Any, Any, Any]) -> str:
+def _equations(dae: Dae) -> str:
     """Return what the equations of the rates state."""
     if dae.labels.z.rates.normal:
         return "equilibrium, touching and friction; they decide the normal forces too"
@@ -229,7 +229,7 @@ def _shares(draft: Draft) -> Facts:
     ]
 
 
-def conditioning(dae: Dae[Any, Any, Any, Any, Any], start: Trajectory) -> Facts:
+def conditioning(dae: Dae, start: Trajectory) -> Facts:
     """Return how far a start is from a singular configuration, and by which motion.
 
     Condition numbers of the Jacobians of the equations in metres and radians, position and rates

@@ -29,7 +29,6 @@ from slipfree.solve.simulate import simulate, usable_times
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
-Model = Dae[Any, Any, Any, Any, Any]
 DEGREES = (8, 10, 12, 14)  # numbers of collocation points of an element that are tried
 MOST_ELEMENTS = 4096
 NOISY = 3.0  # growth of the difference of degrees that shows amplified noise
@@ -194,8 +193,8 @@ class Drive(NamedTuple):
 
 @computing
 def drive(
-    inverse: Model,
-    direct: Model,
+    inverse: Dae,
+    direct: Dae,
     start: Trajectory,
     inputs: Any,
     t: Array,
@@ -329,7 +328,7 @@ def _ended(run: Trajectory, k: int, stop: Stop) -> Trajectory:
     return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))
 
 
-def _laws(direct: Model, inverse: Model, best: Scheme, elements: Sequence[Element]) -> Any:
+def _laws(direct: Dae, inverse: Dae, best: Scheme, elements: Sequence[Element]) -> Any:
     """Return the direct model's inputs as splines through the values at all points."""
     from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 
@@ -354,7 +353,7 @@ def _laws(direct: Model, inverse: Model, best: Scheme, elements: Sequence[Elemen
 
 
 def _replay(
-    direct: Model, run: Trajectory, laws: Any, tolerance: float
+    direct: Dae, run: Trajectory, laws: Any, tolerance: float
 ) -> tuple[Trajectory, dict[str, float]]:
     """Return the direct model's motion from the same start, and its difference from the run."""
     states = {label.full: float(run[label.name][0]) for label in leaves(direct.labels.x)}

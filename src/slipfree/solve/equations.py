@@ -50,9 +50,7 @@ class _Model(NamedTuple):
     slopes: ca.Function
 
 
-def equations(
-    dae: Dae[Any, Any, Any, Any, Any], count: int, law: Sequence[ca.SX], u: ca.SX
-) -> Equations:
+def equations(dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX) -> Equations:
     """Return the equations of a motion.
 
     Parameters
@@ -132,7 +130,7 @@ def _jacobian(
 
 
 @lru_cache(maxsize=8)
-def _model(dae: Dae[Any, Any, Any, Any, Any], count: int) -> _Model:
+def _model(dae: Dae, count: int) -> _Model:
     """Return the equations of a model, whatever its inputs."""
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]

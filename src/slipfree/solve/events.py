@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -41,9 +41,7 @@ class WatchedEvent(NamedTuple):
     function: ca.Function
 
 
-def watch_events(
-    dae: Dae[Any, Any, Any, Any, Any], events: Sequence[Event]
-) -> tuple[WatchedEvent, ...]:
+def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
     """Return events with their functions.
 
     Raises

@@ -17,10 +17,9 @@ from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory, joined
 
 DEGREE = 5  # of the spline through the inputs
-Model = Dae[Any, Any, Any, Any, Any]
 
 
-def round_trip(dae: Model, run: Trajectory, names: Sequence[str]) -> dict[str, float]:
+def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, float]:
     """Return how far a model's rates under the inputs of a motion are from those of the motion.
 
     At every sample by itself, with the states of the motion.
@@ -53,7 +52,7 @@ def round_trip(dae: Model, run: Trajectory, names: Sequence[str]) -> dict[str, f
 
 
 def replay(
-    dae: Model, run: Trajectory, *, jumps: Sequence[float] = (), tolerance: float = 1e-8
+    dae: Dae, run: Trajectory, *, jumps: Sequence[float] = (), tolerance: float = 1e-8
 ) -> Trajectory:
     """Return the motion of a model under the sampled inputs of another motion, from its start.
 
@@ -96,7 +95,7 @@ def _first(run: Trajectory, record: Any) -> dict[str, float]:
     return {label.full: float(run.of(label)[0]) for label in leaves(record)}
 
 
-def _law(dae: Model, t: Array, values: Array, end: float) -> Any:
+def _law(dae: Dae, t: Array, values: Array, end: float) -> Any:
     """Return the inputs as splines through samples, carried on to the end."""
     from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 

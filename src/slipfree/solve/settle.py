@@ -18,9 +18,7 @@ from slipfree.trajectory import Stop, Trajectory
 
 
 @computing
-def settle(
-    dae: Dae[Any, Any, Any, Any, Any], *, guess: Mapping[str, float] | None = None, **start: float
-) -> Trajectory:
+def settle(dae: Dae, *, guess: Mapping[str, float] | None = None, **start: float) -> Trajectory:
     """Return the vehicle standing at rest at a place, as a trajectory of one sample.
 
     Parameters
@@ -51,7 +49,7 @@ def settle(
     return run
 
 
-def first_guess(dae: Dae[Any, Any, Any, Any, Any], x: Array, given: Mapping[str, float]) -> Array:
+def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
     """Return an initial guess of ``z``, local, from values by name in map coordinates."""
     z = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]

@@ -43,7 +43,7 @@ Method = Literal["idas", "cvodes"]
 
 @computing
 def simulate(
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
     start: Trajectory,
     inputs: Any,
     t: Array,

@@ -18,10 +18,8 @@ from slipfree.records import Array, leaves, unpack
 from slipfree.solve.settle import settle
 from slipfree.trajectory import Trajectory
 
-Model = Dae[Any, Any, Any, Any, Any]
 
-
-def settle_exchanged(dae: Model, exchange: Mapping[str, str], **start: float) -> Trajectory:
+def settle_exchanged(dae: Dae, exchange: Mapping[str, str], **start: float) -> Trajectory:
     """Return the vehicle standing at rest where some unknowns of its pose have given values.
 
     As many states are solved for in their place.
@@ -61,7 +59,7 @@ def settle_exchanged(dae: Model, exchange: Mapping[str, str], **start: float) ->
     return _settle_at(dae, settle(replace(model, guess=ca.SX(guess)), guess=None, **start))
 
 
-def _exchange(dae: Model, i: Sequence[int], j: Sequence[int]) -> Model:
+def _exchange(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
     """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
 
     For starts only: rates are those of the model as it was, and it has no checks.
@@ -90,7 +88,7 @@ def _exchange(dae: Model, i: Sequence[int], j: Sequence[int]) -> Model:
     )
 
 
-def _exchanged_guess(dae: Model, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
+def _exchanged_guess(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
     """Return an initial guess of ``z`` of the exchanged model from its states, by a Newton step.
 
     The step makes the model's own guess of the unknowns ``j`` equal to their given values; it is
@@ -108,7 +106,7 @@ def _exchanged_guess(dae: Model, i: Sequence[int], j: Sequence[int], given: Arra
     return z
 
 
-def _settle_at(dae: Model, found: Trajectory) -> Trajectory:
+def _settle_at(dae: Dae, found: Trajectory) -> Trajectory:
     """Return the start of a model at the states and pose of a sample."""
     states, pose = (
         {label.full: float(found.of(label)[0]) for label in leaves(record)}
@@ -120,7 +118,7 @@ def _settle_at(dae: Model, found: Trajectory) -> Trajectory:
 @computing
 @heeded
 def settle_nearest(
-    dae: Model, *, weights: Mapping[str, float] | None = None, **pose: float
+    dae: Dae, *, weights: Mapping[str, float] | None = None, **pose: float
 ) -> Trajectory:
     """Return the vehicle standing in the pose nearest to a given one.
 
@@ -199,7 +197,7 @@ def _check_pose(
             )
 
 
-def _least_change(dae: Model, first: Array, wish: Array, weight: Array) -> Array:
+def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
     """Return states and pose that satisfy the first equations with the least weighted change."""
     unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
     counts = np.isfinite(weight)

@@ -72,7 +72,7 @@ class System(NamedTuple):
         in sizes of the vehicle.
     """
 
-    dae: Dae[Any, Any, Any, Any, Any]
+    dae: Dae
     u: Array
     core: ca.Function
     quad: ca.Function
@@ -89,7 +89,7 @@ class System(NamedTuple):
         return self.blocks[-1].span.stop if self.blocks else 0
 
 
-def with_inputs(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) -> System:
+def with_inputs(dae: Dae, inputs: Any, intervals: int) -> System:
     """Return the DAE under inputs.
 
     Parameters
@@ -128,7 +128,7 @@ def with_inputs(dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int) 
 
 
 @lru_cache(maxsize=8)
-def _under_numbers(dae: Dae[Any, Any, Any, Any, Any], *, linear: bool) -> System:
+def _under_numbers(dae: Dae, *, linear: bool) -> System:
     """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers.
 
     If they are linear in time, they are given by values at zero and slopes.
@@ -140,7 +140,7 @@ def _under_numbers(dae: Dae[Any, Any, Any, Any, Any], *, linear: bool) -> System
     return _compiled(dae, ca.vertsplit(u + slopes * dae.t), ca.vertcat(u, slopes))
 
 
-def _compiled(dae: Dae[Any, Any, Any, Any, Any], law: list[ca.SX], u: ca.SX) -> System:
+def _compiled(dae: Dae, law: list[ca.SX], u: ca.SX) -> System:
     """Compile a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
     x, z, inputs = dae.columns()
     limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
@@ -185,7 +185,7 @@ def _following(ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ..
 
 
 def _quadratures(
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
     symbols: list[ca.SX],
     quad: ca.SX,
     after: tuple[Block, ...],
@@ -233,7 +233,7 @@ def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
     return ca.vertcat(before, solver(x0=guess, p=given)["x"], rest)
 
 
-def _least(dae: Dae[Any, Any, Any, Any, Any], bounds: ca.SX, following: ca.SX) -> ca.SX:
+def _least(dae: Dae, bounds: ca.SX, following: ca.SX) -> ca.SX:
     least = ca.SX(np.inf)
     for limit, value in zip(dae.limits, ca.vertsplit(bounds) if dae.limits else [], strict=True):
         if ca.depends_on(value, following):
@@ -246,7 +246,7 @@ def _least(dae: Dae[Any, Any, Any, Any, Any], bounds: ca.SX, following: ca.SX) -
     return least
 
 
-def _checked(dae: Dae[Any, Any, Any, Any, Any], label: Label, law: ca.SX) -> ca.SX:
+def _checked(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
     x, z, u = dae.columns()
     if law.shape != (1, 1):
         raise ModelError(f"input {label.full}: expected a scalar expression, found {law.shape}")
@@ -274,9 +274,7 @@ def _numbers(label: Label, value: Any, intervals: int) -> Array:
     return numbers
 
 
-def _blocks(
-    dae: Dae[Any, Any, Any, Any, Any], symbols: list[ca.SX], parts: list[ca.SX]
-) -> tuple[Block, ...]:
+def _blocks(dae: Dae, symbols: list[ca.SX], parts: list[ca.SX]) -> tuple[Block, ...]:
     z, continuation = symbols[2], symbols[4]
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
     spans = [slice(*ends[k : k + 2]) for k in range(len(parts))]

@@ -19,10 +19,9 @@ from slipfree.trajectory import Trajectory
 
 TRIALS = 50  # evaluations of all sought states' effects at most
 SETTLED = 1e-13  # relative change at which states count as found
-Model = Dae[Any, Any, Any, Any, Any]
 
 
-def moving(dae: Model, start: Trajectory, inputs: Any) -> Trajectory:
+def moving(dae: Dae, start: Trajectory, inputs: Any) -> Trajectory:
     """Return a start with the unknowns that its inputs lead to.
 
     Raises
@@ -34,7 +33,7 @@ def moving(dae: Model, start: Trajectory, inputs: Any) -> Trajectory:
 
 
 def seek(
-    dae: Model, start: Trajectory, inputs: Any, *, states: Sequence[str], least: Sequence[str]
+    dae: Dae, start: Trajectory, inputs: Any, *, states: Sequence[str], least: Sequence[str]
 ) -> Trajectory:
     """Return a start at the states at which some outputs are least in the mean square.
 
@@ -93,7 +92,7 @@ def seek(
     return _under(loop, x, first)
 
 
-def _known(dae: Model, start: Trajectory) -> Array:
+def _known(dae: Dae, start: Trajectory) -> Array:
     """Return the unknowns of a start, local; zero where it has none of that name."""
     pairs = zip(leaves(dae.labels.z), dae.shift[1], strict=True)
     return np.array(

@@ -24,7 +24,7 @@ EVEN = 1e-6  # relative difference between sample times that counts as none
 
 
 def simulate_sampled(
-    dae: Dae[Any, Any, Any, Any, Any],
+    dae: Dae,
     start: Trajectory,
     inputs: Any,
     t: Array,
@@ -82,9 +82,7 @@ def simulate_sampled(
     return replace(run, statistics=cost)
 
 
-def _opened(
-    dae: Dae[Any, Any, Any, Any, Any], inputs: Any, intervals: int
-) -> tuple[System, ca.Function]:
+def _opened(dae: Dae, inputs: Any, intervals: int) -> tuple[System, ca.Function]:
     """Return the model under the inputs that are numbers, and all inputs at a sample.
 
     The latter is a function of ``t, x`` and the former.
