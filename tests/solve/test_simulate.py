@@ -473,3 +473,44 @@ def test_inputs_that_are_linear_in_time_keep_their_slopes_beside_laws():
     assert alone["wheel_angle"][-1, 0] > 0.2
     for name in ("x", "y", "heading", "right_rate", "left_rate"):
         assert_allclose(beside[name], alone[name], atol=1e-7)
+
+
+def zigzag(times, values):
+    """Return a rate that is linear between its values at times, and the way, zero at first."""
+    slope = np.diff(values) / np.diff(times)
+    way = np.cumsum(np.diff(times) * (values[1:] + values[:-1]) / 2)
+    return PiecewiseLinear(values[:-1] - slope * times[:-1], slope), np.append(0.0, way)
+
+
+def test_kinks_of_inputs_take_no_new_start_and_jumps_do(monkeypatch):
+    dae, made, make = follows_input(), [], ca.integrator
+    monkeypatch.setattr(ca, "integrator", lambda *args: made.append(args[4]) or make(*args))
+    t = np.linspace(10, 13, 31)
+    rate, way = zigzag(t, np.random.default_rng(1).uniform(-1, 1, t.size))
+    run = simulate(dae, settle(dae), dae.inputs(speed=rate), t)
+    assert_allclose(run["value"], way, rtol=0, atol=1e-7)
+    assert_array_equal(*made, t)
+    higher = PiecewiseLinear(rate.base + np.where(t[:-1] < 11.05, 0.0, 1e-6), rate.slope)
+    simulate(dae, settle(dae), dae.inputs(speed=higher), t)
+    assert [(each[0], each[-1]) for each in made[1:]] == [(t[0], t[11]), (t[11], t[-1])]
+
+
+def test_new_starts_after_failures_pass_kinks(monkeypatch):
+    """The integrator fails at every second sample: more often than one interval allows."""
+    dae, solve = follows_input(), module._solved
+
+    def failing(solver, spy, at, t, u):
+        found = solve(solver, spy, at, t[:3], u[:, :2])
+        if t.size > 3:
+            raise SolverError("none of those")
+        return found
+
+    monkeypatch.setattr(module, "_solved", failing)
+    t = np.linspace(0, 3, 2 * module.STARTS + 21)
+    rate, way = zigzag(t, np.random.default_rng(2).uniform(-1, 1, t.size))
+    run = simulate(dae, settle(dae), dae.inputs(speed=rate), t, tolerance=1e-10)
+    assert_array_equal(run.t, t)
+    assert_allclose(run["value"], way, rtol=0, atol=1e-7)
+    with pytest.raises(SolverError, match="none of those") as caught:
+        simulate(dae, settle(dae), dae.inputs(speed=1.0), t)
+    assert 1.5 < caught.value.trajectory.t[-1] < 2.5

@@ -34,7 +34,8 @@ FINEST = 1e-14  # tolerance below which rounding rules
 LEEWAY = 100.0  # tolerances by which an eased model's equations may be missed at a sample
 BEYOND = 1e-6  # of a limit's unit or size; what is nearer is left to the samples
 STEPS = 10_000  # of the integrator between two samples
-STARTS = 20  # anew after failures of the integrator, in a stretch without jumps of inputs
+STARTS = 20  # anew after failures of the integrator, for each interval of the inputs
+ROUNDING = 1e-13  # of an input's terms, up to which it does not jump
 NO_START = "no consistent start was found"
 CHUNK = 2000  # samples looked at together, for the sake of memory
 Progress = Callable[[float], bool | None]
@@ -68,7 +69,7 @@ def simulate(
         Its last sample is where the motion starts, whatever its time.
     inputs : record
         From ``dae.inputs(...)``: constants, one value for each interval, or expressions of the
-        model's symbols. Every jump of an input restarts the integrator; smooth ones are cheaper.
+        model's symbols. The integrator restarts at every jump of an input, but not at kinks.
     t : ndarray, shape (n,)
         Ascending times of the samples. [s]
     tolerance : float
@@ -192,8 +193,7 @@ def _march(
     Returns the samples reached, what they cost, and why they end before the last time, if they do.
     """
     parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
-    jumps = 1 + np.flatnonzero((np.diff(u, axis=1) != 0).any(axis=0))
-    for right in (*jumps.tolist(), t.size - 1):
+    for right in (*_jumps(solver.system, t, u), t.size - 1):
         at = _restarted(solver.system, parts[-1], u[:, left])
         span, inputs = t[left : right + 1], u[:, left:right]
         part, cost, end = _reached(solver, spy, at, span, inputs)
@@ -207,6 +207,19 @@ def _march(
     return _chained(parts), counts, end
 
 
+def _jumps(system: System, t: Array, u: Array) -> list[int]:
+    """Return the indices of the times at which an input jumps.
+
+    The integrator passes a kink of inputs that are linear in time without a new start.
+    """
+    n = system.dae.columns()[2].numel()
+    base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
+    times = t[1:-1]
+    terms = np.array([base[:, 1:], -base[:, :-1], rise[:, 1:] * times, -rise[:, :-1] * times])
+    jumps = np.abs(terms.sum(axis=0)) > ROUNDING * np.abs(terms).sum(axis=0)
+    return (1 + np.flatnonzero(jumps.any(axis=0))).tolist()
+
+
 def _continued(
     solver: _Solver, spy: _Spy, part: Samples, end: SolverError, t: Array, u: Array
 ) -> tuple[Samples, dict[str, float], End | None]:
@@ -216,12 +229,14 @@ def _continued(
     ends where no new start gets on.
     """
     counts, last = dict.fromkeys(COUNTS, 0.0), end
-    for _ in range(STARTS):
-        at = _consistent(solver.system, _column(part, -1), u[:, 0], eased=False)
+    intervals = 1 + int((np.diff(u, axis=1) != 0).any(axis=0).sum())
+    for _ in range(STARTS * intervals):
+        rest = np.append(part.t[-1], t[t > part.t[-1]])
+        left = u[:, 1 - rest.size :]
+        at = _consistent(solver.system, _column(part, -1), left[:, 0], eased=False)
         if part.t.size == 1 or at is None:
             return part, counts, last
-        rest = np.append(part.t[-1], t[t > part.t[-1]])
-        more, cost, reason_of_end = _reached(solver, spy, at, rest, u[:, 1 - rest.size :])
+        more, cost, reason_of_end = _reached(solver, spy, at, rest, left)
         counts = _sum(counts, cost)
         if more.t.size == 1:
             return part, counts, last
