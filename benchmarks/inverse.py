@@ -28,8 +28,9 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.models.inverse import PLANAR, along, inverse_kinematics
-from slipfree.models.margin import EULER, VELOCITY, conditions, steering_note
+from slipfree.models.determinacy import conditions
+from slipfree.models.given_rates import EULER, VELOCITY
+from slipfree.models.inverse import PLANAR, along, inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import consistent
 from slipfree.solve.sampling import Samples, table
@@ -84,6 +85,11 @@ def moving(dae: Any, poses: list[dict[str, float]]) -> Trajectory:
     return table(loop, samples, {})
 
 
+def quantiles(values: Any) -> Any:
+    """Return median, 90 % quantile and maximum, of values that may be infinite."""
+    return np.quantile(values, [0.5, 0.9, 1.0], method="nearest")
+
+
 def condition_table() -> None:
     """Print the condition numbers of all choices, on flat ground and on hills."""
     rng = np.random.default_rng(SEED)
@@ -96,20 +102,22 @@ def condition_table() -> None:
     for ground, height, where in (("flat", GROUNDS["flat"], [{}]), ("hills", rough, poses)):
         terrain = Analytic(height)
         run = moving(direct_kinematics(VEHICLE, terrain, slip="rolling"), where)
-        for steering in ("rate", "angle"):
-            by_choice = conditions(VEHICLE, terrain, run, steering=steering)
-            found[f"{ground}, {steering}"] = by_choice
-    count = next(iter(found["hills, rate"].values())).size
+        for solve_for in ("rates", "angles"):
+            by_choice = conditions(VEHICLE, terrain, run, solve_for=solve_for)
+            found[f"{ground}, {solve_for}"] = by_choice
+    count = next(iter(found["hills, rates"].values())).size
     print(f"\ncondition numbers; on rough hills over {count} poses: median, 90 %, largest")
     print(f"{'':36}{'steering rate unknown':^39}{'steering angle unknown':^39}")
     print(f"{'given':36}" + 2 * f"{'flat':>9}{'median':>10}{'90 %':>10}{'largest':>10}")
-    for given in found["flat, rate"]:
+    for given in found["flat, rates"]:
         cells = [
             number
-            for steering in ("rate", "angle")
+            for solve_for in ("rates", "angles")
             for number in (
-                found[f"flat, {steering}"][given][0],
-                *np.quantile(found[f"hills, {steering}"][given], [0.5, 0.9, 1.0], method="nearest"),
+                found[f"flat, {solve_for}"][given][0],
+                *np.quantile(
+                    found[f"hills, {solve_for}"][given], [0.5, 0.9, 1.0], method="nearest"
+                ),
             )
         ]
         row = "".join(
@@ -119,11 +127,11 @@ def condition_table() -> None:
         print(f"{', '.join(given):36}{row}")
 
 
-def until_the_tilt(height: Height, steering: Any) -> str:
+def until_the_tilt(height: Height, solve_for: Any) -> str:
     """Return when, or why not, the paper's inverse input tilts a wheel by that much."""
     vehicle = three_wheeler(tilt_stop=TILT, mass=0.0, wheel_mass=0.0)
     terrain = Analytic(height)
-    dae = inverse_kinematics(vehicle, terrain, steering=steering)
+    dae = inverse_kinematics(vehicle, terrain, solve_for=solve_for)
     begin = settle(direct_kinematics(vehicle, terrain))
     note = ""
     try:
@@ -134,7 +142,7 @@ def until_the_tilt(height: Height, steering: Any) -> str:
         if error.trajectory is None:
             return f"no motion: {error}"
         run = error.trajectory
-    if steering == "rate":
+    if solve_for == "rates":
         note = "; " + steering_note(run).partition(":")[0] if steering_note(run) else ""
     if run.stop is None:
         return f"no tilt of {TILT} rad in {run.t[-1]:g} s{note}"
@@ -147,8 +155,8 @@ def tilt_table() -> None:
     given = ", ".join(f"{name} {value}" for name, value in PAPER_MOTION.items())
     print(f"\n{given}: time at which a rear wheel tilts by {TILT} rad")
     for name, height in GROUNDS.items():
-        for steering in ("rate", "angle"):
-            print(f"{name:16}steering {steering:8}{until_the_tilt(height, steering)}")
+        for solve_for in ("rates", "angles"):
+            print(f"{name:16}steering {solve_for:8}{until_the_tilt(height, solve_for)}")
     print(f"{'the paper':16}{'':17}not printed; runs to the end of its figures")
 
 

@@ -221,7 +221,7 @@ MODELS = {
     "traction": lambda g: direct_kinematics(sf.three_wheeler(axle="fixed"), g, slip="traction"),
     "Montana": lambda g: montana_kinematics(three, g),
     "inverse, steering rate": lambda g: inverse_kinematics(three, g),
-    "inverse, steering angle": lambda g: inverse_kinematics(three, g, steering="angle"),
+    "inverse, steering angle": lambda g: inverse_kinematics(three, g, solve_for="angles"),
     "platform rates, rover": lambda g: subset_kinematics(rover, g),
 }
 found = {}

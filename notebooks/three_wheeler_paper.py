@@ -25,8 +25,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipfree import Bicubic, SlipfreeError, direct_kinematics, settle, simulate, three_wheeler
-from slipfree.models.inverse import inverse_kinematics
-from slipfree.models.margin import conditions, steering_note
+from slipfree.models.determinacy import conditions
+from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.models.slip import measured_slip
 from slipfree.show import motion_figures
@@ -120,7 +120,7 @@ for given in (
 # its rate as the unknown, the condition is near 6, at the price of a small slip while it turns.
 
 # %%
-inverse = inverse_kinematics(vehicle, terrain, steering="angle")
+inverse = inverse_kinematics(vehicle, terrain, solve_for="angles")
 moving = simulate(model, start, rates, np.array([0.0, 0.01]))
 given = inverse.inputs(velocity_x=0.01255, velocity_y=0.12865, heading_rate=0.0159)
 back = simulate(inverse, moving.part(slice(1)), given, np.linspace(0, 6, 301))

@@ -94,13 +94,13 @@ def montana(scale: float) -> Trajectory:
     return simulate(dae, start, inputs, np.linspace(0, 6, 121), tolerance=TOLERANCE)
 
 
-def inverse(scale: float, steering: str) -> Trajectory:
+def inverse(scale: float, solve_for: str) -> Trajectory:
     """Follow the paper's platform rates, from a start that moves."""
     vehicle, ground = scaled(three_wheeler(), scale), bicubic(scale)
     dae = direct_kinematics(vehicle, ground, slip="rolling")
     inputs = dae.inputs(right_rate=0.45, left_rate=0.42, steer_rate=0.0)
     start = simulate(dae, settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
-    back = inverse_kinematics(vehicle, ground, steering=steering)
+    back = inverse_kinematics(vehicle, ground, solve_for=solve_for)
     given = back.inputs(velocity_x=0.01255 * scale, velocity_y=0.12865 * scale, heading_rate=0.0159)
     return simulate(back, start, given, np.linspace(0, 4, 41), tolerance=TOLERANCE)
 
@@ -139,8 +139,8 @@ CASES: dict[str, Callable[[float], Trajectory]] = {
     "direct, no slip": lambda scale: direct(scale, bicubic, "rolling"),
     "direct, to the edge": to_the_edge,
     "Montana": montana,
-    "inverse, steering rate": lambda scale: inverse(scale, "rate"),
-    "inverse, steering angle": lambda scale: inverse(scale, "angle"),
+    "inverse, steering rate": lambda scale: inverse(scale, "rates"),
+    "inverse, steering angle": lambda scale: inverse(scale, "angles"),
     "path, formula": lambda scale: path(scale, formula),
     "path, map": lambda scale: path(scale, bicubic),
     "rover, speed and yaw": rover,

@@ -21,13 +21,12 @@ from slipfree import (
     straight,
     three_wheeler,
 )
-from slipfree.models.inverse import PLANAR, along, inverse_kinematics
-from slipfree.models.margin import (
-    EULER,
-    OMEGA,
-    VELOCITY,
-    conditions,
-    omega,
+from slipfree.models.determinacy import conditions
+from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, omega
+from slipfree.models.inverse import (
+    PLANAR,
+    along,
+    inverse_kinematics,
     steering_note,
     steering_slip,
 )
@@ -134,7 +133,7 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
             [label.name == "steer" for label in (*dae.labels.x[:3], *dae.labels.x.joints)]
         )
         rates.append(consistent(loop, 0.0, moved, z, loop.u[:, 0])[loop.moving - 1])
-    growth = ca.Function("growth", list(dae.columns()), list(dae.y.growth))
+    growth = ca.Function("growth", list(dae.columns()), dae.named("steering_growth"))
     assert_allclose(float(growth(x, z, loop.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
 
 
@@ -165,11 +164,14 @@ def test_crossing_stops_the_rate_form_by_name():
     k = int(np.argmin(margin))
     words = dae.checks[-1].describe(dae.rows("x", run, k), dae.rows("z", run, k))
     assert words.startswith(
-        "velocity_x, velocity_y and heading_rate leave steer_rate undetermined: the contact of "
-        "wheel front lies on the axis of steer; "
+        "platform rates heading_rate and velocity_x cannot be imposed independently: steer_rate is "
+        "not determined, since the contact of wheel front lies on the axis of steer; solve for its "
+        "angle (smallest singular value "
     )
     inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
-    with pytest.raises(ModelError, match=r"the start is not valid: .* undetermined: the contact"):
+    with pytest.raises(
+        ModelError, match=r"start is not valid: .* is not determined, since the con"
+    ):
         simulate(dae, run.part(slice(k, k + 1)), inputs, t)
 
 
@@ -291,7 +293,7 @@ def test_conditions_on_flat_ground():
     by_rate = conditions(three_wheeler(), FLAT, run)
     assert len(by_rate) == 20
     assert all(np.isinf(value).all() for value in by_rate.values())
-    by_angle = conditions(three_wheeler(), FLAT, run, steering="angle")
+    by_angle = conditions(three_wheeler(), FLAT, run, solve_for="angles")
     usable = {given: value[0] for given, value in by_angle.items() if np.isfinite(value[0])}
     assert list(usable) == [("velocity_x", "velocity_y", "omega_z")]
     assert_allclose(usable["velocity_x", "velocity_y", "omega_z"], 5.9, atol=0.05)
@@ -312,7 +314,7 @@ def test_conditions_on_hills(rng):
     run = moving(dae, stands)
     best = ("velocity_x", "velocity_y", "omega_z")
     by_rate = conditions(three_wheeler(), ground, run)
-    by_angle = conditions(three_wheeler(), ground, run, steering="angle")
+    by_angle = conditions(three_wheeler(), ground, run, solve_for="angles")
     median, most, largest = np.quantile(by_rate[best], [0.5, 0.9, 1.0])
     assert 12 < median < 35
     assert 60 < most < 400
@@ -331,24 +333,26 @@ def test_rate_form_has_no_start_on_flat_ground():
     with pytest.raises(ModelError, match="singular here: nothing determines steer_rate"):
         simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
     x, z = dae.rows("x", begin, 0), dae.rows("z", begin, 0)
-    words = "leave steer_rate undetermined: the contact of wheel front lies on the axis of steer;"
+    words = (
+        "steer_rate is not determined, since the contact of wheel front lies on the axis of steer"
+    )
     assert words in dae.checks[-1].describe(x, z)
 
 
 @pytest.mark.parametrize(
-    ("ground", "steering", "when"),
+    ("ground", "solve_for", "when"),
     [
-        (Analytic(low), "rate", 4.11),
-        (Analytic(low), "angle", 4.11),
-        (FLAT, "angle", 4.15),
-        (MIRRORED, "angle", 4.0),
+        (Analytic(low), "rates", 4.11),
+        (Analytic(low), "angles", 4.11),
+        (FLAT, "angles", 4.15),
+        (MIRRORED, "angles", 4.0),
     ],
-    ids=["hills, rate", "hills, angle", "flat, angle", "mirrored, angle"],
+    ids=["hills, rates", "hills, angles", "flat, angles", "mirrored, angles"],
 )
-def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, steering, when):
+def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, solve_for, when):
     """The paper draws tilts up to its end and mentions no stop; here 0.35 rad come at 4.1 s."""
     vehicle = three_wheeler(tilt_stop=PAPER_STOP)
-    dae = inverse_kinematics(vehicle, ground, steering=steering)
+    dae = inverse_kinematics(vehicle, ground, solve_for=solve_for)
     begin = settle(closure_model(vehicle, ground))
     run = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
     assert run.stop.name in ("tilt_left_stop", "tilt_right_stop")
@@ -357,7 +361,7 @@ def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, steering, whe
 
 def test_steering_angle_on_flat_ground_is_that_of_the_plane():
     """The slip of the steering is lever times rate; the rate follows from the samples."""
-    dae = inverse_kinematics(three_wheeler(), FLAT, steering="angle")
+    dae = inverse_kinematics(three_wheeler(), FLAT, solve_for="angles")
     begin = settle(closure_model(three_wheeler(), FLAT))
     t = np.linspace(0, 2, 41)
     run = steering_slip(simulate(dae, begin, dae.inputs(**PAPER_MOTION), t))
@@ -374,7 +378,7 @@ def test_steering_angle_on_flat_ground_is_that_of_the_plane():
 
 
 def test_steering_angle_needs_motion():
-    dae = inverse_kinematics(three_wheeler(), HILLS, steering="angle")
+    dae = inverse_kinematics(three_wheeler(), HILLS, solve_for="angles")
     begin = settle(closure_model(three_wheeler(), HILLS))
     with pytest.raises(ModelError, match="nothing determines steer"):
         simulate(dae, begin, dae.inputs(**dict.fromkeys(PLANAR, 0.0)), np.array([0.0, 1.0]))
@@ -390,7 +394,7 @@ def test_steering_angle_needs_motion():
             "'yaw_rate' is not known; known: vel",
         ),
         ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
-        ({"steering": "torque"}, "expected 'rate' or 'angle', found 'torque'"),
+        ({"solve_for": "torques"}, "expected 'rates' or 'angles', found 'torques'"),
         ({"least_margin": -1.0}, "least_margin: expected zero or more"),
     ],
 )
@@ -416,7 +420,7 @@ def test_vehicles_that_do_not_suit_are_refused():
     with pytest.raises(ModelError, match="braced cannot roll"):
         inverse_kinematics(braced, HILLS)
     with pytest.raises(ModelError, match="castor has no commanded coordinate"):
-        inverse_kinematics(castor, HILLS, steering="angle")
+        inverse_kinematics(castor, HILLS, solve_for="angles")
 
 
 def test_paths_are_checked():
@@ -468,8 +472,8 @@ def test_path_ends_at_a_limit():
         drive(dae, direct, leaning, dae.inputs(**PAPER_MOTION), t, sought=["steer"])
 
 
-@pytest.mark.parametrize("steering", ["rate", "angle"])
-def test_a_steered_wheel_beside_its_axis_has_a_guess_on_a_map(steering):
+@pytest.mark.parametrize("solve_for", ["rates", "angles"])
+def test_a_steered_wheel_beside_its_axis_has_a_guess_on_a_map(solve_for):
     """The guess looks the ground up below the wheels; angles that are sought are zero in it."""
     vehicle = three_wheeler()
     off = replace(vehicle.wheels[2], at=(0.0, -0.1, 0.0))
@@ -481,7 +485,7 @@ def test_a_steered_wheel_beside_its_axis_has_a_guess_on_a_map(steering):
         Bicubic(Grid(axis, axis, heights)),
         Analytic(lambda x, y: 0.05 * ca.sin(x) * ca.cos(y)),
     ):
-        dae = inverse_kinematics(vehicle, ground, steering=steering)
+        dae = inverse_kinematics(vehicle, ground, solve_for=solve_for)
         function = dae.function("guess", [dae.columns()[0]], [dae.guess])
         guesses.append(np.array(function(np.full(function.size1_in(0), 0.1))))
     assert_allclose(guesses[0][0] + heights.mean(), guesses[1][0], atol=1e-4)

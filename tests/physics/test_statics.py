@@ -957,10 +957,10 @@ def test_montanas_form_bears_the_same():
         assert_allclose(runs[1][name], runs[0][name], rtol=0, atol=1e-6 * size, err_msg=name)
 
 
-@pytest.mark.parametrize("steering", ["rate", "angle"])
-def test_the_inverse_model_bears_the_same(steering):
+@pytest.mark.parametrize("solve_for", ["rates", "angles"])
+def test_the_inverse_model_bears_the_same(solve_for):
     direct = closure_model(VEHICLE, HILLS, slip="rolling")
-    rates = PAPER_RATES | {"steer_rate": 0.02 if steering == "rate" else 0.0}
+    rates = PAPER_RATES | {"steer_rate": 0.02 if solve_for == "rates" else 0.0}
     run = simulate(
         direct,
         settle(direct, heading=0.3),
@@ -968,7 +968,7 @@ def test_the_inverse_model_bears_the_same(steering):
         np.linspace(0, 4, 5),
         tolerance=1e-10,
     )
-    dae = inverse_kinematics(VEHICLE, HILLS, steering=steering)
+    dae = inverse_kinematics(VEHICLE, HILLS, solve_for=solve_for)
     given = ("velocity_x", "velocity_y", "heading_rate")
     for k in range(run.t.size):
         inputs = dae.inputs(**{name: run[name][k] for name in given})

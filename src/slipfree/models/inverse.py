@@ -16,87 +16,28 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import replace
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Labels, Limit, SampledCheck
+from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
-from slipfree.lookups import needed_lookups, substitute_lookups
+from slipfree.models.determinacy import angle_slopes, rolling_determinacy
+from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, derived_rates, impose
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.margin import EULER, OMEGA, VELOCITY, inverse_margin, omega, rolling
-from slipfree.models.records import Configuration, Dependent, Forces, Outputs
-from slipfree.records import Array, Label, leaves, pack, unpack
+from slipfree.rearrange import blocks, rearrange, substitute, variables, with_outputs
+from slipfree.records import Array, Label, leaves, pack
 from slipfree.terrain.base import Terrain
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-Steering = Literal["rate", "angle"]
+SolveFor = Literal["rates", "angles"]
 PLANAR = ("velocity_x", "velocity_y", "heading_rate")
 LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates still count as determining
 ELSEWHERE = 1e-6  # distance of path and start that counts [size, rad]
 STANDING = 1e-6  # speed below which a steering angle has no effect [size/s]
-
-
-class Given(NamedTuple):
-    """Inputs: the three given rates of the platform, in the order given. [m/s, rad/s]."""
-
-    platform: tuple[Any, ...]
-
-
-class InverseRates(NamedTuple):
-    """The rates that follow from those given. [m/s, rad/s].
-
-    ``platform`` are those of velocities and Euler angles that are not given; ``wheels`` those of
-    the driven wheels; ``joints`` those of the commanded coordinates, unless their angles are
-    unknown.
-    """
-
-    platform: tuple[Any, ...]
-    suspension: tuple[Any, ...]
-    passive: tuple[Any, ...]
-    free: tuple[Any, ...]
-    wheels: tuple[Any, ...]
-    joints: tuple[Any, ...]
-
-
-class ByRate(NamedTuple):
-    """Algebraic unknowns in two blocks, with the rate of the steering among them."""
-
-    position: Dependent
-    rates: InverseRates
-    forces: Forces
-
-
-class Steered(NamedTuple):
-    """Pose, commanded coordinates and rates, which are determined together."""
-
-    position: Dependent
-    joints: tuple[Any, ...]
-    rates: InverseRates
-
-
-class ByAngle(NamedTuple):
-    """Algebraic unknowns, with the steering angle among those of the motion."""
-
-    motion: Steered
-    forces: Forces
-
-
-class InverseOutputs(NamedTuple):
-    """What else is sampled along an inverse motion.
-
-    ``omega`` are the components of the platform's angular velocity that are not given. ``growth``
-    is the rate at which the steering runs away, if its rate is unknown; ``lever`` the slip that
-    its rate would cost, if its angle is. [rad/s, 1/s, m]
-    """
-
-    rolling: Outputs
-    omega: tuple[Any, ...]
-    growth: tuple[Any, ...]
-    lever: tuple[Any, ...]
 
 
 def inverse_kinematics(
@@ -104,7 +45,7 @@ def inverse_kinematics(
     terrain: Terrain,
     *,
     given: Sequence[str] = PLANAR,
-    steering: Steering = "rate",
+    solve_for: SolveFor = "rates",
     least_margin: float = LEAST_MARGIN,
 ) -> Dae:
     """Return the motion of a vehicle that rolls without slip under given rates of its platform.
@@ -118,12 +59,12 @@ def inverse_kinematics(
     given : sequence of three str
         Of ``velocity_x``, ``velocity_y``, ``velocity_z`` and of either ``omega_x``, ``omega_y``,
         ``omega_z`` or ``heading_rate``, ``roll_rate``, ``pitch_rate``.
-    steering : {"rate", "angle"}
-        What is unknown. With the rate, the vehicle rolls exactly, but the model is singular on
-        flat ground and the steering may run away: see ``steering_growth`` and `steering_note`.
-        With the angle, the contact of a steered wheel slips by its lever times the rate of the
-        steering: see `steering_slip`. A start then comes from the direct model, since a vehicle
-        at rest may be steered anyhow.
+    solve_for : {"rates", "angles"}
+        Unknowns of the steering. With the rates, the vehicle rolls exactly, but the model is
+        singular on flat ground and the steering may run away: see ``steering_growth`` and
+        `steering_note`. With the angles, the contact of a steered wheel slips by its lever times
+        the rate of the steering: see `steering_slip`. A start then comes from the direct model,
+        since a vehicle at rest may be steered anyhow.
     least_margin : float
         Smallest singular value down to which the rates count as determined; zero to go through
         crossings, as collocation can.
@@ -139,18 +80,15 @@ def inverse_kinematics(
         If the three are not three different known rates, or the vehicle does not suit.
     """
     _check_given(given)
-    _check_vehicle(vehicle, steering)
+    _check_vehicle(vehicle, solve_for)
     if not least_margin >= 0:
         raise ModelError(f"least_margin: expected zero or more, found {least_margin}")
     direct = direct_kinematics(vehicle, terrain, slip="rolling")
-    parts = _parts(direct, tuple(given), steering)
-    dae = _by_rate(direct, parts) if steering == "rate" else _by_angle(vehicle, direct, parts)
-    effect = rolling(vehicle, direct)
-    model = (dae.x, dae.z, dae.u)
-    margin = inverse_margin(vehicle, direct, effect, model, given, steering, least_margin)
-    checks = [moved(check, direct, dae) for check in direct.checks]
-    growth = (effect.growth(given),) if steering == "rate" and vehicle.of("commanded") else ()
-    return replace(dae, checks=(*checks, margin), y=dae.y._replace(growth=growth))
+    build = _solved_for_angles if solve_for == "angles" else _solved_for_rates
+    dae = build(vehicle, direct, given)
+    rest = [each for name, each in derived_rates(direct).items() if name not in given]
+    check = rolling_determinacy(vehicle, direct, dae, given, solve_for, least_margin)
+    return with_outputs(replace(dae, checks=(*dae.checks, check)), rest)
 
 
 def _check_given(given: Sequence[str]) -> None:
@@ -167,9 +105,9 @@ def _check_given(given: Sequence[str]) -> None:
         )
 
 
-def _check_vehicle(vehicle: Vehicle, steering: str) -> None:
-    if steering not in ("rate", "angle"):
-        raise ModelError(f"steering: expected 'rate' or 'angle', found {steering!r}")
+def _check_vehicle(vehicle: Vehicle, solve_for: str) -> None:
+    if solve_for not in ("rates", "angles"):
+        raise ModelError(f"solve_for: expected 'rates' or 'angles', found {solve_for!r}")
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
     have, need = len(vehicle.of("passive")) + len(free), 2 * len(vehicle.wheels) - 3
     if have != need:
@@ -184,208 +122,49 @@ def _check_vehicle(vehicle: Vehicle, steering: str) -> None:
             f"{vehicle.name}: three rates of the platform determine three inputs, found "
             f"{len(inputs)} ({', '.join(inputs)})"
         )
-    if steering == "angle" and not commanded:
+    if solve_for == "angles" and not commanded:
         raise ModelError(f"{vehicle.name} has no commanded coordinate whose angle could be unknown")
 
 
-class _Parts(NamedTuple):
-    """Inputs, unknown rates and equations of an inverse model, with their labels."""
-
-    u: Given
-    u_labels: Given
-    rates: InverseRates
-    rate_labels: InverseRates
-    equations: ca.SX
-    equation_labels: tuple[Label, ...]
-    omega: tuple[ca.SX, ...]
-    omega_labels: tuple[Label, ...]
-
-
-def _parts(direct: Dae, given: tuple[str, ...], steering: str) -> _Parts:
-    """Return the rates of the direct model sorted into given and unknown, and the equations.
-
-    The symbols stay those of the direct model. A given component of the angular velocity is a
-    new one, with one more equation for the Euler rates.
-    """
-    labels = [
-        Label(name, "rad s-1", f"angular velocity of the platform about {name[-1]}")
-        for name in OMEGA
-    ]
-    symbols = [ca.SX.sym(name) for name in OMEGA]
-    u, rates = _sorted(direct.z.rates, direct.u, symbols, given, steering)
-    u_labels, rate_labels = _sorted(direct.labels.z.rates, direct.labels.u, labels, given, steering)
-    euler = ca.vertcat(*direct.z.rates[3:6])
-    turning = ca.vertsplit(omega(direct.x.heading, direct.z.position.roll) @ euler)
-    asked = [k for k, name in enumerate(OMEGA) if name in given]
-    rest = [k for k in range(3) if k not in asked]
-    return _Parts(
-        u,
-        u_labels,
-        rates,
-        rate_labels,
-        ca.vertcat(direct.alg[1], *(turning[k] - symbols[k] for k in asked)),
-        (*direct.labels.alg[1], *(replace(labels[k], name=f"{OMEGA[k]}_law") for k in asked)),
-        tuple(turning[k] for k in rest),
-        tuple(labels[k] for k in rest),
-    )
-
-
-def _sorted(
-    rates: Any, inputs: Any, omegas: Sequence[Any], given: tuple[str, ...], steering: str
-) -> tuple[Given, InverseRates]:
-    """Return given and unknown rates out of the direct model's, as symbols or as labels."""
-    known = dict(zip((*VELOCITY, *EULER, *OMEGA), (*rates[:6], *omegas), strict=True))
-    platform = tuple(known[name] for name in (*VELOCITY, *EULER) if name not in given)
-    joints = inputs.joints if steering == "rate" else ()
-    unknown = InverseRates(
-        platform, rates.suspension, rates.passive, rates.free, inputs.wheels, joints
-    )
-    return Given(tuple(known[name] for name in given)), unknown
-
-
-def _by_rate(direct: Dae, parts: _Parts) -> Dae:
+def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
     """Return the model whose unknowns are rates: the direct model with other inputs."""
-    z_labels = ByRate(direct.labels.z.position, parts.rate_labels, direct.labels.z.forces)
-    outputs, output_labels = _outputs(direct, parts, growth=True)
-    labels = direct.labels._replace(
-        z=z_labels,
-        u=parts.u_labels,
-        y=output_labels,
-        alg=(direct.labels.alg[0], parts.equation_labels, direct.labels.alg[2]),
-    )
-    return replace(
-        direct,
-        z=ByRate(direct.z.position, parts.rates, direct.z.forces),
-        u=parts.u,
-        alg=(direct.alg[0], parts.equations, direct.alg[2]),
-        y=outputs,
-        labels=labels,
-        **_starting(direct, z_labels, direct.shift[0]),
+    (x, z, u), imposed = variables(direct), impose(direct, given)
+    rates = (*imposed.rates, *leaves(u))
+    closure, _, forces = blocks(direct)
+    equations = closure, (imposed.rows, imposed.labels), forces
+    dae = rearrange(direct, x, (z.position, rates, z.forces), imposed.inputs, equations)
+    slopes = angle_slopes(vehicle, direct, imposed.rows)
+    if not slopes:
+        return dae
+    unknowns = pack(tuple(each.symbol for each in rates))
+    change = -ca.solve(ca.jacobian(imposed.rows, unknowns), ca.horzcat(*slopes.values()))
+    names = [each.label.full for each in rates]
+    growth = [change[names.index(f"{name}_rate"), k] for k, name in enumerate(slopes)]
+    words = "rate at which the steering runs away from the given motion, if positive"
+    return with_outputs(
+        dae, [(Label("steering_growth", "s-1", words), ca.mmax(ca.vertcat(*growth)))]
     )
 
 
-def _by_angle(vehicle: Vehicle, direct: Dae, parts: _Parts) -> Dae:
+def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
     """Return the model whose unknowns are steering angles, as if they were at rest."""
-    kinds = [c.kind for c in vehicle.coordinates if c.kind != "suspension"]
-    still = [k for k, kind in enumerate(kinds) if kind == "passive"]
-    turned = [k for k, kind in enumerate(kinds) if kind == "commanded"]
-
-    def states(record: Any) -> tuple[Configuration, tuple[Any, ...]]:
-        joints = record.joints
-        kept = Configuration(record.x, record.y, record.heading, tuple(joints[k] for k in still))
-        return kept, tuple(joints[k] for k in turned)
-
-    (x, angles), (x_labels, angle_labels) = states(direct.x), states(direct.labels.x)
-    sought = Steered(direct.labels.z.position, angle_labels, parts.rate_labels)
-    z_labels = ByAngle(sought, direct.labels.z.forces)
-    y, y_labels = _outputs(direct, parts, growth=False)
-    rows = [0, 1, 2, *(3 + k for k in still)]
-    joints = pack(direct.u.joints)
-
-    def held(expression: ca.SX) -> ca.SX:
-        return ca.substitute(expression, joints, ca.SX.zeros(joints.shape))
-
-    labels = Labels(
-        x_labels,
-        z_labels,
-        direct.labels.q,
-        parts.u_labels,
-        y_labels,
-        ((*direct.labels.alg[0], *parts.equation_labels), direct.labels.alg[2]),
-    )
+    joints = direct.u.joints
+    still = substitute(direct, joints, [ca.SX(0)] * len(joints))
+    (x, z, u), imposed = variables(still), impose(still, given)
+    turned = {c.name for c in vehicle.of("commanded")}
+    angles = tuple(each for each in x.joints if each.label.full in turned)
+    x = x._replace(joints=tuple(each for each in x.joints if each.label.full not in turned))
+    motion = z.position, angles, (*imposed.rates, *u.wheels)
+    (closure, names), _, forces = blocks(still)
+    equations = (ca.vertcat(closure, imposed.rows), (*names, *imposed.labels)), forces
+    dae = rearrange(still, x, (motion, z.forces), imposed.inputs, equations)
     slow = Label("steering_speed", "m s-1", "the vehicle stands, so that it may be steered anyhow")
     speed = ca.sqrt(direct.z.rates.x**2 + direct.z.rates.y**2)
-    return replace(
-        direct,
-        x=x,
-        z=ByAngle(Steered(direct.z.position, angles, parts.rates), direct.z.forces),
-        u=parts.u,
-        ode=direct.ode[rows],
-        alg=(held(ca.vertcat(direct.alg[0], parts.equations)), held(direct.alg[2])),
-        quad=held(direct.quad),
-        y=unpack(y, [held(each) for each in leaves(y)]),
-        labels=labels,
-        limits=(
-            *(limit._replace(expression=held(limit.expression)) for limit in direct.limits),
-            Limit(slow, speed, STANDING * direct.size, np.inf),
-        ),
-        **_starting(direct, z_labels, direct.shift[0][rows], angles),
-    )
-
-
-def _starting(
-    direct: Dae, z_labels: Any, x_shift: Array, angles: tuple[ca.SX, ...] = ()
-) -> dict[str, Any]:
-    """Return guess, sizes and shift of a model that adds angles and rates to the pose."""
-    position, forces = (len(list(leaves(part))) for part in (direct.z.position, direct.z.forces))
-    rest = len(list(leaves(z_labels))) - position - forces
-    column = ca.vertcat(ca.SX(0, 1), *angles)
-    poses = [direct.guess[:position]]
-    lookups, before, after = substitute_lookups(
-        needed_lookups(direct.lookups, poses), [column], [ca.SX.zeros(column.shape)]
-    )
-    (guess,) = ca.substitute(poses, before, after)
-    radius, end = direct.scale[position - 1], direct.scale.size - forces  # of a contact point
-    sizes = [radius if label.unit in ("m", "m s-1") else 1.0 for label in leaves(z_labels)]
-    sizes[position + rest :] = direct.scale[end:]
-    still = np.zeros(rest + forces)
-    return {
-        "guess": ca.densify(ca.vertcat(guess, ca.SX.zeros(rest), direct.guess[end:])),
-        "lookups": (*direct.lookups, *lookups),
-        "scale": np.array(sizes),
-        "shift": (x_shift, np.concatenate([direct.shift[1][:position], still])),
-    }
-
-
-def _outputs(direct: Dae, parts: _Parts, *, growth: bool) -> tuple[InverseOutputs, InverseOutputs]:
-    """Return the outputs and their labels; the growth is filled in later."""
-    joints = pack(direct.u.joints)
-    words = "rate at which the steering runs away from the given motion, if positive"
-    grows, levers, lever_labels = [], [], []
-    if growth and joints.numel():
-        grows = [Label("steering_growth", "s-1", words)]
-    elif joints.numel():
-        lever = ca.sqrt(ca.sumsqr(ca.jacobian(direct.alg[1], joints)))
-        text = "slip of steered contacts for each unit of the steering rate"
-        levers, lever_labels = [lever], [Label("steering_lever", "m", text)]
-    return (
-        InverseOutputs(direct.y, parts.omega, tuple(ca.SX(0) for _ in grows), tuple(levers)),
-        InverseOutputs(direct.labels.y, parts.omega_labels, tuple(grows), tuple(lever_labels)),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Moved:
-    """A check of the direct model on the states of an inverse one."""
-
-    check: SampledCheck
-    states: ca.Function
-
-    @property
-    def label(self) -> Label:
-        """Name, unit and words of the margin."""
-        return self.check.label
-
-    def margin(self, x: Array, z: Array) -> Array:
-        """Return the margins, shape (n,), of states in columns."""
-        return self.check.margin(*self._direct(x, z))
-
-    def describe(self, x: Array, z: Array) -> str:
-        """Return what is wrong, and where, with one state."""
-        found = self._direct(x[:, None], z[:, None])
-        return self.check.describe(found[0][:, 0], found[1][:, 0])
-
-    def _direct(self, x: Array, z: Array) -> tuple[Array, Array]:
-        found = self.states.map(x.shape[1])(x, z)
-        return np.array(found[0]), np.array(found[1])
-
-
-def moved(check: SampledCheck, direct: Dae, dae: Any) -> SampledCheck:
-    """Return a check of the direct model's pose for an inverse model."""
-    others = len(list(leaves(direct.z[1:])))
-    z = ca.vertcat(pack(direct.z.position), ca.SX.zeros(others))
-    symbols = [pack(dae.x), pack(dae.z)]
-    return _Moved(check, ca.Function("states", symbols, [pack(direct.x), z]))
+    limit = Limit(slow, speed, STANDING * direct.size, np.inf)
+    words = "slip of steered contacts for each unit of the steering rate"
+    lever = ca.sqrt(ca.sumsqr(ca.jacobian(direct.alg[1], pack(joints))))
+    dae = replace(dae, limits=(*dae.limits, limit))
+    return with_outputs(dae, [(Label("steering_lever", "m", words), lever)])
 
 
 def along(
@@ -397,7 +176,7 @@ def along(
     *,
     t: Array | None = None,
     begin: float = 0.0,
-) -> Given:
+) -> tuple[Any, ...]:
     """Return the inputs of an inverse model that lead along a path in time.
 
     Parameters
@@ -438,7 +217,7 @@ def along(
             wrong.append(f"{name} = {first:.6g}, the vehicle stands at {there:.6g}")
     if wrong:
         raise ModelError(f"path: it starts elsewhere than the start: {'; '.join(wrong)}")
-    inputs: Given = dae.inputs(**rates)
+    inputs: tuple[Any, ...] = dae.inputs(**rates)
     return inputs
 
 
@@ -467,3 +246,52 @@ def _path_rate(
     rate = ca.Function.bspline(name, [spline.t.tolist()], weights, [spline.k], 1)
     law = ca.Function(f"{name}_rate", [at], [rate(at)], {"never_inline": True})
     return float(value[0]), law(ca.fmin(ca.fmax(time, t[0]), t[-1]))
+
+
+def steering_note(run: Trajectory) -> str:
+    """Return the warning that the steering of an inverse motion is unstable; empty if it is not.
+
+    Parameters
+    ----------
+    run : Trajectory
+        From the inverse model with ``solve_for="rates"``, whole or what was reached.
+    """
+    growth = run["steering_growth"]
+    bad = growth > 0
+    if not bad.any():
+        return ""
+    first, worst = float(run.t[int(bad.argmax())]), int(np.nanargmax(growth))
+    return (
+        f"steering mode unstable from t = {first:.4g} s: errors of the steering grow at up to "
+        f"{growth[worst]:.3g} 1/s (t = {run.t[worst]:.4g} s), since the steered contact leads the "
+        "steering axis; take steering = 'angle', or a path"
+    )
+
+
+def steering_slip(run: Trajectory) -> Trajectory:
+    """Return an inverse motion with the rate of its steering angle and the slip that costs.
+
+    Parameters
+    ----------
+    run : Trajectory
+        From the inverse model with ``solve_for="angles"``; the rate is the derivative of the cubic
+        spline through the samples.
+
+    Returns
+    -------
+    Trajectory
+        With ``steer_rate`` and ``steering_slip``, lever times rate, in addition.
+    """
+    from scipy.interpolate import CubicSpline  # imported where it is used: it takes 0.2 s
+
+    lever = run["steering_lever"]
+    rate = np.zeros_like(lever)
+    if run.t.size > 1:
+        rate = CubicSpline(run.t, run["steer"])(run.t, 1)
+    found = (
+        (Label("steer_rate", "rad s-1", "rate of the steering angle"), rate),
+        (Label("steering_slip", "m s-1", "slip of the steered contact"), lever * np.abs(rate)),
+    )
+    return replace(
+        run, columns={**run.columns, **{label.name: Column(label, v) for label, v in found}}
+    )

@@ -31,7 +31,6 @@ import numpy as np
 from slipfree.dae import Dae, Labels
 from slipfree.geometry.frame import Pose
 from slipfree.models.base import values_of
-from slipfree.models.inverse import moved
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.labels import slip_unit
 from slipfree.models.reach import (
@@ -50,6 +49,7 @@ from slipfree.models.records import (
     Outputs,
     Rates,
 )
+from slipfree.rearrange import rearranged_checks
 from slipfree.records import Label, leaves, pack, symbols, unpack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Kind, Vehicle
@@ -174,7 +174,7 @@ def subset_kinematics(
     matrices = response_matrices(direct, given)
     states = direct.function("matrices", [pack(dae.x), pack(dae.z)], matrices)
     margin = ReachMargin(response, states)
-    return replace(dae, checks=(*(moved(check, direct, dae) for check in direct.checks), margin))
+    return replace(dae, checks=(*rearranged_checks(direct, dae), margin))
 
 
 def _blocks(z: Any, guide: Guide | tuple[()], rates: Any) -> Any:

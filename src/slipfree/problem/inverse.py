@@ -11,9 +11,16 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import Fault, names, problem_error
-from slipfree.models.inverse import LEAST_MARGIN, PLANAR, along, inverse_kinematics
+from slipfree.models.given_rates import EULER, OMEGA, VELOCITY
+from slipfree.models.inverse import (
+    LEAST_MARGIN,
+    PLANAR,
+    along,
+    inverse_kinematics,
+    steering_note,
+    steering_slip,
+)
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.margin import EULER, OMEGA, VELOCITY, steering_note, steering_slip
 from slipfree.models.platform_rates import Wanted
 from slipfree.models.reach import SUBSET
 from slipfree.problem import schema
@@ -70,7 +77,7 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
             vehicle,
             terrain,
             given=tuple(given),
-            steering="rate" if points is not None else spec.steering,
+            solve_for="rates" if points is not None or spec.steering == "rate" else "angles",
             least_margin=0.0 if sought else LEAST_MARGIN,
         )
         direct = direct_kinematics(vehicle, terrain, slip="rolling")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from slipfree.contact.certify import NONE
-from slipfree.models.margin import steering_note
+from slipfree.models.inverse import steering_note
 from slipfree.problem.climb_summary import climb_facts, is_climb
 from slipfree.trajectory import Trajectory, path_length
 

@@ -14,6 +14,7 @@ from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
 from slipfree.lookups import check_order, needed_lookups
+from slipfree.rearrange import blocks, rearrange, variables
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.settle import settle
 from slipfree.trajectory import Trajectory
@@ -62,30 +63,20 @@ def settle_exchanged(dae: Dae, exchange: Mapping[str, str], **start: float) -> T
 def _exchange(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
     """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
 
-    For starts only: rates are those of the model as it was, and it has no checks.
+    For starts only: new states are at rest, and it has no checks.
     """
-    x, z = list(leaves(dae.x)), list(leaves(dae.z))
-    x_labels, z_labels = list(leaves(dae.labels.x)), list(leaves(dae.labels.z))
-    x_shift, z_shift = (part.copy() for part in dae.shift)
+    x, z, u = variables(dae)
+    states, unknowns = list(leaves(x)), list(leaves(z))
     for a, b in zip(i, j, strict=True):
-        if x_labels[a].unit != z_labels[b].unit:
+        state, unknown = states[a].label, unknowns[b].label
+        if state.unit != unknown.unit:
             raise ModelError(
-                f"settle_exchanged: expected an unknown in {x_labels[a].unit} in place of "
-                f"{x_labels[a].full}, found {z_labels[b].full} in {z_labels[b].unit}"
+                f"settle_exchanged: expected an unknown in {state.unit} in place of "
+                f"{state.full}, found {unknown.full} in {unknown.unit}"
             )
-        x[a], z[b], x_labels[a], z_labels[b] = z[b], x[a], z_labels[b], x_labels[a]
-        x_shift[a], z_shift[b] = z_shift[b], x_shift[a]
-    return replace(
-        dae,
-        x=unpack(dae.x, x),
-        z=unpack(dae.z, z),
-        labels=dae.labels._replace(
-            x=unpack(dae.labels.x, x_labels), z=unpack(dae.labels.z, z_labels)
-        ),
-        shift=(x_shift, z_shift),
-        checks=(),
-        compiled=False,  # it is used once
-    )
+        states[a], unknowns[b] = unknowns[b], states[a]
+    used_once = replace(dae, checks=(), compiled=False)
+    return rearrange(used_once, unpack(x, states), unpack(z, unknowns), u, blocks(dae))
 
 
 def _exchanged_guess(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array) -> Array:

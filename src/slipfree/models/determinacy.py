@@ -1,0 +1,258 @@
+"""How well given rates of the platform determine the rates and angles that are solved for.
+
+Slip is linear in all rates. A vehicle that rolls without slip obeys ``A r = 0``, three rows a
+wheel; with some of the platform's rates given, the columns of the other rates are a square matrix.
+Its smallest singular value says how well the given rates determine the others, its singular vectors
+which ones. Where steering angles are solved for, the column of their rate is replaced by the
+derivative of the slip in the angle.
+
+Columns are slip velocities, so that they compare: angular rates of the platform count by its
+extent, rates of wheels and joints by the rolling radius, and a steering angle by the speed of the
+platform for every 0.3 rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.models.base import extent
+from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, omega
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.records import Array, Label, leaves, pack
+from slipfree.terrain.base import Terrain
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+
+TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
+SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
+NO_LEVER = 0.02  # lever of a contact on the steering axis, relative to the rolling radius
+ROUNDING = 1e-14  # relative singular value that counts as zero
+
+
+def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
+    """Return derivatives of equations in commanded coordinates, the pose following them.
+
+    By the coordinates' names, each of the shape of ``rows``.
+    """
+    names = [c.name for c in vehicle.of("commanded")]
+    angles = ca.vertcat(ca.SX(0, 1), *(direct.named(name)[0] for name in names))
+    closure, position = direct.alg[0], pack(direct.z.position)
+    follows = -ca.solve(ca.jacobian(closure, position), ca.jacobian(closure, angles))
+    slopes = ca.jacobian(rows, angles) + ca.jacobian(rows, position) @ follows
+    return {name: slopes[:, k] for k, name in enumerate(names)}
+
+
+@dataclass(frozen=True, eq=False)
+class SlipColumns:
+    """The slip of a rolling vehicle by columns, as velocities, in the direct model's symbols.
+
+    Attributes
+    ----------
+    rates : dict of str to SX, shape (3 n_wheels, 1)
+        Derivatives of the slip in velocities, ``omega_x`` to ``omega_z``, Euler rates, and all
+        other rates, by name.
+    angles : dict of str to SX, shape (3 n_wheels, 1)
+        Derivatives in the commanded coordinates, by name.
+    """
+
+    rates: dict[str, ca.SX]
+    angles: dict[str, ca.SX]
+
+    def matrix(self, given: Sequence[str], solve_for: str) -> tuple[ca.SX, tuple[str, ...]]:
+        """Return the columns of the unknowns, and their names."""
+        known = (*given, *(EULER if set(given) & set(OMEGA) else OMEGA))
+        columns = {name: column for name, column in self.rates.items() if name not in known}
+        if solve_for == "angles":
+            columns = {
+                n: c for n, c in columns.items() if n.removesuffix("_rate") not in self.angles
+            }
+            columns |= self.angles
+        return ca.horzcat(*columns.values()), tuple(columns)
+
+
+def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
+    """Return the slip by columns, from the direct model of rolling without slip."""
+    rates, labels, law = direct.z.rates, direct.labels.z.rates, direct.alg[1]
+    size, radius = extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
+    platform = tuple(rates[:6])
+    others = [*leaves((rates[6:], direct.u))]
+    names = [label.full for label in leaves((labels[6:], direct.labels.u))]
+    slides = {f"{c.name}_rate" for c in vehicle.coordinates if vehicle.unit(c.name) == "m"}
+    a = ca.jacobian(law, ca.vertcat(*platform, *others))
+    turning = ca.inv(omega(direct.x.heading, direct.z.position.roll))
+    sizes = [1.0] * 3 + [size] * 6 + [1.0 if name in slides else radius for name in names]
+    columns = ca.horzcat(a[:, :3], a[:, 3:6] @ turning, a[:, 3:]) @ ca.diag(1 / ca.DM(sizes))
+    speed = ca.sqrt(rates.x**2 + rates.y**2)
+    return SlipColumns(
+        dict(zip((*VELOCITY, *OMEGA, *EULER, *names), ca.horzsplit(columns), strict=True)),
+        {
+            name: slope * TYPICAL_ANGLE / speed
+            for name, slope in angle_slopes(vehicle, direct, law).items()
+        },
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Determinacy:
+    """A check that given rates of the platform determine what is solved for.
+
+    Of ``matrix @ unknowns + columns @ given = 0``, all as velocities, the smallest singular value
+    of the matrix counts.
+
+    Attributes
+    ----------
+    least : float
+        Smallest singular value allowed; the margin is what is above it.
+    given, unknown : tuple of str
+        Names of the given rates, and of the columns of the matrix.
+    reasons : mapping of str to str
+        Reasons why one unknown alone is not determined, by its name.
+    matrices : casadi Function
+        ``(x, z) -> (matrix, columns)``.
+    """
+
+    least: float
+    given: tuple[str, ...]
+    unknown: tuple[str, ...]
+    reasons: Mapping[str, str]
+    matrices: ca.Function
+
+    @property
+    def label(self) -> Label:
+        """Name, unit and words of the margin."""
+        words = f"smallest singular value of the inverse problem, above the least, {self.least:g}"
+        return Label("inverse_margin", "1", words)
+
+    def margin(self, x: Array, z: Array) -> Array:
+        """Return the margins of states in columns, shape (n,)."""
+        matrices = stacked(self.matrices.map(x.shape[1])(x, z)[0], x.shape[1])
+        return np.asarray(np.linalg.svd(matrices, compute_uv=False)[:, -1] - self.least)
+
+    def describe(self, x: Array, z: Array) -> str:
+        """Return which given rates cannot be imposed, and what they leave undetermined."""
+        matrix, columns = (np.array(part) for part in self.matrices(x, z))
+        left, values, right = np.linalg.svd(matrix)
+        bound = _named(left[:, -1] @ columns, self.given)
+        words = f"platform rate {bound[0]} cannot be imposed"
+        if len(bound) > 1:
+            words = f"platform rates {_listed(bound)} cannot be imposed independently"
+        if len(matrix) == len(right):
+            lost = _named(right[-1], self.unknown)
+            alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < NO_LEVER
+            why = self.reasons.get(lost[0], "") if alone else ""
+            words += f": {_listed(lost)} {'is' if len(lost) == 1 else 'are'} not determined{why}"
+        return f"{words} (smallest singular value {values[-1]:.1e}, largest {values[0]:.1e})"
+
+
+def stacked(part: ca.DM, count: int) -> Array:
+    """Return a horizontally mapped output with the sample as first index."""
+    array = np.array(part)
+    return array.reshape(array.shape[0], count, -1).transpose(1, 0, 2)
+
+
+def _named(vector: Array, names: Sequence[str]) -> list[str]:
+    """Return the names of the large entries, the largest first."""
+    size = np.abs(vector)
+    return [names[k] for k in np.argsort(-size) if size[k] >= SHARE * size.max()]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def rolling_determinacy(
+    vehicle: Vehicle,
+    direct: Dae,
+    model: Dae,
+    given: Sequence[str],
+    solve_for: str,
+    least: float,
+) -> Determinacy:
+    """Return the check for an inverse model of rolling without slip.
+
+    Parameters
+    ----------
+    vehicle, direct : Vehicle, Dae
+        The vehicle, and its direct model of rolling without slip.
+    model : Dae
+        The inverse model, in symbols of the direct model.
+    given, solve_for, least
+        As in `inverse_kinematics`.
+    """
+    slip = slip_columns(vehicle, direct)
+    matrix, unknown = slip.matrix(given, solve_for)
+    columns = ca.horzcat(*(slip.rates[name] for name in given))
+    x, z, _ = model.columns()
+    expressions = [matrix, columns]
+    if solve_for == "angles":  # the column of an angle contains the given rates
+        joints = pack(direct.u.joints)
+        law, *expressions = ca.substitute(
+            [direct.alg[1], *expressions], [joints], [ca.SX.zeros(joints.shape)]
+        )
+        u = ca.vertcat(*(each for each in leaves(model.u) if ca.depends_on(law, each)))
+        effect, rest = ca.jacobian(law, u), ca.substitute(law, u, ca.SX.zeros(u.shape))
+        rates = -ca.solve(effect.T @ effect, effect.T @ rest)  # it rolls, so that all rows hold
+        expressions = ca.substitute(expressions, [u], [rates])
+    function = direct.function("matrices", [x, z], expressions)
+    return Determinacy(least, tuple(given), unknown, _reasons(vehicle), function)
+
+
+def _reasons(vehicle: Vehicle) -> dict[str, str]:
+    """Return reasons why the rates of commanded coordinates are not determined."""
+    reasons = {}
+    for c in vehicle.of("commanded"):
+        moved: set[str] = set()
+        for joint in vehicle.joints:
+            if c.name in joint.coordinates or joint.parent in moved:
+                moved.add(joint.name)
+        wheels = [wheel.name for wheel in vehicle.wheels if wheel.parent in moved]
+        lie = (
+            "the contact of wheel {} lies" if len(wheels) == 1 else "the contacts of wheels {} lie"
+        )
+        reasons[f"{c.name}_rate"] = (
+            f", since {lie.format(_listed(wheels))} on the axis of {c.name}; solve for its angle"
+        )
+    return reasons
+
+
+def conditions(
+    vehicle: Vehicle, terrain: Terrain, run: Trajectory, *, solve_for: str = "rates"
+) -> dict[tuple[str, ...], Array]:
+    """Return the condition of the inverse problem for each choice of three platform velocities.
+
+    Parameters
+    ----------
+    vehicle, terrain : Vehicle, Terrain
+        A vehicle that rolls without slip, and its ground.
+    run : Trajectory
+        A motion of the vehicle there, direct or inverse; it must move if ``solve_for="angles"``.
+    solve_for : {"rates", "angles"}
+        See `inverse_kinematics`.
+
+    Returns
+    -------
+    dict
+        Condition numbers, shape (n,), one for each sample, by the names of the three velocities;
+        infinite where the choice is singular.
+    """
+    direct = direct_kinematics(vehicle, terrain, slip="rolling")
+    slip, count = slip_columns(vehicle, direct), run.t.size
+    choices = list(combinations((*VELOCITY, *OMEGA), 3))
+    matrices = [slip.matrix(given, solve_for)[0] for given in choices]
+    function = direct.function("matrices", list(direct.columns()), matrices)
+    rows = [
+        np.column_stack([direct.rows(record, run, k) for k in range(count)]) for record in "xzu"
+    ]
+    floor, found = np.finfo(float).tiny, dict[tuple[str, ...], Array]()
+    for given, part in zip(choices, function.map(count)(*rows), strict=True):
+        values = np.linalg.svd(stacked(part, count), compute_uv=False)
+        largest, smallest = values[:, 0], values[:, -1]
+        regular = smallest > ROUNDING * largest
+        found[given] = np.where(regular, largest / np.fmax(smallest, floor), np.inf)
+    return found
