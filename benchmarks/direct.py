@@ -69,22 +69,22 @@ def surface(nodes: int) -> Grid:
     return Grid(axis, axis, z)
 
 
-def wrapped(loop: System) -> tuple[dict[str, Any], dict[str, Any]]:
+def wrapped(system: System) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the DAE as IDAS gets it from ``simulate``, and the option with its Jacobian."""
-    symbols = [ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txzu")]
-    ode, alg = loop.core(*symbols)
-    system = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
-    return system, {"cache": {"jacF": loop.jacobian}}
+    symbols = [ca.MX.sym(name, system.core.size1_in(k)) for k, name in enumerate("txzu")]
+    ode, alg = system.core(*symbols)
+    equations = dict(zip("txzu", symbols, strict=True)) | {"ode": ode, "alg": alg}
+    return equations, {"cache": {"jacF": system.jacobian}}
 
 
-def written_out(loop: System, law: Any) -> dict[str, Any]:
+def written_out(system: System, law: Any) -> dict[str, Any]:
     """Return the DAE as one SX graph, which CasADi differentiates."""
-    dae = loop.dae
+    dae = system.dae
     x, z, u = dae.columns()
-    rows = [dae.ode, ca.vertcat(*dae.alg)[: loop.moving]]
+    rows = [dae.ode, ca.vertcat(*dae.alg)[: system.moving]]
     ode, alg = ca.substitute(rows, [u], [ca.vertcat(*leaves(law))])
     given = ca.SX.sym("given", u.numel())
-    return {"t": dae.t, "x": x, "z": z[: loop.moving], "u": given, "ode": ode, "alg": alg}
+    return {"t": dae.t, "x": x, "z": z[: system.moving], "u": given, "ode": ode, "alg": alg}
 
 
 def row(kind: str, nodes: int) -> dict[str, Any]:
@@ -98,19 +98,19 @@ def row(kind: str, nodes: int) -> dict[str, Any]:
     built = time.perf_counter() - begin
     start = settle(dae, x=5.0, y=4.0, heading=-0.2)
     law = straight(dae, vehicle, start, speed=SPEED)
-    loop = with_inputs(dae, law, 100)
+    system = with_inputs(dae, law, 100)
     x = dae.rows("x", start, -1)
-    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), loop.u[:, 0])
-    system, own = wrapped(loop) if kind == "ours" else (written_out(loop, law), {})
+    z = consistent(system, 0.0, x, dae.rows("z", start, -1), system.u[:, 0])
+    equations, own = wrapped(system) if kind == "ours" else (written_out(system, law), {})
     t = np.linspace(0, DISTANCE / SPEED, 101)
     runs = {}
     for tolerance in (*TOLERANCES, 1e-12):
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6, **own}
-        solver = ca.integrator("motion", "idas", system, 0.0, t, options)
+        solver = ca.integrator("motion", "idas", equations, 0.0, t, options)
         times = []
         for _ in range(5):
             begin = time.process_time()
-            found = solver(x0=x, z0=z, u=loop.u[:, 0])
+            found = solver(x0=x, z0=z, u=system.u[:, 0])
             times.append(time.process_time() - begin)
         counts = solver.stats()
         end = (np.array(found["xf"])[:, -1] + dae.shift[0]).tolist()

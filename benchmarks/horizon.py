@@ -19,7 +19,7 @@ from reference import heading
 
 from plan import DURATION, GOAL, hills, planned, rms_slip
 from slipfree import Analytic, settle, simulate
-from slipfree.plan.mpc import Cycle, Horizon, advance, begin, driven, horizon
+from slipfree.plan.mpc import Cycle, Horizon, advance, cycle_inputs, first_cycle, horizon
 from slipfree.plan.plan import Plan
 from slipfree.trajectory import joined
 
@@ -40,7 +40,7 @@ class Drive(NamedTuple):
 
 def drive(found: Plan, window: Horizon, start: dict[str, float]) -> Drive:
     """Return what becomes of a traverse under a window."""
-    dae, cycle = found.program.task.dae, begin(window)
+    dae, cycle = found.program.task.dae, first_cycle(window)
     here, seconds, runs, violations = settle(dae, **start), [], [], []
     for t, end in pairwise(np.linspace(0, DURATION, CYCLES + 1)):
         x, clock = dae.rows("x", here, -1), time.perf_counter()
@@ -58,7 +58,7 @@ def between(dae: Any, here: Any, window: Horizon, cycle: Cycle, span: tuple[floa
     """Return the motion from one cycle to the next, in parts as samples of its slip."""
     parts = []
     for first, last in pairwise(np.linspace(*span, SAMPLES + 1)):
-        here = simulate(dae, here, *driven(window, cycle, first, last))
+        here = simulate(dae, here, *cycle_inputs(window, cycle, first, last))
         parts.append(here)
     return joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
 
@@ -92,7 +92,7 @@ def growth(found: Plan) -> None:
     print("intervals  ms a cycle, median of 20")
     for size in SIZES:
         window = horizon(found, span=DURATION, intervals=size)
-        cycle, seconds = begin(window), []
+        cycle, seconds = first_cycle(window), []
         x = found.program.task.start
         for number in range(20):
             moved = x + 0.01 * (-1) ** number  # [m, rad]: else there would be nothing to do

@@ -33,7 +33,7 @@ from slipfree.models.given_rates import EULER, VELOCITY
 from slipfree.models.inverse import PLANAR, along, inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import consistent
-from slipfree.solve.sampling import Samples, table
+from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.system import with_inputs
 
 VEHICLE = three_wheeler(mass=0.0, wheel_mass=0.0)  # no forces: the motion alone
@@ -65,7 +65,7 @@ GROUNDS: dict[str, Height] = {
 
 def moving(dae: Any, poses: list[dict[str, float]]) -> Trajectory:
     """Return one sample for each pose where the vehicle can stand, with equal rear rates."""
-    loop, x, z = (
+    system, x, z = (
         with_inputs(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0),
         [],
         [],
@@ -76,13 +76,13 @@ def moving(dae: Any, poses: list[dict[str, float]]) -> Trajectory:
         except ModelError:
             continue  # a second touch
         x.append(dae.rows("x", begin, 0))
-        z.append(consistent(loop, 0.0, x[-1], dae.rows("z", begin, 0), loop.u[:, 0]))
+        z.append(consistent(system, 0.0, x[-1], dae.rows("z", begin, 0), system.u[:, 0]))
     n = len(x)
-    u = np.repeat(loop.u[:, :1], n, axis=1)
+    u = np.repeat(system.u[:, :1], n, axis=1)
     samples = Samples(
         np.arange(float(n)), np.column_stack(x), np.column_stack(z), np.zeros((3, n)), u
     )
-    return table(loop, samples, {})
+    return to_trajectory(system, samples, {})
 
 
 def quantiles(values: Any) -> Any:
@@ -177,12 +177,14 @@ def pointwise() -> None:
     for given in combinations((*VELOCITY, *EULER), 3):
         dae = inverse_kinematics(VEHICLE, Analytic(hills), given=given, least_margin=0.0)
         for k in range(run.t.size):
-            loop = with_inputs(dae, dae.inputs(**{name: run[name][k] for name in given}), 0)
+            system = with_inputs(dae, dae.inputs(**{name: run[name][k] for name in given}), 0)
             x, z = dae.rows("x", run, k), dae.rows("z", run, k)
             if dae.checks[-1].margin(x[:, None], z[:, None])[0] < DETERMINED:
                 left_out += 1
                 continue
-            back = consistent(loop, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), loop.u[:, 0])
+            back = consistent(
+                system, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), system.u[:, 0]
+            )
             worst, returned = max(worst, float(np.abs(back - z).max())), returned + 1
     print(
         f"{'pointwise':28}{worst:.1e} m/s, rad/s: {returned} of all choices at states whose "

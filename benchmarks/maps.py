@@ -34,7 +34,7 @@ from slipfree import (
 from slipfree.files.maps.elevation import read_map
 from slipfree.geometry.path import Path as Way
 from slipfree.plan.polynomial_motion import PolynomialMotion
-from slipfree.plan.verification import rerun
+from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.build_common import Setup
 from slipfree.problem.load import read
@@ -189,7 +189,7 @@ def replayed(setup: Setup, course: PolynomialMotion, rms: float, seed: int) -> T
     grid = disturbed(setup.ground.grid, rms, CORRELATION, seed) if rms else setup.ground.grid
     dae = direct_kinematics(setup.vehicle, Bicubic(grid, (x, y), setup.ground.mu))
     start = settle(dae, **{name: setup.start[name][0] for name in ("x", "y", "heading")})
-    return rerun(dae, start, course, step=0.5, tolerance=1e-8)
+    return simulate_plan(dae, start, course, step=0.5, tolerance=1e-8)
 
 
 def keeps(found: Trajectory, limits: dict[str, tuple[float, float]]) -> bool:
@@ -238,7 +238,7 @@ def planned(limit: float) -> tuple[Trajectory, Setup, PolynomialMotion]:
         outcome = run(read(path))
     if outcome.trajectory.stop is not None:
         sys.exit(f"no plan: {outcome.trajectory.stop.words}")
-    return outcome.trajectory, outcome.setup, from_arrays(outcome.arrays, "plan").course
+    return outcome.trajectory, outcome.setup, from_arrays(outcome.arrays, "plan").motion
 
 
 if __name__ == "__main__":

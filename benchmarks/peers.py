@@ -110,13 +110,13 @@ def points(run: Callable[[float], tuple[float, np.ndarray]], metres: float) -> L
 
 
 def by_idas(
-    system: dict[str, Any], own: dict[str, Any], at: dict[str, Any]
+    equations: dict[str, Any], own: dict[str, Any], at: dict[str, Any]
 ) -> Callable[[float], Any]:
     """Return an integration by CasADi's IDAS over the tolerance, with options of its own."""
 
     def run(tolerance: float) -> tuple[float, np.ndarray]:
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 10**6, **own}
-        solver = ca.integrator("motion", "idas", system, 0.0, T, options)
+        solver = ca.integrator("motion", "idas", equations, 0.0, T, options)
         cpu, found = least(lambda: solver(**at))
         return cpu, np.array(found["xf"])[:2]
 
@@ -142,11 +142,11 @@ def buffered(f: ca.Function, size: int) -> Callable[[float, np.ndarray], list[np
     return call
 
 
-def explicit(loop: System, at: dict[str, Any]) -> ca.Function:
+def explicit(system: System, at: dict[str, Any]) -> ca.Function:
     """Return ``(t, x) -> x'``, the algebraic unknowns solved for."""
-    system = cvodes(loop)
-    t, x, u = (system[name] for name in "txu")
-    function = ca.Function("rates", [t, x, u], [system["ode"]])
+    equations = cvodes(system)
+    t, x, u = (equations[name] for name in "txu")
+    function = ca.Function("rates", [t, x, u], [equations["ode"]])
     given = [ca.MX.sym("t"), ca.MX.sym("x", x.numel())]
     return ca.Function("rates", given, [ca.densify(function(*given, at["u"]))])
 
@@ -191,13 +191,13 @@ def by_cvode(rates: ca.Function, at: dict[str, Any]) -> Callable[[float], Any]:
     return run
 
 
-def by_ida(loop: System, at: dict[str, Any]) -> Callable[[float], Any]:
+def by_ida(system: System, at: dict[str, Any]) -> Callable[[float], Any]:
     """Return an integration by scikit-sundae's IDA over the tolerance."""
     from sksundae.ida import IDA
 
-    n, m = loop.core.size1_in(1), loop.core.size1_in(2)
+    n, m = system.core.size1_in(1), system.core.size1_in(2)
     t, y, cj = ca.MX.sym("t"), ca.MX.sym("y", n + m), ca.MX.sym("cj")
-    ode, alg = loop.core(t, y[:n], y[n:], at["u"])
+    ode, alg = system.core(t, y[:n], y[n:], at["u"])
     rows = ca.vertcat(ode, alg)
     residual = ca.Function("residual", [t, y], [ca.densify(rows)])
     slopes = ca.jacobian(rows, y)
@@ -232,19 +232,19 @@ def by_ida(loop: System, at: dict[str, Any]) -> Callable[[float], Any]:
 
 def ours(rough: float) -> dict[str, Line]:
     """Return the lines of our model by every integrator."""
-    dae, start, loop, _ = prepared(rough)
+    dae, start, system, _ = prepared(rough)
     x = dae.rows("x", start, -1)
-    u = loop.u[:, 0]
-    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u)[: loop.moving]
+    u = system.u[:, 0]
+    z = consistent(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
     at = {"x0": x, "z0": z, "u": u}
     metres = SPEED * DURATION
-    rates = explicit(loop, at)
-    lines = {"ours": points(by_idas(*wrapped(loop), at), metres)}
+    rates = explicit(system, at)
+    lines = {"ours": points(by_idas(*wrapped(system), at), metres)}
     lines |= compiled(rough, at)
     for kind in ("LSODA", "DOP853", "Radau"):
         lines[f"scipy {kind}"] = points(by_scipy(kind, rates, at), metres)
     lines["sundae CVODE"] = points(by_cvode(rates, at), metres)
-    lines["sundae IDA"] = points(by_ida(loop, at), metres)
+    lines["sundae IDA"] = points(by_ida(system, at), metres)
     return lines
 
 
@@ -252,18 +252,18 @@ def compiled(rough: float, at: dict[str, Any]) -> dict[str, Line]:
     """Return the line of our model with compiled equations."""
     with tempfile.TemporaryDirectory() as folder:
         os.environ[FOLDER] = folder
-        _, _, loop, _ = prepared(rough, compiled=True)
-        return {"compiled": points(by_idas(*wrapped(loop), at), SPEED * DURATION)}
+        _, _, system, _ = prepared(rough, compiled=True)
+        return {"compiled": points(by_idas(*wrapped(system), at), SPEED * DURATION)}
 
 
 def naive(rough: float) -> dict[str, Line]:
     """Return the line of what is written first with CasADi."""
-    dae, start, loop, law = prepared(rough, naive=True)
+    dae, start, system, law = prepared(rough, naive=True)
     x = dae.rows("x", start, -1)
-    u = loop.u[:, 0]
-    z = consistent(loop, 0.0, x, dae.rows("z", start, -1), u)[: loop.moving]
+    u = system.u[:, 0]
+    z = consistent(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
     at = {"x0": x, "z0": z, "u": u}
-    return {"naive": points(by_idas(written_out(loop, law), {}, at), SPEED * DURATION)}
+    return {"naive": points(by_idas(written_out(system, law), {}, at), SPEED * DURATION)}
 
 
 def quicker(one: Line, other: Line) -> Line:

@@ -56,7 +56,7 @@ from slipfree.codegen_cache import FOLDER
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.transcription import transcribe
-from slipfree.plan.verification import rerun
+from slipfree.plan.verification import simulate_plan
 from slipfree.trajectory import Trajectory, path_length
 
 sys.path.insert(0, str(File(__file__).parent.parent / "tests" / "physics"))
@@ -168,8 +168,8 @@ def rows() -> list[Row]:
 def by_plan(found: Plan) -> Drive:
     """Return the way to drive that replays a plan."""
     step = DURATION / INTERVALS / SAMPLES
-    return lambda dae, start, tolerance: rerun(
-        dae, start, found.course, step=step, tolerance=tolerance
+    return lambda dae, start, tolerance: simulate_plan(
+        dae, start, found.motion, step=step, tolerance=tolerance
     )
 
 

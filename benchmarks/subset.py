@@ -33,7 +33,7 @@ from slipfree.models.platform_rates import steered, subset_kinematics
 from slipfree.models.reach import planar_rates, wheel_rates
 from slipfree.records import leaves, pack
 from slipfree.solve.replay import replay, round_trip
-from slipfree.solve.trim import moving, seek
+from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.vehicle.catalogue.rovers import rocky7
 
 GROUND = Path(__file__).parent.parent / "tests" / "data" / "gridsurfdata.txt"
@@ -63,7 +63,7 @@ def slip(run: Trajectory) -> float:
 
 def driven(direct: Any, stand: Trajectory, rates: dict[str, float], given: dict[str, float]) -> str:
     """Return slip and round trip of the direct model under inputs."""
-    run = moving(direct, stand, direct.inputs(**rates))
+    run = apply_inputs(direct, stand, direct.inputs(**rates))
     plane = planar_rates(direct)
     found = ca.Function("plane", list(direct.columns()[:2]), [plane[name] for name in given])
     values = found(direct.rows("x", run, -1), direct.rows("z", run, -1))
@@ -103,8 +103,10 @@ def row(terrain: Terrain, given: dict[str, float]) -> str:
     dae = subset_kinematics(ROVER, terrain, given=tuple(given))
     inputs, joints = dae.inputs(**given), list(steered(ROVER, direct))
     stand = settle(direct, **START)
-    guide = seek(dae, stand, inputs, states=joints, least=[f"{name}_error" for name in joints])
-    best = seek(dae, guide, inputs, states=joints, least=["slip_along", "slip_across"])
+    guide = trim_states(
+        dae, stand, inputs, states=joints, least=[f"{name}_error" for name in joints]
+    )
+    best = trim_states(dae, guide, inputs, states=joints, least=["slip_along", "slip_across"])
     cells = []
     for at, naive in ((stand, False), (guide, True), (guide, False), (best, False)):
         try:
@@ -120,7 +122,7 @@ def in_time(terrain: Terrain) -> None:
     direct, dae = direct_kinematics(ROVER, terrain), subset_kinematics(ROVER, terrain)
     inputs, joints = dae.inputs(forward=0.1, yaw_rate=0.05), list(steered(ROVER, direct))
     errors = [f"{name}_error" for name in joints]
-    start = seek(dae, settle(direct, **START), inputs, states=joints, least=errors)
+    start = trim_states(dae, settle(direct, **START), inputs, states=joints, least=errors)
     t = np.linspace(0, 10, 201)
     begin = time.process_time()
     run = simulate(dae, start, inputs, t)

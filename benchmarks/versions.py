@@ -182,7 +182,7 @@ try:
     from slipfree.models.montana import montana_kinematics
     from slipfree.models.platform_rates import subset_kinematics
     from slipfree.plan.problem import task_of
-    from slipfree.plan.transcription import Mesh, transcribe
+    from slipfree.plan.transcription import CollocationMesh as Mesh, transcribe
     from slipfree.records import leaves
     from slipfree.solve.system import with_inputs
     from slipfree.terrain.rolled import rolled

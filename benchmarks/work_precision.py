@@ -87,16 +87,16 @@ def formulations(ground: Bicubic) -> dict[str, Any]:
     }
 
 
-def cvodes(loop: System) -> dict[str, ca.MX]:
+def cvodes(system: System) -> dict[str, ca.MX]:
     """Return the differential equations with the algebraic blocks solved inside."""
-    sizes = {name: loop.core.size1_in(k) for k, name in enumerate("txzu") if name != "z"}
+    sizes = {name: system.core.size1_in(k) for k, name in enumerate("txzu") if name != "z"}
     symbols = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     t, x, u = symbols.values()
-    z = ca.Function("guess", [loop.dae.columns()[0]], [loop.dae.guess])(x)
-    for block in loop.blocks:
+    z = ca.Function("guess", [system.dae.columns()[0]], [system.dae.guess])(x)
+    for block in system.blocks:
         solved = _linear(block, t, x, z, u) if block.linear else _newton(block, t, x, z, u)
         z = ca.vertcat(z[: block.span.start], solved, z[block.span.stop :])
-    return symbols | {"ode": loop.core(t, x, z, u)[0]}
+    return symbols | {"ode": system.core(t, x, z, u)[0]}
 
 
 def _linear(block: Block, t: ca.MX, x: ca.MX, z: ca.MX, u: ca.MX) -> ca.MX:
@@ -131,19 +131,19 @@ class Point(NamedTuple):
 
 def line(kind: str, dae: Any, drive: Drive, stand: Trajectory, exact: Trajectory) -> list[Point]:
     """Return the points of one line; a tolerance at which the integrator fails is left out."""
-    loop = with_inputs(dae, drive.inputs(dae, VEHICLE, stand), drive.t.size - 1)
-    x, u = dae.rows("x", stand, -1), loop.u[:, 0]
+    system = with_inputs(dae, drive.inputs(dae, VEHICLE, stand), drive.t.size - 1)
+    x, u = dae.rows("x", stand, -1), system.u[:, 0]
     begin = {"x0": x, "u": u}
     if kind != "cvodes":
         rest = dae.rows("z", stand, -1)
-        begin["z0"] = consistent(loop, 0.0, x, rest, u)
-    system, own = (cvodes(loop), {}) if kind == "cvodes" else wrapped(loop)
+        begin["z0"] = consistent(system, 0.0, x, rest, u)
+    equations, own = (cvodes(system), {}) if kind == "cvodes" else wrapped(system)
     points = []
     for tolerance in TOLERANCES:
         options = {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 100_000, **own}
         if kind != "cvodes":
             options["suppress_algebraic"] = dae.suppress_algebraic ^ (kind == "idas test")
-        solver = ca.integrator("motion", kind.split()[0], system, 0.0, drive.t, options)
+        solver = ca.integrator("motion", kind.split()[0], equations, 0.0, drive.t, options)
         try:
             cpu, found = _timed(solver, begin)
         except RuntimeError as error:

@@ -28,7 +28,7 @@ import numpy as np
 
 import slipfree
 from slipfree import direct_kinematics, settle
-from slipfree.plan.verification import rerun
+from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import read
 from slipfree.problem.solve import build, run
@@ -70,7 +70,7 @@ def by_friction(outcome):
     setup, plan = outcome.setup, from_arrays(outcome.arrays, "the plan")
     model = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
     start = settle(model, **{name: setup.start[name][0] for name in ("x", "y", "heading")})
-    return rerun(model, start, plan.course, step=0.1, tolerance=1e-6)
+    return simulate_plan(model, start, plan.motion, step=0.1, tolerance=1e-6)
 
 
 driven = {words: by_friction(outcome) for words, outcome in outcomes.items()}

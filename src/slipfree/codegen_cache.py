@@ -1,8 +1,8 @@
-"""Functions compiled with the system's C compiler, and kept for the next time.
+"""Compile functions with the system's C compiler, and cache the libraries.
 
-What is compiled stays in a folder of the user, under a name made of the text it came from. Code is
-loaded from there, so it must be a folder that nobody else can write to. Without a compiler, or
-without such a place, there is nothing compiled: callers do without, and a warning says why.
+Libraries are stored in a folder of the user, named by a digest of their source. Code is loaded from
+there, so only this user may have write access. Without a compiler or such a folder nothing is
+compiled: callers interpret the functions, and a warning gives the reason.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ FOLDER = "SLIPFREE_CACHE"  # variable of the environment: another folder; empty 
 # The functions are long lists of sums and products: with more optimisation they take as long, and
 # without any they take three times as long, as the interpreter does.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
-NO_COMPILER = "no C compiler was found: cc, gcc, clang, or what CC names"
-PATIENCE = 300.0  # with the compiler [s]
-LARGE = 300  # operations from which on functions are worth compiling
-KEPT = 64  # libraries; about a megabyte each
-SCRATCH = "making-"  # how folders begin in which a compiler works
+NO_COMPILER = "no C compiler was found: cc, gcc, clang, or the command in CC"
+COMPILER_TIMEOUT = 300.0  # with the compiler [s]
+MIN_OPERATIONS = 300  # of a function that is worth compiling
+MAX_LIBRARIES = 64  # libraries; about a megabyte each
+SCRATCH_PREFIX = "making-"  # of names of folders in which a compiler works
 DIGEST = 32  # digits in a name
 
 
@@ -48,7 +48,7 @@ def library(
     Parameters
     ----------
     text : str
-        What the functions follow from: the same text stands for the same functions.
+        Text that determines the functions.
     names : sequence of str
         Their names.
     make : callable
@@ -57,22 +57,22 @@ def library(
     Returns
     -------
     tuple of casadi Function, or None
-        None if they are not there and cannot be compiled; a warning says why.
+        None if they are not cached and cannot be compiled; a warning gives the reason.
     """
     key = _key(text)
     try:
         if (place := folder()) is None:
-            raise _NothingError(f"{FOLDER} is empty")
+            raise _UnavailableError(f"{FOLDER} is empty")
         _prepare(place)
-        if found := _kept(place, key, names):
+        if found := _load_cached(place, key, names):
             return found
         if (command := compiler()) is None:
-            raise _NothingError(NO_COMPILER)
+            raise _UnavailableError(NO_COMPILER)
         _compile(place, key, make(), command)
-        if found := _kept(place, key, names):
+        if found := _load_cached(place, key, names):
             return found
-        raise _NothingError(f"what {shlex.join(command)} made cannot be loaded")
-    except _NothingError as error:
+        raise _UnavailableError(f"what {shlex.join(command)} made cannot be loaded")
+    except _UnavailableError as error:
         warnings.warn(f"equations are interpreted, not compiled: {error}", stacklevel=1)
     return None
 
@@ -84,7 +84,7 @@ def compiled_functions(
     *,
     compiled: bool,
 ) -> tuple[ca.Function, ...]:
-    """Return functions that follow from another one, compiled if asked for and worth it.
+    """Return functions derived from another one, compiled on request if they are large.
 
     Parameters
     ----------
@@ -97,24 +97,24 @@ def compiled_functions(
     compiled : bool
         Whether to compile them where a compiler is found.
     """
-    if not compiled or key.n_instructions() < LARGE:
+    if not compiled or key.n_instructions() < MIN_OPERATIONS:
         return tuple(make())
     code = Path(inspect.getfile(make)).read_text(encoding="utf-8")
     return library("\n".join([code, source([key])]), names, make) or tuple(make())
 
 
 def obstacle() -> str | None:
-    """Return why nothing can be compiled here, None if nothing is seen that is in the way."""
+    """Return the reason why nothing can be compiled here, or None."""
     try:
         if folder() is None:
             return f"{FOLDER} is empty"
-    except _NothingError as error:
+    except _UnavailableError as error:
         return str(error)
     return NO_COMPILER if compiler() is None else None
 
 
-class _NothingError(Exception):
-    """Nothing can be compiled here."""
+class _UnavailableError(Exception):
+    """No compiler or no usable cache folder is available."""
 
 
 def source(functions: Sequence[ca.Function]) -> str:
@@ -138,7 +138,7 @@ def folder() -> Path | None:
     try:
         return Path(given).expanduser() if given else None
     except RuntimeError as error:  # of ~NAME
-        raise _NothingError(
+        raise _UnavailableError(
             f"{FOLDER}: expected a folder, found {given!r} of a user who has no home folder"
         ) from error
 
@@ -147,23 +147,23 @@ def _prepare(place: Path) -> None:
     """Make the folder if it is not there, and refuse one that others may have written to."""
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _own(place.stat()):
-            raise _NothingError(
+        if not _is_private(place.stat()):
+            raise _UnavailableError(
                 f"{place}: expected a folder of this user that others cannot write to"
             )
     except OSError as error:
-        raise _NothingError(f"{place}: {error.strerror}") from error
+        raise _UnavailableError(f"{place}: {error.strerror}") from error
 
 
-def _own(about: os.stat_result) -> bool:
-    """Return whether nobody else can have written to a file or folder."""
+def _is_private(about: os.stat_result) -> bool:
+    """Return whether a file or folder belongs to this user and only this user may write to it."""
     if os.name != "posix":
         return True
     return about.st_uid == os.geteuid() and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def compiler() -> list[str] | None:
-    """Return the command of the C compiler, None if there is none."""
+    """Return the command of the C compiler, or None."""
     try:
         named = shlex.split(os.environ.get("CC", ""))
     except ValueError:  # an open quote
@@ -174,12 +174,12 @@ def compiler() -> list[str] | None:
     return None
 
 
-def _kept(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...] | None:
-    """Return functions of the cache; what is not as it was written there is removed."""
+def _load_cached(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...] | None:
+    """Return functions of the cache, and remove damaged libraries."""
     for file in sorted(place.glob(f"{key}.*.so")):
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
-            if same and _own(file.lstat()) and not file.is_symlink():
+            if same and _is_private(file.lstat()) and not file.is_symlink():
                 found = tuple(ca.external(name, str(file)) for name in names)
                 with suppress(OSError):  # of a place where nothing can be written
                     os.utime(file)  # the last one used is the last one removed
@@ -201,26 +201,26 @@ def _compile(
 ) -> None:
     """Put a library into the cache under its key and a digest of itself."""
     try:
-        with tempfile.TemporaryDirectory(dir=place, prefix=SCRATCH) as scratch:
+        with tempfile.TemporaryDirectory(dir=place, prefix=SCRATCH_PREFIX) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
             text.write_text(source(functions), encoding="utf-8")
             _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
             if not file.exists():
-                raise _NothingError(
+                raise _UnavailableError(
                     f"{shlex.join(command)}: expected a C compiler, found that it made no library; "
                     "name another one in CC"
                 )
             file.chmod(0o700)
             file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
     except OSError as error:
-        raise _NothingError(f"{place}: {error.strerror}") from error
+        raise _UnavailableError(f"{place}: {error.strerror}") from error
     except subprocess.SubprocessError as error:
-        raise _NothingError(f"{shlex.join(command)} did not do its work") from error
-    _tidy(place)
+        raise _UnavailableError(f"{shlex.join(command)} did not do its work") from error
+    _remove_old(place)
 
 
 def _run(command: Sequence[str]) -> None:
-    """Run a compiler out of reach of the terminal's Ctrl-C; what interrupts us ends it."""
+    """Run a compiler in its own session, and end it if this process is interrupted."""
     none = subprocess.DEVNULL
     with subprocess.Popen(
         command, stdin=none, stdout=none, stderr=none, start_new_session=True
@@ -236,7 +236,7 @@ def _run(command: Sequence[str]) -> None:
 
         try:
             with ended_by_interrupt(end):
-                code = process.wait(PATIENCE)
+                code = process.wait(COMPILER_TIMEOUT)
         except BaseException:
             end()
             process.wait()
@@ -245,8 +245,8 @@ def _run(command: Sequence[str]) -> None:
         raise subprocess.CalledProcessError(code, command)
 
 
-def _tidy(place: Path) -> None:
-    """Remove the libraries that were not used for longest, and what killed compilers left."""
+def _remove_old(place: Path) -> None:
+    """Remove the least recently used libraries and the leftovers of interrupted compilations."""
     ages = dict[Path, float]()
     for file in place.iterdir():
         with suppress(OSError):  # another process may tidy as well
@@ -254,9 +254,9 @@ def _tidy(place: Path) -> None:
     libraries = sorted(
         (file for file in ages if file.suffix == ".so"), key=lambda file: -ages[file]
     )
-    for file in libraries[KEPT:]:
+    for file in libraries[MAX_LIBRARIES:]:
         with suppress(OSError):
             file.unlink()
     for file in ages:
-        if file.name.startswith(SCRATCH) and ages[file] < time.time() - 2 * PATIENCE:
+        if file.name.startswith(SCRATCH_PREFIX) and ages[file] < time.time() - 2 * COMPILER_TIMEOUT:
             shutil.rmtree(file, ignore_errors=True)

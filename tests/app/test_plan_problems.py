@@ -174,7 +174,7 @@ def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
 
 
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
-    monkeypatch.setattr("slipfree.plan.plan.REFINEMENTS", 1)
+    monkeypatch.setattr("slipfree.plan.plan.MAX_REFINEMENTS", 1)
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
     stop = run(read(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"

@@ -60,9 +60,9 @@ def test_another_goal_takes_at_most_half_the_iterations(solved, tmp_path):
 def test_a_file_keeps_what_a_plan_leaves(solved):
     arrays = netcdf.read_arrays(solved)
     saved = from_arrays(arrays, "file")
-    assert saved.course.mesh.ends.size == 9
-    assert saved.course.duration == 20.0
-    assert saved.course.continuous
+    assert saved.motion.mesh.ends.size == 9
+    assert saved.motion.duration == 20.0
+    assert saved.motion.continuous
     assert_array_equal(saved.arrays["plan_unknowns"], saved.unknowns)
 
 

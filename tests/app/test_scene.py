@@ -21,8 +21,8 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files import netcdf
 from slipfree.models.poses import part_poses, wheel_poses
 from slipfree.models.slip import measured_slip
-from slipfree.plan.transcription import Mesh, positions
-from slipfree.plan.warm_start import Saved
+from slipfree.plan.transcription import CollocationMesh, positions
+from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.reload import shown
 from slipfree.show.climb_scene import climb_scene
 from slipfree.show.drive_film import _Film
@@ -344,7 +344,7 @@ def test_a_plan_is_drawn_beside_its_simulation(file: Path, tmp_path: Path) -> No
     run = netcdf.read(file)
     states = ["x", "y", "heading", "tilt_right", "tilt_left", "steer"]
     unknowns = ["z", "roll", "pitch"]
-    mesh = Mesh(np.linspace(0, 1, 11), 3)
+    mesh = CollocationMesh(np.linspace(0, 1, 11), 3)
     layout = positions(mesh, (6, 9, 1), continuous=False)
     values = np.zeros(layout.duration + 1)
     values[layout.duration] = 1.0
@@ -362,7 +362,7 @@ def test_a_plan_is_drawn_beside_its_simulation(file: Path, tmp_path: Path) -> No
     by_wheel = np.stack(contacts, axis=-1).reshape(10, 3, 6)  # x and y of a wheel side by side
     values[layout.unknowns] = np.concatenate([sampled(unknowns, at), by_wheel], axis=-1)
     sizes = np.array([3.0, 6, 9, 1, 0])
-    saved = Saved(mesh.ends, sizes, values, values, values, shift, np.zeros(1))
+    saved = SavedPlan(mesh.ends, sizes, values, values, values, shift, np.zeros(1))
     out = tmp_path / "planned.nc"
     netcdf.write(out, run, saved.arrays)
     found = shown(out, "planned")

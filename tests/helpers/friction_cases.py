@@ -84,9 +84,9 @@ def parts(ground, law) -> Parts:
     """Return the instant at which a rigid axle starts to move at rates that do not fit it."""
     dae = direct_kinematics(FIXED, ground, slip="traction", traction=law)
     begin = settle(dae, **TURNED)
-    loop = with_inputs(dae, dae.inputs(**UNEQUAL), 0)
+    system = with_inputs(dae, dae.inputs(**UNEQUAL), 0)
     x = dae.rows("x", begin, 0)
-    z = consistent(loop, 0.0, x, dae.rows("z", begin, 0), loop.u[:, 0])
+    z = consistent(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
     w = ca.vertcat(*leaves(dae.z.rates.motion))
     slip = ca.vertcat(
         *(v for pair in zip(dae.y.slip_along, dae.y.slip_across, strict=True) for v in pair)
@@ -99,7 +99,7 @@ def parts(ground, law) -> Parts:
         list(dae.columns()),
         [w, ca.jacobian(slip, w), slip, ca.jacobian(normal, w), normal, ca.gradient(power, w)],
     )
-    rates, jac, now, touch, moving, load = (np.array(each) for each in f(x, z, loop.u[:, 0]))
+    rates, jac, now, touch, moving, load = (np.array(each) for each in f(x, z, system.u[:, 0]))
     names = [label.name for label in leaves(dae.labels.z)]
     bears = z[[k for k, name in enumerate(names) if name == "force_normal"]]
     rest, still = (now - jac @ rates).ravel(), (moving - touch @ rates).ravel()
@@ -158,17 +158,17 @@ def random_starts(axle, mu, eps, count, rng) -> tuple[int, float]:
     dae = direct_kinematics(vehicle, ground, slip="traction", traction=Traction(eps))
     tilts = {"tilt_right": 0.05, "tilt_left": -0.03} if axle == "tilting" else {}
     begin = settle(dae, heading=0.7, steer=0.2, **tilts)
-    loop = with_inputs(dae, dae.inputs(right_rate=0.5, left_rate=0.35, steer_rate=0.1), 0)
+    system = with_inputs(dae, dae.inputs(right_rate=0.5, left_rate=0.35, steer_rate=0.1), 0)
     x = dae.rows("x", begin, 0)
-    z = consistent(loop, 0.0, x, dae.rows("z", begin, 0), loop.u[:, 0])
-    block = loop.blocks[1]
-    meant = loop._replace(blocks=(loop.blocks[0], block._replace(stages=block.stages[-1:])))
+    z = consistent(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
+    block = system.blocks[1]
+    meant = system._replace(blocks=(system.blocks[0], block._replace(stages=block.stages[-1:])))
     converged, apart = 0, 0.0
     for _ in range(count):
         first = z.copy()
         first[block.span] += rng.normal(size=len(block.labels)) * 0.3 * dae.scale[block.span]
         try:
-            again = consistent(meant, 0.0, x, first, loop.u[:, 0])
+            again = consistent(meant, 0.0, x, first, system.u[:, 0])
         except ModelError:
             continue
         converged += 1

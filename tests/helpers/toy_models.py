@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae, Labels, Limit
-from slipfree.plan.transcription import Task
+from slipfree.plan.transcription import PlanTask
 from slipfree.records import Label, symbols
 
 
@@ -92,7 +92,7 @@ def task(
     continuous=False,
 ):
     span = (duration, duration) if isinstance(duration, float) else duration
-    return Task(
+    return PlanTask(
         dae,
         np.array(start),
         span,

@@ -22,7 +22,7 @@ from slipfree.control.path_following import follow, straight
 from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan
-from slipfree.plan.verification import rerun
+from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import read
 from slipfree.problem.solve import run as solve
 
@@ -182,7 +182,7 @@ def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
 def test_friction_carries_the_vehicle_to_the_goal():
     """Under its inputs; a rigid axle slips by far more than the creep on its way."""
     dae = model("traction")
-    run = rerun(dae, settle(dae, **START), climbed().course, step=0.5, tolerance=1e-7)
+    run = simulate_plan(dae, settle(dae, **START), climbed().motion, step=0.5, tolerance=1e-7)
     assert run.stop is None
     assert np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]) < 0.2
 

@@ -32,7 +32,7 @@ from slipfree.models.inverse import (
 )
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import consistent
-from slipfree.solve.sampling import Samples, followed, table
+from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
 from slipfree.vehicle.wheel import Wheel
 
@@ -86,12 +86,12 @@ def test_rates_come_back_at_recorded_states(family):
     for given in combinations((*VELOCITY, *family), 3):
         dae = inverse_kinematics(three_wheeler(), HILLS, given=given, least_margin=0.0)
         for k in range(run.t.size):
-            loop = with_inputs(dae, dae.inputs(**{name: value(name, k) for name in given}), 0)
+            system = with_inputs(dae, dae.inputs(**{name: value(name, k) for name in given}), 0)
             x, z = dae.rows("x", run, k), dae.rows("z", run, k)
             if dae.checks[-1].margin(x[:, None], z[:, None])[0] < 1e-3:
                 continue
-            z = consistent(loop, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), loop.u[:, 0])
-            expected, n = dae.rows("z", run, k), loop.moving
+            z = consistent(system, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), system.u[:, 0])
+            expected, n = dae.rows("z", run, k), system.moving
             assert_allclose(z[:n], expected[:n], rtol=0, atol=1e-10, err_msg=str(given))
             returned += 1
     assert returned > 40
@@ -126,15 +126,15 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
     dae = inverse_kinematics(three_wheeler(), HILLS)
     _, _, run = direct_run(HILLS, np.linspace(0, 2, 3), x=0.3)
     inputs = dae.inputs(**{name: run[name][-1] for name in PLANAR})
-    loop, rates = with_inputs(dae, inputs, 0), []
+    system, rates = with_inputs(dae, inputs, 0), []
     x, z = dae.rows("x", run, -1), dae.rows("z", run, -1)
     for step in (-1e-5, 0.0, 1e-5):
         moved = x + step * np.array(
             [label.name == "steer" for label in (*dae.labels.x[:3], *dae.labels.x.joints)]
         )
-        rates.append(consistent(loop, 0.0, moved, z, loop.u[:, 0])[loop.moving - 1])
+        rates.append(consistent(system, 0.0, moved, z, system.u[:, 0])[system.moving - 1])
     growth = ca.Function("growth", list(dae.columns()), dae.named("steering_growth"))
-    assert_allclose(float(growth(x, z, loop.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
+    assert_allclose(float(growth(x, z, system.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
 
 
 def test_unstable_steering_is_told():
@@ -271,20 +271,20 @@ def test_collocation_of_a_system_with_a_known_slow_solution():
 
 def moving(dae, stands):
     """Return one sample for each start, with equal rates of the rear wheels and fixed steering."""
-    loop, x, z = (
+    system, x, z = (
         with_inputs(dae, dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0), 0),
         [],
         [],
     )
     for begin in stands:
         x.append(dae.rows("x", begin, 0))
-        z.append(consistent(loop, 0.0, x[-1], dae.rows("z", begin, 0), loop.u[:, 0]))
+        z.append(consistent(system, 0.0, x[-1], dae.rows("z", begin, 0), system.u[:, 0]))
     n = len(stands)
-    u = np.repeat(loop.u[:, :1], n, axis=1)
+    u = np.repeat(system.u[:, :1], n, axis=1)
     samples = Samples(
         np.arange(float(n)), np.column_stack(x), np.column_stack(z), np.zeros((4, n)), u
     )
-    return table(loop, *followed(loop, samples))
+    return to_trajectory(system, *complete_samples(system, samples))
 
 
 def test_conditions_on_flat_ground():

@@ -48,10 +48,10 @@ def test_tolerance_of_lengths_counts_in_sizes_of_the_vehicle():
 def test_residuals_have_no_unit(scale):
     """A vehicle lifted by a thousandth of its size misses the ground by 1e-3 at any scale."""
     dae = direct_kinematics(scaled(three_wheeler(), scale), formula(scale))
-    loop, start = with_inputs(dae, dae.inputs(**PAPER_RATES), 0), settle(dae, heading=0.2)
+    system, start = with_inputs(dae, dae.inputs(**PAPER_RATES), 0), settle(dae, heading=0.2)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
     z[0] += 1e-3 * scale
-    missed = np.array(loop.blocks[0].residual(0.0, x, z, loop.u[:, 0], 0.0)).ravel()
+    missed = np.array(system.blocks[0].residual(0.0, x, z, system.u[:, 0], 0.0)).ravel()
     assert_allclose(np.abs(missed).max(), 1e-3, rtol=1e-6)
     assert_allclose(dae.sizes.x, [scale, scale, 1, 1, 1, 1])
 

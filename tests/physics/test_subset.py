@@ -31,7 +31,7 @@ from slipfree.models.reach import check_reach, wheel_rates
 from slipfree.problem import subset as problem
 from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
-from slipfree.solve.trim import moving, seek
+from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.trajectory import Stop, Trajectory
 from slipfree.vehicle.catalogue.carts import ackermann, articulated, differential_drive, skid_steer
 from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
@@ -85,11 +85,11 @@ def poised(vehicle, terrain, given, **start):
     joints = list(steered(vehicle, direct))
     errors = [f"{name}_error" for name in joints]
     stand = settle(direct, **(start or START))
-    return direct, dae, seek(dae, stand, dae.inputs(**given), states=joints, least=errors)
+    return direct, dae, trim_states(dae, stand, dae.inputs(**given), states=joints, least=errors)
 
 
 def driven(direct, stand, rates):
-    return moving(direct, stand, direct.inputs(**rates))
+    return apply_inputs(direct, stand, direct.inputs(**rates))
 
 
 def found_rates(direct, run):
@@ -153,7 +153,7 @@ def test_the_rough_ground_of_wmrde(given, sought, most):
     if sought:
         joints = list(steered(ROVER, direct))
         slips = ["slip_along", "slip_across"]
-        stand = seek(dae, stand, dae.inputs(**given), states=joints, least=slips)
+        stand = trim_states(dae, stand, dae.inputs(**given), states=joints, least=slips)
     again = driven(direct, stand, wheel_rates(ROVER, direct, stand, **given))
     assert slip(again)[0] < most
     for name, value in given.items():
@@ -201,7 +201,7 @@ def test_what_wheels_hardly_reach_ends_at_the_start():
 def test_steering_that_is_off_costs_slip_and_decays_while_the_motion_is_exact():
     given, vehicle = {"forward": 0.1, "yaw_rate": 0.06}, CATALOG["ackermann"]
     dae, t = subset_kinematics(vehicle, FLAT), np.linspace(0, 4, 81)
-    start = moving(dae, settle(dae), dae.inputs(**given))  # with the wheels straight ahead
+    start = apply_inputs(dae, settle(dae), dae.inputs(**given))  # with the wheels straight ahead
     run = simulate(dae, start, dae.inputs(**given), t)
     for name, value in given.items():
         assert_allclose(planar(run)[name], value, rtol=0, atol=1e-12)
@@ -247,7 +247,7 @@ def test_sought_names_are_checked():
     _, dae, start = poised(CATALOG["ackermann"], FLAT, {"forward": 0.1})
     for states, least in ((["steering"], []), (["steer"], ["slip"])):
         with pytest.raises(ModelError, match="seek: the model has no 's"):
-            seek(dae, start, dae.inputs(forward=0.1), states=states, least=least)
+            trim_states(dae, start, dae.inputs(forward=0.1), states=states, least=least)
 
 
 CAR = ("vehicle.steered=", "vehicle.catalog=ackermann", "time.step=0.1")

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from slipfree.plan.nlp_block import element
-from slipfree.plan.sparse_assembly import _replayed, assembled
+from slipfree.plan.nlp_block import nlp_block
+from slipfree.plan.sparse_assembly import _evaluate_by_columns, assemble
 
 
 def branches(a, b):
@@ -21,7 +21,7 @@ def test_columns_are_what_one_number_after_the_other_gives(count, rng):
     f = ca.Function("f", [v, q], results)
     columns = [ca.MX.sym(name, count) for name in "ab"]
     q_all = ca.MX.sym("q")
-    found = _replayed(f, [columns, [q_all]])
+    found = _evaluate_by_columns(f, [columns, [q_all]])
     full = [
         ca.horzcat(*(e if e.numel() == count else ca.repmat(e, count) for e in each))
         for each in found
@@ -40,7 +40,7 @@ def test_elements_add_up_where_they_share_unknowns(rng):
     rows, constants = np.array([[4, 0], [1, 3], [2, 5]]), np.array([[1.0], [2.0], [-3.0]])
     cost, each = p[0] * q * v[0] ** 2 * v[1], ca.vertcat(ca.sin(v[0] * v[1]), p[1] * v[1])
     scale = np.array([1.0, 0.5, 3.0])
-    made = assembled([element((v, q, p), cost, each, (), (where, rows), constants)], scale, 2)
+    made = assemble([nlp_block((v, q, p), cost, each, (), (where, rows), constants)], scale, 2)
     w, p_all = ca.MX.sym("w", 3), ca.MX.sym("p", 2)
     x = w * scale
     f = sum(p_all[0] * c * x[i] ** 2 * x[j] for (i, j), (c,) in zip(where, constants, strict=True))

@@ -12,11 +12,11 @@ from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheele
 from slipfree.dae import Limit
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.elastic import relax
-from slipfree.plan.explanation import explanation, violations, words
-from slipfree.plan.ipopt import solve
-from slipfree.plan.polynomial_motion import unknowns_of
+from slipfree.plan.explanation import explanation, violation_words, violations
+from slipfree.plan.ipopt import solve_program
+from slipfree.plan.polynomial_motion import guess_unknowns
 from slipfree.plan.problem import limits_of
-from slipfree.plan.transcription import Cost, Mesh, Place, Task, transcribe
+from slipfree.plan.transcription import CollocationMesh, Cost, PlanTask, TimedCondition, transcribe
 from slipfree.records import Label
 
 
@@ -27,7 +27,7 @@ def integrator():
 
 def at_end(expression, low, high=None, name="x0_limit", fraction=1.0):
     label = Label(name, "m", "limited by the plan")
-    return Place(fraction, (Limit(label, expression, low, low if high is None else high),))
+    return TimedCondition(fraction, (Limit(label, expression, low, low if high is None else high),))
 
 
 def along(expression, low, high, name="x0_limit"):
@@ -40,11 +40,11 @@ def effort(dae):
 
 def attempted(asked, intervals=8, degree=2, **options):
     """Return the program of a task, where its search ended, and where it began."""
-    program = transcribe(asked, Mesh(np.linspace(0, 1, intervals + 1), degree))
+    program = transcribe(asked, CollocationMesh(np.linspace(0, 1, intervals + 1), degree))
     first = np.full(program.scale.size, 0.1)
     first[program.layout.duration] = asked.duration[0]
     weights = np.append(np.ones(len(asked.costs)), 0.0)
-    return program, solve(program, weights, first, **options), first
+    return program, solve_program(program, weights, first, **options), first
 
 
 def test_a_goal_beyond_the_reach_of_the_input_names_what_must_give():
@@ -90,7 +90,7 @@ def test_a_narrower_goal_gives_before_a_wide_input():
     (one,) = relax(program, first).relaxed
     assert (one.label.full, one.role, one.bound, one.t, one.interval) == ("x0", "goal", 4.0, 1.0, 7)
     assert one.value == pytest.approx(1.0, abs=1e-4)
-    assert words(one) == "x0 at the goal is 3 m below 4 m at t = 1 s"
+    assert violation_words(one) == "x0 at the goal is 3 m below 4 m at t = 1 s"
 
 
 def test_heavy_costs_do_not_change_what_gives():
@@ -144,13 +144,13 @@ def test_times_and_places_of_violations_are_those_of_the_mesh():
         places=[at_end(x, 0.5, fraction=0.5), at_end(x, 2.0)],
     )
     asked = replace(asked, accelerations=np.array([[-1.0, 1.0]]))
-    program = transcribe(asked, Mesh(np.array([0.0, 0.25, 0.5, 1.0]), 1))
+    program = transcribe(asked, CollocationMesh(np.array([0.0, 0.25, 0.5, 1.0]), 1))
     layout, w = program.layout, np.zeros(program.scale.size)
     w[layout.states[:, 0, 0]] = 0.5, 1.0, 2.0
     w[layout.unknowns[:, 0, 0]] = 0.25, 1.0, 4.0
     w[layout.inputs[:, 0]], w[layout.duration] = (1.0, 0.5, 1.5), 2.0
     rows = np.array(program.jacobian(w / program.scale, np.zeros(1))[0]).ravel()
-    blank = solve(program, np.zeros(1), w, iterations=0)
+    blank = solve_program(program, np.zeros(1), w, iterations=0)
     found = {
         (each.role, each.label.full): each
         for each in violations(program, blank._replace(unknowns=w, rows=rows))
@@ -167,11 +167,11 @@ def test_times_and_places_of_violations_are_those_of_the_mesh():
     sizes = {"drive": 0.75 / 1.25, "drive_change": 1 / 2, "formula": 3.5 / 8}
     assert [name for _, name in found if name in sizes] == list(sizes)
     assert (
-        words(found["equation", "x0_motion"])
+        violation_words(found["equation", "x0_motion"])
         == "equation x0_motion of the vehicle is not met by 0.5 m at t = 2 s"
     )
     assert (
-        words(found["input", "drive_change"])
+        violation_words(found["input", "drive_change"])
         == "input drive_change is 1 1/s2 above 1 1/s2 at t = 1 s"
     )
 
@@ -196,7 +196,7 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     assert given.relaxed == []
     assert given.held == []
     assert explanation(program, found, first).startswith("the plan is solved (Solve_Succeeded")
-    stuck = solve(program, np.array([1.0, 0.0]), first, iterations=0)
+    stuck = solve_program(program, np.array([1.0, 0.0]), first, iterations=0)
     told = explanation(program, stuck, first)
     assert told.startswith("the search did not end within its iterations (Maximum_Iterations")
     assert "nothing has to give" in told
@@ -270,12 +270,12 @@ def driven(vehicle, terrain, goal, limits):
     guess = simulate(dae, start, inputs, np.linspace(0, 5, 31))
     used = Cost(Label("effort", "", ""), ca.sumsqr(ca.vertcat(*dae.u.wheels)), 1.0)
     ends = limits_of(dae, {name: (value, value) for name, value in goal.items()})
-    asked = Task(
+    asked = PlanTask(
         dae,
         dae.rows("x", start, -1),
         (5.0, 5.0),
         (used,),
-        (Place(1.0, ends),),
+        (TimedCondition(1.0, ends),),
         limits_of(dae, limits),
         np.array([[-0.5, 0.5]] * 3),
         np.tile([-np.inf, np.inf], (3, 1)),
@@ -290,9 +290,9 @@ def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
         three_wheeler(axle="fixed"), Analytic(hills), {"x": 0.0, "y": 3.0}, {"steer": (-0.5, 0.5)}
     )
     assert conflicts(asked, start) == []
-    program = transcribe(asked, Mesh(np.linspace(0, 1, 11), 3))
-    first = unknowns_of(program, guess)
-    found = solve(program, np.array([1.0, 0.01]), first)
+    program = transcribe(asked, CollocationMesh(np.linspace(0, 1, 11), 3))
+    first = guess_unknowns(program, guess)
+    found = solve_program(program, np.array([1.0, 0.01]), first)
     assert not found.success
     assert "y" in [each.label.full for each in violations(program, found) if each.role == "goal"]
     given = relax(program, first)
@@ -322,10 +322,10 @@ def test_limits_of_wheels_and_of_the_model_are_named():
     )
     (front,) = [each for each in told if "contact_y of wheel front" in each]
     assert front.startswith("contact_y of wheel front must be -9 to -0.6 m, but the start has ")
-    program = transcribe(asked, Mesh(np.linspace(0, 1, 3), 2))
-    w = unknowns_of(program, guess)
+    program = transcribe(asked, CollocationMesh(np.linspace(0, 1, 3), 2))
+    w = guess_unknowns(program, guess)
     rows = np.array(program.jacobian(w / program.scale, np.zeros(2))[0]).ravel()
-    blank = solve(program, np.zeros(2), w, iterations=0)
+    blank = solve_program(program, np.zeros(2), w, iterations=0)
     found = {
         each.label.full: each for each in violations(program, blank._replace(unknowns=w, rows=rows))
     }

@@ -22,7 +22,7 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.plan import mpc as module
-from slipfree.plan.mpc import advance, begin, driven, horizon
+from slipfree.plan.mpc import advance, cycle_inputs, first_cycle, horizon
 from slipfree.plan.plan import plan
 
 GOAL, DURATION, COUNT = {"x": 0.2, "y": 0.9}, 8.0, 12
@@ -53,11 +53,11 @@ def found():
 
 def traverse(found, window, **start):
     """Drive to the end of the plan, one cycle an interval; return the way's end and all cycles."""
-    dae, cycle = found.program.task.dae, begin(window)
-    here, cycles, times = settle(dae, **start), [], found.course.ends
+    dae, cycle = found.program.task.dae, first_cycle(window)
+    here, cycles, times = settle(dae, **start), [], found.motion.ends
     for t, end in pairwise(times):
         cycle = advance(window, cycle, t, dae.rows("x", here, -1))
-        here = simulate(dae, here, *driven(window, cycle, t, end))
+        here = simulate(dae, here, *cycle_inputs(window, cycle, t, end))
         cycles.append(cycle)
     return here, cycles
 
@@ -69,20 +69,22 @@ def away(run):
 def test_the_end_of_a_plan_is_its_end_whatever_was_summed_up(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     for one, other in zip(
-        module._bounds(window, DURATION), module._bounds(window, DURATION - 1e-9), strict=True
+        module._row_bounds(window, DURATION),
+        module._row_bounds(window, DURATION - 1e-9),
+        strict=True,
     ):
         assert_array_equal(one, other)
-    lower, upper = module._bounds(window, DURATION - 1.0)
+    lower, upper = module._row_bounds(window, DURATION - 1.0)
     assert_array_equal(lower[-len(GOAL) :], upper[-len(GOAL) :])
 
 
 def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
-    first, count = begin(window), found.course.layout.duration
+    first, count = first_cycle(window), found.motion.layout.duration
     start = found.program.task.start
     cycle = advance(window, first, 0.0, start)
     for one in (first, cycle):
-        assert_allclose(one.course.unknowns[:count], found.course.unknowns[:count], atol=1e-6)
+        assert_allclose(one.motion.unknowns[:count], found.motion.unknowns[:count], atol=1e-6)
         assert one.violation < 1e-9
 
 
@@ -91,22 +93,22 @@ def test_a_step_of_the_shifted_window_leads_to_its_solution(found):
         horizon(found, span=DURATION / 2, intervals=COUNT // 2, iterations=count)
         for count in (1, 50)
     )
-    t, ends, first = found.course.ends[1], found.course.mesh.ends, begin(window)
-    x = found.course.states(ends[1:2])[:, 0]
+    t, ends, first = found.motion.ends[1], found.motion.mesh.ends, first_cycle(window)
+    x = found.motion.states(ends[1:2])[:, 0]
     whole, once = (advance(each, first, t, x) for each in (many, window))
     twice = advance(window, once, t, x)
     parts = np.linspace(0, 1, 9)
     before, after = (
-        np.abs(each.course.states(parts) - whole.course.states(parts)).max()
+        np.abs(each.motion.states(parts) - whole.motion.states(parts)).max()
         for each in (once, twice)
     )
     assert before < 0.1
     assert after < before / 3
     assert once.violation < 1e-3
-    assert once.course.duration == whole.course.duration == DURATION / 2
-    at_end = found.course.states(np.array([(t + DURATION / 2) / DURATION]))
+    assert once.motion.duration == whole.motion.duration == DURATION / 2
+    at_end = found.motion.states(np.array([(t + DURATION / 2) / DURATION]))
     for each in (once, whole):
-        assert_allclose(each.course.states(np.ones(1))[:2], at_end[:2], atol=1e-8)
+        assert_allclose(each.motion.states(np.ones(1))[:2], at_end[:2], atol=1e-8)
 
 
 def test_steps_converge(found):
@@ -115,11 +117,11 @@ def test_steps_converge(found):
         horizon(found, span=DURATION, intervals=COUNT, iterations=count) for count in (1, 50)
     )
     start = found.program.task.start + np.array([0.02, -0.02, 0.03, 0.0])
-    cycle, misses = begin(window), []
+    cycle, misses = first_cycle(window), []
     whole = advance(many, cycle, 0.0, start)
     for _ in range(8):
         cycle = advance(window, cycle, 0.0, start)
-        misses.append(np.abs(cycle.course.unknowns - whole.course.unknowns).max())
+        misses.append(np.abs(cycle.motion.unknowns - whole.motion.unknowns).max())
     assert misses[-1] < 1e-4
     assert misses[1] < misses[0] / 3
     assert cycle.violation < 1e-6
@@ -142,10 +144,10 @@ def test_inputs_keep_to_their_bounds(found):
     window = horizon(found, span=DURATION / 2, intervals=COUNT // 2)
     start = found.program.task.start.copy()
     start[1] -= 0.5  # metres behind
-    cycle = begin(window)
+    cycle = first_cycle(window)
     for _ in range(8):
         cycle = advance(window, cycle, 0.0, start)
-    rates = cycle.course.unknowns[cycle.course.layout.inputs]
+    rates = cycle.motion.unknowns[cycle.motion.layout.inputs]
     assert np.abs(rates).max() <= 2.0 + 1e-6
 
 
@@ -153,16 +155,16 @@ def test_inputs_keep_to_their_bounds(found):
 def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, period):
     """The last part is as long as what is left."""
     window, here, t = horizon(found, span=4.0, intervals=6), settle(found.program.task.dae), 0.0
-    cycle = begin(window)
+    cycle = first_cycle(window)
     while t < DURATION:
         cycle = advance(window, cycle, t, found.program.task.dae.rows("x", here, -1))
-        inputs, times = driven(window, cycle, t, t + period)
+        inputs, times = cycle_inputs(window, cycle, t, t + period)
         here = simulate(found.program.task.dae, here, inputs, times)
         t += period
     assert_allclose(times[-1], DURATION - cycle.t, atol=1e-9)
     assert away(here) < 1e-3
     with pytest.raises(ModelError, match=r"expected times from .* to 8 s"):
-        driven(window, cycle, 8.5, 9.0)
+        cycle_inputs(window, cycle, 8.5, 9.0)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +191,7 @@ def test_what_depends_on_time_is_refused(found):
 
 def test_states_that_are_none_and_steps_that_fail_are_told(found):
     window = horizon(found, span=4.0, intervals=6)
-    first, start = begin(window), found.program.task.start
+    first, start = first_cycle(window), found.program.task.start
     for state in (start[:-1], start * np.nan, start[0]):
         with pytest.raises(ModelError, match="expected a time and 4 states, all finite"):
             advance(window, first, 0.0, state)

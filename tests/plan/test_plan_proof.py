@@ -11,9 +11,9 @@ from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, 
 from slipfree.dae import Limit
 from slipfree.plan import plan as planning
 from slipfree.plan.plan import plan
-from slipfree.plan.polynomial_motion import carried, course
-from slipfree.plan.transcription import Mesh
-from slipfree.plan.verification import refined, rerun
+from slipfree.plan.polynomial_motion import motion_of, transfer_motion
+from slipfree.plan.transcription import CollocationMesh
+from slipfree.plan.verification import refine_mesh, simulate_plan
 from slipfree.records import Label
 
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
@@ -48,7 +48,7 @@ def coarse(model):
 
 
 def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse):
-    way, run = coarse.course, coarse.run
+    way, run = coarse.motion, coarse.run
     names = ("x", "y", "heading", "steer")
     assert_allclose(
         way.states(coarse.program.mesh.nodes), [run[name] for name in names], atol=1e-12
@@ -63,10 +63,10 @@ def test_the_course_is_the_plan_at_its_points_and_the_simulation_between(coarse)
 @pytest.mark.parametrize("continuous", [False, True])
 def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model, continuous):
     found = asked(model, continuous=continuous, intervals=5)
-    replay, ends = found.replay, found.course.ends
+    replay, ends = found.replay, found.motion.ends
     rates, parts = replay["right_rate"], (replay.t.size - 1) // 5
     if continuous:
-        values = found.solution.unknowns[found.course.layout.inputs][:, 0]
+        values = found.solution.unknowns[found.motion.layout.inputs][:, 0]
         assert_allclose(rates, np.interp(replay.t, ends, values), atol=1e-12)
         return
     inner = rates[:-1].reshape(5, parts)  # at a jump the value after it
@@ -82,7 +82,7 @@ def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     assert coarse.accurate
     assert found.accurate
     assert max(found.difference.values()) <= wanted
-    assert set(coarse.course.mesh.ends) < set(found.course.mesh.ends)
+    assert set(coarse.motion.mesh.ends) < set(found.motion.mesh.ends)
     assert found.stages[-1].words.endswith("intervals")
 
 
@@ -109,14 +109,14 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
 
 
 def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
-    monkeypatch.setattr("slipfree.plan.plan.REFINEMENTS", 1)
+    monkeypatch.setattr("slipfree.plan.plan.MAX_REFINEMENTS", 1)
     found = asked(model, accuracy=1e-13, intervals=1, degree=1, costs={"effort": 1.0})
     assert found.success
     assert not found.accurate
 
 
 def test_a_search_that_gets_stuck_is_made_again_with_a_tighter_filter(model, monkeypatch):
-    growths, solve = [], planning.solve
+    growths, solve = [], planning.solve_program
 
     def stuck(*args, growth=100.0, **options):
         growths.append(growth)
@@ -124,17 +124,17 @@ def test_a_search_that_gets_stuck_is_made_again_with_a_tighter_filter(model, mon
         failed = {"status": "Restoration_Failed", "success": False}
         return found._replace(**failed) if len(growths) == 1 else found
 
-    monkeypatch.setattr(planning, "solve", stuck)
+    monkeypatch.setattr(planning, "solve_program", stuck)
     plan = asked(model)
-    assert growths[:2] == [100.0, planning.CAUTIOUS]
+    assert growths[:2] == [100.0, planning.CAUTIOUS_VIOLATION_GROWTH]
     assert [stage.words for stage in plan.stages[:2]] == ["slip left out", "slip left out, again"]
     assert plan.stages[0].status == "Restoration_Failed"
     assert plan.run.stop is None
 
 
 def test_intervals_are_halved():
-    mesh = Mesh(np.array([0.0, 0.5, 1.0]), 2)
-    assert_allclose(refined(mesh, np.array([False, True])).ends, [0, 0.5, 0.75, 1])
+    mesh = CollocationMesh(np.array([0.0, 0.5, 1.0]), 2)
+    assert_allclose(refine_mesh(mesh, np.array([False, True])).ends, [0, 0.5, 0.75, 1])
 
 
 def test_of_several_starts_the_cheapest_plan_counts(model):
@@ -180,14 +180,14 @@ def test_limits_on_which_a_plan_rests_are_there_when_it_is_resumed():
 
 def test_unknowns_are_carried_to_a_finer_mesh(coarse):
     program = coarse.program
-    same = carried(coarse.course, program)
+    same = transfer_motion(coarse.motion, program)
     assert_allclose(same, coarse.solution.unknowns, atol=1e-10)
-    assert course(program, same).duration == coarse.course.duration
+    assert motion_of(program, same).duration == coarse.motion.duration
 
 
 def test_another_model_runs_under_the_inputs_of_a_plan(coarse):
     dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills, mu=0.6), slip="traction")
-    run = rerun(dae, settle(dae), coarse.course, step=0.25, tolerance=1e-6)
+    run = simulate_plan(dae, settle(dae), coarse.motion, step=0.25, tolerance=1e-6)
     assert run.stop is None
     assert abs(run["y"][-1] - coarse.replay["y"][-1]) < 5e-3
 
@@ -206,7 +206,7 @@ def test_a_stopped_refinement_leaves_the_plan_before_it(model, coarse):
 
 def test_a_plan_goes_on_from_a_place_on_its_way(coarse):
     """Half the way later, on a model whose local coordinates begin there."""
-    half = coarse.course.states(np.array([0.5]))[:, 0]
+    half = coarse.motion.states(np.array([0.5]))[:, 0]
     dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(hills))
     start = settle(dae, **dict(zip(("x", "y", "heading", "steer"), half, strict=True)))
     found = asked((dae, start), duration=5.0, resume=coarse.saved)
@@ -225,7 +225,7 @@ def test_the_plan_of_another_vehicle_is_refused(coarse):
 
 
 def test_a_goal_that_the_simulation_misses_is_told(model, monkeypatch):
-    monkeypatch.setattr(planning, "REFINEMENTS", 1)
+    monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
     found = asked(model, intervals=2, degree=1, accuracy=1e-9, costs={"effort": 1.0})
     assert not found.accurate
     assert found.violation["y at the goal"] == pytest.approx(abs(found.replay["y"][-1] - 1.3))

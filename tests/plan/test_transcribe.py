@@ -11,8 +11,15 @@ from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, 
 from slipfree.dae import Limit
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.explanation import violations
-from slipfree.plan.ipopt import solve
-from slipfree.plan.transcription import Cost, Mesh, Place, Task, completed, transcribe
+from slipfree.plan.ipopt import solve_program
+from slipfree.plan.transcription import (
+    CollocationMesh,
+    Cost,
+    PlanTask,
+    TimedCondition,
+    completed,
+    transcribe,
+)
 from slipfree.records import Label
 
 
@@ -29,7 +36,7 @@ def solved(program, first=None):
     w = np.zeros(program.scale.size) if first is None else first
     w[program.layout.duration] = program.task.duration[0]
     weights = np.append(np.ones(len(program.task.costs)), program.task.smooth)
-    found = solve(program, weights, w)
+    found = solve_program(program, weights, w)
     assert found.success
     return found
 
@@ -41,7 +48,7 @@ def test_order_at_the_ends_of_intervals_is_twice_the_degree_less_one(degree):
     counts = {1: (64, 128, 256), 2: (16, 32, 64), 3: (8, 16, 32), 4: (6, 9, 13)}[degree]
     errors = []
     for count in counts:
-        mesh = Mesh(np.linspace(0, 1, count + 1), degree)
+        mesh = CollocationMesh(np.linspace(0, 1, count + 1), degree)
         program = transcribe(task(dae, [1.0], inputs=(0, 0), duration=4.0), mesh)
         found = solved(program, np.ones(program.scale.size))
         ends = found.unknowns[program.layout.states[:, -1, 0]]
@@ -54,9 +61,10 @@ def test_the_least_effort_of_an_integrator_is_known():
     """x' = u from 0 to 2 in 4 s: u = 1/2, cost 1."""
     dae = toy(1, lambda _t, _x, _z, u: [u])
     cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
-    goal = Place(1.0, (Limit(Label("end", "m", ""), dae.x.values[0], 2.0, 2.0),))
+    goal = TimedCondition(1.0, (Limit(Label("end", "m", ""), dae.x.values[0], 2.0, 2.0),))
     program = transcribe(
-        task(dae, [0.0], costs=[cost], places=[goal], duration=4.0), Mesh(np.linspace(0, 1, 6), 2)
+        task(dae, [0.0], costs=[cost], places=[goal], duration=4.0),
+        CollocationMesh(np.linspace(0, 1, 6), 2),
     )
     found = solved(program)
     assert_allclose(found.unknowns[program.layout.inputs], 0.5, atol=1e-9)
@@ -73,8 +81,8 @@ def test_the_least_effort_of_two_integrators_is_approached_in_second_order():
     counts, errors = (5, 10, 20), []
     for count in counts:
         program = transcribe(
-            task(dae, [0.0, 0.0], costs=[cost], places=[Place(1.0, tuple(ends))]),
-            Mesh(np.linspace(0, 1, count + 1), 3),
+            task(dae, [0.0, 0.0], costs=[cost], places=[TimedCondition(1.0, tuple(ends))]),
+            CollocationMesh(np.linspace(0, 1, count + 1), 3),
         )
         errors.append(solved(program).cost - 12)
     # By constants the least is 12 / (1 - 1/n^2): the mean of a line over an interval.
@@ -87,10 +95,10 @@ def test_the_least_effort_of_two_integrators_is_met_by_continuous_inputs(degree)
     dae = toy(2, lambda _t, x, _z, u: [x[1], u])
     u = dae.u.values[0]
     cost = Cost(Label("effort", "", ""), u**2, 1.0)
-    mesh = Mesh(np.array([0.0, 0.1, 0.25, 0.6, 1.0]), degree)
+    mesh = CollocationMesh(np.array([0.0, 0.1, 0.25, 0.6, 1.0]), degree)
     places = [
-        Place(0.25, at_end((u, 3.0))),
-        Place(1.0, at_end((dae.x.values[0], 1.0), (dae.x.values[1], 0.0))),
+        TimedCondition(0.25, at_end((u, 3.0))),
+        TimedCondition(1.0, at_end((dae.x.values[0], 1.0), (dae.x.values[1], 0.0))),
     ]
     program = transcribe(task(dae, [0.0, 0.0], costs=[cost], places=places, continuous=True), mesh)
     found = solved(program)
@@ -107,8 +115,8 @@ def test_slopes_of_continuous_inputs_keep_to_their_bounds():
     dae = toy(1, lambda _t, _x, _z, u: [u])
     u = dae.u.values[0]
     cost = Cost(Label("effort", "", ""), u**2, 1.0)
-    goal = Place(1.0, at_end((dae.x.values[0], 0.875), (u, 0.0)))
-    mesh = Mesh(np.linspace(0, 1, 9), 2)
+    goal = TimedCondition(1.0, at_end((dae.x.values[0], 0.875), (u, 0.0)))
+    mesh = CollocationMesh(np.linspace(0, 1, 9), 2)
     program = transcribe(
         task(
             dae,
@@ -129,11 +137,11 @@ def test_slopes_of_continuous_inputs_keep_to_their_bounds():
 
 def test_bounds_that_the_last_of_continuous_inputs_misses_are_told_there():
     dae = toy(1, lambda _t, _x, _z, u: [u])
-    goal = Place(1.0, at_end((dae.u.values[0], 3.0)))
+    goal = TimedCondition(1.0, at_end((dae.u.values[0], 3.0)))
     asked = task(dae, [0.0], places=[goal], inputs=(-1.0, 1.0), rates=(0.5, 9.0), continuous=True)
     assert not [words for words in conflicts(asked, None) if "last interval" in words]
-    program = transcribe(asked, Mesh(np.linspace(0, 1, 4), 2))
-    blank = solve(program, np.zeros(1), np.zeros(program.scale.size), iterations=0)
+    program = transcribe(asked, CollocationMesh(np.linspace(0, 1, 4), 2))
+    blank = solve_program(program, np.zeros(1), np.zeros(program.scale.size), iterations=0)
     w = np.zeros(program.scale.size)
     w[program.layout.inputs[:, 0]], w[program.layout.duration] = (0.0, 1.0, 1.0, 3.0), 1.0
     told = {each.label.full: each for each in violations(program, blank._replace(unknowns=w))}
@@ -147,9 +155,9 @@ def test_the_smoothest_continuous_input_is_known():
     (2/3 - h2/6) 3/2 and the squared slopes (4/3 - h2/3) 9/4; they are scaled to reach 1.
     """
     dae = toy(1, lambda _t, _x, _z, u: [u])
-    goal = Place(1.0, at_end((dae.x.values[0], 1.0), (dae.u.values[0], 0.0)))
+    goal = TimedCondition(1.0, at_end((dae.x.values[0], 1.0), (dae.u.values[0], 0.0)))
     for count in (2, 5):
-        mesh = Mesh(np.linspace(0, 1, count + 1), 2)
+        mesh = CollocationMesh(np.linspace(0, 1, count + 1), 2)
         found = solved(
             transcribe(task(dae, [0.0], places=[goal], smooth=1.0, continuous=True), mesh)
         )
@@ -161,8 +169,8 @@ def test_roots_of_a_cost_are_unknowns_and_change_nothing_but_the_search():
     dae = toy(2, lambda t, x, z, u: [x[1] + ca.sin(t) * z, u])
     (x, y), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
     formula = x * y - z + u * ca.cos(dae.t) - 1
-    goal = Place(1.0, at_end((x, 1.0), (y, 0.5)))
-    mesh, found = Mesh(np.linspace(0, 1, 6), 3), []
+    goal = TimedCondition(1.0, at_end((x, 1.0), (y, 0.5)))
+    mesh, found = CollocationMesh(np.linspace(0, 1, 6), 3), []
     for cost in (
         Cost(Label("miss", "", ""), formula**2 + u**2, 1.0),
         Cost(Label("miss", "", ""), (2 * formula**2 + 2 * u**2) / 2, 1.0),
@@ -206,11 +214,11 @@ def test_the_least_time_is_known():
             dae,
             [0.0, 0.0],
             costs=[cost],
-            places=[Place(1.0, tuple(ends))],
+            places=[TimedCondition(1.0, tuple(ends))],
             inputs=(-1, 1),
             duration=(0.5, 9.0),
         ),
-        Mesh(np.linspace(0, 1, 11), 3),
+        CollocationMesh(np.linspace(0, 1, 11), 3),
     )
     first = np.ones(program.scale.size)
     found = solved(program, first)
@@ -224,13 +232,13 @@ def test_a_limit_along_the_way_and_a_way_point_hold():
     cost = Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
     x = dae.x.values[0]
     places = [
-        Place(0.5, (Limit(Label("half", "m", ""), x, 2.0, 2.0),)),
-        Place(1.0, (Limit(Label("end", "m", ""), x, 0.0, 0.0),)),
+        TimedCondition(0.5, (Limit(Label("half", "m", ""), x, 2.0, 2.0),)),
+        TimedCondition(1.0, (Limit(Label("end", "m", ""), x, 0.0, 0.0),)),
     ]
     low = Limit(Label("square_limit", "m", ""), dae.z.values[0] + 0.1 * x, -np.inf, 4.2)
     program = transcribe(
         task(dae, [0.0], costs=[cost], places=places, limits=[low], duration=4.0),
-        Mesh(np.linspace(0, 1, 9), 3),
+        CollocationMesh(np.linspace(0, 1, 9), 3),
     )
     found = solved(program, np.full(program.scale.size, 0.5))
     states = found.unknowns[program.layout.states[..., 0]]
@@ -246,8 +254,8 @@ def vehicle_program():
     x = dae.x
     slip = sum(s**2 for s in (*dae.y.slip_along, *dae.y.slip_across))
     used = ca.sumsqr(ca.vertcat(*dae.y.forces.utilisation))
-    goal = Place(1.0, (Limit(Label("goal", "m", ""), x.x - 0.1 * x.heading, 0.6, 0.6),))
-    everything = Task(
+    goal = TimedCondition(1.0, (Limit(Label("goal", "m", ""), x.x - 0.1 * x.heading, 0.6, 0.6),))
+    everything = PlanTask(
         dae,
         dae.rows("x", start, 0),
         (5.0, 9.0),
@@ -261,7 +269,7 @@ def vehicle_program():
         np.array([[-1.0, 1.0]] * 3),
         0.1,
     )
-    return transcribe(everything, Mesh(np.array([0.0, 0.2, 0.5, 1.0]), 2)), start
+    return transcribe(everything, CollocationMesh(np.array([0.0, 0.2, 0.5, 1.0]), 2)), start
 
 
 def test_derivatives_are_exact(vehicle_program, rng):
@@ -274,9 +282,9 @@ def test_derivatives_are_exact(vehicle_program, rng):
         dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1),
         program.mesh.nodes * 7.0,
     )
-    from slipfree.plan.polynomial_motion import unknowns_of
+    from slipfree.plan.polynomial_motion import guess_unknowns
 
-    w = unknowns_of(program, run) / program.scale + 1e-3 * rng.normal(size=program.scale.size)
+    w = guess_unknowns(program, run) / program.scale + 1e-3 * rng.normal(size=program.scale.size)
     x, p = program.problem["x"], program.problem["p"]
     weights, sigma = np.array([0.3, 0.2, 0.1]), 0.7
     multipliers = rng.normal(size=program.g_lower.size)
@@ -302,7 +310,7 @@ def test_derivatives_are_those_of_the_functions(continuous, rng):
     dae = toy(2, lambda t, x, z, u: [ca.sin(t * x[1]) * u, z * u**2])
     (x, _), z, u = dae.x.values, dae.z.values[0], dae.u.values[0]
     cost = Cost(Label("cost", "", ""), z * u**2 + ca.cos(x * dae.t), 1.0)
-    places = [Place(part, at_end((x * u * dae.t, 1.0))) for part in (0.4, 1.0)]
+    places = [TimedCondition(part, at_end((x * u * dae.t, 1.0))) for part in (0.4, 1.0)]
     limit = Limit(Label("pace", "m", ""), x * u**2, -1.0, 2.0)
     asked = task(
         dae,
@@ -315,7 +323,7 @@ def test_derivatives_are_those_of_the_functions(continuous, rng):
         smooth=0.1,
         continuous=continuous,
     )
-    program = transcribe(asked, Mesh(np.array([0.0, 0.3, 0.4, 1.0]), 2))
+    program = transcribe(asked, CollocationMesh(np.array([0.0, 0.3, 0.4, 1.0]), 2))
     w, p, f, g = (program.problem[name] for name in "xpfg")
     at = rng.normal(size=w.numel()) + 1.0, np.array([0.7, 0.2])
     sigma, multipliers = 0.6, rng.normal(size=g.numel())
@@ -332,4 +340,4 @@ def test_derivatives_are_those_of_the_functions(continuous, rng):
 def test_a_degree_that_is_not_offered_is_refused():
     dae = toy(1, lambda _t, _x, _z, u: [u])
     with pytest.raises(ModelError, match="expected a degree of 1 to 5, found 6"):
-        transcribe(task(dae, [0.0]), Mesh(np.linspace(0, 1, 3), 6))
+        transcribe(task(dae, [0.0]), CollocationMesh(np.linspace(0, 1, 3), 6))

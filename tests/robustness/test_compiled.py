@@ -27,10 +27,10 @@ from slipfree import (
 )
 from slipfree.cli import app
 from slipfree.lookups import LookupTable
-from slipfree.plan.nlp_block import element
+from slipfree.plan.nlp_block import nlp_block
 from slipfree.plan.problem import task_of
-from slipfree.plan.sparse_assembly import assembled
-from slipfree.plan.transcription import Mesh, transcribe
+from slipfree.plan.sparse_assembly import assemble
+from slipfree.plan.transcription import CollocationMesh, transcribe
 from slipfree.records import leaves
 from slipfree.solve.system import with_inputs
 
@@ -62,7 +62,7 @@ def program(seed, *, build=False):
         duration=(4.0, 6.0),
         limits={"steer": (-1.0, 1.0)},
     )
-    return transcribe(task, Mesh(np.linspace(0, 1, 3), 2))
+    return transcribe(task, CollocationMesh(np.linspace(0, 1, 3), 2))
 
 
 def driven(seed, *, build=False):
@@ -106,7 +106,7 @@ def kept(factor=1.0):
 @pytest.mark.parametrize("build", [False, pytest.param(True, marks=needs_compiler)])
 def test_lookups_are_constants_of_the_rest(build, rng, monkeypatch):
     """Of several results, one asked for with the result of another, at places of an element."""
-    monkeypatch.setattr(codegen_cache, "LARGE", 0)
+    monkeypatch.setattr(codegen_cache, "MIN_OPERATIONS", 0)
     a, b = ca.MX.sym("a", 2), ca.MX.sym("b", 3)
     first = ca.Function("first", [a], [ca.vertcat(ca.floor(3 * a), a[0] * a[1])])
     other = ca.Function("other", [b], [ca.floor(b[0] + b[2]) + 0.1 * ca.floor(5 * b[1])])
@@ -123,11 +123,11 @@ def test_lookups_are_constants_of_the_rest(build, rng, monkeypatch):
     cost, rows = formula(v, q, p, one, two)
     where, constants = np.array([[0, 1, 2, 3], [3, 2, 1, 1]]), np.array([[1.0], [-2.0]])
     places, scale = np.arange(10).reshape(2, 5), np.array([1.0, 0.5, 3.0, 1.0])
-    made = element(
+    made = nlp_block(
         (v, q, p), cost, rows, lookups.lookups, (where, places), constants, compiled=build
     )
     assert made.rows.is_a("SXFunction") != build
-    made = assembled([made], scale, 2)
+    made = assemble([made], scale, 2)
     at = rng.normal(size=4), rng.normal(size=2)
     w, total, g = ca.MX.sym("w", 4), ca.MX(0), list[ca.MX]()
     for row, (c,) in zip(where, constants, strict=True):
@@ -214,18 +214,18 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
 
 def test_the_jacobian_of_a_motion_under_a_law_is_that_of_its_expressions():
     dae, start, law = driven(1)
-    loop = with_inputs(dae, law, 4)
+    system = with_inputs(dae, law, 4)
     x, z, u = dae.columns()
-    m = z[: loop.moving]
-    rows = ca.vertcat(dae.ode, ca.vertcat(*dae.alg)[: loop.moving])
+    m = z[: system.moving]
+    rows = ca.vertcat(dae.ode, ca.vertcat(*dae.alg)[: system.moving])
     rows = ca.substitute(rows, u, ca.vertcat(*leaves(law)))
     exact = dae.function("exact", [dae.t, x, m], [ca.jacobian(rows, ca.vertcat(x, m))])
-    at = [0.4, dae.rows("x", start, -1), dae.rows("z", start, -1)[: loop.moving]]
-    t, x, m, u = loop.core.mx_in()
+    at = [0.4, dae.rows("x", start, -1), dae.rows("z", start, -1)[: system.moving]]
+    t, x, m, u = system.core.mx_in()
     found = ca.Function(
         "found",
         [t, x, m],
-        [ca.jacobian(ca.vertcat(*loop.core(t, x, m, loop.u[:, 0])), ca.vertcat(x, m))],
+        [ca.jacobian(ca.vertcat(*system.core(t, x, m, system.u[:, 0])), ca.vertcat(x, m))],
     )
     expected = np.array(ca.DM(exact(*at)))
     assert np.abs(expected).max() > 1
@@ -262,7 +262,7 @@ def test_what_is_kept_is_used_again_and_what_is_broken_made_again(folder):
 
 @needs_compiler
 def test_only_the_newest_are_kept(folder, monkeypatch):
-    monkeypatch.setattr(codegen_cache, "KEPT", 2)
+    monkeypatch.setattr(codegen_cache, "MAX_LIBRARIES", 2)
     for number in range(3):
         library(float(number))
         for file in folder.iterdir():
@@ -322,7 +322,10 @@ def test_what_others_may_have_written_is_not_loaded(how, folder, tmp_path_factor
 
 @needs_compiler
 def test_what_a_killed_compiler_left_is_removed_some_day(folder):
-    left, at_work = folder / f"{codegen_cache.SCRATCH}1", folder / f"{codegen_cache.SCRATCH}2"
+    left, at_work = (
+        folder / f"{codegen_cache.SCRATCH_PREFIX}1",
+        folder / f"{codegen_cache.SCRATCH_PREFIX}2",
+    )
     for place in (left, at_work):
         place.mkdir()
     os.utime(left, (0, 0))
@@ -403,8 +406,8 @@ def test_elements_may_call_functions():
 
     def made(f):
         cost, row = f(v[0]) * v[1], f(v[1] * v[0])
-        return assembled(
-            [element((v, none, none), cost, row, (), (where, places), np.zeros((2, 0)))],
+        return assemble(
+            [nlp_block((v, none, none), cost, row, (), (where, places), np.zeros((2, 0)))],
             np.array([1.0, 2.0, 0.5]),
             0,
         )
@@ -428,7 +431,7 @@ def test_what_plans_cannot_differentiate_is_refused():
     lookups = LookupTable()
     found = lookups.find(square, v, order=1)
     with pytest.raises(ModelError, match="derivatives are right up to order 1"):
-        element((v, none, none), ca.SX(0), found * v, lookups.lookups, (at, at), np.zeros((1, 0)))
+        nlp_block((v, none, none), ca.SX(0), found * v, lookups.lookups, (at, at), np.zeros((1, 0)))
 
 
 def test_the_cache_is_in_the_folder_of_the_user(monkeypatch):

@@ -224,7 +224,7 @@ def test_at_the_entry_of_a_step(method, monkeypatch):
         (simulate._Spy, "has_eval_buffer"),
         (simulate._Spy, "get_sparsity_in"),
         (simulate, "with_inputs"),
-        (simulate, "table"),
+        (simulate, "to_trajectory"),
     ],
 )
 def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
@@ -234,7 +234,7 @@ def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
         moved()
 
 
-@pytest.mark.parametrize("name", ["hushed", "corrected"])
+@pytest.mark.parametrize("name", ["hushed", "correct_samples"])
 def test_swallowed_around_a_call(name, monkeypatch):
     """As in CasADi's own code: the call goes on, or fails with words of its own."""
     function = getattr(simulate, name)
@@ -326,7 +326,11 @@ def planned(progress=None):
 
 @pytest.mark.parametrize(
     ("where", "name"),
-    [(ipopt._Watch, "get_sparsity_in"), (ipopt._Watch, "get_name_in"), (ipopt, "violation")],
+    [
+        (ipopt._IterateWatcher, "get_sparsity_in"),
+        (ipopt._IterateWatcher, "get_name_in"),
+        (ipopt, "largest_violation"),
+    ],
 )
 def test_in_a_search(where, name, monkeypatch):
     pressed, _ = pressing(getattr(where, name), at=2)
@@ -338,13 +342,13 @@ def test_in_a_search(where, name, monkeypatch):
 
 
 def test_swallowed_between_two_searches(monkeypatch):
-    function = planning.sampled
+    function = planning.sample_plan
 
     def swallowing(*args):
         lost()
         return function(*args)
 
-    monkeypatch.setattr(planning, "sampled", swallowing)
+    monkeypatch.setattr(planning, "sample_plan", swallowing)
     with pytest.raises(KeyboardInterrupt):
         planned()
 
@@ -357,7 +361,7 @@ def test_in_a_search_that_turns_it_into_words_of_its_own(monkeypatch):
         lost()
         raise SystemError("returned a result with an exception set")
 
-    monkeypatch.setattr(ipopt, "violation", failing)
+    monkeypatch.setattr(ipopt, "largest_violation", failing)
     with pytest.raises(KeyboardInterrupt):
         planned()
     assert len(seen) == 1
@@ -370,7 +374,7 @@ def test_a_look_that_deals_with_it_keeps_the_iterate():
         return iterate.number < 2
 
     found = planned(progress)
-    assert found.solution.status == planning.STOPPED
+    assert found.solution.status == planning.STOPPED_STATUS
     assert [stage.iterations for stage in found.stages] == [2]
 
 
@@ -404,7 +408,7 @@ def test_in_a_program_that_comes_ready_made(capfd):
 def test_a_compiler_that_does_not_end_is_ended(slow, monkeypatch):
     code = (slow / "cc.py").read_text().replace("os.kill(os.getppid(), signal.SIGINT)\n", "")
     (slow / "cc.py").write_text(code)
-    monkeypatch.setattr(codegen_cache, "PATIENCE", 2.0)
+    monkeypatch.setattr(codegen_cache, "COMPILER_TIMEOUT", 2.0)
     with pytest.raises(subprocess.TimeoutExpired):
         codegen_cache._run([sys.executable, str(slow / "cc.py")])
     _, child = (slow / "told").read_text().split()
@@ -533,8 +537,8 @@ def test_a_plan_before_its_first_iteration_writes_nothing(folder, monkeypatch):
 
 
 def test_a_plan_behind_its_first_iteration_is_kept(folder, monkeypatch):
-    pressed, _ = pressing(ipopt.violation, at=2)
-    monkeypatch.setattr(ipopt, "violation", pressed)
+    pressed, _ = pressing(ipopt.largest_violation, at=2)
+    monkeypatch.setattr(ipopt, "largest_violation", pressed)
     found = run(str(HILLS), "-o", "p.nc", *SMALL)
     assert found.exit_code == 1, found.output
     assert "go on with --resume" in found.stderr

@@ -455,9 +455,9 @@ def test_the_integrator_takes_the_jacobian_that_it_is_given(monkeypatch):
     other = integrator(*given, options).get_function("jacF")
     assert hash(other) != hash(own)
     assert (other.name_in(), other.name_out()) == (own.name_in(), own.name_out())
-    loop = module.with_inputs(dae, inputs, 2)
-    z = dae.rows("z", start, -1)[: loop.moving]
-    at = [0.0, dae.rows("x", start, -1), z, [], loop.u[:, 0]]
+    system = module.with_inputs(dae, inputs, 2)
+    z = dae.rows("z", start, -1)[: system.moving]
+    at = [0.0, dae.rows("x", start, -1), z, [], system.u[:, 0]]
     for one, two in zip(own.call(at), other.call(at), strict=True):
         assert_allclose(np.array(ca.DM(one)), np.array(ca.DM(two)), rtol=1e-12, atol=1e-12)
 

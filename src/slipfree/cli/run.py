@@ -40,7 +40,7 @@ from slipfree.errors import DataError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from slipfree.plan.warm_start import Saved
+    from slipfree.plan.warm_start import SavedPlan
     from slipfree.problem.load import Problem
     from slipfree.problem.schema import Climb, Motion
     from slipfree.problem.solve import Outcome
@@ -125,7 +125,7 @@ def output_of(problem: Problem[Motion] | Problem[Climb]) -> str:
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
-def _solve(problem: Problem[Motion] | Problem[Climb], former: Saved | None) -> Outcome:
+def _solve(problem: Problem[Motion] | Problem[Climb], former: SavedPlan | None) -> Outcome:
     """Return the outcome; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.markup import escape
@@ -188,7 +188,7 @@ def _told(outcome: Outcome) -> Outcome:
     return outcome
 
 
-def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> Saved | None:
+def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> SavedPlan | None:
     """Return the plan to start from, if one is named."""
     from slipfree.files.netcdf import read_arrays
     from slipfree.plan.warm_start import from_arrays

@@ -1,4 +1,4 @@
-"""What makes a plan impossible before it is sought: bounds that conflict."""
+"""Find bounds of a plan that contradict each other, before it is solved."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from slipfree.plan.constraints import (
     GOAL,
     INPUT,
     LIMIT,
+    VIOLATION_TOLERANCE,
     WAY_POINT,
-    WITHIN,
-    plain_of,
-    plainly,
+    quantity_label,
     role_of,
     shift_of,
+    variable_of,
 )
-from slipfree.plan.messages import LIMITED, MODEL, bounds_words, number, rate_of, subject
-from slipfree.plan.transcription import Place, Task
+from slipfree.plan.messages import LIMITED_SUFFIX, MODEL, bounds_words, number, rate_of, subject
+from slipfree.plan.transcription import PlanTask, TimedCondition
 from slipfree.records import Array, Label, leaves
 from slipfree.trajectory import Trajectory
 
-ROUNDING = 1e-9  # by which bounds may miss each other, in their unit
+BOUND_TOLERANCE = 1e-9  # by which bounds may miss each other, in their unit
 REMEDIES = {
     "start": "start elsewhere",
     LIMIT: "widen the limit",
@@ -38,7 +38,7 @@ REMEDIES = {
 
 
 class _Bounds(NamedTuple):
-    """What is asked for before there is a program: ``lower <= expression <= upper``.
+    """Bounds of an expression before transcription: ``lower <= expression <= upper``.
 
     ``fraction`` of the duration is the time at which, nan for all along the way; ``shift`` leads to
     map coordinates.
@@ -53,8 +53,8 @@ class _Bounds(NamedTuple):
     fraction: float
 
 
-def conflicts(task: Task, start: Trajectory | None) -> list[str]:
-    """Return what makes a plan impossible by itself, one sentence each; none if nothing does.
+def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
+    """Return one sentence for each pair of bounds that contradict each other.
 
     Parameters
     ----------
@@ -64,50 +64,61 @@ def conflicts(task: Task, start: Trajectory | None) -> list[str]:
         Its last sample is where the plan begins; without it only what depends on nothing but states
         is compared to the start.
     """
-    asked = list(_asked(task))
+    asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
     begin = np.full(len(task.dae.scale), np.nan) if start is None else task.dae.rows("z", start, -1)
-    found = [*_crossed(task), *_outside(task, along, "start", np.append(task.start, begin))]
-    for place in task.places:
-        formulas = [bounds for bounds in along if plain_of(task, bounds.expression) is None]
-        found += _outside(task, formulas, role_of(place.fraction), _known(task, place))
+    found = [
+        *_input_conflicts(task),
+        *_value_conflicts(task, along, "start", np.append(task.start, begin)),
+    ]
+    for condition in task.conditions:
+        formulas = [bounds for bounds in along if variable_of(task, bounds.expression) is None]
+        found += _value_conflicts(
+            task, formulas, role_of(condition.fraction), _condition_values(task, condition)
+        )
     for one, other in combinations(asked, 2):
         apart = max(one.lower - other.upper, other.lower - one.upper)
         together = np.isnan([one.fraction, other.fraction]).any() or one.fraction == other.fraction
-        if apart > ROUNDING and together and ca.is_equal(one.expression, other.expression):
-            remedies = dict.fromkeys([_remedy(one.role), _remedy(other.role)])
-            found.append(f"{_must(one)}, but {_must(other)}: {' or '.join(remedies)}")
+        if apart > BOUND_TOLERANCE and together and ca.is_equal(one.expression, other.expression):
+            remedies = dict.fromkeys([_remedy_words(one.role), _remedy_words(other.role)])
+            found.append(f"{_bound_words(one)}, but {_bound_words(other)}: {' or '.join(remedies)}")
     return found
 
 
-def _asked(task: Task) -> Iterator[_Bounds]:
-    """Yield all bounds but those on rates of inputs, goal and way-points first."""
-    for place in task.places:
-        for limit in place.limits:
-            yield _bounds(task, limit, role_of(place.fraction), place.fraction)
+def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
+    """Yield all bounds except those on rates of inputs, goal and way-points first."""
+    for condition in task.conditions:
+        for limit in condition.limits:
+            yield _to_bounds(task, limit, role_of(condition.fraction), condition.fraction)
     for limit in task.limits:
-        yield _bounds(task, limit, LIMIT)
+        yield _to_bounds(task, limit, LIMIT)
     for limit in task.dae.limits:
         if not any(
             ca.is_equal(limit.expression, own.expression) and limit.label == own.label
             for own in task.limits
         ):
-            yield _bounds(task, limit, MODEL)
+            yield _to_bounds(task, limit, MODEL)
     for label, u, (low, high) in zip(
         leaves(task.dae.labels.u), leaves(task.dae.u), task.inputs, strict=True
     ):
-        yield _bounds(task, Limit(label, u, low, high), INPUT)
+        yield _to_bounds(task, Limit(label, u, low, high), INPUT)
 
 
-def _bounds(task: Task, limit: Limit, role: str, fraction: float = np.nan) -> _Bounds:
+def _to_bounds(task: PlanTask, limit: Limit, role: str, fraction: float = np.nan) -> _Bounds:
     shift = shift_of(task, limit.expression)
     return _Bounds(
-        plainly(limit.label), role, limit.expression, limit.lower, limit.upper, shift, fraction
+        quantity_label(limit.label),
+        role,
+        limit.expression,
+        limit.lower,
+        limit.upper,
+        shift,
+        fraction,
     )
 
 
-def _crossed(task: Task) -> Iterator[str]:
-    """Yield what is wrong with the bounds of inputs and of their rates by themselves."""
+def _input_conflicts(task: PlanTask) -> Iterator[str]:
+    """Yield errors in the bounds of inputs and of their rates."""
     for k, label in enumerate(leaves(task.dae.labels.u)):
         rate = rate_of(label)
         for own, (low, high) in ((label, task.inputs[k]), (rate, task.accelerations[k])):
@@ -124,19 +135,21 @@ def _crossed(task: Task) -> Iterator[str]:
             )
 
 
-def _known(task: Task, place: Place) -> Array:
-    """Return the states and unknowns that a place says, nan for the others, shape (n_x + n_z,)."""
+def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
+    """Return the states and unknowns that a condition fixes, nan for others, shape (n_x + n_z,)."""
     n_x, n_z = task.start.size, task.dae.scale.size
     known = np.full(n_x + n_z, np.nan)
-    for limit in place.limits:
-        plain = plain_of(task, limit.expression)
+    for limit in condition.limits:
+        plain = variable_of(task, limit.expression)
         if plain is not None and limit.lower == limit.upper:
             known[plain[1] + (n_x if plain[0] == "z" else 0)] = limit.lower
     return known
 
 
-def _outside(task: Task, along: list[_Bounds], role: str, known: Array) -> Iterator[str]:
-    """Yield which bounds along the way do not hold with the states and unknowns of a place."""
+def _value_conflicts(
+    task: PlanTask, along: list[_Bounds], role: str, known: Array
+) -> Iterator[str]:
+    """Yield bounds along the motion that exclude the states and unknowns of a condition."""
     x, z, u = task.dae.columns()
     xz = ca.vertcat(x, z)
     unknown = ca.vertcat(task.dae.t, u, xz[np.flatnonzero(np.isnan(known)).tolist()])
@@ -146,20 +159,20 @@ def _outside(task: Task, along: list[_Bounds], role: str, known: Array) -> Itera
         # What is not known is not in the expression either, but must be a number.
         here = task.dae.function("here", [xz, u, task.dae.t], [bounds.expression])
         value = float(here(np.nan_to_num(known), 0.0, 0.0))
-        if max(bounds.lower - value, value - bounds.upper) > WITHIN:
-            plain = plain_of(task, bounds.expression) is not None
-            what = "" if plain else f" ({bounds.label.words.removesuffix(LIMITED)})"
+        if max(bounds.lower - value, value - bounds.upper) > VIOLATION_TOLERANCE:
+            plain = variable_of(task, bounds.expression) is not None
+            what = "" if plain else f" ({bounds.label.words.removesuffix(LIMITED_SUFFIX)})"
             yield (
-                f"{_must(bounds)}, but the {role} has "
-                f"{number(bounds.label, value + bounds.shift)}{what}: {_remedy(role)} or "
-                f"{_remedy(bounds.role)}"
+                f"{_bound_words(bounds)}, but the {role} has "
+                f"{number(bounds.label, value + bounds.shift)}{what}: {_remedy_words(role)} or "
+                f"{_remedy_words(bounds.role)}"
             )
 
 
-def _must(bounds: _Bounds) -> str:
+def _bound_words(bounds: _Bounds) -> str:
     low, high = bounds.lower + bounds.shift, bounds.upper + bounds.shift
     return f"{subject(bounds.label, bounds.role)} must be {bounds_words(bounds.label, low, high)}"
 
 
-def _remedy(role: str) -> str:
+def _remedy_words(role: str) -> str:
     return REMEDIES[role.split(" ")[0]]

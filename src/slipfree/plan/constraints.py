@@ -1,4 +1,4 @@
-"""The constraints of a program by what they are about: where they stand, and what misses them."""
+"""Group the constraints of a program by quantity, and find their violations."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.plan.transcription import Index, Piece, Program, Task
+from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock
 from slipfree.records import Array, Label, leaves
 
-WITHIN = 1e-6  # violation that is rounding, in the unit of what is violated
+VIOLATION_TOLERANCE = 1e-6  # violation that is rounding, in the unit of what is violated
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
 
 
 class Violation(NamedTuple):
-    """The worst place at which a constraint does not hold.
+    """The largest violation of a constraint.
 
     Attributes
     ----------
@@ -44,8 +44,8 @@ class Violation(NamedTuple):
     role: str
 
 
-class Group(NamedTuple):
-    """Places of a program at which one constraint stands.
+class ConstraintGroup(NamedTuple):
+    """All rows or variables of a program that state one constraint.
 
     Attributes
     ----------
@@ -74,18 +74,18 @@ class Group(NamedTuple):
     typical: float = 0.0
 
 
-def groups(program: Program) -> Iterator[Group]:
+def constraint_groups(program: Program) -> Iterator[ConstraintGroup]:
     """Yield the constraints of a program, each with all its places."""
     task, mesh, layout = program.task, program.mesh, program.layout
     n_g, count = program.g_lower.size, mesh.ends.size - 1
-    yield from _along(program, program.pieces[0])
-    begin = count * len(program.pieces[0].labels)
-    for place, piece in zip(task.places, program.pieces[1:], strict=True):
-        k = int(np.flatnonzero(np.isin(layout.states[:, -1, 0], piece.where))[0])
-        for r, limit in enumerate(place.limits):
-            yield Group(
-                plainly(limit.label),
-                role_of(place.fraction),
+    yield from _interval_groups(program, program.row_blocks[0])
+    begin = count * len(program.row_blocks[0].labels)
+    for condition, row_block in zip(task.conditions, program.row_blocks[1:], strict=True):
+        k = int(np.flatnonzero(np.isin(layout.states[:, -1, 0], row_block.where))[0])
+        for r, limit in enumerate(condition.limits):
+            yield ConstraintGroup(
+                quantity_label(limit.label),
+                role_of(condition.fraction),
                 np.array([begin + r]),
                 np.array([k]),
                 mesh.ends[[k + 1]],
@@ -93,15 +93,15 @@ def groups(program: Program) -> Iterator[Group]:
                 limit.upper,
                 shift_of(task, limit.expression),
             )
-        begin += len(piece.labels)
+        begin += len(row_block.labels)
     intervals, parts = np.repeat(np.arange(count), mesh.degree), mesh.nodes[1:]
     for limit in task.limits:
-        plain = plain_of(task, limit.expression)
+        plain = variable_of(task, limit.expression)
         if plain is not None:
             record, k = plain
             where = (layout.states if record == "x" else layout.unknowns)[:, :, k].ravel()
-            yield Group(
-                plainly(limit.label),
+            yield ConstraintGroup(
+                quantity_label(limit.label),
                 LIMIT,
                 n_g + where,
                 intervals,
@@ -113,7 +113,7 @@ def groups(program: Program) -> Iterator[Group]:
     for k, label in enumerate(leaves(task.dae.labels.u)):
         low, high = task.inputs[k]
         where = layout.inputs[:, k]
-        yield Group(
+        yield ConstraintGroup(
             label,
             INPUT,
             n_g + where,
@@ -125,13 +125,13 @@ def groups(program: Program) -> Iterator[Group]:
         )
 
 
-def _along(program: Program, piece: Piece) -> Iterator[Group]:
+def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[ConstraintGroup]:
     """Yield the constraints among the rows of the intervals."""
     task, mesh = program.task, program.mesh
-    each, every = len(piece.labels), np.arange(len(piece.where))
+    each, every = len(row_block.labels), np.arange(len(row_block.where))
     rates = int(np.isfinite(task.accelerations).any(axis=1).sum())
     size = (each - rates) // mesh.degree
-    limits = [limit for limit in task.limits if plain_of(task, limit.expression) is None]
+    limits = [limit for limit in task.limits if variable_of(task, limit.expression) is None]
     intervals, parts = np.repeat(every, mesh.degree), mesh.nodes[1:]
     points = each * every[:, None] + size * np.arange(mesh.degree)
     n_x, n_z, n_r = (
@@ -141,37 +141,37 @@ def _along(program: Program, piece: Piece) -> Iterator[Group]:
     typical = np.concatenate([np.ones(n_x), task.dae.scale[:n_z], np.ones(n_r)])
     for r in range(size):
         where, limit = (points + r).ravel(), r - (size - len(limits))
-        label, role = piece.labels[r], EQUATION if limit < 0 else LIMIT
+        label, role = row_block.labels[r], EQUATION if limit < 0 else LIMIT
         shift = 0.0 if limit < 0 else shift_of(task, limits[limit].expression)
-        yield Group(
-            plainly(label),
+        yield ConstraintGroup(
+            quantity_label(label),
             role,
             where,
             intervals,
             parts,
-            piece.lower[r],
-            piece.upper[r],
+            row_block.lower[r],
+            row_block.upper[r],
             shift,
             typical[r] if limit < 0 else 0.0,
         )
     for r in range(each - rates, each):
-        label = replace(piece.labels[r], wheel=None)
-        yield Group(
+        label = replace(row_block.labels[r], wheel=None)
+        yield ConstraintGroup(
             label,
             INPUT,
             each * every + r,
             every,
             mesh.ends[1:],
-            piece.lower[r],
-            piece.upper[r],
+            row_block.lower[r],
+            row_block.upper[r],
             0.0,
         )
 
 
-def violated(
+def worst_violations(
     program: Program, values: Array, tolerance: float
 ) -> Iterator[tuple[float, Violation]]:
-    """Yield relative size and worst place of every bound that does not hold.
+    """Yield relative size and worst sample of each violated bound.
 
     Parameters
     ----------
@@ -183,15 +183,15 @@ def violated(
         Violation that counts as none.
     """
     duration = values[program.g_lower.size + program.layout.duration]
-    for group in groups(program):
+    for group in constraint_groups(program):
         size = size_of(group, values)
         for sign in (1.0, -1.0):
-            bound, here = side_of(group, sign), values[group.where]
+            bound, here = bound_of(group, sign), values[group.where]
             over = sign * (bound - here)
             worst = over.max()
             if not worst > tolerance:
                 continue
-            # Of places that are as bad as each other the first one counts.
+            # Of equally large violations the first one counts.
             k = int(np.flatnonzero(over >= worst - tolerance)[0])
             yield (
                 worst / size,
@@ -207,13 +207,13 @@ def violated(
             )
 
 
-def side_of(group: Group, sign: float) -> float:
+def bound_of(group: ConstraintGroup, sign: float) -> float:
     """Return the lower bound for a positive sign, else the upper one."""
     return group.lower if sign > 0 else group.upper
 
 
-def size_of(group: Group, values: Array) -> float:
-    """Return what a violation is compared to: the range of the bounds, or what is typical."""
+def size_of(group: ConstraintGroup, values: Array) -> float:
+    """Return the divisor of a violation: the range of the bounds, or a typical size."""
     if group.typical:
         return max(1.0, group.typical)
     width = group.upper - group.lower
@@ -224,7 +224,7 @@ def size_of(group: Group, values: Array) -> float:
     return float(max(1.0, one_sided))
 
 
-def plain_of(task: Task, expression: ca.SX) -> tuple[str, int] | None:
+def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
     """Return the record and the number of the state or unknown that an expression is."""
     for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
         for k, symbol in enumerate(leaves(symbols)):
@@ -233,17 +233,17 @@ def plain_of(task: Task, expression: ca.SX) -> tuple[str, int] | None:
     return None
 
 
-def shift_of(task: Task, expression: ca.SX) -> float:
-    """Return what leads from the value of an expression to map coordinates."""
-    plain = plain_of(task, expression)
+def shift_of(task: PlanTask, expression: ca.SX) -> float:
+    """Return the offset from the value of an expression to map coordinates."""
+    plain = variable_of(task, expression)
     return 0.0 if plain is None else float(task.dae.shift[plain[0] == "z"][plain[1]])
 
 
 def role_of(fraction: float) -> str:
-    """Return the role of what is asked for at a fraction of the duration."""
+    """Return the role of conditions at a fraction of the duration."""
     return GOAL if fraction == 1 else f"{WAY_POINT} at {fraction:g}"
 
 
-def plainly(label: Label) -> Label:
+def quantity_label(label: Label) -> Label:
     """Return a label by the name of the quantity that is limited."""
     return replace(label, name=label.name.removesuffix("_limit"))

@@ -1,4 +1,4 @@
-"""What must give so that there is a plan: a program whose bounds may move, at a price."""
+"""Relax the bounds of an infeasible program at least cost."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ import scipy.sparse
 
 from slipfree.plan.constraints import (
     EQUATION,
-    WITHIN,
-    Group,
+    VIOLATION_TOLERANCE,
+    ConstraintGroup,
     Violation,
-    groups,
-    side_of,
+    bound_of,
+    constraint_groups,
     size_of,
-    violated,
+    worst_violations,
 )
-from slipfree.plan.ipopt import Solution, solve
+from slipfree.plan.ipopt import Solution, solve_program
 from slipfree.plan.messages import DURATION
 from slipfree.plan.transcription import Index, Program, completed
 from slipfree.records import Array, Label
 
-ITERATIONS = 200  # of each of the two searches for a relaxation
-SHARE = 0.05  # of what gives, by which a bound matters: relaxing it by one would save as much
-SIDES = {1.0: "at least", -1.0: "at most"}  # by the sign of what is missing
+MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
+MIN_SHARE = 0.05  # of what gives, by which a bound matters: relaxing it by one would save as much
+SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # by the sign of what is missing
 
 
-class Held(NamedTuple):
-    """A bound that did not give and stands against those that did.
+class OpposingBound(NamedTuple):
+    """A bound that was kept and opposes the relaxed ones.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Held(NamedTuple):
 
 
 class Relaxation(NamedTuple):
-    """What had to give so that the equations of motion have a solution.
+    """The bounds that were relaxed so that the equations of motion have a solution.
 
     Attributes
     ----------
@@ -72,13 +72,15 @@ class Relaxation(NamedTuple):
 
     solution: Array
     relaxed: list[Violation]
-    held: list[Held]
+    held: list[OpposingBound]
     success: bool
     status: str
 
 
-def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relaxation:
-    """Return a motion that gives up as little as possible of what is asked for.
+def relax(
+    program: Program, first: Array, iterations: int = MAX_RELAXATION_ITERATIONS
+) -> Relaxation:
+    """Return a motion that violates the bounds as little as possible.
 
     Equations, start and duration hold. Every other bound may move by a slack of its own, the same
     at all times, and the sum of the slacks, relative to the sizes of what they move, is least; this
@@ -96,29 +98,31 @@ def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relax
     """
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
-    values = np.append(_rows(program, first, weights), first)
+    values = np.append(_row_values(program, first, weights), first)
     soft = [
         (group, sign)
-        for group in groups(program)
+        for group in constraint_groups(program)
         if group.role != EQUATION
         for sign in (1.0, -1.0)
-        if np.isfinite(side_of(group, sign))
+        if np.isfinite(bound_of(group, sign))
     ]
     sizes = np.array([size_of(group, values) for group, _ in soft])
     over = [
-        (sign * (side_of(group, sign) - values[group.where])).max(initial=0.0)
+        (sign * (bound_of(group, sign) - values[group.where])).max(initial=0.0)
         for group, sign in soft
     ]
-    elastic = _elastic(program, soft, sizes)
-    found = solve(elastic, 0 * weights, np.append(first, over), iterations=iterations)
-    unknowns = _cheapest(elastic, found, weights, len(soft), iterations)[: first.size]
-    values = np.append(_rows(program, unknowns, weights), unknowns)
-    relaxed = sorted(violated(program, values, WITHIN), key=lambda pair: -pair[0])
+    elastic = _elastic_program(program, soft, sizes)
+    found = solve_program(elastic, 0 * weights, np.append(first, over), iterations=iterations)
+    unknowns = _least_cost(elastic, found, weights, len(soft), iterations)[: first.size]
+    values = np.append(_row_values(program, unknowns, weights), unknowns)
+    relaxed = sorted(
+        worst_violations(program, values, VIOLATION_TOLERANCE), key=lambda pair: -pair[0]
+    )
     gave = {(each.role, each.label.full) for _, each in relaxed}
     held = [
         each
-        for each in _held(program, soft, found)
-        if each.share > SHARE and (each.role, each.label.full) not in gave
+        for each in _opposing_bounds(program, soft, found)
+        if each.share > MIN_SHARE and (each.role, each.label.full) not in gave
     ]
     return Relaxation(
         unknowns,
@@ -129,16 +133,16 @@ def relax(program: Program, first: Array, iterations: int = ITERATIONS) -> Relax
     )
 
 
-def _cheapest(
+def _least_cost(
     elastic: Program, found: Solution, weights: Array, count: int, iterations: int
 ) -> Array:
     """Return the unknowns of least cost with no larger slacks, or those found."""
     if not found.success:
         return found.unknowns
     upper = elastic.upper.copy()
-    upper[-count:] = np.maximum(found.unknowns[-count:], 0.0) + WITHIN / 2
+    upper[-count:] = np.maximum(found.unknowns[-count:], 0.0) + VIOLATION_TOLERANCE / 2
     cost = abs(float(elastic.gradient(found.unknowns / elastic.scale, weights)[0]))
-    again = solve(
+    again = solve_program(
         replace(elastic, upper=upper),
         weights / max(1.0, cost),
         found.unknowns,
@@ -147,47 +151,57 @@ def _cheapest(
     return again.unknowns if again.success else found.unknowns
 
 
-def _held(program: Program, soft: list[tuple[Group, float]], found: Solution) -> Iterator[Held]:
-    """Yield what every bound of an elastic program costs, from its multipliers."""
+def _opposing_bounds(
+    program: Program, soft: list[tuple[ConstraintGroup, float]], found: Solution
+) -> Iterator[OpposingBound]:
+    """Yield the price of each bound of an elastic program, from its multipliers."""
     counts = [group.where.size for group, _ in soft]
     prices = found.row_multipliers[found.rows.size - sum(counts) :]
     parts = np.split(prices, np.cumsum(counts)[:-1])
     for k, (group, sign) in enumerate(soft):
-        equal, price, side = group.lower == group.upper, parts[k], SIDES[sign]
+        equal, price, side = group.lower == group.upper, parts[k], SIDE_WORDS[sign]
         if equal and sign < 0:
             continue
         if equal:
             # The two bounds of an equation push against each other: what is left counts.
             price, side = price + parts[k + 1], ""
         share = float(np.abs(price).sum())
-        yield Held(group.label, group.role, side_of(group, sign) + group.shift, side, share)
+        yield OpposingBound(
+            group.label, group.role, bound_of(group, sign) + group.shift, side, share
+        )
     at = program.layout.duration
     cost, duration = float(found.bound_multipliers[at]), float(found.unknowns[at])
     label = Label(DURATION, "s", "duration of the plan")
     # Multipliers of upper bounds are positive.
-    yield Held(label, DURATION, duration, SIDES[-np.sign(cost) or 1.0], abs(cost) * duration)
+    yield OpposingBound(
+        label, DURATION, duration, SIDE_WORDS[-np.sign(cost) or 1.0], abs(cost) * duration
+    )
 
 
-def _elastic(program: Program, soft: list[tuple[Group, float]], sizes: Array) -> Program:
+def _elastic_program(
+    program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
+) -> Program:
     """Return the program with a slack behind its unknowns for each bound, of the sizes given.
 
     Its cost is the sum of the slacks and the program's cost: none if the weights are zero.
     """
-    hard = np.concatenate([group.where for group in groups(program) if group.role == EQUATION])
+    hard = np.concatenate(
+        [group.where for group in constraint_groups(program) if group.role == EQUATION]
+    )
     rows = np.concatenate([hard, *(group.where for group, _ in soft)])
     counts = [group.where.size for group, _ in soft]
     which = np.repeat(np.arange(len(soft)), counts)
     own = hard.size + np.arange(which.size)
     signs, sides = (
         np.array(part)[which]
-        for part in zip(*((sign, side_of(group, sign)) for group, sign in soft), strict=True)
+        for part in zip(*((sign, bound_of(group, sign)) for group, sign in soft), strict=True)
     )
     n_all = program.g_lower.size + program.scale.size
-    pick = _sparse(np.ones(rows.size), np.arange(rows.size), rows, (rows.size, n_all))
-    move = _sparse(signs * sizes[which], own, which, (rows.size, len(soft)))
-    problem, gradient, jacobian, hessian = _problem(program, pick, move)
+    pick = _sparse_matrix(np.ones(rows.size), np.arange(rows.size), rows, (rows.size, n_all))
+    move = _sparse_matrix(signs * sizes[which], own, which, (rows.size, len(soft)))
+    problem, gradient, jacobian, hessian = _elastic_functions(program, pick, move)
     lower, upper = (
-        _fixed(program, side, free)
+        _start_bounds(program, side, free)
         for side, free in ((program.lower, -np.inf), (program.upper, np.inf))
     )
     zeros = np.zeros(hard.size)
@@ -205,10 +219,10 @@ def _elastic(program: Program, soft: list[tuple[Group, float]], sizes: Array) ->
     )
 
 
-def _problem(
+def _elastic_functions(
     program: Program, pick: ca.DM, move: ca.DM
 ) -> tuple[dict[str, Any], ca.Function, ca.Function, ca.Function]:
-    """Return what is solved, with the derivatives of the program reused.
+    """Return functions and derivatives of the elastic program from those of the program.
 
     Rows are ``pick (rows, unknowns) + move slacks``.
     """
@@ -234,7 +248,7 @@ def _problem(
     )
 
 
-def _fixed(program: Program, bounds: Array, free: float) -> Array:
+def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
     """Return bounds of the unknowns of which only those of start and duration are left."""
     kept = np.full(bounds.size, free)
     for where in (program.layout.first, program.layout.duration):
@@ -242,12 +256,12 @@ def _fixed(program: Program, bounds: Array, free: float) -> Array:
     return kept
 
 
-def _sparse(values: Array, rows: Index, columns: Index, shape: tuple[int, int]) -> ca.DM:
+def _sparse_matrix(values: Array, rows: Index, columns: Index, shape: tuple[int, int]) -> ca.DM:
     matrix = scipy.sparse.csc_matrix((values, (rows, columns)), shape)
     starts, inside = matrix.indptr.tolist(), matrix.indices.tolist()
     return ca.DM(ca.Sparsity(*shape, starts, inside), matrix.data)
 
 
-def _rows(program: Program, unknowns: Array, weights: Array) -> Array:
+def _row_values(program: Program, unknowns: Array, weights: Array) -> Array:
     """Return the values of all rows, shape (n_g,)."""
     return np.array(program.jacobian(unknowns / program.scale, weights)[0]).ravel()

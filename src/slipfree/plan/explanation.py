@@ -1,18 +1,18 @@
-"""Why a search ended without a plan: what it violates, and what must give, in words."""
+"""Explain why a search ended without a plan: violations, and bounds to relax."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from slipfree.plan.constraints import EQUATION, WITHIN, Violation, violated
+from slipfree.plan.constraints import EQUATION, VIOLATION_TOLERANCE, Violation, worst_violations
 from slipfree.plan.elastic import Relaxation, relax
 from slipfree.plan.ipopt import Solution
 from slipfree.plan.messages import number, subject
 from slipfree.plan.transcription import Program
 from slipfree.records import Array
 
-WORST = 5  # violations that an explanation names
-STATUS = {  # what IPOPT's words mean for a plan
+MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
+STATUS_WORDS = {  # what IPOPT's words mean for a plan
     "Solve_Succeeded": "the plan is solved",
     "Solved_To_Acceptable_Level": "the plan is solved, to a lesser accuracy",
     "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
@@ -29,8 +29,10 @@ STATUS = {  # what IPOPT's words mean for a plan
 }
 
 
-def violations(program: Program, solution: Solution, tolerance: float = WITHIN) -> list[Violation]:
-    """Return the worst place of every constraint that does not hold, the worst constraint first.
+def violations(
+    program: Program, solution: Solution, tolerance: float = VIOLATION_TOLERANCE
+) -> list[Violation]:
+    """Return the largest violation of each violated constraint, the worst constraint first.
 
     They are in the order of their size relative to the range of their bounds or to what else is
     typical.
@@ -46,14 +48,14 @@ def violations(program: Program, solution: Solution, tolerance: float = WITHIN) 
     """
     worst: dict[tuple[str, str], tuple[float, Violation]] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
-    for size, violation in violated(program, values, tolerance):
+    for size, violation in worst_violations(program, values, tolerance):
         key = violation.role, violation.label.full
         if key not in worst or size > worst[key][0]:
             worst[key] = size, violation
     return [each for _, each in sorted(worst.values(), key=lambda pair: -pair[0])]
 
 
-def words(violation: Violation) -> str:
+def violation_words(violation: Violation) -> str:
     """Return a violation as a sentence."""
     label, role, at = violation.label, violation.role, f"at t = {violation.t:.4g} s"
     size = number(label, violation.size)
@@ -64,7 +66,7 @@ def words(violation: Violation) -> str:
 
 
 def explanation(program: Program, solution: Solution, first: Array) -> str:
-    """Return lines that say how a search ended, what it violates, and what had to give.
+    """Return lines that state how a search ended, its violations, and the relaxed bounds.
 
     Parameters
     ----------
@@ -75,21 +77,21 @@ def explanation(program: Program, solution: Solution, first: Array) -> str:
     first : ndarray, shape (n_w,)
         Where it began, not scaled.
     """
-    meant = STATUS.get(solution.status, "the search ended")
+    meant = STATUS_WORDS.get(solution.status, "the search ended")
     lines = [f"{meant} ({solution.status}, after {solution.iterations} iterations)"]
     found = violations(program, solution)
     if found:
         lines.append(f"violated most there, of {len(found)} constraints:")
-        lines += [f"  {words(each)}" for each in found[:WORST]]
+        lines += [f"  {violation_words(each)}" for each in found[:MAX_NAMED_VIOLATIONS]]
     # Who stopped a search does not wait for another.
     if not solution.success and solution.status != "User_Requested_Stop":
-        lines += _relaxed_words(relax(program, first))
+        lines += _relaxation_lines(relax(program, first))
     return "\n".join(lines)
 
 
-def _relaxed_words(relaxation: Relaxation) -> list[str]:
+def _relaxation_lines(relaxation: Relaxation) -> list[str]:
     if not relaxation.success:
-        meant = STATUS.get(relaxation.status, "it ended")
+        meant = STATUS_WORDS.get(relaxation.status, "it ended")
         return [
             f"what had to give was not found: {meant} ({relaxation.status}) even with all "
             "bounds but the start and the duration given up; try another guess"

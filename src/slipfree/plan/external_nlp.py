@@ -1,4 +1,4 @@
-"""Solving nonlinear programs that come ready made."""
+"""Solve nonlinear programs that a model has transcribed itself."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from slipfree.interrupt import heeded
 from slipfree.nlp import Nlp
-from slipfree.plan.ipopt import ITERATIONS, TOLERANCE, Solution
+from slipfree.plan.ipopt import IPOPT_TOLERANCE, MAX_ITERATIONS, Solution
 from slipfree.trajectory import SolverError
 
 
 @heeded
-def solve_nlp(nlp: Nlp, iterations: int = ITERATIONS) -> Solution:
+def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
     """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
 
     Parameters
@@ -33,7 +33,7 @@ def solve_nlp(nlp: Nlp, iterations: int = ITERATIONS) -> Solution:
         "ipopt": {
             "print_level": 0,
             "sb": "yes",
-            "tol": TOLERANCE,
+            "tol": IPOPT_TOLERANCE,
             "max_iter": iterations,
             "mu_strategy": "adaptive",
             "mumps_permuting_scaling": 0,

@@ -1,4 +1,4 @@
-"""Solving a nonlinear program with IPOPT through CasADi: progress, interruption, best iterate."""
+"""Solve a nonlinear program with IPOPT through CasADi: progress, interruption, best iterate."""
 
 from __future__ import annotations
 
@@ -12,26 +12,30 @@ from slipfree.interrupt import InterruptGuard
 from slipfree.plan.transcription import Program, completed
 from slipfree.records import Array
 
-INFEASIBLE = "Infeasible_Problem_Detected"
-ITERATIONS = 500
-GROWTH = 100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
-CAUTIOUS = 10.0  # the same where a search got stuck
-STUCK = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
-TOLERANCE = 1e-8
-NEARBY = 1e-5  # barrier of a start from a solution nearby
-PUSH = 1e-9  # from the bounds in a warm start
-WARM: dict[str, Any] = {
+INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
+MAX_ITERATIONS = 500
+MAX_VIOLATION_GROWTH = (
+    100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
+)
+CAUTIOUS_VIOLATION_GROWTH = 10.0  # the same where a search got stuck
+STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
+IPOPT_TOLERANCE = 1e-8
+WARM_BARRIER = 1e-5  # barrier of a start from a solution nearby
+WARM_PUSH = 1e-9  # from the bounds in a warm start
+WARM_OPTIONS: dict[str, Any] = {
     "warm_start_init_point": "yes",
-    **{f"warm_start_{name}_push": PUSH for name in ("bound", "slack_bound", "mult_bound")},
-    "warm_start_bound_frac": PUSH,
-    "warm_start_slack_bound_frac": PUSH,
+    **{f"warm_start_{name}_push": WARM_PUSH for name in ("bound", "slack_bound", "mult_bound")},
+    "warm_start_bound_frac": WARM_PUSH,
+    "warm_start_slack_bound_frac": WARM_PUSH,
 }
-QUASI_DENSE = 6  # minimum degree ordering for matrices with a few full rows, as of a free duration
-Look = Callable[["Iterate"], bool]
+QUASI_DENSE_ORDERING = (
+    6  # minimum degree ordering for matrices with a few full rows, as of a free duration
+)
+IterateCallback = Callable[["Iterate"], bool]
 
 
 class Iterate(NamedTuple):
-    """What is known after an iteration.
+    """The iterate of the solver after an iteration.
 
     Attributes
     ----------
@@ -50,7 +54,7 @@ class Iterate(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What came of a program.
+    """Solution of a program, or the best iterate.
 
     Attributes
     ----------
@@ -83,10 +87,10 @@ class Solution(NamedTuple):
     seconds: dict[str, float]
 
 
-class _Watch(ca.Callback):
+class _IterateWatcher(ca.Callback):
     """Sees every iterate, keeps the one that violates least, and stops IPOPT when asked to."""
 
-    def __init__(self, program: Program, look: Look, heed: InterruptGuard) -> None:
+    def __init__(self, program: Program, look: IterateCallback, heed: InterruptGuard) -> None:
         ca.Callback.__init__(self)
         self.program, self.look, self.heed, self.count = program, look, heed, 0
         self.best: tuple[Iterate, Array] | None = None
@@ -118,18 +122,18 @@ class _Watch(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Look at an iterate; a one stops the solver."""
         try:
-            return [0.0 if self.heed.call(self.look, self._seen(arguments)) else 1.0]
+            return [0.0 if self.heed.call(self.look, self._record_iterate(arguments)) else 1.0]
         except BaseException as error:
             self.heed.keep(error)
             return [1.0]
 
-    def _seen(self, arguments: Sequence[ca.DM]) -> Iterate:
+    def _record_iterate(self, arguments: Sequence[ca.DM]) -> Iterate:
         values = dict(
             zip((ca.nlpsol_out(i) for i in range(self.get_n_in())), arguments, strict=True)
         )
         rows = np.array(values["g"]).ravel()
         unknowns = np.array(values["x"]).ravel() * self.program.scale
-        over = violation(self.program, rows)
+        over = largest_violation(self.program, rows)
         iterate = Iterate(self.count, float(values["f"]), over, unknowns)
         if self.best is None or over < self.best[0].violation:
             self.best = iterate, rows
@@ -137,20 +141,20 @@ class _Watch(ca.Callback):
         return iterate
 
 
-def violation(program: Program, rows: Array) -> float:
+def largest_violation(program: Program, rows: Array) -> float:
     """Return by how much the rows miss their bounds at most, each in its unit."""
     return float(np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0))
 
 
-def solve(
+def solve_program(
     program: Program,
     weights: Array,
     first: Array,
     *,
     warm: Solution | None = None,
-    iterations: int = ITERATIONS,
-    look: Look | None = None,
-    growth: float = GROWTH,
+    iterations: int = MAX_ITERATIONS,
+    look: IterateCallback | None = None,
+    growth: float = MAX_VIOLATION_GROWTH,
 ) -> Solution:
     """Return the solution of a program, or else the iterate that violates it least.
 
@@ -183,44 +187,47 @@ def solve(
     }
     if warm is not None:
         given |= {"lam_g0": warm.row_multipliers, "lam_x0": warm.bound_multipliers}
-    ipopt = ({} if warm is None else WARM) | {"max_iter": iterations, "theta_max_fact": growth}
+    ipopt = ({} if warm is None else WARM_OPTIONS) | {
+        "max_iter": iterations,
+        "theta_max_fact": growth,
+    }
     with InterruptGuard() as heed:
-        watch = _Watch(program, look or (lambda _: True), heed)
-        solver = _ready(program, ipopt, {"iteration_callback": watch})
-        solution = _solution(program, solver(**given), solver.stats())
-    if solution.success or solution.status == INFEASIBLE or watch.best is None:
+        watch = _IterateWatcher(program, look or (lambda _: True), heed)
+        solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})
+        solution = _to_solution(program, solver(**given), solver.stats())
+    if solution.success or solution.status == INFEASIBLE_STATUS or watch.best is None:
         return solution
     best, rows = watch.best
-    if best.violation >= violation(program, solution.rows):
+    if best.violation >= largest_violation(program, solution.rows):
         return solution
     return solution._replace(unknowns=best.unknowns, rows=rows, cost=best.cost)
 
 
-def kept_going(program: Program, iterations: int) -> ca.Function:
+def warm_solver(program: Program, iterations: int) -> ca.Function:
     """Return a solver that takes iterations from a solution nearby, in full steps.
 
     It takes unknowns, divided by their scale, multipliers and bounds under CasADi's names for them.
     """
-    ipopt = WARM | {
+    ipopt = WARM_OPTIONS | {
         "max_iter": iterations,
         "mu_strategy": "monotone",
-        "mu_init": NEARBY,
+        "mu_init": WARM_BARRIER,
         "accept_every_trial_step": "yes",
     }
-    return _ready(program, ipopt, {})
+    return _ipopt_solver(program, ipopt, {})
 
 
-def _ready(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
+def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
     """Return IPOPT for a program."""
     quiet: dict[str, Any] = {
         "print_level": 0,
         "sb": "yes",
-        "tol": TOLERANCE,
+        "tol": IPOPT_TOLERANCE,
         "mu_strategy": "adaptive",
         "honor_original_bounds": "yes",
         "mumps_permuting_scaling": 0,
-        "mumps_pivot_order": QUASI_DENSE,
-        "theta_max_fact": GROWTH,
+        "mumps_pivot_order": QUASI_DENSE_ORDERING,
+        "theta_max_fact": MAX_VIOLATION_GROWTH,
     }
     every: dict[str, Any] = {
         "ipopt": quiet | ipopt,
@@ -237,7 +244,7 @@ def _ready(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> 
     return ca.nlpsol("plan", "ipopt", program.problem, every | options)
 
 
-def _solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:
+def _to_solution(program: Program, found: dict[str, Any], stats: dict[str, Any]) -> Solution:
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     total = times.get("t_wall_total", 0.0)
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))

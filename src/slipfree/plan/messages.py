@@ -1,4 +1,4 @@
-"""How constraints and their numbers are put into words."""
+"""Describe constraints and their values."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from slipfree.records import Label
 
 MODEL = "model"  # the role of the model's own limits, before they are in the program
 DURATION = "duration"
-LIMITED = " is limited by the plan"  # ends the words of a limit that was asked for
-LARGE = 1000.0  # from which on four digits are too few
+LIMITED_SUFFIX = " is limited by the plan"  # ends the words of a limit that was asked for
+FIXED_POINT_FROM = 1000.0  # from which on four digits are too few
 
 
 def rate_of(label: Label) -> Label:
@@ -19,7 +19,7 @@ def rate_of(label: Label) -> Label:
 
 
 def subject(label: Label, role: str) -> str:
-    """Return what is constrained, and whose it is or where."""
+    """Return the constrained quantity, with its owner or its role."""
     whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
     if role == INPUT:
         return f"input {label.full}"
@@ -40,7 +40,7 @@ def number(label: Label, value: float) -> str:
 def _digits(value: float) -> str:
     """Return a value to four digits, large ones, as of places on a map, to three decimals."""
     value = round(value, 9) + 0.0
-    return f"{value:.4g}" if abs(value) < LARGE else f"{round(value, 3):.15g}"
+    return f"{value:.4g}" if abs(value) < FIXED_POINT_FROM else f"{round(value, 3):.15g}"
 
 
 def bounds_words(label: Label, low: float, high: float) -> str:

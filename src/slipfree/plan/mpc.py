@@ -1,4 +1,4 @@
-"""Plans that are kept up to date while the vehicle moves: a step of Newton's method a cycle.
+"""Model-predictive control: update a plan while the vehicle moves, one Newton step per cycle.
 
 A window of fixed length goes ahead of the vehicle along a plan, and ends where the plan is then, in
 what the goal asks for. From cycle to cycle its program stays the same but for bounds; its solution
@@ -18,17 +18,24 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
-from slipfree.plan.ipopt import ITERATIONS, kept_going, violation
+from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
-from slipfree.plan.polynomial_motion import PolynomialMotion, course
-from slipfree.plan.transcription import Index, Mesh, Program, Task, completed, transcribe
+from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
+from slipfree.plan.transcription import (
+    CollocationMesh,
+    Index,
+    PlanTask,
+    Program,
+    completed,
+    transcribe,
+)
 from slipfree.plan.verification import inputs_along
 from slipfree.records import Array
 from slipfree.trajectory import SolverError
 
-APART = 1e-6  # times that are nearer are one [s]
-GOING_ON = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
-SHORTEST = 0.25  # part of the window that is left when nothing is decided any more
+TIME_TOLERANCE = 1e-6  # times that are nearer are one [s]
+USABLE_STATUSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
+MIN_WINDOW_FRACTION = 0.25  # part of the window that is left when nothing is decided any more
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +49,7 @@ class Horizon:
     plan : PolynomialMotion
         The motion along which it goes.
     targets : casadi Function
-        ``(x, z, u) ->`` what the goal asks for.
+        ``(x, z, u) ->`` the quantities that the goal constrains.
     span : float
         Length of the window. [s]
     weights : ndarray, shape (n_costs + 1,)
@@ -63,13 +70,13 @@ class Horizon:
 
 
 class Cycle(NamedTuple):
-    """What is known at a time, and what the next cycle starts from.
+    """Solution of one cycle, from which the next one starts.
 
     Attributes
     ----------
     t : float
         When. [s]
-    course : PolynomialMotion
+    motion : PolynomialMotion
         The motion from then on.
     row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
         Of rows and bounds.
@@ -78,7 +85,7 @@ class Cycle(NamedTuple):
     """
 
     t: float
-    course: PolynomialMotion
+    motion: PolynomialMotion
     row_multipliers: Array
     bound_multipliers: Array
     violation: float
@@ -107,37 +114,37 @@ def horizon(
         If the window is longer than the plan, numbers are not positive, or the model or what is
         asked of it depends on time, which a window would count from its own beginning.
     """
-    length, task = plan.course.duration, plan.program.task
-    _check(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
+    length, task = plan.motion.duration, plan.program.task
+    _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
     if not 0 < span <= length:
         raise ModelError(
             f"horizon: expected a window of at most the duration of the plan, {length:g} s, found "
             f"{span} s"
         )
-    own = replace(task, places=task.places[-1:], duration=(span, span))
-    program = transcribe(own, Mesh(np.linspace(0, 1, intervals + 1), degree))
+    own = replace(task, conditions=task.conditions[-1:], duration=(span, span))
+    program = transcribe(own, CollocationMesh(np.linspace(0, 1, intervals + 1), degree))
     x, z, u = task.dae.columns()
-    n_z = plan.course.layout.unknowns.shape[2]
-    asked = ca.vertcat(*(limit.expression for limit in own.places[0].limits))
+    n_z = plan.motion.layout.unknowns.shape[2]
+    asked = ca.vertcat(*(limit.expression for limit in own.conditions[0].limits))
     weights = np.array([*(cost.weight for cost in task.costs), task.smooth])
     names = [program.problem[name] for name in "xp"]
     return Horizon(
         program,
-        plan.course,
+        plan.motion,
         task.dae.function("targets", [x, z[:n_z], u], [asked]),
         span,
         weights,
         ca.Function("rows", names, [program.problem["g"]]),
-        kept_going(program, iterations),
+        warm_solver(program, iterations),
     )
 
 
-def _check(task: Task, numbers: dict[str, int]) -> None:
+def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
     for name, number in numbers.items():
         if number < 1:
             raise ModelError(f"horizon: {name}: expected 1 or more, found {number}")
     dae = task.dae
-    asked = (limit.expression for limit in (*task.limits, *dae.limits, *task.places[-1].limits))
+    asked = (limit.expression for limit in (*task.limits, *dae.limits, *task.conditions[-1].limits))
     costs = (cost.expression for cost in task.costs)
     everything = ca.vertcat(dae.ode, *dae.alg, *asked, *costs)
     if ca.depends_on(everything, dae.t):
@@ -147,18 +154,18 @@ def _check(task: Task, numbers: dict[str, int]) -> None:
         )
 
 
-def begin(window: Horizon) -> Cycle:
+def first_cycle(window: Horizon) -> Cycle:
     """Return the cycle before the first one: the beginning of the plan, solved for the window."""
     program, layout = window.program, window.program.layout
-    first = _along(window, [(window.plan, 0.0)], 0.0, window.span)
+    first = _sample_motions(window, [(window.plan, 0.0)], 0.0, window.span)
     blank = Cycle(
         0.0,
-        course(program, first),
+        motion_of(program, first),
         np.zeros(program.g_lower.size),
         np.zeros(program.scale.size),
         np.inf,
     )
-    patient = replace(window, solver=kept_going(program, ITERATIONS))
+    patient = replace(window, solver=warm_solver(program, MAX_ITERATIONS))
     return advance(patient, blank, 0.0, first[layout.first])
 
 
@@ -198,19 +205,19 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
             f"horizon: expected a time and {program.layout.first.size} states, all finite, found "
             f"t = {t} and {x}"
         )
-    if t < former.t - APART:
+    if t < former.t - TIME_TOLERANCE:
         raise ModelError(f"horizon: expected a time from {former.t:g} s on, found {t:g} s")
     span = min(window.span, plan.duration - t)
-    if span < SHORTEST * window.span:
+    if span < MIN_WINDOW_FRACTION * window.span:
         return former
-    first = _along(window, [(former.course, former.t), (plan, 0.0)], t, span)
+    first = _sample_motions(window, [(former.motion, former.t), (plan, 0.0)], t, span)
     first[program.layout.first] = x
     first = completed(program, first)
     lower, upper = program.lower.copy(), program.upper.copy()
     lower[program.layout.first] = upper[program.layout.first] = x
     lower[program.layout.duration] = upper[program.layout.duration] = span
-    g_lower, g_upper = _bounds(window, t + span)
-    rows, bounds = _shifted(program, former, t, span)
+    g_lower, g_upper = _row_bounds(window, t + span)
+    rows, bounds = _shift_multipliers(program, former, t, span)
     found = window.solver(
         x0=first / scale,
         p=window.weights,
@@ -224,17 +231,19 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     status = window.solver.stats()["return_status"]
     # IPOPT's own rows are those of its last accepted iterate, which may not be what it returns.
     g = np.array(window.rows(found["x"], window.weights)).ravel()
-    if status not in GOING_ON or not np.isfinite(g).all():
+    if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
             f"horizon: no step at t = {t:g} s from the state {x}: {status}; the former cycle may "
             "be driven on"
         )
     unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     asked = replace(program, g_lower=g_lower, g_upper=g_upper)
-    return Cycle(t, course(program, unknowns * scale), rows, bounds, violation(asked, g))
+    return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, largest_violation(asked, g))
 
 
-def driven(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Any, Array]:
+def cycle_inputs(
+    window: Horizon, cycle: Cycle, first_cycle: float, end: float
+) -> tuple[Any, Array]:
     """Return the inputs of a cycle from one time since the plan began to another, for ``simulate``.
 
     Returns
@@ -248,22 +257,22 @@ def driven(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Any
     ModelError
         If there is nothing left to drive, or the times are before the cycle.
     """
-    ends = cycle.course.ends
-    first, last = begin - cycle.t, min(end - cycle.t, ends[-1])
-    if not -APART <= first < last:
+    ends = cycle.motion.ends
+    first, last = first_cycle - cycle.t, min(end - cycle.t, ends[-1])
+    if not -TIME_TOLERANCE <= first < last:
         raise ModelError(
             f"horizon: expected times from {cycle.t:g} to {cycle.t + ends[-1]:g} s, the second "
-            f"after the first, found {begin:g} and {end:g} s"
+            f"after the first, found {first_cycle:g} and {end:g} s"
         )
-    inside = ends[(ends > first + APART) & (ends < last - APART)]
+    inside = ends[(ends > first + TIME_TOLERANCE) & (ends < last - TIME_TOLERANCE)]
     times = np.concatenate([[first], inside, [last]])
-    return inputs_along(window.program.task.dae, cycle.course, times), times
+    return inputs_along(window.program.task.dae, cycle.motion, times), times
 
 
-def _along(
+def _sample_motions(
     window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
 ) -> Array:
-    """Return unknowns that mean what motions are from a time on, each as far as it goes."""
+    """Return unknowns sampled from motions, the first that covers each time."""
     program = window.program
     mesh, layout = program.mesh, program.layout
     unknowns = np.zeros(program.scale.size)
@@ -272,9 +281,9 @@ def _along(
     ends = t + span * (
         mesh.ends if len(layout.inputs) == mesh.ends.size else (mesh.ends[1:] + mesh.ends[:-1]) / 2
     )
-    states = _joined(motions, nodes, PolynomialMotion.states)
-    unknown = _joined(motions, nodes, PolynomialMotion.algebraic)
-    inputs = _joined(motions, ends, PolynomialMotion.inputs)
+    states = _join_values(motions, nodes, PolynomialMotion.states)
+    unknown = _join_values(motions, nodes, PolynomialMotion.algebraic)
+    inputs = _join_values(motions, ends, PolynomialMotion.inputs)
     unknowns[layout.first] = states[:, 0]
     unknowns[layout.states] = states[:, 1:].T.reshape(layout.states.shape)
     unknowns[layout.unknowns] = unknown[:n_z, 1:].T.reshape(layout.unknowns.shape)
@@ -282,41 +291,43 @@ def _along(
     return completed(program, unknowns)
 
 
-def _joined(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
+def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
     """Return values of the first motion that goes as far as each time."""
-    values = read(motions[-1][0], _part(motions[-1], at))
+    values = read(motions[-1][0], _to_fractions(motions[-1], at))
     for motion in reversed(motions[:-1]):
         inside = at <= motion[1] + motion[0].duration
-        values[:, inside] = read(motion[0], _part(motion, at[inside]))
+        values[:, inside] = read(motion[0], _to_fractions(motion, at[inside]))
     return np.asarray(values)
 
 
-def _part(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
+def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
     """Return times as fractions of a motion."""
     return np.clip((at - motion[1]) / motion[0].duration, 0.0, 1.0)
 
 
-def _bounds(window: Horizon, end: float) -> tuple[Array, Array]:
+def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
     """Return bounds of the rows for a window that ends at a time: there it meets the plan."""
     program, plan = window.program, window.plan
     lower, upper = program.g_lower.copy(), program.g_upper.copy()
-    if end < plan.duration - APART:  # what is summed up may be off by rounding
+    if end < plan.duration - TIME_TOLERANCE:  # what is summed up may be off by rounding
         at = np.array([end / plan.duration])
         values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
-        count = len(program.pieces[-1].labels)
+        count = len(program.row_blocks[-1].labels)
         lower[-count:] = upper[-count:] = np.array(values).ravel()
     return lower, upper
 
 
-def _shifted(program: Program, former: Cycle, t: float, span: float) -> tuple[Array, Array]:
+def _shift_multipliers(
+    program: Program, former: Cycle, t: float, span: float
+) -> tuple[Array, Array]:
     """Return the multipliers of a cycle for the next one, interval by interval."""
     ends, layout = program.mesh.ends, program.layout
-    middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.course.duration
+    middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.motion.duration
     which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)
-    piece = program.pieces[0]
-    count = len(piece.where) * len(piece.labels)
+    row_block = program.row_blocks[0]
+    count = len(row_block.where) * len(row_block.labels)
     rows, bounds = former.row_multipliers.copy(), np.zeros(program.scale.size)
-    rows[:count] = rows[:count].reshape(len(piece.where), -1)[which].ravel()
+    rows[:count] = rows[:count].reshape(len(row_block.where), -1)[which].ravel()
     for where in (layout.inputs[: which.size], layout.states, layout.unknowns, layout.roots):
         bounds[where] = former.bound_multipliers[where[which]]
     bounds[layout.inputs[which.size :]] = former.bound_multipliers[layout.inputs[which.size :]]

@@ -1,7 +1,7 @@
-"""Elements of a program: functions of few unknowns that stand at many places, and derivatives.
+"""Blocks of a program: functions of few unknowns, repeated at many points, with derivatives.
 
-What an element looks up of the ground is an argument of its functions, which are then free of
-calls: the same for every ground, and as often differentiable as CasADi's expressions are.
+Results of ground lookups are arguments of these functions, which are then free of calls: the same
+for every ground, and as often differentiable as CasADi's expressions are.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from slipfree.lookups import Lookup, check_order, found_column, needed_lookups
 from slipfree.records import Array
 
 Index = npt.NDArray[np.intp]
-ORDER = 4  # derivatives of a ground: two in the model, two more in the Hessian
+DERIVATIVE_ORDER = 4  # derivatives of a ground: two in the model, two more in the Hessian
 
 
 class Question(NamedTuple):
-    """A lookup of an element.
+    """A lookup of a block.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class Question(NamedTuple):
     function: ca.Function
 
 
-class Element(NamedTuple):
-    """A function that stands at several places of a program.
+class NlpBlock(NamedTuple):
+    """A function that a program repeats at several points.
 
     All functions take ``(v, q, p, c)``: unknowns, constants, parameters and results of lookups.
     Derivatives are those by ``v``.
@@ -52,10 +52,10 @@ class Element(NamedTuple):
         ``(v, q, p, c, s, l) ->`` upper half of the Hessian of ``s cost + l' rows``.
     questions : tuple of Question
         The lookups, in order.
-    where : ndarray, shape (n, n_v)
-        Which unknowns of the program ``v`` are, at every place.
-    places : ndarray, shape (n, n_rows)
-        Which rows of the program the rows are.
+    variable_indices : ndarray, shape (n, n_v)
+        Indices of ``v`` among the unknowns of the program, at every point.
+    row_indices : ndarray, shape (n, n_rows)
+        Indices of the rows among those of the program.
     constants : ndarray, shape (n, n_q)
         Values of ``q``.
     """
@@ -66,12 +66,12 @@ class Element(NamedTuple):
     jacobian: ca.Function
     hessian: ca.Function
     questions: tuple[Question, ...]
-    where: Index
-    places: Index
+    variable_indices: Index
+    row_indices: Index
     constants: Array
 
 
-def element(
+def nlp_block(
     symbols: tuple[ca.SX, ca.SX, ca.SX],
     cost: ca.SX,
     rows: ca.SX,
@@ -80,8 +80,8 @@ def element(
     constants: Array,
     *,
     compiled: bool = False,
-) -> Element:
-    """Return an element with its derivatives.
+) -> NlpBlock:
+    """Return a block with its derivatives.
 
     Parameters
     ----------
@@ -90,13 +90,13 @@ def element(
     cost, rows : SX
         A scalar and a column.
     lookups : sequence of Lookup
-        What they contain of the ground, at questions in these symbols.
+        Lookups that they contain, at questions in these symbols.
     indices : tuple of two ndarrays
-        ``where`` and ``places`` of `Element`.
+        ``variable_indices`` and ``row_indices`` of `NlpBlock`.
     constants : ndarray
-        See `Element`.
+        See `NlpBlock`.
     compiled : bool
-        Whether to compile what is large.
+        Whether to compile its larger functions.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def element(
         If second derivatives of a lookup are not known.
     """
     lookups = needed_lookups(lookups, [cost, rows])
-    check_order(lookups, ORDER, "a plan")
+    check_order(lookups, DERIVATIVE_ORDER, "a plan")
     v, given, shared = symbols[0], [*symbols, found_column(lookups)], {"cse": True}
     cost, rows = ca.densify(cost), ca.cse(ca.densify(rows))
 
@@ -127,7 +127,7 @@ def element(
     )
     names = ("rows", "jacobian", "hessian")
     of_rows, jacobian, hessian = compiled_functions(key, names, large, compiled=compiled)
-    return Element(
+    return NlpBlock(
         ca.Function("cost", given, [cost]),
         ca.Function("gradient", given, [cost, ca.gradient(cost, v)]),
         of_rows,

@@ -19,36 +19,43 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
-from slipfree.plan.constraints import WITHIN
+from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.explanation import explanation
-from slipfree.plan.ipopt import CAUTIOUS, STUCK, Iterate, Solution, solve, violation
+from slipfree.plan.ipopt import (
+    CAUTIOUS_VIOLATION_GROWTH,
+    STUCK_STATUSES,
+    Iterate,
+    Solution,
+    largest_violation,
+    solve_program,
+)
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
-    carried,
-    course,
-    nearest,
-    sampled,
-    unknowns_of,
+    guess_unknowns,
+    motion_of,
+    nearest_fraction,
+    sample_plan,
+    transfer_motion,
 )
 from slipfree.plan.problem import Range, task_of
-from slipfree.plan.transcription import Cost, Mesh, Program, Task, transcribe
-from slipfree.plan.verification import Proof, inputs_along, prove, refined
-from slipfree.plan.warm_start import Saved, local, saved
+from slipfree.plan.transcription import CollocationMesh, Cost, PlanTask, Program, transcribe
+from slipfree.plan.verification import Verification, inputs_along, refine_mesh, verify_plan
+from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
 from slipfree.records import Array
 from slipfree.trajectory import Stop, Trajectory
 
-STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
-SLIP = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
-ROUNDS = 4  # of adding limits that a plan violates
-REFINEMENTS = 6  # of the mesh at most
-STOPPED = "User_Requested_Stop"  # IPOPT's words when progress returns False
-CLEAR = 1e-5  # by which plans keep clear of the model's limits, which end a simulation
-STEP = 0.25  # between samples of the simulation at most [s]
-Progress = Callable[[str, Iterate], bool]
+SLIP_STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
+SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
+MAX_LIMIT_ROUNDS = 4  # of adding limits that a plan violates
+MAX_REFINEMENTS = 6  # of the mesh at most
+STOPPED_STATUS = "User_Requested_Stop"  # IPOPT's words when progress returns False
+LIMIT_CLEARANCE = 1e-5  # by which plans keep clear of the model's limits, which end a simulation
+SAMPLE_STEP = 0.25  # between samples of the simulation at most [s]
+PlanProgress = Callable[[str, Iterate], bool]
 
 
-class Stage(NamedTuple):
-    """One program that was solved on the way to a plan.
+class SolvedStage(NamedTuple):
+    """One of the programs solved during a search.
 
     Attributes
     ----------
@@ -73,15 +80,15 @@ class Stage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A plan and its proof.
+    """A plan and its verification by simulation.
 
     Attributes
     ----------
     run : Trajectory
         The plan, sampled at the beginning and at all points of collocation.
     inputs : record
-        What drives the model along it, for ``simulate`` at times ``course.ends``.
-    course : PolynomialMotion
+        What drives the model along it, for ``simulate`` at times ``motion.ends``.
+    motion : PolynomialMotion
         The plan as polynomials of time.
     replay : Trajectory
         The model's motion under these inputs, integrated, several samples on every interval.
@@ -108,7 +115,7 @@ class Plan:
 
     run: Trajectory
     inputs: Any
-    course: PolynomialMotion
+    motion: PolynomialMotion
     replay: Trajectory
     difference: dict[str, float]
     violation: dict[str, float]
@@ -117,12 +124,12 @@ class Plan:
     accurate: bool
     program: Program
     solution: Solution
-    stages: tuple[Stage, ...]
-    saved: Saved
+    stages: tuple[SolvedStage, ...]
+    saved: SavedPlan
 
 
-class _Search(NamedTuple):
-    """What has been solved so far, from which unknowns last, and on the way to it.
+class _SearchState(NamedTuple):
+    """The last solved program of a search, its initial guess, and all stages so far.
 
     ``run`` is the solution at its points, once it has been looked at.
     """
@@ -130,7 +137,7 @@ class _Search(NamedTuple):
     program: Program
     found: Solution
     first: Array
-    stages: tuple[Stage, ...]
+    stages: tuple[SolvedStage, ...]
     run: Trajectory | None = None
 
 
@@ -154,9 +161,9 @@ def plan(
     degree: int = 3,
     accuracy: float = 1e-3,
     tolerance: float = 1e-8,
-    step: float = STEP,
-    resume: Saved | None = None,
-    progress: Progress | None = None,
+    step: float = SAMPLE_STEP,
+    resume: SavedPlan | None = None,
+    progress: PlanProgress | None = None,
 ) -> Plan:
     """Return the inputs that reach a goal at the least cost, with the motion they lead to.
 
@@ -225,15 +232,15 @@ def plan(
     if intervals < 1:
         raise ModelError(f"plan: expected one interval or more, found {intervals}")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
-    mesh = Mesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
+    mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
     guesses = [guess] if isinstance(guess, Trajectory) else list(guess)
     if resume is None:
-        search = _best(transcribe(task, mesh), guesses, progress)
+        search = _solve_guesses(transcribe(task, mesh), guesses, progress)
     else:
-        search = _resumed(task, mesh, resume, progress)
+        search = _solve_resumed(task, mesh, resume, progress)
 
-    def proved(search: _Search) -> Proof:
-        return prove(
+    def verify(search: _SearchState) -> Verification:
+        return verify_plan(
             search.program,
             search.found.unknowns,
             start,
@@ -242,8 +249,8 @@ def plan(
             tolerance=tolerance,
         )
 
-    search, proof = _refined(_within_limits(search, progress), proved, progress)
-    result = _result(search, proof)
+    search, verification = _refine(_add_limits(search, progress), verify, progress)
+    result = _to_plan(search, verification)
     iterations = sum(stage.iterations for stage in search.stages)
     statistics = {
         "cpu_seconds": time.process_time() - clock,
@@ -253,17 +260,19 @@ def plan(
     return replace(result, run=replace(result.run, statistics=statistics))
 
 
-def _best(program: Program, guesses: Sequence[Trajectory], progress: Progress | None) -> _Search:
-    """Return the solution of least cost of those that the guesses lead to."""
-    best: _Search | None = None
-    stages: tuple[Stage, ...] = ()
+def _solve_guesses(
+    program: Program, guesses: Sequence[Trajectory], progress: PlanProgress | None
+) -> _SearchState:
+    """Solve from each guess and return the solution of least cost."""
+    best: _SearchState | None = None
+    stages: tuple[SolvedStage, ...] = ()
     for number, guess in enumerate(guesses, 1):
         of = f"start {number} of {len(guesses)}, " if len(guesses) > 1 else ""
-        search = _staged(program, unknowns_of(program, guess), of, progress)
+        search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
         stages += search.stages
         if best is None or _is_better(program, search.found, best.found):
             best = search
-        if search.found.status == STOPPED:
+        if search.found.status == STOPPED_STATUS:
             break
     if best is None:
         raise ModelError("plan: expected at least one motion to start from, found none")
@@ -274,22 +283,27 @@ def _is_better(program: Program, one: Solution, other: Solution) -> bool:
     if one.success != other.success:
         return one.success
     if not one.success:
-        return violation(program, one.rows) < violation(program, other.rows)
+        return largest_violation(program, one.rows) < largest_violation(program, other.rows)
     return one.cost < other.cost
 
 
-def _staged(program: Program, first: Array, of: str, progress: Progress | None) -> _Search:
-    """Return the solution, reached by raising the weight of the slip in stages."""
-    slips = any(cost.label.name in SLIP and cost.weight for cost in program.task.costs)
+def _solve_in_stages(
+    program: Program, first: Array, of: str, progress: PlanProgress | None
+) -> _SearchState:
+    """Solve with the weight of the slip raised in stages."""
+    slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}slip left out" if slips else f"{of}all"
-    search = _solved(program, first, words, STAGES[0] if slips else 1.0, progress)
-    for part in STAGES[1:] if slips else ():
+    search = _solve_stage(program, first, words, SLIP_STAGES[0] if slips else 1.0, progress)
+    for part in SLIP_STAGES[1:] if slips else ():
         if not search.found.success:
             break
         found = search.found
-        more = _solved(program, found.unknowns, f"{of}with slip", part, progress, found)
+        more = _solve_stage(program, found.unknowns, f"{of}with slip", part, progress, found)
         stages = search.stages + more.stages
-        if not more.found.success and violation(program, more.found.rows) > WITHIN:
+        if (
+            not more.found.success
+            and largest_violation(program, more.found.rows) > VIOLATION_TOLERANCE
+        ):
             # The plan of the stage before keeps to everything; only its slip is not the least.
             kept = found._replace(success=False, status=more.found.status)
             return search._replace(found=kept, first=first, stages=stages)
@@ -297,92 +311,107 @@ def _staged(program: Program, first: Array, of: str, progress: Progress | None) 
     return search._replace(first=first)
 
 
-def _resumed(task: Task, mesh: Mesh, resume: Saved, progress: Progress | None) -> _Search:
-    """Return the solution, sought from another plan: with its multipliers if they are as many."""
-    former = local(resume, task.dae)
-    after = nearest(former, task.start)
+def _solve_resumed(
+    task: PlanTask, mesh: CollocationMesh, resume: SavedPlan, progress: PlanProgress | None
+) -> _SearchState:
+    """Solve from another plan, with its multipliers if their numbers agree."""
+    former = local_motion(resume, task.dae)
+    after = nearest_fraction(former, task.start)
     if former.mesh.degree == mesh.degree and set(mesh.ends) <= set(former.mesh.ends):
         mesh = former.mesh
     program = transcribe(task, mesh)
-    first = carried(former, program, after)
-    if reached := _missed(task, sampled(program, first), -2 * CLEAR):  # that plan may rest on them
+    first = transfer_motion(former, program, after)
+    if reached := _violated_limits(
+        task, sample_plan(program, first), -2 * LIMIT_CLEARANCE
+    ):  # that plan may rest on them
         program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh)
-        first = carried(former, program, after)
+        first = transfer_motion(former, program, after)
     alike = (first.size, program.g_lower.size, after) == (
         former.unknowns.size,
         resume.row_multipliers.size,
         0.0,
     )
-    warm = _without_multipliers(program, first)
+    warm = _warm_guess(program, first)
     if alike:
         warm = warm._replace(
             row_multipliers=resume.row_multipliers, bound_multipliers=resume.bound_multipliers
         )
-    return _solved(program, first, "resumed", 1.0, progress, warm)
+    return _solve_stage(program, first, "resumed", 1.0, progress, warm)
 
 
-def _solved(
+def _solve_stage(
     program: Program,
     first: Array,
     words: str,
     part: float,
-    progress: Progress | None,
+    progress: PlanProgress | None,
     warm: Solution | None = None,
-) -> _Search:
+) -> _SearchState:
     look = None if progress is None else lambda iterate: progress(words, iterate)
-    weights = _weights(program, part)
-    found = solve(program, weights, first, warm=warm, look=look)
-    stages = [Stage(words, found.iterations, found.status, found.seconds, found.cost)]
-    if found.status in STUCK:  # which rounding decides on long plans: it may have gone astray
-        again = solve(program, weights, first, warm=warm, look=look, growth=CAUTIOUS)
+    weights = _cost_weights(program, part)
+    found = solve_program(program, weights, first, warm=warm, look=look)
+    stages = [SolvedStage(words, found.iterations, found.status, found.seconds, found.cost)]
+    if (
+        found.status in STUCK_STATUSES
+    ):  # which rounding decides on long plans: it may have gone astray
+        again = solve_program(
+            program, weights, first, warm=warm, look=look, growth=CAUTIOUS_VIOLATION_GROWTH
+        )
         words = f"{words}, again"
-        stages.append(Stage(words, again.iterations, again.status, again.seconds, again.cost))
-        if again.success or violation(program, again.rows) < violation(program, found.rows):
+        stages.append(SolvedStage(words, again.iterations, again.status, again.seconds, again.cost))
+        if again.success or largest_violation(program, again.rows) < largest_violation(
+            program, found.rows
+        ):
             found = again
-    return _Search(program, found, first, tuple(stages))
+    return _SearchState(program, found, first, tuple(stages))
 
 
-def _weights(program: Program, part: float) -> Array:
+def _cost_weights(program: Program, part: float) -> Array:
     """Return the weights of the program with a part of that of the slip."""
     weights = [
-        cost.weight * (part if cost.label.name in SLIP else 1.0) for cost in program.task.costs
+        cost.weight * (part if cost.label.name in SLIP_COSTS else 1.0)
+        for cost in program.task.costs
     ]
     return np.array([*weights, program.task.smooth])
 
 
-def _within_limits(search: _Search, progress: Progress | None) -> _Search:
-    """Return the search with those of the model's limits that a plan would violate."""
-    for _ in range(ROUNDS):
+def _add_limits(search: _SearchState, progress: PlanProgress | None) -> _SearchState:
+    """Solve again with the limits of the model that the plan violates, until none is."""
+    for _ in range(MAX_LIMIT_ROUNDS):
         program, found = search.program, search.found
         if not found.success:
             return search
-        run = sampled(program, found.unknowns)
-        missed = _missed(program.task, run, WITHIN)
+        run = sample_plan(program, found.unknowns)
+        missed = _violated_limits(program.task, run, VIOLATION_TOLERANCE)
         if not missed:
             return search._replace(run=run)
         words = f"with {', '.join(limit.label.full for limit in missed)}"
         fuller = replace(program.task, limits=(*program.task.limits, *missed))
-        search = _again(search, fuller, program.mesh, words, progress)
+        search = _solve_anew(search, fuller, program.mesh, words, progress)
     return search
 
 
-def _again(
-    search: _Search, task: Task, mesh: Mesh, words: str, progress: Progress | None
-) -> _Search:
-    """Return the search gone on with another task or mesh."""
-    former, program = course(search.program, search.found.unknowns), transcribe(task, mesh)
-    first = carried(former, program)
-    more = _solved(program, first, words, 1.0, progress, _without_multipliers(program, first))
+def _solve_anew(
+    search: _SearchState,
+    task: PlanTask,
+    mesh: CollocationMesh,
+    words: str,
+    progress: PlanProgress | None,
+) -> _SearchState:
+    """Solve another task or mesh, from the solution of the search."""
+    former, program = motion_of(search.program, search.found.unknowns), transcribe(task, mesh)
+    first = transfer_motion(former, program)
+    more = _solve_stage(program, first, words, 1.0, progress, _warm_guess(program, first))
     return more._replace(stages=search.stages + more.stages)
 
 
-def _without_multipliers(program: Program, first: Array) -> Solution:
+def _warm_guess(program: Program, first: Array) -> Solution:
     """Return unknowns of another program as a solution to start from."""
     rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
     return Solution(first, rows, np.nan, rows, bounds, "", True, 0, {})
 
 
-def _missed(task: Task, run: Trajectory, beyond: float) -> list[Limit]:
+def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Limit]:
     """Return the model's own limits that a plan violates and that are not in its task yet.
 
     They come somewhat narrower.
@@ -393,31 +422,39 @@ def _missed(task: Task, run: Trajectory, beyond: float) -> list[Limit]:
         values = run.of(limit.label)
         over = np.maximum(limit.lower - values, values - limit.upper).max()
         if over > beyond and limit.label.full not in have:
-            missed.append(limit._replace(lower=limit.lower + CLEAR, upper=limit.upper - CLEAR))
+            missed.append(
+                limit._replace(
+                    lower=limit.lower + LIMIT_CLEARANCE, upper=limit.upper - LIMIT_CLEARANCE
+                )
+            )
     return missed
 
 
-def _refined(
-    search: _Search, proved: Callable[[_Search], Proof], progress: Progress | None
-) -> tuple[_Search, Proof]:
-    """Return the search on a mesh that is fine enough, and its proof; what it reached if none is.
+def _refine(
+    search: _SearchState,
+    verify: Callable[[_SearchState], Verification],
+    progress: PlanProgress | None,
+) -> tuple[_SearchState, Verification]:
+    """Return the search on a mesh that is fine enough, or the finest tried, with its verification.
 
     A program on a finer mesh that cannot be solved, or is stopped, leaves the solution before it.
     """
-    proof = proved(search)
-    for _ in range(REFINEMENTS):
-        if not (search.found.success and proof.worse.any()):
+    verification = verify(search)
+    for _ in range(MAX_REFINEMENTS):
+        if not (search.found.success and verification.worse.any()):
             break
-        mesh = refined(search.program.mesh, proof.worse)
+        mesh = refine_mesh(search.program.mesh, verification.worse)
         words = f"{mesh.ends.size - 1} intervals"
-        finer = _within_limits(_again(search, search.program.task, mesh, words, progress), progress)
+        finer = _add_limits(
+            _solve_anew(search, search.program.task, mesh, words, progress), progress
+        )
         if not finer.found.success:
-            return search._replace(stages=finer.stages), proof
-        search, proof = finer, proved(finer)
-    return search, proof
+            return search._replace(stages=finer.stages), verification
+        search, verification = finer, verify(finer)
+    return search, verification
 
 
-def _result(search: _Search, proof: Proof) -> Plan:
+def _to_plan(search: _SearchState, verification: Verification) -> Plan:
     program, found, first, stages, run = search
     values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
     units = np.eye(program.problem["p"].numel())
@@ -427,26 +464,26 @@ def _result(search: _Search, proof: Proof) -> Plan:
     }
     if program.task.smooth:
         costs["smoothness"] = float(values(found.unknowns / program.scale, units[-1]))
-    run = sampled(program, found.unknowns) if run is None else run
+    run = sample_plan(program, found.unknowns) if run is None else run
     if not found.success:
         words = (
             f"the plan is not solved; this is its last iterate: "
             f"{explanation(program, found, first)}"
         )
         run = replace(run, stop=Stop("plan", float(run.t[-1]), words))
-    way = course(program, found.unknowns)
+    motion = motion_of(program, found.unknowns)
     return Plan(
         run,
-        inputs_along(program.task.dae, way, way.ends),
-        way,
-        proof.replay,
-        proof.difference,
-        proof.violation,
+        inputs_along(program.task.dae, motion, motion.ends),
+        motion,
+        verification.replay,
+        verification.difference,
+        verification.violation,
         costs,
         found.success,
-        proof.accurate,
+        verification.accurate,
         program,
         found,
         stages,
-        saved(program, found),
+        save_plan(program, found),
     )

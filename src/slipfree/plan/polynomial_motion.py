@@ -1,4 +1,4 @@
-"""What the unknowns of a program say about the motion, between the points of collocation too."""
+"""Evaluate the unknowns of a program as polynomials of time, and make unknowns from motions."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.plan.transcription import Index, Layout, Mesh, Program, completed
+from slipfree.plan.transcription import CollocationMesh, Index, Program, VariableLayout, completed
 from slipfree.records import Array, leaves
 from slipfree.solve.initial_conditions import consistent
-from slipfree.solve.radau import basis
-from slipfree.solve.sampling import Samples, followed, table
+from slipfree.solve.radau import radau_basis
+from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory
 
-NEAR = 1e-6  # distance of states within which a motion begins where another does [m, rad]
-ROUNDING = 1e-12  # part of the duration by which a place may miss the end of an interval
+SAME_STATE_DISTANCE = (
+    1e-6  # distance of states within which a motion begins where another does [m, rad]
+)
+FRACTION_TOLERANCE = 1e-12  # part of the duration by which a place may miss the end of an interval
 
 
 class PolynomialMotion(NamedTuple):
@@ -33,8 +35,8 @@ class PolynomialMotion(NamedTuple):
         Not scaled.
     """
 
-    mesh: Mesh
-    layout: Layout
+    mesh: CollocationMesh
+    layout: VariableLayout
     unknowns: Array
 
     @property
@@ -54,13 +56,13 @@ class PolynomialMotion(NamedTuple):
         inner = values[layout.states]
         first = np.concatenate([values[layout.first][None], inner[:-1, -1]])
         nodes = np.concatenate([first[:, None], inner], axis=1)
-        weights = basis(self.mesh.degree).values(inside, tied=True)
+        weights = radau_basis(self.mesh.degree).values(inside, tied=True)
         return np.asarray(np.einsum("ij,ijx->xi", weights, nodes[k]))
 
     def algebraic(self, at: Array) -> Array:
         """Return the algebraic unknowns at fractions of the duration, shape (n_z, n_at)."""
         k, inside = self._where(at)
-        weights = basis(self.mesh.degree).values(inside, tied=False)
+        weights = radau_basis(self.mesh.degree).values(inside, tied=False)
         return np.asarray(np.einsum("ij,ijz->zi", weights, self.unknowns[self.layout.unknowns][k]))
 
     def inputs(self, at: Array) -> Array:
@@ -79,17 +81,17 @@ class PolynomialMotion(NamedTuple):
     def _where(self, at: Array) -> tuple[Index, Array]:
         """Return intervals, an end among the one before it, and places on them from 0 to 1."""
         ends = self.mesh.ends
-        k = np.clip(np.searchsorted(ends, at - ROUNDING) - 1, 0, ends.size - 2)
+        k = np.clip(np.searchsorted(ends, at - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
         return k, (at - ends[k]) / np.diff(ends)[k]
 
 
-def course(program: Program, unknowns: Array) -> PolynomialMotion:
-    """Return what unknowns of a program mean."""
+def motion_of(program: Program, unknowns: Array) -> PolynomialMotion:
+    """Return the motion that unknowns of a program describe."""
     return PolynomialMotion(program.mesh, program.layout, unknowns)
 
 
-def carried(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
-    """Return unknowns of a program that mean the motion of another mesh, goal or ground.
+def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
+    """Return unknowns of a program from a motion on another mesh, to another goal or ground.
 
     Of the former motion what comes after a part of its duration counts. Unknowns that only the new
     program has are taken from its model.
@@ -105,44 +107,48 @@ def carried(former: PolynomialMotion, program: Program, after: float = 0.0) -> A
     have, need = len(z), layout.unknowns.shape[2]
     if have < need:
         t = nodes * former.duration
-        z = _followed(program, Samples(t, x, z, np.zeros((0, t.size)), u)).z[:need]
+        z = _complete_unknowns(program, Samples(t, x, z, np.zeros((0, t.size)), u)).z[:need]
     unknowns[layout.unknowns] = z[:need, 1:].T.reshape(count, degree, -1)
-    _put_inputs(program, unknowns, former, after)
+    _transfer_inputs(program, unknowns, former, after)
     return completed(program, unknowns)
 
 
-def _put_inputs(program: Program, unknowns: Array, former: PolynomialMotion, after: float) -> None:
+def _transfer_inputs(
+    program: Program, unknowns: Array, former: PolynomialMotion, after: float
+) -> None:
     ends, where = after + (1 - after) * program.mesh.ends, program.layout.inputs
     at = ends if len(where) == ends.size else (ends[1:] + ends[:-1]) / 2
     bounds = program.task.inputs
     unknowns[where] = np.clip(former.inputs(at).T, bounds[:, 0], bounds[:, 1])
 
 
-def _followed(program: Program, samples: Samples) -> Samples:
-    """Return samples with all algebraic unknowns, of which the first ones are known."""
+def _complete_unknowns(program: Program, samples: Samples) -> Samples:
+    """Return samples with all algebraic unknowns, from the first ones."""
     dae = program.task.dae
     z = np.full((dae.scale.size, samples.t.size), np.nan)
     z[: len(samples.z)] = samples.z
-    return followed(open_loop(program), samples._replace(z=z))[0]
+    return complete_samples(numeric_system(program), samples._replace(z=z))[0]
 
 
-def nearest(former: PolynomialMotion, start: Array) -> float:
+def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
     """Return the part of the duration after which a motion is nearest to a state, its first ones.
 
     Zero if the motion begins there.
     """
     nodes = former.mesh.nodes
     away = np.linalg.norm(former.states(nodes) - start[:, None], axis=0)
-    return 0.0 if away[0] < NEAR else float(nodes[: away.size - 1][away[:-1].argmin()])
+    return (
+        0.0 if away[0] < SAME_STATE_DISTANCE else float(nodes[: away.size - 1][away[:-1].argmin()])
+    )
 
 
-def open_loop(program: Program) -> Any:
+def numeric_system(program: Program) -> Any:
     """Return the model with its inputs as numbers."""
     dae = program.task.dae
     return with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
 
 
-def unknowns_of(program: Program, guess: Trajectory) -> Array:
+def guess_unknowns(program: Program, guess: Trajectory) -> Array:
     """Return the unknowns of a motion, stretched over the mesh."""
     task, layout = program.task, program.layout
     dae, mesh = task.dae, program.mesh
@@ -170,9 +176,9 @@ def unknowns_of(program: Program, guess: Trajectory) -> Array:
     return unknowns
 
 
-def sampled(program: Program, unknowns: Array) -> Trajectory:
+def sample_plan(program: Program, unknowns: Array) -> Trajectory:
     """Return a plan at the beginning and at all points of collocation."""
-    found, loop = course(program, unknowns), open_loop(program)
+    found, system = motion_of(program, unknowns), numeric_system(program)
     nodes, n_z = program.mesh.nodes, program.layout.unknowns.shape[2]
     inner = unknowns[program.layout.unknowns].reshape(-1, n_z).T
     z = np.full((program.task.dae.scale.size, nodes.size), np.nan)
@@ -181,20 +187,20 @@ def sampled(program: Program, unknowns: Array) -> Trajectory:
     t = nodes * found.duration
     # The program has no unknowns at the beginning; a failed one may be no guess for them either.
     with suppress(ModelError):
-        z[:, 0] = consistent(loop, 0.0, x[:, 0], z[:, 1], u[:, 0])
+        z[:, 0] = consistent(system, 0.0, x[:, 0], z[:, 1], u[:, 0])
     try:
-        rates = np.array(loop.quad.map(t.size)(t[None], x, z[: loop.moving], u))[:, 1:]
+        rates = np.array(system.quad.map(t.size)(t[None], x, z[: system.moving], u))[:, 1:]
     except RuntimeError:  # the forces of a failed iterate may not be found
         rates = np.full((program.task.dae.quad.numel(), t.size - 1), np.nan)
-    q = _integrated(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))
-    samples, report = followed(loop, Samples(t, x, z, q, u))
-    return table(loop, samples, report)
+    q = _integrate(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))
+    samples, report = complete_samples(system, Samples(t, x, z, q, u))
+    return to_trajectory(system, samples, report)
 
 
-def _integrated(rates: Array, lengths: Array) -> Array:
+def _integrate(rates: Array, lengths: Array) -> Array:
     """Return integrals from zero to all points of rates at the points, shape (n_q, 1 + n k)."""
     count, degree = rates.shape[1:]
-    inside = basis(degree).integrals(basis(degree).points)
+    inside = radau_basis(degree).integrals(radau_basis(degree).points)
     parts = np.einsum("pj,qij->qip", inside, rates) * lengths[:, None]
     before = np.cumsum(parts[:, :, -1], axis=1) - parts[:, :, -1]
     total = (parts + before[:, :, None]).reshape(len(rates), count * degree)

@@ -1,4 +1,4 @@
-"""From names and numbers to an optimal control problem of a model."""
+"""Build an optimal control problem of a model from names and numbers."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.plan.bound_conflicts import conflicts
-from slipfree.plan.messages import LIMITED
-from slipfree.plan.transcription import Cost, Place, Task
+from slipfree.plan.messages import LIMITED_SUFFIX
+from slipfree.plan.transcription import Cost, PlanTask, TimedCondition
 from slipfree.records import Array, Label, leaves
 from slipfree.trajectory import Trajectory
 
 Range = tuple[float, float]
-IDLE = 0.1  # power around which work and braking blend [W]
-ROUND = 0.01  # part of a bound over which the tip of a root at zero is rounded
+BLENDED_POWER = 0.1  # power around which work and braking blend [W]
+ROUNDED_FRACTION = 0.01  # part of a bound over which the tip of a root at zero is rounded
 
 
 def duration_of(value: float | Range) -> Range:
@@ -30,18 +30,18 @@ def duration_of(value: float | Range) -> Range:
 
 
 def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
-    """Return terms of the cost from weights by name; terms as they are."""
+    """Return terms of the cost from weights by name; given terms are not changed."""
     if not isinstance(given, Mapping):
         return tuple(given)
     costs = []
     for name, weight in given.items():
         if not weight >= 0:
             raise ModelError(f"plan: the weight of {name} must not be negative, found {weight}")
-        costs.append(Cost(*_term(dae, name), weight))
+        costs.append(Cost(*_cost_term(dae, name), weight))
     return tuple(costs)
 
 
-def _term(dae: Dae, name: str) -> tuple[Label, ca.SX]:
+def _cost_term(dae: Dae, name: str) -> tuple[Label, ca.SX]:
     """Return label and expression of a term of the cost."""
     if name == "time":
         return Label(name, "s", "duration"), ca.SX(1)
@@ -51,21 +51,21 @@ def _term(dae: Dae, name: str) -> tuple[Label, ca.SX]:
         parts = [*dae.named("slip_along"), *dae.named("slip_across")]
         return Label(name, "m2 s-1", "squared slip of all wheels"), ca.sumsqr(ca.vertcat(*parts))
     if name == "energy":
-        return Label(name, "J", "work of the drives, braking not counted"), _work(dae)
-    squares = ca.SX(sum(_square(each) for each in dae.named(name)))
+        return Label(name, "J", "work of the drives, braking not counted"), _driving_power(dae)
+    squares = ca.SX(sum(_squared(each) for each in dae.named(name)))
     return Label(name, _squared_unit(dae, name), f"squared {name}, integrated over time"), squares
 
 
-def _work(dae: Dae) -> ca.SX:
+def _driving_power(dae: Dae) -> ca.SX:
     """Return the power of the drives that work, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
     powers = [
         torque * rate
         for torque, rate in zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
     ]
-    return ca.SX(sum((p + ca.sqrt(p**2 + IDLE**2) - IDLE) / 2 for p in powers))
+    return ca.SX(sum((p + ca.sqrt(p**2 + BLENDED_POWER**2) - BLENDED_POWER) / 2 for p in powers))
 
 
-def _square(expression: ca.SX) -> ca.SX:
+def _squared(expression: ca.SX) -> ca.SX:
     """Return the square, that of a root without the root, which has no derivative at zero."""
     return expression.dep(0) if expression.op() == ca.OP_SQRT else expression**2
 
@@ -82,7 +82,7 @@ def _squared_unit(dae: Dae, name: str) -> str:
 
 
 def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
-    """Return limits on quantities of a model by name, in map coordinates; others as they are."""
+    """Return limits on quantities of a model by name, in map coordinates; keep given ones."""
     if not isinstance(given, Mapping):
         return tuple(given)
     return tuple(
@@ -103,9 +103,9 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
         ):
             if name in (label.name, label.full):
                 away = 0.0 if shift is None else float(shift[k])
-                words = f"{label.words}{LIMITED}"
+                words = f"{label.words}{LIMITED_SUFFIX}"
                 own = replace(label, name=f"{label.name}_limit", words=words)
-                yield _rounded(Limit(own, expression, low - away, high - away))
+                yield _smooth_limit(Limit(own, expression, low - away, high - away))
                 found = True
     for limit in dae.limits:
         if name in (limit.label.name, limit.label.full):
@@ -115,14 +115,14 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
         dae.named(name)  # says which names there are
 
 
-def _rounded(limit: Limit) -> Limit:
-    """Return a limit on a root such that it has derivatives where what is under it vanishes.
+def _smooth_limit(limit: Limit) -> Limit:
+    """Return a limit on a square root that is differentiable where its argument vanishes.
 
     ``sqrt(e) <= b`` is ``sqrt(e + d^2) <= sqrt(b^2 + d^2)``, for every ``d``.
     """
     if limit.expression.op() != ca.OP_SQRT or limit.upper <= 0:
         return limit
-    tip = (ROUND * limit.upper) ** 2 if np.isfinite(limit.upper) else ROUND**2
+    tip = (ROUNDED_FRACTION * limit.upper) ** 2 if np.isfinite(limit.upper) else ROUNDED_FRACTION**2
     low = -np.inf if limit.lower <= 0 else float(np.sqrt(limit.lower**2 + tip))
     high = float(np.sqrt(limit.upper**2 + tip))
     return limit._replace(expression=ca.sqrt(limit.expression.dep(0) + tip), lower=low, upper=high)
@@ -132,16 +132,18 @@ def places_of(
     dae: Dae,
     goal: Mapping[str, float | Range] | Sequence[Limit],
     way_points: Mapping[float, Mapping[str, float | Range]],
-) -> Iterator[Place]:
+) -> Iterator[TimedCondition]:
     """Yield the conditions at way-points and goal."""
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
             raise ModelError(f"plan: way-points lie between 0 and 1, found {fraction}")
-        yield Place(fraction, _place(dae, wanted))
-    yield Place(1.0, _place(dae, goal))
+        yield TimedCondition(fraction, _to_limits(dae, wanted))
+    yield TimedCondition(1.0, _to_limits(dae, goal))
 
 
-def _place(dae: Dae, wanted: Mapping[str, float | Range] | Sequence[Limit]) -> tuple[Limit, ...]:
+def _to_limits(
+    dae: Dae, wanted: Mapping[str, float | Range] | Sequence[Limit]
+) -> tuple[Limit, ...]:
     if not isinstance(wanted, Mapping):
         return tuple(wanted)
     return tuple(limit for name, value in wanted.items() for limit in _conditions(dae, name, value))
@@ -173,7 +175,7 @@ def task_of(
     way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
-) -> Task:
+) -> PlanTask:
     """Return the optimal control problem of a plan; arguments are those of ``plan``.
 
     Raises
@@ -184,7 +186,7 @@ def task_of(
     """
     if not goal:
         raise ModelError("plan: expected a goal, values or ranges by name, found none")
-    task = Task(
+    task = PlanTask(
         dae,
         dae.rows("x", start, -1),
         duration_of(duration),

@@ -1,8 +1,8 @@
-"""Sparse functions with exact derivatives, put together from small elements that repeat.
+"""Assemble sparse functions with exact derivatives from small blocks that repeat.
 
-What an element is at all its places comes out at a time. Where it is compiled, its functions run
-from place to place; else each of their operations becomes one on a column of numbers. What comes
-out is put into large sparse matrices by index.
+A block is evaluated at all its points at once. If it is compiled, its functions are called point by
+point; otherwise each of their operations becomes one on a column of numbers. The results are
+scattered into large sparse matrices by index.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 import scipy.sparse
 
 from slipfree.errors import ModelError
-from slipfree.plan.nlp_block import Element, Index
+from slipfree.plan.nlp_block import Index, NlpBlock
 from slipfree.records import Array
 
 Columns = Sequence[ca.MX]
 
 
-class Functions(NamedTuple):
+class ProgramFunctions(NamedTuple):
     """A program ``f(w, p), g(w, p)`` and its derivatives.
 
     Attributes
@@ -45,53 +45,58 @@ class Functions(NamedTuple):
     hessian: ca.Function
 
 
-def assembled(elements: Sequence[Element], scale: Array, n_p: int) -> Functions:
-    """Return the program that is the sum of elements.
+def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunctions:
+    """Return the program that is the sum of blocks.
 
     Parameters
     ----------
-    elements : sequence of Element
+    blocks : sequence of NlpBlock
         Each row of the program belongs to one of them.
     scale : ndarray, shape (n_w,)
-        What unknowns of the program are multiplied by to get those of the elements.
+        Factors from the unknowns of the program to those of the blocks.
     n_p : int
         Number of parameters.
     """
-    n_g = sum(each.places.size for each in elements)
+    n_g = sum(each.row_indices.size for each in blocks)
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", n_g)
     v = w * scale
-    f, g = _cost(elements, v, p), _rows(elements, v, p)
-    return Functions(
+    f, g = _total_cost(blocks, v, p), _all_rows(blocks, v, p)
+    return ProgramFunctions(
         w,
         p,
         f,
         g,
-        ca.Function("gradient", [w, p], [*_gradient(elements, v, p, scale)]),
-        ca.Function("jacobian", [w, p], [*_jacobian(elements, v, p, scale)]),
+        ca.Function("gradient", [w, p], [*_cost_and_gradient(blocks, v, p, scale)]),
+        ca.Function("jacobian", [w, p], [*_rows_and_jacobian(blocks, v, p, scale)]),
         ca.Function(
             "hessian",
             [w, p, sigma, multipliers],
-            [_hessian(elements, v, p, scale, (sigma, multipliers))],
+            [_lagrangian_hessian(blocks, v, p, scale, (sigma, multipliers))],
         ),
     )
 
 
-def _arguments(each: Element, v: ca.MX, p: ca.MX) -> list[ca.MX]:
-    """Return what the functions of an element take, ``v, q, p`` and what it looks up.
+def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
+    """Return the arguments of the functions of a block, ``v, q, p`` and results of lookups.
 
-    One row a place; ``p`` is the same for all.
+    one row per point; ``p`` is the same for all.
     """
-    count = len(each.where)
-    given, found = [_picked(v, each.where), ca.MX(ca.DM(each.constants)), p.T], ca.MX(count, 0)
+    count = len(each.variable_indices)
+    given, found = (
+        [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T],
+        ca.MX(count, 0),
+    )
     for question, function in each.questions:
-        asked = _columns(_replayed(question, [*map(_split, [*given, found])]), count)[0]
+        asked = _repeat_constants(
+            _evaluate_by_columns(question, [*map(_split_columns, [*given, found])]), count
+        )[0]
         results = function.map(count)(ca.reshape(asked, count, -1).T)
         found = ca.horzcat(found, results.T)
     return [*given, found]
 
 
-def _replayed(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
+def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
     """Return the results of an SX function for columns of arguments, operation by operation.
 
     Parameters
@@ -135,99 +140,110 @@ def _replayed(function: ca.Function, arguments: Sequence[Columns]) -> list[list[
     return results
 
 
-def _picked(values: ca.MX, where: Index) -> ca.MX:
-    """Return values by index, one row a place."""
+def _gather(values: ca.MX, where: Index) -> ca.MX:
+    """Return values by index, one row per point."""
     return ca.reshape(values[where.T.ravel().tolist()], *where.shape)
 
 
-def _split(rows: ca.MX) -> Columns:
+def _split_columns(rows: ca.MX) -> Columns:
     return ca.horzsplit(rows) if rows.shape[1] else []
 
 
-def _at_places(f: ca.Function, each: Element, arguments: Sequence[ca.MX]) -> list[ca.MX]:
-    """Return the results of a function of an element, entry by entry, each a column of places."""
-    count = len(each.where)
+def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
+    """Return the results of a function of a block, entry by entry, each a column of points."""
+    count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
         # A loop over a column takes a tenth of the interpreter's time for as many numbers.
-        return _columns(_replayed(f, [*map(_split, arguments)]), count)
+        return _repeat_constants(_evaluate_by_columns(f, [*map(_split_columns, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
     found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
     return [ca.vec(ca.reshape(part.nz[:], -1, count).T) for part in found]
 
 
-def _cost(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
+def _total_cost(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
     return sum(
-        (ca.sum1(_at_places(each.cost, each, _arguments(each, v, p))[0]) for each in elements),
+        (
+            ca.sum1(_evaluate_everywhere(each.cost, each, _arguments(each, v, p))[0])
+            for each in blocks
+        ),
         ca.MX(0),
     )
 
 
-def _rows(elements: Sequence[Element], v: ca.MX, p: ca.MX) -> ca.MX:
-    return _ordered(
-        elements, [_at_places(each.rows, each, _arguments(each, v, p))[0] for each in elements]
+def _all_rows(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
+    return _in_row_order(
+        blocks,
+        [_evaluate_everywhere(each.rows, each, _arguments(each, v, p))[0] for each in blocks],
     )
 
 
-def _gradient(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> tuple[ca.MX, ca.MX]:
+def _cost_and_gradient(
+    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
+) -> tuple[ca.MX, ca.MX]:
     """Return the cost and its gradient."""
-    cost, values, places, factors = ca.MX(0), [], [], []
-    for each in elements:
-        own, found = _at_places(each.gradient, each, _arguments(each, v, p))
-        which, _ = _pattern(each.gradient.sparsity_out(1))
-        rows = each.where.T[which].ravel()
+    cost, values, entries, factors = ca.MX(0), [], [], []
+    for each in blocks:
+        own, found = _evaluate_everywhere(each.gradient, each, _arguments(each, v, p))
+        which, _ = _row_column(each.gradient.sparsity_out(1))
+        rows = each.variable_indices.T[which].ravel()
         cost += ca.sum1(own)
         values.append(found)
-        places.append((rows, np.zeros_like(rows)))
+        entries.append((rows, np.zeros_like(rows)))
         factors.append(scale[rows])
-    return cost, ca.densify(_sum(values, places, factors, (scale.size, 1)))
+    return cost, ca.densify(_sum_entries(values, entries, factors, (scale.size, 1)))
 
 
-def _ordered(elements: Sequence[Element], parts: Sequence[ca.MX]) -> ca.MX:
-    """Return the rows of all elements in the order of the program."""
-    order = np.argsort(np.concatenate([each.places.T.ravel() for each in elements]))
+def _in_row_order(blocks: Sequence[NlpBlock], parts: Sequence[ca.MX]) -> ca.MX:
+    """Return the rows of all blocks in the order of the program."""
+    order = np.argsort(np.concatenate([each.row_indices.T.ravel() for each in blocks]))
     return ca.vertcat(*parts)[order.tolist()]
 
 
-def _jacobian(elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array) -> tuple[ca.MX, ca.MX]:
+def _rows_and_jacobian(
+    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
+) -> tuple[ca.MX, ca.MX]:
     """Return all rows and their Jacobian."""
-    parts, values, places, factors = [], [], [], []
-    for each in elements:
-        own, found = _at_places(each.jacobian, each, _arguments(each, v, p))
-        row, column = _pattern(each.jacobian.sparsity_out(1))
-        rows, columns = each.places.T[row].ravel(), each.where.T[column].ravel()
+    parts, values, entries, factors = [], [], [], []
+    for each in blocks:
+        own, found = _evaluate_everywhere(each.jacobian, each, _arguments(each, v, p))
+        row, column = _row_column(each.jacobian.sparsity_out(1))
+        rows, columns = each.row_indices.T[row].ravel(), each.variable_indices.T[column].ravel()
         parts.append(own)
         values.append(found)
-        places.append((rows, columns))
+        entries.append((rows, columns))
         factors.append(scale[columns])
-    g = _ordered(elements, parts)
-    return g, _sum(values, places, factors, (g.numel(), scale.size))
+    g = _in_row_order(blocks, parts)
+    return g, _sum_entries(values, entries, factors, (g.numel(), scale.size))
 
 
-def _hessian(
-    elements: Sequence[Element], v: ca.MX, p: ca.MX, scale: Array, prices: tuple[ca.MX, ca.MX]
+def _lagrangian_hessian(
+    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array, prices: tuple[ca.MX, ca.MX]
 ) -> ca.MX:
     """Return the upper half of the Lagrangian's Hessian."""
-    values, places, factors = [], [], []
-    for each in elements:
-        given = [*_arguments(each, v, p), prices[0], _picked(prices[1], each.places)]
-        (found,) = _at_places(each.hessian, each, given)
-        row, column = _pattern(each.hessian.sparsity_out(0))
-        rows, columns = each.where.T[row].ravel(), each.where.T[column].ravel()
+    values, entries, factors = [], [], []
+    for each in blocks:
+        given = [*_arguments(each, v, p), prices[0], _gather(prices[1], each.row_indices)]
+        (found,) = _evaluate_everywhere(each.hessian, each, given)
+        row, column = _row_column(each.hessian.sparsity_out(0))
+        rows, columns = (
+            each.variable_indices.T[row].ravel(),
+            each.variable_indices.T[column].ravel(),
+        )
         # Where two of its unknowns are one of the program, both entries of the pair meet.
-        twice = np.repeat(row != column, len(each.where)) & (rows == columns)
+        twice = np.repeat(row != column, len(each.variable_indices)) & (rows == columns)
         values.append(found)
-        places.append((np.minimum(rows, columns), np.maximum(rows, columns)))
+        entries.append((np.minimum(rows, columns), np.maximum(rows, columns)))
         factors.append(scale[rows] * scale[columns] * (1 + twice))
-    return _sum(values, places, factors, (scale.size, scale.size))
+    return _sum_entries(values, entries, factors, (scale.size, scale.size))
 
 
-def _pattern(sparsity: ca.Sparsity) -> tuple[Index, Index]:
+def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
     row, column = (np.array(part, dtype=np.intp) for part in sparsity.get_triplet())
     return row, column
 
 
-def _columns(found: Sequence[Columns], count: int) -> list[ca.MX]:
-    """Return results at all places in columns, numbers that hold for all of them repeated."""
+def _repeat_constants(found: Sequence[Columns], count: int) -> list[ca.MX]:
+    """Return results at all points in columns, numbers that hold for all of them repeated."""
     return [
         ca.vertcat(
             ca.MX(0, 1),
@@ -237,14 +253,14 @@ def _columns(found: Sequence[Columns], count: int) -> list[ca.MX]:
     ]
 
 
-def _sum(
+def _sum_entries(
     values: Sequence[ca.MX],
-    places: Sequence[tuple[Index, Index]],
+    entries: Sequence[tuple[Index, Index]],
     factors: Sequence[Array],
     shape: tuple[int, int],
 ) -> ca.MX:
-    """Return a sparse matrix of values times factors, those of the same place added up."""
-    rows, columns = (np.concatenate(part) for part in zip(*places, strict=True))
+    """Return a sparse matrix of values times factors, those of the same entry added up."""
+    rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
     weights = np.concatenate(factors)
     key, where = np.unique(columns.astype(np.int64) * shape[0] + rows, return_inverse=True)
     at = (key % shape[0]).tolist(), (key // shape[0]).tolist()

@@ -1,4 +1,4 @@
-"""What a plan asks for at one point of time: equations, limits and costs of the model.
+"""Equations, limits and costs of a model at one point of time.
 
 Where a cost is a sum of squares, as that of slip is, the roots are unknowns of the program as well,
 with an equation each. Newton's method then sees a cost that is quadratic, and takes a third of the
@@ -37,8 +37,8 @@ class Cost(NamedTuple):
     weight: float
 
 
-class Point(NamedTuple):
-    """What happens at a point of time.
+class StageFunctions(NamedTuple):
+    """Equations, limits and costs at a point of time.
 
     Attributes
     ----------
@@ -69,14 +69,14 @@ class Point(NamedTuple):
     upper: Array
 
 
-def point_of(
-    loop: System, costs: Sequence[Cost], limits: Sequence[Limit], asked: Sequence[ca.SX]
-) -> Point:
-    """Return what happens at a point, with the unknowns that matter.
+def stage_functions(
+    system: System, costs: Sequence[Cost], limits: Sequence[Limit], asked: Sequence[ca.SX]
+) -> StageFunctions:
+    """Return the functions of a stage, with the unknowns on which they depend.
 
     Parameters
     ----------
-    loop : System
+    system : System
         The model.
     costs, limits : sequence of Cost and of Limit
         The limits take a row each.
@@ -84,13 +84,13 @@ def point_of(
         All of which there are conditions, also elsewhere.
     """
     given = [*asked, *(cost.expression for cost in costs)]
-    dae, blocks = loop.dae, _needed(loop, ca.vertcat(ca.SX(0, 1), *given))
+    dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *given))
     x, z, u = dae.columns()
     z = z[: blocks[-1].span.stop]
     alg = ca.vertcat(*dae.alg[: len(blocks)])
     if dae.continuation is not None:
         alg = ca.substitute(alg, dae.continuation.symbol, dae.continuation.values[-1])
-    r, equations, paid = _costs(costs, ca.vertcat(x, z))
+    r, equations, paid = _split_costs(costs, ca.vertcat(x, z))
     kept = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     motion = [
         Label(f"{label.name}_motion", label.unit, f"motion of {label.words}", label.wheel)
@@ -102,7 +102,7 @@ def point_of(
     rows = ca.vertcat(alg, *(each for _, each in equations), kept)
     symbols, results = (dae.t, x, z, r, u), [dae.ode, rows, paid]
     lookups = needed_lookups(dae.lookups, results)
-    return Point(
+    return StageFunctions(
         ca.Function("point", [*symbols, found_column(lookups)], results),
         symbols,
         lookups,
@@ -114,20 +114,22 @@ def point_of(
     )
 
 
-def _needed(loop: System, asked: ca.SX) -> tuple[Block, ...]:
-    """Return the blocks of equations that matter: those of the motion, and what is asked for."""
-    z = loop.dae.columns()[1][loop.moving :]
+def _needed_blocks(system: System, asked: ca.SX) -> tuple[Block, ...]:
+    """Return the blocks of the motion, and the dependent ones if expressions contain them."""
+    z = system.dae.columns()[1][system.moving :]
     follows = ca.depends_on(asked, z) if z.numel() else False
-    return (*loop.blocks, *loop.after) if follows else loop.blocks
+    return (*system.blocks, *system.after) if follows else system.blocks
 
 
-def _costs(costs: Sequence[Cost], motion: ca.SX) -> tuple[ca.SX, list[tuple[Label, ca.SX]], ca.SX]:
+def _split_costs(
+    costs: Sequence[Cost], motion: ca.SX
+) -> tuple[ca.SX, list[tuple[Label, ca.SX]], ca.SX]:
     """Return the roots, an equation for each with the label of its cost, and costs with roots."""
     roots, equations, paid = ca.SX(0, 1), list[tuple[Label, ca.SX]](), ca.SX(0, 1)
     for cost in costs:
         terms = ca.SX(0)
         for term in _summands(cost.expression):
-            inner = _root(term, motion)
+            inner = _squared_term(term, motion)
             if inner is None:
                 terms += term
                 continue
@@ -145,8 +147,8 @@ def _summands(expression: ca.SX) -> list[ca.SX]:
     return [term for k in range(2) for term in _summands(expression.dep(k))]
 
 
-def _root(term: ca.SX, motion: ca.SX) -> ca.SX | None:
-    """Return what is squared if that is a formula of the motion."""
+def _squared_term(term: ca.SX, motion: ca.SX) -> ca.SX | None:
+    """Return the argument of a square if it is a formula of the motion."""
     if term.op() != ca.OP_SQ:
         return None
     inner = term.dep(0)

@@ -1,4 +1,4 @@
-"""From an optimal control problem to a nonlinear program, by Radau collocation.
+"""Transcribe an optimal control problem into a nonlinear program by Radau collocation.
 
 Time is divided into intervals. On each of them the states are polynomials of the degree, with their
 values at its beginning and at the Radau points, the last of which is its end; the algebraic
@@ -17,18 +17,18 @@ import numpy as np
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.lookups import found_column, needed_lookups, substitute_lookups
-from slipfree.plan.nlp_block import Element, element
 from slipfree.plan.nlp_block import Index as Index
-from slipfree.plan.sparse_assembly import Functions, assembled
+from slipfree.plan.nlp_block import NlpBlock, nlp_block
+from slipfree.plan.sparse_assembly import ProgramFunctions, assemble
 from slipfree.plan.stage import Cost as Cost
-from slipfree.plan.stage import Point, point_of
+from slipfree.plan.stage import StageFunctions, stage_functions
 from slipfree.records import Array, Label, leaves
 from slipfree.solve.system import System, with_inputs
 
-DEGREES = (1, 2, 3, 4, 5)
+ALLOWED_DEGREES = (1, 2, 3, 4, 5)
 
 
-class Place(NamedTuple):
+class TimedCondition(NamedTuple):
     """Conditions at one time: the goal at the end, or a way-point.
 
     Attributes
@@ -44,7 +44,7 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class PlanTask:
     """An optimal control problem.
 
     Attributes
@@ -57,7 +57,7 @@ class Task:
         Least and largest duration; equal for a fixed one. [s]
     costs : tuple of Cost
         Their sum is least.
-    places : tuple of Place
+    conditions : tuple of TimedCondition
         Goal and way-points.
     limits : tuple of Limit
         Along the way.
@@ -75,7 +75,7 @@ class Task:
     start: Array
     duration: tuple[float, float]
     costs: tuple[Cost, ...]
-    places: tuple[Place, ...]
+    conditions: tuple[TimedCondition, ...]
     limits: tuple[Limit, ...]
     inputs: Array
     accelerations: Array
@@ -83,7 +83,7 @@ class Task:
     continuous: bool = False
 
 
-class Mesh(NamedTuple):
+class CollocationMesh(NamedTuple):
     """Intervals and the points on each.
 
     Attributes
@@ -109,8 +109,8 @@ class Mesh(NamedTuple):
         return np.append(0.0, inner.ravel())
 
 
-class Piece(NamedTuple):
-    """Rows of the program that stand at several places.
+class RowBlock(NamedTuple):
+    """Rows that the program repeats at several points.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Piece(NamedTuple):
     upper: Array
 
 
-class Layout(NamedTuple):
+class VariableLayout(NamedTuple):
     """Where the unknowns of the program are: states, inputs, unknowns by point, and duration.
 
     Attributes
@@ -163,7 +163,7 @@ class Program:
     ----------
     task, mesh, layout : Task, Mesh, Layout
         What it came from.
-    pieces : tuple of Piece
+    row_blocks : tuple of RowBlock
         What its rows are made of, in their order.
     problem : dict
         ``x, p, f, g`` for CasADi.
@@ -179,10 +179,10 @@ class Program:
         Whether its functions are compiled, not interpreted.
     """
 
-    task: Task
-    mesh: Mesh
-    layout: Layout
-    pieces: tuple[Piece, ...]
+    task: PlanTask
+    mesh: CollocationMesh
+    layout: VariableLayout
+    row_blocks: tuple[RowBlock, ...]
     problem: dict[str, Any]
     gradient: ca.Function
     jacobian: ca.Function
@@ -196,7 +196,7 @@ class Program:
     compiled: bool
 
 
-def transcribe(task: Task, mesh: Mesh) -> Program:
+def transcribe(task: PlanTask, mesh: CollocationMesh) -> Program:
     """Return the nonlinear program of a task on a mesh.
 
     Raises
@@ -204,36 +204,41 @@ def transcribe(task: Task, mesh: Mesh) -> Program:
     ModelError
         If the degree is not one of 1 to 5.
     """
-    if mesh.degree not in DEGREES:
+    if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(f"plan: expected a degree of 1 to 5, found {mesh.degree}")
-    loop = with_inputs(
+    system = with_inputs(
         task.dae, task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)}), 0
     )
-    bounds, limits = _split(task, loop)
-    conditions = [*task.limits, *(limit for place in task.places for limit in place.limits)]
-    point = point_of(loop, task.costs, limits, [each.expression for each in conditions])
+    bounds, limits = _split(task, system)
+    conditions = [
+        *task.limits,
+        *(limit for condition in task.conditions for limit in condition.limits),
+    ]
+    point = stage_functions(system, task.costs, limits, [each.expression for each in conditions])
     layout = _with_roots(positions(mesh, point.sizes, continuous=task.continuous), point)
-    pieces = (
-        _interval(task, point, mesh, layout),
-        *(_place(task, place, mesh, layout) for place in task.places),
+    row_blocks = (
+        _interval_rows(task, point, mesh, layout),
+        *(_condition_rows(task, condition, mesh, layout) for condition in task.conditions),
     )
-    begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in pieces)]).tolist()
-    elements = [
-        _points(task, point, mesh, layout),
-        _rates(task, mesh, layout, len(pieces[0].labels)),
+    begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in row_blocks)]).tolist()
+    blocks = [
+        _stage_block(task, point, mesh, layout),
+        _rate_block(task, mesh, layout, len(row_blocks[0].labels)),
         *(
-            _met(task, place, mesh, piece, begin)
-            for place, piece, begin in zip(task.places, pieces[1:], begins[1:-1], strict=True)
+            _condition_block(task, condition, mesh, row_block, begin)
+            for condition, row_block, begin in zip(
+                task.conditions, row_blocks[1:], begins[1:-1], strict=True
+            )
         ),
     ]
-    scale = _scale(task, layout)
-    made = assembled(elements, scale, len(task.costs) + 1)
-    lower, upper = _bounds(task, layout, bounds, scale.size)
+    scale = _variable_scale(task, layout)
+    made = assemble(blocks, scale, len(task.costs) + 1)
+    lower, upper = _variable_bounds(task, layout, bounds, scale.size)
     return Program(
         task,
         mesh,
         layout,
-        pieces,
+        row_blocks,
         {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
         made.gradient,
         made.jacobian,
@@ -241,10 +246,10 @@ def transcribe(task: Task, mesh: Mesh) -> Program:
         scale,
         lower,
         upper,
-        np.concatenate([np.tile(each.lower, len(each.where)) for each in pieces]),
-        np.concatenate([np.tile(each.upper, len(each.where)) for each in pieces]),
-        _completion(elements[0], made, layout),
-        not elements[0].rows.is_a("SXFunction"),
+        np.concatenate([np.tile(each.lower, len(each.where)) for each in row_blocks]),
+        np.concatenate([np.tile(each.upper, len(each.where)) for each in row_blocks]),
+        _root_function(blocks[0], made, layout),
+        not blocks[0].rows.is_a("SXFunction"),
     )
 
 
@@ -256,16 +261,18 @@ def completed(program: Program, unknowns: Array) -> Array:
     return full
 
 
-def _completion(points: Element, made: Functions, layout: Layout) -> ca.Function:
-    """Return the function that finds the roots: what they are, and what their equations miss."""
+def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLayout) -> ca.Function:
+    """Return the function that solves for the roots: their values plus residuals."""
     n_x, n_r = layout.first.size, layout.roots.shape[2]
     begin = n_x + layout.unknowns.shape[2]
-    rows = points.places[:, begin : begin + n_r].ravel().tolist()
+    rows = points.row_indices[:, begin : begin + n_r].ravel().tolist()
     all_rows = ca.Function("rows", [made.w, made.p], [made.g])(made.w, 0)
     return ca.Function("roots", [made.w], [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])
 
 
-def positions(mesh: Mesh, counts: tuple[int, int, int], *, continuous: bool) -> Layout:
+def positions(
+    mesh: CollocationMesh, counts: tuple[int, int, int], *, continuous: bool
+) -> VariableLayout:
     """Return where the unknowns are, for numbers of states, algebraic unknowns and inputs."""
     n_x, n_z, n_u = counts
     count, degree = mesh.ends.size - 1, mesh.degree
@@ -277,14 +284,14 @@ def positions(mesh: Mesh, counts: tuple[int, int, int], *, continuous: bool) -> 
     rest = begins + n_u + degree * n_x + np.arange(degree * n_z)
     unknowns = rest.reshape(count, degree, n_z)
     duration = n_x + block * count + n_u * continuous
-    return Layout(np.arange(n_x), inputs, states, unknowns, duration)
+    return VariableLayout(np.arange(n_x), inputs, states, unknowns, duration)
 
 
 def _split(
-    task: Task, loop: System
+    task: PlanTask, system: System
 ) -> tuple[dict[tuple[str, int], tuple[float, float]], list[Limit]]:
     """Return limits that bound a state or an unknown alone, and those that take a row."""
-    x, z, _ = loop.dae.columns()
+    x, z, _ = system.dae.columns()
     simple: dict[tuple[str, int], tuple[float, float]] = {}
     rows = []
     for limit in task.limits:
@@ -302,13 +309,15 @@ def _split(
     return simple, rows
 
 
-def _with_roots(layout: Layout, point: Point) -> Layout:
+def _with_roots(layout: VariableLayout, point: StageFunctions) -> VariableLayout:
     count, degree, _ = layout.states.shape
     shape = count, degree, point.roots
     return layout._replace(roots=layout.duration + 1 + np.arange(np.prod(shape)).reshape(shape))
 
 
-def _interval(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Piece:
+def _interval_rows(
+    task: PlanTask, point: StageFunctions, mesh: CollocationMesh, layout: VariableLayout
+) -> RowBlock:
     """Return the rows of every interval: those of its points, then rates of the inputs."""
     names = [label.full for label in leaves(task.dae.labels.u)]
     jumps = _bounded(task)
@@ -317,15 +326,15 @@ def _interval(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Piece:
         np.append(np.tile(bounds, mesh.degree), task.accelerations[jumps, side])
         for side, bounds in enumerate((point.lower, point.upper))
     )
-    return Piece(_whole(layout, mesh), (*(point.labels * mesh.degree), *rates), low, high)
+    return RowBlock(_whole(layout, mesh), (*(point.labels * mesh.degree), *rates), low, high)
 
 
-def _bounded(task: Task) -> list[int]:
+def _bounded(task: PlanTask) -> list[int]:
     """Return the inputs whose rates are bounded."""
     return [k for k, bounds in enumerate(task.accelerations) if np.isfinite(bounds).any()]
 
 
-def _whole(layout: Layout, mesh: Mesh) -> Index:
+def _whole(layout: VariableLayout, mesh: CollocationMesh) -> Index:
     """Return the unknowns of every interval: states, inputs, unknowns, roots and the duration."""
     count = mesh.ends.size - 1
     inner = [each.reshape(count, -1) for each in (layout.unknowns, layout.roots)]
@@ -333,13 +342,13 @@ def _whole(layout: Layout, mesh: Mesh) -> Index:
     return np.hstack([_nodes(layout), *_ends(layout, mesh), *inner, last])
 
 
-def _nodes(layout: Layout) -> Index:
+def _nodes(layout: VariableLayout) -> Index:
     """Return the states at the beginning and at the points of every interval, node by node."""
     first = np.vstack([layout.first, layout.states[:-1, -1]])
     return np.hstack([first, layout.states.reshape(len(first), -1)])
 
 
-def _ends(layout: Layout, mesh: Mesh) -> tuple[Index, Index]:
+def _ends(layout: VariableLayout, mesh: CollocationMesh) -> tuple[Index, Index]:
     """Return the inputs of every interval and those that follow."""
     count = mesh.ends.size - 1
     # Behind the last interval a constant input stays what it is.
@@ -347,8 +356,10 @@ def _ends(layout: Layout, mesh: Mesh) -> tuple[Index, Index]:
     return layout.inputs[:count], after[:count]
 
 
-def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
-    """Return what every point adds: motion, equations, limits and costs."""
+def _stage_block(
+    task: PlanTask, point: StageFunctions, mesh: CollocationMesh, layout: VariableLayout
+) -> NlpBlock:
+    """Return the block of collocation points: motion, equations, limits and costs."""
     n_x, n_z, n_u = point.sizes
     count, degree = mesh.ends.size - 1, mesh.degree
     nodes, x, z = (ca.SX.sym(*of) for of in (("nodes", n_x, 1 + degree), ("x", n_x), ("z", n_z)))
@@ -374,23 +385,23 @@ def _points(task: Task, point: Point, mesh: Mesh, layout: Layout) -> Element:
     )
     each = len(point.labels)
     jumps = inner[:, None] * len(_bounded(task))
-    places = each * np.arange(inner.size)[:, None] + jumps + np.arange(each)
-    return element(
+    row_indices = each * np.arange(inner.size)[:, None] + jumps + np.arange(each)
+    return nlp_block(
         (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
         weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
         ca.vertcat(nodes @ slopes - h * ode, rows),
         lookups,
-        (where, places),
-        _constants(mesh),
+        (where, row_indices),
+        _point_constants(mesh),
         compiled=task.dae.compiled,
     )
 
 
-def _constants(mesh: Mesh) -> Array:
-    """Return what differs between points, shape (n degree, 5 + degree).
+def _point_constants(mesh: CollocationMesh) -> Array:
+    """Return the constants of each point, shape (n degree, 5 + degree).
 
-    Beginning and length of the interval and the point's place on it, the weight of its value in an
-    integral, and those of the values at all nodes in the slope.
+    Begin and length of the interval, position of the point on it, weight of its value in an
+    integral, and weights of the values at all nodes in the slope.
     """
     lagrange, _, weights = ca.collocation_coeff(mesh.points.tolist())
     own = np.column_stack([mesh.points, weights.nonzeros(), np.array(lagrange).T])
@@ -398,8 +409,10 @@ def _constants(mesh: Mesh) -> Array:
     return np.hstack([np.repeat(spans, mesh.degree, axis=0), np.tile(own, (len(spans), 1))])
 
 
-def _rates(task: Task, mesh: Mesh, layout: Layout, each: int) -> Element:
-    """Return what the rates of the inputs add, behind the points of every interval."""
+def _rate_block(
+    task: PlanTask, mesh: CollocationMesh, layout: VariableLayout, each: int
+) -> NlpBlock:
+    """Return the block of rates of the inputs, behind the points of every interval."""
     n_u, jumps = layout.inputs.shape[1], _bounded(task)
     u, after, duration = ca.SX.sym("u", n_u), ca.SX.sym("after", n_u), ca.SX.sym("duration")
     length, p = ca.SX.sym("length"), ca.SX.sym("p", len(task.costs) + 1)
@@ -407,20 +420,22 @@ def _rates(task: Task, mesh: Mesh, layout: Layout, each: int) -> Element:
     change = (after - u) / h
     count = mesh.ends.size - 1
     where = np.hstack([*_ends(layout, mesh), np.full((count, 1), layout.duration)])
-    places = each * np.arange(1, count + 1)[:, None] + np.arange(-len(jumps), 0)
-    return element(
+    row_indices = each * np.arange(1, count + 1)[:, None] + np.arange(-len(jumps), 0)
+    return nlp_block(
         (ca.vertcat(u, after, duration), length, p),
         p[-1] * h * ca.sumsqr(change),
         ca.vertcat(ca.SX(0, 1), *(change[k] for k in jumps)),
         (),
-        (where, places),
+        (where, row_indices),
         np.diff(mesh.ends)[:, None],
     )
 
 
-def _place(task: Task, place: Place, mesh: Mesh, layout: Layout) -> Piece:
+def _condition_rows(
+    task: PlanTask, condition: TimedCondition, mesh: CollocationMesh, layout: VariableLayout
+) -> RowBlock:
     """Return the rows of a goal or a way-point: conditions on inputs, states and unknowns."""
-    k = _nearest(place, mesh)
+    k = _nearest_interval(condition, mesh)
     where = np.concatenate(
         [
             layout.states[k, -1],
@@ -430,45 +445,55 @@ def _place(task: Task, place: Place, mesh: Mesh, layout: Layout) -> Piece:
         ]
     )
     low, high = (
-        np.array([getattr(limit, side) for limit in place.limits]) for side in ("lower", "upper")
+        np.array([getattr(limit, side) for limit in condition.limits])
+        for side in ("lower", "upper")
     )
-    return Piece(where[None], tuple(limit.label for limit in place.limits), low, high)
+    return RowBlock(where[None], tuple(limit.label for limit in condition.limits), low, high)
 
 
-def _nearest(place: Place, mesh: Mesh) -> int:
-    """Return the interval at whose end a place is."""
-    return max(int(np.abs(mesh.ends - place.fraction).argmin()) - 1, 0)
+def _nearest_interval(condition: TimedCondition, mesh: CollocationMesh) -> int:
+    """Return the interval nearest to whose end a condition is."""
+    return max(int(np.abs(mesh.ends - condition.fraction).argmin()) - 1, 0)
 
 
-def _met(task: Task, place: Place, mesh: Mesh, piece: Piece, begin: int) -> Element:
-    """Return what a goal or a way-point adds; its rows begin at a number."""
+def _condition_block(
+    task: PlanTask,
+    condition: TimedCondition,
+    mesh: CollocationMesh,
+    row_block: RowBlock,
+    begin: int,
+) -> NlpBlock:
+    """Return the block of a goal or a way-point, with the index of its first row."""
     x, z, u = task.dae.columns()
     p, duration = ca.SX.sym("p", len(task.costs) + 1), ca.SX.sym("duration")
-    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in place.limits))
-    time = mesh.ends[_nearest(place, mesh) + 1] * duration
+    rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in condition.limits))
+    time = mesh.ends[_nearest_interval(condition, mesh) + 1] * duration
     lookups, before, after = substitute_lookups(
         needed_lookups(task.dae.lookups, [rows]), [task.dae.t], [time]
     )
     (rows,) = ca.substitute([rows], before, after)
-    n_z = piece.where.size - x.numel() - u.numel() - 1
-    return element(
+    n_z = row_block.where.size - x.numel() - u.numel() - 1
+    return nlp_block(
         (ca.vertcat(x, z[:n_z], u, duration), ca.SX.sym("q", 0), p),
         ca.SX(0),
         rows,
         lookups,
-        (piece.where, begin + np.arange(len(piece.labels))[None]),
+        (row_block.where, begin + np.arange(len(row_block.labels))[None]),
         np.zeros((1, 0)),
     )
 
 
-def _scale(task: Task, layout: Layout) -> Array:
+def _variable_scale(task: PlanTask, layout: VariableLayout) -> Array:
     scale = np.ones(layout.duration + 1 + layout.roots.size)
     scale[layout.unknowns] = task.dae.scale[: layout.unknowns.shape[2]]
     return scale
 
 
-def _bounds(
-    task: Task, layout: Layout, simple: dict[tuple[str, int], tuple[float, float]], size: int
+def _variable_bounds(
+    task: PlanTask,
+    layout: VariableLayout,
+    simple: dict[tuple[str, int], tuple[float, float]],
+    size: int,
 ) -> tuple[Array, Array]:
     """Return the bounds of the unknowns."""
     lower, upper = np.full(size, -np.inf), np.full(size, np.inf)

@@ -1,4 +1,4 @@
-"""Plans against simulation: how far apart they are, what is violated between, and where."""
+"""Verify plans by simulation: differences, violations of limits, intervals to refine."""
 
 from __future__ import annotations
 
@@ -9,19 +9,23 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae, Limit, PiecewiseLinear
-from slipfree.plan.polynomial_motion import ROUNDING, PolynomialMotion, course
-from slipfree.plan.transcription import Index, Mesh, Program
+from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
+from slipfree.plan.transcription import CollocationMesh, Index, Program
 from slipfree.records import Array, Mask, leaves
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
-PART = 0.01  # of the width between the bounds of a limit that counts, if that is less
-NEAR = 0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
-LOOKS = 8  # samples of an interval at least; the denser, the nearer its ends
+LIMIT_WIDTH_FRACTION = (
+    0.01  # of the width between the bounds of a limit that counts, if that is less
+)
+REFINED_FRACTION = (
+    0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
+)
+MIN_INTERVAL_SAMPLES = 8  # samples of an interval at least; the denser, the nearer its ends
 
 
-class Proof(NamedTuple):
-    """A plan's inputs simulated, and compared to the plan.
+class Verification(NamedTuple):
+    """Simulation of the inputs of a plan, compared to the plan.
 
     Attributes
     ----------
@@ -45,7 +49,7 @@ class Proof(NamedTuple):
     accurate: bool
 
 
-def prove(
+def verify_plan(
     program: Program,
     unknowns: Array,
     start: Trajectory,
@@ -53,8 +57,8 @@ def prove(
     accuracy: float,
     step: float,
     tolerance: float,
-) -> Proof:
-    """Return what the simulation of a plan shows.
+) -> Verification:
+    """Simulate a plan and compare it with the simulation.
 
     Parameters
     ----------
@@ -71,28 +75,31 @@ def prove(
     tolerance : float
         Of the integrator.
     """
-    found = course(program, unknowns)
+    found = motion_of(program, unknowns)
     dae, limits = program.task.dae, program.task.limits
-    replay = rerun(dae, start, found, step=step, tolerance=tolerance)
+    replay = simulate_plan(dae, start, found, step=step, tolerance=tolerance)
     parts = np.minimum(replay.t / found.duration, 1.0)
-    x, z, u = (_rows(dae, record, replay) for record in "xzu")
+    x, z, u = (_local_rows(dae, record, replay) for record in "xzu")
     samples = replay.t, x, z, u
     gaps = x - found.states(parts)
-    over, allowed = _over(dae, limits, samples), _allowed(limits, accuracy)[:, None]
+    over, allowed = (
+        _limit_excess(dae, limits, samples),
+        _tolerated_excess(limits, accuracy)[:, None],
+    )
     ends = program.mesh.ends
-    where = np.clip(np.searchsorted(ends, parts - ROUNDING) - 1, 0, ends.size - 2)
+    where = np.clip(np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
     worse = np.zeros(ends.size - 1, dtype=bool)
     if (over > allowed).any():  # a finer mesh bulges elsewhere: what is near is refined as well
-        worse[where[(over > allowed * NEAR).any(axis=0)]] = True
-    worse |= _arises(gaps, where, accuracy, ends.size - 1)
+        worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
+    worse |= _error_sources(gaps, where, accuracy, ends.size - 1)
     if replay.stop is not None:
         # Where a limit ends it that the program does not know, a finer mesh is of no use.
         worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
-    missed = _missed(program, samples, parts)
-    violation = _named(limits, over.max(axis=1)) | missed
+    missed = _condition_excess(program, samples, parts)
+    violation = _excess_by_name(limits, over.max(axis=1)) | missed
     names = [label.full for label in leaves(dae.labels.x)]
     met = max(missed.values(), default=0.0) <= accuracy
-    return Proof(
+    return Verification(
         replay,
         dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)),
         violation,
@@ -101,8 +108,8 @@ def prove(
     )
 
 
-def _named(limits: Sequence[Limit], most: Array) -> dict[str, float]:
-    """Return what is violated by name, the most of those that share one."""
+def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
+    """Return the violations by name, the largest of those that share one."""
     found: dict[str, float] = {}
     for limit, size in zip(limits, most, strict=True):
         if size > 0:
@@ -111,40 +118,45 @@ def _named(limits: Sequence[Limit], most: Array) -> dict[str, float]:
     return found
 
 
-def _missed(
+def _condition_excess(
     program: Program, samples: tuple[Array, Array, Array, Array], parts: Array
 ) -> dict[str, float]:
-    """Return by how much the simulation misses what is asked for at way-points and goal."""
+    """Return the violations of goal and way-points by the simulation."""
     found: dict[str, float] = {}
-    for place in program.task.places:
-        k = int(np.abs(parts - place.fraction).argmin())
-        if abs(parts[k] - place.fraction) > 1e-6:  # the simulation ended before
+    for condition in program.task.conditions:
+        k = int(np.abs(parts - condition.fraction).argmin())
+        if abs(parts[k] - condition.fraction) > 1e-6:  # the simulation ended before
             continue
         t, x, z, u = (rows[..., k : k + 1] for rows in samples)
-        role = "goal" if place.fraction == 1 else f"way-point at {place.fraction:g}"
-        over = _over(program.task.dae, place.limits, (t, x, z, u))[:, 0]
+        role = "goal" if condition.fraction == 1 else f"way-point at {condition.fraction:g}"
+        over = _limit_excess(program.task.dae, condition.limits, (t, x, z, u))[:, 0]
         found |= {
-            f"{name} at the {role}": size for name, size in _named(place.limits, over).items()
+            f"{name} at the {role}": size
+            for name, size in _excess_by_name(condition.limits, over).items()
         }
     return found
 
 
-def _allowed(limits: Sequence[Limit], accuracy: float) -> Array:
+def _tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
     """Return by how much each limit may be violated: less than the accuracy if it is narrow."""
     widths = np.array([limit.upper - limit.lower for limit in limits])
-    return np.where(widths > 0, np.minimum(accuracy, PART * np.abs(widths)), accuracy)
+    return np.where(
+        widths > 0, np.minimum(accuracy, LIMIT_WIDTH_FRACTION * np.abs(widths)), accuracy
+    )
 
 
-def _rows(dae: Dae, record: str, run: Trajectory) -> Array:
+def _local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
     """Return states, unknowns or inputs of all samples in local coordinates, in columns."""
     shift = {"x": dae.shift[0], "z": dae.shift[1]}.get(record)
     rows = np.array([run.of(label) for label in leaves(getattr(dae.labels, record))])
     return rows if shift is None else rows - shift[:, None]
 
 
-def _over(dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
+def _limit_excess(
+    dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
+) -> Array:
     """Return by how much every limit is violated at every sample, shape (n_limits, n)."""
-    values = _values(dae, limits, samples)
+    values = _limit_values(dae, limits, samples)
     low, high = (
         np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
         for side in ("lower", "upper")
@@ -152,14 +164,16 @@ def _over(dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array,
     return np.asarray(np.maximum(np.maximum(low - values, values - high), 0.0))
 
 
-def _values(dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]) -> Array:
+def _limit_values(
+    dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
+) -> Array:
     t, x, z, u = samples
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     f = dae.function("limits", [dae.t, *dae.columns()], [rows])
     return np.array(f.map(t.size)(t[None], x, z, u)).reshape(len(limits), t.size)
 
 
-def _arises(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
+def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
     """Return on which intervals a difference that is too large arises.
 
     What is off stays off, so that an interval counts by how much the difference changes on it; all
@@ -175,14 +189,14 @@ def _arises(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
     return np.asarray(change >= min(accuracy / count, change.max()))
 
 
-def refined(mesh: Mesh, worse: Mask) -> Mesh:
+def refine_mesh(mesh: CollocationMesh, worse: Mask) -> CollocationMesh:
     """Return a mesh with some of its intervals halved."""
     middles = (mesh.ends[1:] + mesh.ends[:-1]) / 2
     return mesh._replace(ends=np.sort(np.concatenate([mesh.ends, middles[worse]])))
 
 
 def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Any:
-    """Return what drives a model along a plan, for ``simulate`` at times that hold all its ends."""
+    """Return the inputs of a plan for ``simulate``, at times that include all ends of intervals."""
     names = [label.full for label in leaves(dae.labels.u)]
     ends, values = found.ends, found.unknowns[found.layout.inputs].T
     k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
@@ -194,13 +208,15 @@ def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Any:
     return dae.inputs(**dict(zip(names, lines, strict=True)))
 
 
-def rerun(
+def simulate_plan(
     dae: Dae, start: Trajectory, found: PolynomialMotion, *, step: float, tolerance: float
 ) -> Trajectory:
-    """Return the motion of a model under the inputs of a plan, or what is reached of it."""
+    """Return the motion of a model under the inputs of a plan, up to a failure."""
     # Limits are crossed just behind the kinks of the inputs: samples of Chebyshev's.
     lengths = np.diff(found.ends)
-    counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), LOOKS).astype(int)
+    counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES).astype(
+        int
+    )
     inside = [(1 - np.cos(np.pi * np.arange(n) / n)) / 2 for n in counts]
     times = [a + h * part for a, h, part in zip(found.ends[:-1], lengths, inside, strict=True)]
     t = np.append(np.concatenate(times), found.ends[-1])

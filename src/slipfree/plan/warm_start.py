@@ -1,4 +1,4 @@
-"""What a plan leaves for the next one: its unknowns and multipliers, on its mesh."""
+"""Save the unknowns and multipliers of a plan for a warm start of the next one."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.plan.ipopt import Solution
 from slipfree.plan.polynomial_motion import PolynomialMotion
-from slipfree.plan.transcription import Layout, Mesh, Program, positions
+from slipfree.plan.transcription import CollocationMesh, Program, VariableLayout, positions
 from slipfree.records import Array, leaves
 
-PREFIX = "plan_"  # of the names of the arrays
+ARRAY_PREFIX = "plan_"  # of the names of the arrays
 
 
-class Saved(NamedTuple):
+class SavedPlan(NamedTuple):
     """A plan as numbers, from which another may start.
 
     Attributes
@@ -46,22 +46,22 @@ class Saved(NamedTuple):
     model: Array
 
     @property
-    def course(self) -> PolynomialMotion:
+    def motion(self) -> PolynomialMotion:
         """The motion."""
         degree, n_x, n_z, n_u, continuous = (int(value) for value in self.sizes)
-        mesh = Mesh(self.ends, degree)
+        mesh = CollocationMesh(self.ends, degree)
         layout = positions(mesh, (n_x, n_z, n_u), continuous=bool(continuous))
         return PolynomialMotion(mesh, layout, self.unknowns)
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What to write to a file, by name."""
-        return {f"{PREFIX}{name}": value for name, value in self._asdict().items()}
+        """Arrays to write to a file, by name."""
+        return {f"{ARRAY_PREFIX}{name}": value for name, value in self._asdict().items()}
 
 
-def saved(program: Program, found: Solution) -> Saved:
-    """Return what a solution leaves."""
-    layout: Layout = program.layout
+def save_plan(program: Program, found: Solution) -> SavedPlan:
+    """Return a solution in the form in which plans are saved."""
+    layout: VariableLayout = program.layout
     sizes = [
         program.mesh.degree,
         layout.first.size,
@@ -69,25 +69,25 @@ def saved(program: Program, found: Solution) -> Saved:
         layout.inputs.shape[1],
         len(layout.inputs) == program.mesh.ends.size,
     ]
-    return Saved(
+    return SavedPlan(
         program.mesh.ends,
         np.array(sizes, dtype=float),
         found.unknowns,
         found.bound_multipliers,
         found.row_multipliers,
         np.concatenate(program.task.dae.shift),
-        _model(program.task.dae),
+        _model_number(program.task.dae),
     )
 
 
-def _model(dae: Dae) -> Array:
+def _model_number(dae: Dae) -> Array:
     names = " ".join(
         label.full for part in (dae.labels.x, dae.labels.z, dae.labels.u) for label in leaves(part)
     )
     return np.array([float(zlib.crc32(names.encode()))])
 
 
-def local(former: Saved, dae: Dae) -> PolynomialMotion:
+def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
     """Return a saved motion in the local coordinates of a model.
 
     Raises
@@ -95,12 +95,12 @@ def local(former: Saved, dae: Dae) -> PolynomialMotion:
     ModelError
         If the model has other states, unknowns or inputs.
     """
-    if not np.array_equal(former.model, _model(dae)):
+    if not np.array_equal(former.model, _model_number(dae)):
         raise ModelError(
             "plan: expected the plan of a vehicle with the same wheels and joints, and of the same "
             "law of slip, to start from, found another one's; start without it"
         )
-    found, away = former.course, former.shift - np.concatenate(dae.shift)
+    found, away = former.motion, former.shift - np.concatenate(dae.shift)
     unknowns, n_x = found.unknowns.copy(), dae.shift[0].size
     count = found.layout.unknowns.shape[2]
     unknowns[found.layout.first] += away[:n_x]
@@ -109,18 +109,18 @@ def local(former: Saved, dae: Dae) -> PolynomialMotion:
     return found._replace(unknowns=unknowns)
 
 
-def from_arrays(arrays: Mapping[str, Array], where: str) -> Saved:
-    """Return what a file holds.
+def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
+    """Return the plan saved in the arrays of a file.
 
     Raises
     ------
     DataError
         If it holds no plan.
     """
-    names = [f"{PREFIX}{name}" for name in Saved._fields]
+    names = [f"{ARRAY_PREFIX}{name}" for name in SavedPlan._fields]
     if not set(names) <= set(arrays):
         raise DataError(
             f"{where}: expected the result of a plan, found none in it; give a file that slipfree "
             'run wrote for a problem of verb = "plan"'
         )
-    return Saved(*(arrays[name] for name in names))
+    return SavedPlan(*(arrays[name] for name in names))

@@ -153,10 +153,10 @@ def _drive(
 
 def _rank(dae: Dae, start: Trajectory) -> int:
     """Return the rank of the slip in the unknown rates: of ``A`` in ``A'A``, the model's block."""
-    loop = with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
+    system = with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
-    span, jacobian = loop.blocks[1].span, loop.blocks[1].jacobian
-    block = np.array(jacobian(0.0, x, z, loop.u[:, 0], 0.0)) * dae.sizes.z[span]
+    span, jacobian = system.blocks[1].span, system.blocks[1].jacobian
+    block = np.array(jacobian(0.0, x, z, system.u[:, 0], 0.0)) * dae.sizes.z[span]
     rates = len(block) - len(start.wheels)
     values = np.linalg.svd(block[:rates, :rates], compute_uv=False)
     return int((values > RANK * values[0]).sum())

@@ -39,7 +39,7 @@ from slipfree.problem.load import Problem, S
 from slipfree.problem.subset import build_subset, drive_subset, is_subset
 from slipfree.records import Array
 from slipfree.solve.collocation import drive
-from slipfree.solve.trim import moving
+from slipfree.solve.trim import apply_inputs
 from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
@@ -88,12 +88,12 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
     with at(problem, ("given",) if points is None else ("path",)):
         if points is None:
             inputs = dae.inputs(**given)
-            start = moving(direct, start, _ahead(direct, vehicle, start, given))
+            start = apply_inputs(direct, start, _ahead(direct, vehicle, start, given))
         else:
             t, x, y, heading = points
             inputs = along(dae, start, x, y, heading, t=t)
         if not sought:
-            start = moving(dae, start, inputs)
+            start = apply_inputs(dae, start, inputs)
     driven = _words(spec, points)
     return Setup(
         ground, terrain, vehicle, direct, dae, start, inputs, samples(spec.time, {})[0], driven

@@ -16,10 +16,10 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.plan.ipopt import Iterate
-from slipfree.plan.plan import STOPPED, Plan, plan
+from slipfree.plan.plan import STOPPED_STATUS, Plan, plan
 from slipfree.plan.problem import limits_of, task_of
-from slipfree.plan.verification import rerun
-from slipfree.plan.warm_start import Saved
+from slipfree.plan.verification import simulate_plan
+from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem import schema
 from slipfree.problem.build_common import (
     Setup,
@@ -155,12 +155,12 @@ def planned(
     spec: schema.Plan,
     setup: Planning,
     tell: Tell | None,
-    resume: Saved | None,
+    resume: SavedPlan | None,
 ) -> tuple[Trajectory, Mapping[str, Array]]:
     """Return the motion that a plan leads to, simulated, and what another plan may start from."""
     with at(problem, ("driver" if spec.driver else "inputs",)):
         guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
-    length = resume.course.duration if resume else float(guesses[0].t[-1])
+    length = resume.motion.duration if resume else float(guesses[0].t[-1])
     with at(problem, ("plan",)):
         found = plan(
             setup.dae,
@@ -184,7 +184,7 @@ def planned(
         )
     run, stop = found.replay, found.run.stop
     if stop is not None and not found.success:
-        words = f"{stop.words}; {GO_ON}" if found.solution.status == STOPPED else stop.words
+        words = f"{stop.words}; {GO_ON}" if found.solution.status == STOPPED_STATUS else stop.words
         run = replace(run, stop=stop._replace(t=float(run.t[-1]), words=words))
     elif run.stop is None and not found.accurate:
         run = replace(run, stop=_inaccurate(spec, found))
@@ -255,7 +255,7 @@ def _inaccurate(spec: schema.Plan, found: Plan) -> Stop:
     advice = "raise plan.intervals or plan.accuracy"
     why = {
         "Solve_Succeeded": f"its mesh was not refined any further; {advice}",
-        STOPPED: f"interrupted; {GO_ON}",
+        STOPPED_STATUS: f"interrupted; {GO_ON}",
     }.get(last.status, f"its mesh of {last.words} was not solved ({last.status}); {advice}")
     words = (
         f"the plan is solved, but its simulation misses {worst or 'a narrow limit'}, where an "
@@ -317,10 +317,10 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
     try:
         start = settle(model, **values)
-        run = rerun(
+        run = simulate_plan(
             model,
             start,
-            found.course,
+            found.motion,
             step=setup.spec.time.step,
             tolerance=max(setup.spec.solver.tolerance, FRICTION_TOLERANCE),
         )
@@ -353,5 +353,5 @@ def _statistics(found: Plan) -> dict[str, float]:
             for name, size in found.violation.items()
         },
         "plan_compiled": float(found.program.compiled),
-        "plan_intervals": float(found.course.mesh.ends.size - 1),
+        "plan_intervals": float(found.motion.mesh.ends.size - 1),
     }

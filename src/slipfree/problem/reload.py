@@ -16,7 +16,7 @@ from slipfree.files.netcdf import read as read_result
 from slipfree.files.netcdf import read_arrays
 from slipfree.files.toml.errors import ProblemError
 from slipfree.models.poses import wheel_poses
-from slipfree.plan.warm_start import PREFIX, from_arrays
+from slipfree.plan.warm_start import ARRAY_PREFIX, from_arrays
 from slipfree.problem import schema
 from slipfree.problem.build_common import build_terrain, build_vehicle
 from slipfree.problem.build_ground import at, build_ground
@@ -175,10 +175,10 @@ def _planned(run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic) -> 
     States and algebraic unknowns of a plan are the first quantities of its simulation, in order,
     up to the contacts. The turns of its wheels are those of the simulation.
     """
-    if f"{PREFIX}unknowns" not in arrays:
+    if f"{ARRAY_PREFIX}unknowns" not in arrays:
         return None
     saved = from_arrays(arrays, "result")
-    course = saved.course
+    course = saved.motion
     places = np.linspace(0, 1, min(MOST, 10 * course.mesh.ends.size))
     rows = np.concatenate([course.states(places), course.algebraic(places)])
     rows = rows + saved.shift[: len(rows), None]

@@ -13,7 +13,7 @@ from slipfree.forks import computing
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.montana import Difference, cross_check
 from slipfree.models.records import is_determinate
-from slipfree.plan.warm_start import Saved
+from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem import schema
 from slipfree.problem.build_common import Setup, vehicle_facts
 from slipfree.problem.build_ground import at, filled_words, ground_facts
@@ -75,7 +75,7 @@ def run(
     problem: Problem[schema.Motion] | Problem[schema.Climb],
     progress: Progress | None = None,
     tell: Callable[[str], None] | None = None,
-    resume: Saved | None = None,
+    resume: SavedPlan | None = None,
 ) -> Outcome:
     """Return the motion that a problem asks for.
 

@@ -28,7 +28,7 @@ from slipfree.problem.load import Problem, S
 from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.simulate import simulate
-from slipfree.solve.trim import seek
+from slipfree.solve.trim import trim_states
 from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.formula import evaluate
 
@@ -75,7 +75,9 @@ def build_subset(problem: Problem[S], spec: schema.Inverse) -> Setup:
     with at(problem, ("given",)):
         inputs = dae.inputs(**rates, **formulas)
         try:
-            start = seek(dae, stand, dae.inputs(**first, **formulas), states=sought, least=errors)
+            start = trim_states(
+                dae, stand, dae.inputs(**first, **formulas), states=sought, least=errors
+            )
         except ModelError:
             check_reach(vehicle, direct, stand, tuple(given))
             raise

@@ -236,10 +236,10 @@ def conditioning(dae: Dae, start: Trajectory) -> Facts:
     each by themselves, and what the right singular vector of the smallest value moves most.
     """
     rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
-    loop, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
+    system, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
     labels, facts = list(leaves(dae.labels.z)), []
     moving = {*leaves(dae.labels.z.position), *leaves(dae.labels.z.rates.motion)}
-    for name, block in zip(("position", "rates"), loop.blocks, strict=False):
+    for name, block in zip(("position", "rates"), system.blocks, strict=False):
         point = 0.0, x, z, np.zeros(len(list(leaves(dae.u)))), block.stages[-1]
         jacobian = np.array(block.jacobian(*point)) * dae.sizes.alg[block.span, None]
         _, values, right = np.linalg.svd(jacobian)

@@ -1,4 +1,4 @@
-"""Collocation of motions some of whose states have no initial value but follow from a path.
+"""Solve motions by collocation, some of whose states follow from a path instead of a start.
 
 The rate of such a state, as of a steering angle, enters the equations with a factor that may be
 small and change sign, so that an initial value is forgotten at once or never held: the state
@@ -22,24 +22,26 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.forks import computing
 from slipfree.records import Array, Mask, leaves, unpack
-from slipfree.solve.radau import Basis, basis
-from slipfree.solve.sampling import Samples, followed, table
+from slipfree.solve.radau import RadauBasis, radau_basis
+from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.settle import first_violation, settle
 from slipfree.solve.simulate import simulate, usable_times
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
-DEGREES = (8, 10, 12, 14)  # numbers of collocation points of an element that are tried
-MOST_ELEMENTS = 4096
-NOISY = 3.0  # growth of the difference of degrees that shows amplified noise
-PATIENCE = 2  # numbers of elements tried in vain before the best counts as the best
-NEWTON = 20  # steps at most on one element
-CONVERGED = 1e-13  # residual of an element's equations, without unit
-ROUNDING = 1e-10  # the same, if it does not become less
-WEAK = 1e-2  # relative singular value below which a rate stays out of the first guess
+TRIED_DEGREES = (8, 10, 12, 14)  # of an element, tried in this order
+MAX_ELEMENTS = 4096
+NOISE_GROWTH = 3.0  # growth of the difference of degrees that shows amplified noise
+MAX_VAIN_REFINEMENTS = 2  # refinements without improvement
+MAX_NEWTON_STEPS = 20  # per element
+CONVERGED_RESIDUAL = 1e-13  # residual of an element's equations, without unit
+ROUNDING_RESIDUAL = 1e-10  # the same, if it does not become less
+WEAK_SINGULAR_VALUE = (
+    1e-2  # relative singular value below which a rate stays out of the first guess
+)
 
 
-class Element(NamedTuple):
+class CollocationElement(NamedTuple):
     """The motion over one element.
 
     Attributes
@@ -60,12 +62,12 @@ class Element(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Scheme:
+class CollocationScheme:
     """Collocation of a DAE under laws, some of whose states have no initial value.
 
     Attributes
     ----------
-    loop : System
+    system : System
         The DAE.
     sought : ndarray of bool, shape (n_x,)
         Which states.
@@ -76,29 +78,35 @@ class Scheme:
         ``z`` are the unknowns of the motion.
     """
 
-    loop: System
+    system: System
     sought: Mask
-    basis: Basis
+    basis: RadauBasis
     point: ca.Function
 
-    def march(self, t: Array, first: Array, z: Array) -> list[Element]:
+    def march(self, t: Array, first: Array, z: Array) -> list[CollocationElement]:
         """Return the motion over the elements between times, from a start and a guess of ``z``."""
-        elements: list[Element] = []
+        elements: list[CollocationElement] = []
         degree, x = len(self.basis.points), first
         for begin, end in pairwise(t):
-            guess = Element(begin, end, first, *(np.repeat(v[:, None], degree, 1) for v in (x, z)))
+            guess = CollocationElement(
+                begin, end, first, *(np.repeat(v[:, None], degree, 1) for v in (x, z))
+            )
             elements.append(self._solved(guess))
             first = x = elements[-1].x[:, -1]
             z = elements[-1].z[:, -1]
         return elements
 
-    def _solved(self, element: Element) -> Element:
-        """Return the element whose equations hold, from a guess of it, by Newton's method."""
+    def _solved(self, element: CollocationElement) -> CollocationElement:
+        """Solve the equations of an element by Newton's method, from a guess of it."""
         size, n_x = np.inf, element.x.size
-        for _ in range(NEWTON):
+        for _ in range(MAX_NEWTON_STEPS):
             residual, jacobian = self._equations(element)
             former, size = size, float(np.abs(residual).max())
-            if not np.isfinite(size) or size < CONVERGED or former < min(2 * size, ROUNDING):
+            if (
+                not np.isfinite(size)
+                or size < CONVERGED_RESIDUAL
+                or former < min(2 * size, ROUNDING_RESIDUAL)
+            ):
                 break
             try:
                 step = np.linalg.solve(jacobian, residual)
@@ -108,14 +116,14 @@ class Scheme:
                 x=element.x - step[:n_x].reshape(element.x.shape),
                 z=element.z - step[n_x:].reshape(element.z.shape),
             )
-        if not size < ROUNDING:
+        if not size < ROUNDING_RESIDUAL:
             raise SolverError(
                 f"no motion from t = {element.begin:.4g} to {element.end:.4g} s follows the path "
                 f"(residual {size:.1e}): it may stand still, or be too winding there"
             )
         return element
 
-    def _equations(self, element: Element) -> tuple[Array, Array]:
+    def _equations(self, element: CollocationElement) -> tuple[Array, Array]:
         """Return residual and Jacobian; unknowns are ``x``, then ``z``, point by point."""
         (n_x, k), n = element.x.shape, len(element.x) + len(element.z)
         h, tied, free = element.end - element.begin, self.basis.tied, self.basis.free
@@ -123,7 +131,7 @@ class Scheme:
         ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
         slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
         slope[self.sought] = element.x[self.sought] @ free.T
-        size = self.loop.dae.sizes.x
+        size = self.system.dae.sizes.x
         residual = np.concatenate([((slope - h * ode) / size[:, None]).ravel(), alg.ravel()])
         jac = jac.reshape(n, k, n)
         jac[:n_x] *= -h / size[:, None, None]
@@ -133,14 +141,14 @@ class Scheme:
             matrix[i, :, i, :] += (free if self.sought[i] else tied[:, 1:]) / size[i]
         return residual, matrix.reshape(n * k, n * k)
 
-    def samples(self, elements: Sequence[Element], t: Array) -> Samples:
+    def samples(self, elements: Sequence[CollocationElement], t: Array) -> Samples:
         """Return the motion at times; the quadratures begin at zero."""
         ends = np.array([element.end for element in elements])
         which = np.minimum(np.searchsorted(ends, t), len(elements) - 1)
         x, z = (np.zeros((len(v), t.size)) for v in (elements[0].x, elements[0].z))
-        q = np.zeros((self.loop.dae.quad.numel(), t.size))
-        quad = self.loop.quad.map(len(self.basis.points))
-        given = np.repeat(self.loop.u[:, :1], len(self.basis.points), axis=1)
+        q = np.zeros((self.system.dae.quad.numel(), t.size))
+        quad = self.system.quad.map(len(self.basis.points))
+        given = np.repeat(self.system.u[:, :1], len(self.basis.points), axis=1)
         total = np.zeros((len(q), 1))
         for index, element in enumerate(elements):
             h, here = element.end - element.begin, which == index
@@ -153,25 +161,28 @@ class Scheme:
             rates = h * np.array(quad(times[None], element.x, element.z, given))
             q[:, here] = total + rates @ self.basis.integrals(at).T
             total = total + rates @ self.basis.integrals(np.ones(1)).T
-        rest = np.full((self.loop.dae.guess.numel() - len(z), t.size), np.nan)
+        rest = np.full((self.system.dae.guess.numel() - len(z), t.size), np.nan)
         return Samples(
-            t, x, np.concatenate([z, rest]), q, np.repeat(self.loop.u[:, :1], t.size, axis=1)
+            t, x, np.concatenate([z, rest]), q, np.repeat(self.system.u[:, :1], t.size, axis=1)
         )
 
 
-def schemes(loop: System, sought: Mask) -> list[Scheme]:
+def collocation_schemes(system: System, sought: Mask) -> list[CollocationScheme]:
     """Return the collocations of a DAE under laws at the numbers of points that are tried."""
-    t, x, z = (ca.MX.sym(name, loop.core.size1_in(k)) for k, name in enumerate("txz"))
-    u = ca.DM(loop.u[:, 0])
-    ode, alg = loop.core(t, x, z, u)
-    ode_x, alg_x, ode_z, alg_z = loop.jacobian(t, x, z, ca.MX(0, 1), u)
+    t, x, z = (ca.MX.sym(name, system.core.size1_in(k)) for k, name in enumerate("txz"))
+    u = ca.DM(system.u[:, 0])
+    ode, alg = system.core(t, x, z, u)
+    ode_x, alg_x, ode_z, alg_z = system.jacobian(t, x, z, ca.MX(0, 1), u)
     slopes = ca.densify(ca.blockcat([[ode_x, ode_z], [alg_x, alg_z]]))
     point = ca.Function("point", [t, x, z], [ode, alg, slopes])
-    return [Scheme(loop, sought, basis(degree), point.map(degree)) for degree in DEGREES]
+    return [
+        CollocationScheme(system, sought, radau_basis(degree), point.map(degree))
+        for degree in TRIED_DEGREES
+    ]
 
 
 class Drive(NamedTuple):
-    """A motion along a path, and its proof.
+    """A motion along a path, and its replay by the direct model.
 
     Attributes
     ----------
@@ -235,14 +246,14 @@ def drive(
     t, names = usable_times(t), [label.full for label in leaves(inverse.labels.x)]
     if not set(sought) <= set(names):
         raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
-    clock, loop = time.process_time(), with_inputs(inverse, inputs, 0)
+    clock, system = time.process_time(), with_inputs(inverse, inputs, 0)
     mask = np.array([name in sought for name in names])
-    best, elements, error = _finest(loop, mask, start, t, tolerance)
-    samples, report = _standing(loop, best.samples(elements, t))
-    run = table(loop, samples, report)
-    fault = first_violation(loop, run, samples)
+    best, elements, error = _refine_elements(system, mask, start, t, tolerance)
+    samples, report = _correct_pose(system, best.samples(elements, t))
+    run = to_trajectory(system, samples, report)
+    fault = first_violation(system, run, samples)
     if fault is not None:
-        run = _ended(run, *fault)
+        run = _cut_before(run, *fault)
     statistics = {
         "elements": float(len(elements)),
         "degree": float(len(best.basis.points)),
@@ -250,25 +261,25 @@ def drive(
         "cpu_seconds": time.process_time() - clock,
     }
     run = replace(run, statistics=statistics)
-    laws = _laws(direct, inverse, best, elements)
+    laws = _input_splines(direct, inverse, best, elements)
     try:
-        return Drive(run, laws, *_replay(direct, run, laws, tolerance))
+        return Drive(run, laws, *_replay_drive(direct, run, laws, tolerance))
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         raise SolverError(f"the replay by the direct model failed: {error}", run) from error
 
 
-def _finest(
-    loop: System, sought: Mask, start: Trajectory, t: Array, tolerance: float
-) -> tuple[Scheme, list[Element], float]:
+def _refine_elements(
+    system: System, sought: Mask, start: Trajectory, t: Array, tolerance: float
+) -> tuple[CollocationScheme, list[CollocationElement], float]:
     """Return the motion on the elements on which two degrees agree best, and how well."""
-    x = loop.dae.rows("x", start, -1)
-    z = _guess(loop, float(t[0]), x, loop.dae.rows("z", start, -1))[: loop.moving]
-    tried = schemes(loop, sought)
-    best: tuple[Scheme, list[Element], float] | None = None
+    x = system.dae.rows("x", start, -1)
+    z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[: system.moving]
+    tried = collocation_schemes(system, sought)
+    best: tuple[CollocationScheme, list[CollocationElement], float] | None = None
     failure, count, vain = SolverError("no motion was found"), 1, 0
-    while count <= MOST_ELEMENTS and vain < PATIENCE:
+    while count <= MAX_ELEMENTS and vain < MAX_VAIN_REFINEMENTS:
         ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
-        former: tuple[Scheme, list[Element], Array] | None = None
+        former: tuple[CollocationScheme, list[CollocationElement], Array] | None = None
         least = np.inf
         for each in tried:
             try:
@@ -276,14 +287,14 @@ def _finest(
             except SolverError as problem:
                 failure = problem
                 break
-            values = each.samples(elements, t).x[sought] / loop.dae.sizes.x[sought, None]
+            values = each.samples(elements, t).x[sought] / system.dae.sizes.x[sought, None]
             if former is not None:
                 error = float(np.abs(values - former[2]).max(initial=0.0))
                 if best is None or error < best[2]:
                     best, vain = (former[0], former[1], error), 0  # it amplifies noise less
                 if error < tolerance:
                     return best
-                if error > NOISY * least:
+                if error > NOISE_GROWTH * least:
                     break
                 least = error
             former = each, elements, values
@@ -293,33 +304,33 @@ def _finest(
     return best
 
 
-def _guess(loop: System, t: float, x: Array, z: Array) -> Array:
+def _guess_unknowns(system: System, t: float, x: Array, z: Array) -> Array:
     """Return a first guess of ``z``: rates that need not be large are left at zero."""
-    for block in loop.blocks:
+    for block in system.blocks:
         if block.linear:
             z[block.span] = 0.0
-            point = (t, x, z, loop.u[:, 0], block.stages[-1])
+            point = (t, x, z, system.u[:, 0], block.stages[-1])
             jacobian, residual = np.array(block.jacobian(*point)), np.array(block.residual(*point))
-            size = loop.dae.sizes.z[block.span]
-            step = np.linalg.lstsq(jacobian * size, residual.ravel(), rcond=WEAK)[0]
+            size = system.dae.sizes.z[block.span]
+            step = np.linalg.lstsq(jacobian * size, residual.ravel(), rcond=WEAK_SINGULAR_VALUE)[0]
             z[block.span] = -size * step
     return z
 
 
-def _standing(loop: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
+def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
     """Return the samples after a Newton step on the first block, and their residuals."""
-    block, z = loop.blocks[0], samples.z.copy()
+    block, z = system.blocks[0], samples.z.copy()
     for k, t in enumerate(samples.t):
         point = (t, samples.x[:, k], z[:, k], samples.u[:, k], block.stages[-1])
         z[block.span, k] -= np.linalg.solve(
             np.array(block.jacobian(*point)), np.array(block.residual(*point)).ravel()
         )
     step = np.abs(z - samples.z)[block.span].max(axis=0)
-    found, report = followed(loop, samples._replace(z=z))
+    found, report = complete_samples(system, samples._replace(z=z))
     return found, {"newton_step": step, **report}
 
 
-def _ended(run: Trajectory, k: int, stop: Stop) -> Trajectory:
+def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:
     """Return the samples before the one that violates a limit."""
     if k == 0:
         raise ModelError(f"the start is not valid: {stop.words}")
@@ -328,7 +339,9 @@ def _ended(run: Trajectory, k: int, stop: Stop) -> Trajectory:
     return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))
 
 
-def _laws(direct: Dae, inverse: Dae, best: Scheme, elements: Sequence[Element]) -> Any:
+def _input_splines(
+    direct: Dae, inverse: Dae, best: CollocationScheme, elements: Sequence[CollocationElement]
+) -> Any:
     """Return the direct model's inputs as splines through the values at all points."""
     from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 
@@ -352,7 +365,7 @@ def _laws(direct: Dae, inverse: Dae, best: Scheme, elements: Sequence[Element]) 
     return unpack(direct.u, ca.vertsplit(law(inside)))
 
 
-def _replay(
+def _replay_drive(
     direct: Dae, run: Trajectory, laws: Any, tolerance: float
 ) -> tuple[Trajectory, dict[str, float]]:
     """Return the direct model's motion from the same start, and its difference from the run."""

@@ -1,7 +1,7 @@
 """The equations of a motion, as integrators and Newton's method call them, with their Jacobian.
 
-What follows from the model alone is made once, whatever its inputs and its ground, and compiled if
-the model asks for it; laws of the inputs come in by the chain rule.
+The parts that depend on the model alone are built once for all inputs and grounds; laws of the
+inputs enter by the chain rule.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from slipfree.lookups import Lookup, found_column, lookup_results, needed_lookup
 from slipfree.records import Array
 
 
-class Equations(NamedTuple):
+class MotionEquations(NamedTuple):
     """Equations of a motion under inputs; ``m`` are its unknowns, ``alg`` is without unit.
 
     Attributes
@@ -37,8 +37,8 @@ class Equations(NamedTuple):
     jacobian: ca.Function
 
 
-class _Model(NamedTuple):
-    """A model's equations; ``inputs`` tells which inputs they depend on.
+class _ModelEquations(NamedTuple):
+    """Equations of a model; ``inputs`` holds one flag per input, true if they depend on it.
 
     ``values`` is ``(t, x, m, v, c) -> (ode, alg)``, with results of lookups ``c``, and ``slopes``
     gives its Jacobian in ``x, m, v`` from the same.
@@ -50,7 +50,7 @@ class _Model(NamedTuple):
     slopes: ca.Function
 
 
-def equations(dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX) -> Equations:
+def motion_equations(dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX) -> MotionEquations:
     """Return the equations of a motion.
 
     Parameters
@@ -60,37 +60,37 @@ def equations(dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX) -> Equations
     count : int
         Number of its first unknowns that belong to the motion.
     law : sequence of SX
-        What its inputs are, in its symbols and ``u``.
+        Expressions of its inputs, in its symbols and ``u``.
     u : SX
         Symbols of numbers that the law contains.
     """
     x, z, _ = dae.columns()
-    model, m = _model(dae, count), z[:count]
+    model, m = _model_equations(dae, count), z[:count]
     # Laws of other inputs may contain unknowns that are none of the motion's.
     used = (each if own else ca.SX(0) for each, own in zip(law, model.inputs, strict=True))
     driven = ca.vertcat(ca.SX(0, 1), *used)
     symbols = [dae.t, x, m, u]
-    turns = ca.jacobian(driven, ca.vertcat(x, m))
-    ruled = dae.function("law", symbols, [driven], {"cse": True})
-    bent = dae.function("law_slopes", symbols, [turns], {"cse": True})
+    derivatives = ca.jacobian(driven, ca.vertcat(x, m))
+    law_values = dae.function("law", symbols, [driven], {"cse": True})
+    law_slopes = dae.function("law_slopes", symbols, [derivatives], {"cse": True})
     given = [ca.MX.sym(name, each.numel()) for name, each in zip("txmu", symbols, strict=True)]
     found = lookup_results(model.lookups, symbols[:3], given[:3])
-    point = [*given[:3], ruled(*given), found]
+    point = [*given[:3], law_values(*given), found]
     ode, alg = model.values(*point)
     ends = [0, x.numel(), x.numel() + count]
     slopes = model.slopes(*point)
     by_state, by_input = ca.horzsplit(slopes, [0, ends[-1], slopes.shape[1]])
-    total = by_state + by_input @ bent(*given)
+    total = by_state + by_input @ law_slopes(*given)
     (ode_x, ode_m), (alg_x, alg_m) = ca.blocksplit(total, ends, ends)
     options: dict[str, Any] = {
         "jac_penalty": 0,
-        "custom_jacobian": _jacobian(given, [ode, alg], [[ode_x, ode_m], [alg_x, alg_m]]),
+        "custom_jacobian": _core_jacobian(given, [ode, alg], [[ode_x, ode_m], [alg_x, alg_m]]),
         "is_diff_in": [False, True, True, False],
         "never_inline": True,
     }
     names = ["jac_ode_x", "jac_alg_x", "jac_ode_z", "jac_alg_z"]  # CasADi's
     parameters = [*given[:3], ca.MX.sym("p", 0), given[3]]
-    return Equations(
+    return MotionEquations(
         ca.Function("core", given, [ode, alg], options),
         ca.Function("newton", given, [alg, ca.densify(alg_m)]),
         ca.Function("jacF", parameters, [ode_x, alg_x, ode_m, alg_m], [*"txzpu"], names),
@@ -103,7 +103,7 @@ def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.F
     Parameters
     ----------
     jacobian : casadi Function
-        From `equations`.
+        From `motion_equations`.
     x_size, m_size : ndarray, shape (n_x,) and (n_m,)
         Units of the states and the unknowns.
     """
@@ -116,7 +116,7 @@ def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.F
     return ca.Function("jacF", [t, x, m, p, u], [ode_x, alg_x, ode_m, alg_m], *names)
 
 
-def _jacobian(
+def _core_jacobian(
     given: Sequence[ca.MX], parts: Sequence[ca.MX], slopes: Sequence[Sequence[ca.MX]]
 ) -> ca.Function:
     """Return the Jacobian of ``core`` by ``x`` and ``m``, with nothing for ``t`` and ``u``."""
@@ -130,7 +130,7 @@ def _jacobian(
 
 
 @lru_cache(maxsize=8)
-def _model(dae: Dae, count: int) -> _Model:
+def _model_equations(dae: Dae, count: int) -> _ModelEquations:
     """Return the equations of a model, whatever its inputs."""
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]
@@ -149,4 +149,4 @@ def _model(dae: Dae, count: int) -> _Model:
 
     functions = compiled_functions(values, ("values", "slopes"), make, compiled=dae.compiled)
     inputs = ca.vertsplit(v) if v.numel() else []
-    return _Model(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)
+    return _ModelEquations(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)

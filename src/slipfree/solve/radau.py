@@ -10,7 +10,7 @@ from numpy.polynomial import legendre
 from slipfree.records import Array
 
 
-class Basis(NamedTuple):
+class RadauBasis(NamedTuple):
     """Polynomials on an element, by their values at collocation points of (0, 1].
 
     Attributes
@@ -28,28 +28,28 @@ class Basis(NamedTuple):
     free: Array
 
     def values(self, at: Array, *, tied: bool) -> Array:
-        """Return what leads from the nodal values to those at places of [0, 1]."""
+        """Return the matrix that interpolates nodal values at points of [0, 1]."""
         nodes = np.append(0.0, self.points) if tied else self.points
-        return _lagrange(nodes, at)
+        return _lagrange_values(nodes, at)
 
     def integrals(self, at: Array) -> Array:
-        """Return what leads from the values at the points to integrals from zero to places."""
+        """Return the matrix that integrates nodal values from zero to points of [0, 1]."""
         nodes, weights = legendre.leggauss(len(self.points))
-        inner = _lagrange(self.points, np.outer(at, (1 + nodes) / 2).ravel())
+        inner = _lagrange_values(self.points, np.outer(at, (1 + nodes) / 2).ravel())
         means = weights / 2 @ inner.reshape(len(at), len(nodes), len(self.points))
         return np.asarray(at[:, None] * means, dtype=np.float64)
 
 
-def basis(degree: int) -> Basis:
+def radau_basis(degree: int) -> RadauBasis:
     """Return the polynomials of collocation at that many Radau points."""
     difference = np.zeros(degree + 1)
     difference[-2:] = 1.0, -1.0  # of Legendre polynomials: its roots are Radau's points
     points = np.append((1 + legendre.legroots(difference)[:-1].real) / 2, 1.0)
     nodes = np.append(0.0, points)
-    return Basis(points, _derivative(nodes)[1:], _derivative(points))
+    return RadauBasis(points, _lagrange_derivatives(nodes)[1:], _lagrange_derivatives(points))
 
 
-def _lagrange(nodes: Array, at: Array) -> Array:
+def _lagrange_values(nodes: Array, at: Array) -> Array:
     """Return the Lagrange polynomials of nodes at places, shape (n_places, n_nodes)."""
     rows = np.ones((len(at), len(nodes)))
     for j, node in enumerate(nodes):
@@ -58,7 +58,7 @@ def _lagrange(nodes: Array, at: Array) -> Array:
     return rows
 
 
-def _derivative(nodes: Array) -> Array:
+def _lagrange_derivatives(nodes: Array) -> Array:
     """Return the derivatives of the Lagrange polynomials at their nodes, row by row."""
     gaps = nodes[:, None] - nodes + np.eye(len(nodes))
     weights = 1 / gaps.prod(axis=1)

@@ -1,4 +1,4 @@
-"""A motion driven again by another model from the inputs that the first one found."""
+"""Drive a motion again by another model, under the inputs that the first one found."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.records import Array, leaves, unpack
-from slipfree.solve.sampling import Samples, corrected
+from slipfree.solve.sampling import Samples, correct_samples
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory, joined
 
-DEGREE = 5  # of the spline through the inputs
+SPLINE_DEGREE = 5  # of the spline through the inputs
 
 
 def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, float]:
-    """Return how far a model's rates under the inputs of a motion are from those of the motion.
+    """Return the difference of the rates of a model under the inputs of a motion from its own.
 
     At every sample by itself, with the states of the motion.
 
@@ -38,7 +38,7 @@ def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, flo
     dict of str to float
         Largest differences by name.
     """
-    loop = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0)
+    system = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0)
     x, u, pose = (
         np.array([run.of(label) for label in leaves(record)])
         for record in (dae.labels.x, dae.labels.u, dae.labels.z[0])
@@ -46,7 +46,7 @@ def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, flo
     z = np.zeros((dae.columns()[1].numel(), run.t.size))
     z[: len(pose)] = pose - dae.shift[1][: len(pose), None]
     still = np.zeros((dae.quad.numel(), run.t.size))
-    found, _ = corrected(loop, Samples(run.t, x - dae.shift[0][:, None], z, still, u))
+    found, _ = correct_samples(system, Samples(run.t, x - dae.shift[0][:, None], z, still, u))
     rows = {label.full: row for label, row in zip(leaves(dae.labels.z), found.z, strict=True)}
     return {name: float(np.abs(rows[name] - run[name]).max()) for name in names}
 
@@ -78,12 +78,14 @@ def replay(
     """
     t, labels = run.t, list(leaves(dae.labels.u))
     values = np.column_stack([run.of(label) for label in labels])
-    start = settle(dae, guess=_first(run, dae.labels.z[0]), **_first(run, dae.labels.x))
+    start = settle(
+        dae, guess=_first_values(run, dae.labels.z[0]), **_first_values(run, dae.labels.x)
+    )
     cuts = [k for k in range(1, t.size - 1) if np.isin(t[k], jumps)]
     parts: list[Trajectory] = []
     for left, right in zip([0, *cuts], [*cuts, t.size - 1], strict=True):
         last = right + (right == t.size - 1)
-        law = _law(dae, t[left:last], values[left:last], float(t[right]))
+        law = _input_splines(dae, t[left:last], values[left:last], float(t[right]))
         start = simulate(dae, start, law, t[left : right + 1], tolerance=tolerance)
         parts.append(start)
         if start.stop is not None:
@@ -91,15 +93,15 @@ def replay(
     return joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
 
 
-def _first(run: Trajectory, record: Any) -> dict[str, float]:
+def _first_values(run: Trajectory, record: Any) -> dict[str, float]:
     return {label.full: float(run.of(label)[0]) for label in leaves(record)}
 
 
-def _law(dae: Dae, t: Array, values: Array, end: float) -> Any:
+def _input_splines(dae: Dae, t: Array, values: Array, end: float) -> Any:
     """Return the inputs as splines through samples, carried on to the end."""
     from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 
-    degree = min(DEGREE, t.size - 1)
+    degree = min(SPLINE_DEGREE, t.size - 1)
     if not degree:
         return unpack(dae.u, values[0].tolist())
     if degree % 2 == 0:

@@ -1,4 +1,4 @@
-"""Samples of a motion: made exact by Newton's method, and written as a trajectory."""
+"""Correct the samples of a motion by Newton's method, and write them as a trajectory."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from slipfree.dae import SampledCheck
 from slipfree.errors import ModelError
 from slipfree.records import Array, Label, Mask, leaves
 from slipfree.solve.initial_conditions import consistent
-from slipfree.solve.system import FOLLOWING, Block, System
+from slipfree.solve.system import MAX_NEWTON_STEPS, Block, System
 from slipfree.trajectory import Column, SolverError, Trajectory
 
-AXES = ("time", "wheel")  # of results: no quantity is called so
+AXIS_NAMES = ("time", "wheel")  # of results: no quantity is called so
 
-CORRECTIONS = 10  # Newton steps on a sample at most
-ENOUGH = 1e-12  # residual, without unit, at which a sample needs no further step
-UNSOLVED = 1e-10  # residual of a sample that is no rounding any more
-ROUNDING = 1e-13  # step, in typical sizes, that only rounding is left of
+MAX_CORRECTIONS = 10  # Newton steps per sample
+SOLVED_RESIDUAL = 1e-12  # residual, without unit, at which a sample needs no further step
+UNSOLVED_RESIDUAL = 1e-10  # residual of a sample above which it exceeds rounding
+ROUNDING_STEP = 1e-13  # step, in typical sizes, below which only rounding is left
 
 
 class Samples(NamedTuple):
@@ -44,38 +44,38 @@ class Samples(NamedTuple):
         return Samples(*(part[..., :count] for part in self))
 
 
-def corrected(loop: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples after a Newton step on the motion, and what that step says.
+def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
+    """Return the samples corrected by Newton steps on the motion, and a report of their errors.
 
     The integrator's interpolation leaves the algebraic equations satisfied to its tolerance only;
-    the step is as large as that error. Where it does not do, others follow. With it comes the
-    report of `followed`. A motion without algebraic unknowns needs none of this.
+    the first step is as large as that error. Further steps follow where one is not enough. The
+    report includes that of `complete_samples`. A motion without algebraic unknowns needs no step.
     """
-    if not loop.moving:
+    if not system.moving:
         return samples, {}
-    z, n = samples.z.copy(), loop.moving
-    alg, jac = _linearised(loop, samples)
-    step, size = _steps(jac, alg), _largest(alg)
-    first = _largest(step[loop.blocks[0].span])
+    z, n = samples.z.copy(), system.moving
+    alg, jac = _linearize(system, samples)
+    step, size = _newton_steps(jac, alg), _max_abs(alg)
+    first = _max_abs(step[system.blocks[0].span])
     rough = np.ones(samples.t.size, dtype=bool)
-    for _ in range(CORRECTIONS):
+    for _ in range(MAX_CORRECTIONS):
         z[:n, rough] -= step[:, rough]
-        alg = _residuals(loop, samples._replace(z=z))
-        former, size = size, _largest(alg)
-        rough &= (size > ENOUGH) & ~((size < UNSOLVED) & (size > former / 2))
+        alg = _residuals(system, samples._replace(z=z))
+        former, size = size, _max_abs(alg)
+        rough &= (size > SOLVED_RESIDUAL) & ~((size < UNSOLVED_RESIDUAL) & (size > former / 2))
         if not rough.any():
             break
-        alg, jac = _linearised(loop, samples._replace(z=z))
-        step = _steps(jac, alg)
-    if (astray := ~(size < UNSOLVED)).any():
-        z = _from_neighbours(loop, samples, z, astray)
-        alg, jac = _linearised(loop, samples._replace(z=z))
-    found, report = followed(loop, samples._replace(z=z), (alg, jac))
+        alg, jac = _linearize(system, samples._replace(z=z))
+        step = _newton_steps(jac, alg)
+    if (astray := ~(size < UNSOLVED_RESIDUAL)).any():
+        z = _solve_from_neighbours(system, samples, z, astray)
+        alg, jac = _linearize(system, samples._replace(z=z))
+    found, report = complete_samples(system, samples._replace(z=z), (alg, jac))
     return found, {"newton_step": first, **report}
 
 
-def _from_neighbours(loop: System, samples: Samples, z: Array, astray: Mask) -> Array:
-    """Return ``z`` with the samples at which Newton's method went astray solved from those around.
+def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: Mask) -> Array:
+    """Return ``z`` with the samples at which Newton's method failed solved from their neighbours.
 
     Full steps may cycle where the equations are curved, as friction is on the scale of its creep.
     Where there is no solution, as where all friction is used and the states miss by the
@@ -89,66 +89,70 @@ def _from_neighbours(loop: System, samples: Samples, z: Array, astray: Mask) -> 
                 continue
             point = (float(samples.t[k]), samples.x[:, k], z[:, j], samples.u[:, k])
             try:
-                z[:, k] = consistent(loop, *point, eased=False)
+                z[:, k] = consistent(system, *point, eased=False)
                 break
-            except ModelError:  # the residual tells
+            except ModelError:  # the reported residual shows it
                 continue
     return z
 
 
-def _largest(rows: Array) -> Array:
+def _max_abs(rows: Array) -> Array:
     return np.asarray(np.abs(rows).max(axis=0))
 
 
-def _linearised(loop: System, samples: Samples) -> tuple[Array, Array]:
+def _linearize(system: System, samples: Samples) -> tuple[Array, Array]:
     """Return the residuals of the motion's equations in columns, and their Jacobians."""
-    newton, n = loop.newton.map(samples.t.size), loop.moving
+    newton, n = system.newton.map(samples.t.size), system.moving
     found = newton(samples.t[None], samples.x, samples.z[:n], samples.u)
     alg, jac = (np.array(out) for out in found)
-    return alg, _each(jac, n)
+    return alg, _split_matrices(jac, n)
 
 
-def _residuals(loop: System, samples: Samples) -> Array:
+def _residuals(system: System, samples: Samples) -> Array:
     """Return the residuals of the motion's equations in columns."""
-    core, n = loop.core.map(samples.t.size), loop.moving
+    core, n = system.core.map(samples.t.size), system.moving
     return np.array(core(samples.t[None], samples.x, samples.z[:n], samples.u)[1])
 
 
-def followed(
-    loop: System, samples: Samples, known: tuple[Array, Array] | None = None
+def complete_samples(
+    system: System, samples: Samples, known: tuple[Array, Array] | None = None
 ) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples with what follows from their motion, and how well all equations hold.
+    """Return the samples with the unknowns that depend on their motion, and a report of residuals.
 
     The report holds the smallest singular value of the Jacobian of the motion's equations, the
     distance to a singular configuration, and the residuals block by block, NaN at samples at which
     the equations are not finite. ``known`` are residuals and Jacobians of the samples, or of
     samples a last Newton step away, if they are at hand.
     """
-    count, n, z = samples.t.size, loop.moving, samples.z.copy()
-    left, jac = known or _linearised(loop, samples)
-    jac = jac * loop.dae.sizes.z[:n]
+    count, n, z = samples.t.size, system.moving, samples.z.copy()
+    left, jac = known or _linearize(system, samples)
+    jac = jac * system.dae.sizes.z[:n]
     finite = np.isfinite(jac).all(axis=(1, 2))
     if not finite.any():
-        raise SolverError("the motion cannot be told: its equations give no finite numbers")
+        raise SolverError("the equations of the motion have no finite value at any sample")
     report = {"singular_value": np.full(count, np.nan)}
     report["singular_value"][finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]
-    for block in loop.blocks:
-        report[f"{block.labels[0].name}_residual"] = _missed(loop, block, left[block.span])
-    if loop.after:
-        guess = loop.dae.function("guess", [loop.dae.columns()[0]], [loop.dae.guess]).map(count)
+    for block in system.blocks:
+        report[f"{block.labels[0].name}_residual"] = _block_residual(
+            system, block, left[block.span]
+        )
+    if system.after:
+        guess = system.dae.function("guess", [system.dae.columns()[0]], [system.dae.guess]).map(
+            count
+        )
         z[n:] = np.array(guess(samples.x))[n:]
-    for block in loop.after:
-        z, rest = _solved(block, samples._replace(z=z), loop.dae.scale[block.span, None])
-        report[f"{block.labels[0].name}_residual"] = _missed(loop, block, rest)
+    for block in system.after:
+        z, rest = _solve_block(block, samples._replace(z=z), system.dae.scale[block.span, None])
+        report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, rest)
     return samples._replace(z=z), report
 
 
-def _missed(loop: System, block: Block, residual: Array) -> Array:
+def _block_residual(system: System, block: Block, residual: Array) -> Array:
     """Return the largest residuals of a block, in the unit of its first equation."""
-    return _largest(residual) * loop.dae.size_of(block.labels[0])
+    return _max_abs(residual) * system.dae.size_of(block.labels[0])
 
 
-def _solved(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
+def _solve_block(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
     """Return ``z`` with a block solved by Newton's method at all samples, and its residual.
 
     Where the equations have no solution the residual says so.
@@ -163,20 +167,20 @@ def _solved(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
             )
         )
 
-    for _ in range(FOLLOWING):
-        step = _steps(_each(at(jacobian), n), at(residual))
+    for _ in range(MAX_NEWTON_STEPS):
+        step = _newton_steps(_split_matrices(at(jacobian), n), at(residual))
         z[block.span] -= step
-        if block.linear or not (np.abs(step) > ROUNDING * size).any():
+        if block.linear or not (np.abs(step) > ROUNDING_STEP * size).any():
             break
     return z, at(residual)
 
 
-def _each(side_by_side: Array, n: int) -> Array:
+def _split_matrices(side_by_side: Array, n: int) -> Array:
     """Return square matrices, shape (count, n, n), from one of shape (n, count n)."""
     return side_by_side.reshape(n, -1, n).transpose(1, 0, 2)
 
 
-def _steps(matrices: Array, right: Array) -> Array:
+def _newton_steps(matrices: Array, right: Array) -> Array:
     """Return the solutions of many linear systems in columns; least squares if one is singular."""
     try:
         return np.asarray(np.linalg.solve(matrices, right.T[..., None])[..., 0].T)
@@ -187,12 +191,12 @@ def _steps(matrices: Array, right: Array) -> Array:
         return steps.T
 
 
-def table(loop: System, samples: Samples, report: dict[str, Array]) -> Trajectory:
+def to_trajectory(system: System, samples: Samples, report: dict[str, Array]) -> Trajectory:
     """Return the samples as a trajectory in map coordinates, with all outputs and margins."""
-    dae, labels = loop.dae, loop.dae.labels
+    dae, labels = system.dae, system.dae.labels
     y, limits, u = (
         np.array(out)
-        for out in loop.outputs.map(samples.t.size)(samples.t[None], *samples[1:3], samples.u)
+        for out in system.outputs.map(samples.t.size)(samples.t[None], *samples[1:3], samples.u)
     )
     x, z = (part + shift[:, None] for part, shift in zip(samples[1:3], dae.shift, strict=True))
     rows = [
@@ -202,13 +206,13 @@ def table(loop: System, samples: Samples, report: dict[str, Array]) -> Trajector
         *zip(leaves(labels.u), u, strict=True),
         *zip(leaves(labels.y), y, strict=True),
         *zip((limit.label for limit in dae.limits), limits, strict=True),
-        *((check.label, _margins(check, samples)) for check in dae.checks),
-        *((_report_label(loop, name), values) for name, values in report.items()),
+        *((check.label, _check_margins(check, samples)) for check in dae.checks),
+        *((_report_label(system, name), values) for name, values in report.items()),
     ]
-    return Trajectory(samples.t, *_columns(rows))
+    return Trajectory(samples.t, *_group_by_quantity(rows))
 
 
-def _margins(check: SampledCheck, samples: Samples) -> Array:
+def _check_margins(check: SampledCheck, samples: Samples) -> Array:
     """Return the margins of a check, NaN at samples at which its linear algebra fails."""
     try:
         return check.margin(samples.x, samples.z)
@@ -216,15 +220,17 @@ def _margins(check: SampledCheck, samples: Samples) -> Array:
         if samples.t.size == 1:
             return np.full(1, np.nan)
         each = (Samples(*(row[..., k : k + 1] for row in samples)) for k in range(samples.t.size))
-        return np.concatenate([_margins(check, sample) for sample in each])
+        return np.concatenate([_check_margins(check, sample) for sample in each])
 
 
-def _columns(rows: list[tuple[Label, Array]]) -> tuple[dict[str, Column], tuple[str, ...]]:
-    """Gather the rows that belong to wheels into one column a wheel."""
+def _group_by_quantity(
+    rows: list[tuple[Label, Array]],
+) -> tuple[dict[str, Column], tuple[str, ...]]:
+    """Gather the rows of one quantity of all wheels into one column."""
     groups: dict[str, list[tuple[Label, Array]]] = {}
     for label, values in rows:
         group = groups.setdefault(label.name, [])
-        if label.name in AXES or any(_same(label, each) for each, _ in group):
+        if label.name in AXIS_NAMES or any(_is_same_column(label, each) for each, _ in group):
             raise ModelError(
                 f"the name {label.name!r} stands for two things in a result: rename a coordinate"
             )
@@ -238,23 +244,23 @@ def _columns(rows: list[tuple[Label, Array]]) -> tuple[dict[str, Column], tuple[
             continue
         wheels = tuple(str(each.wheel) for each, _ in members)
         values = np.column_stack([values for _, values in members])
-        columns[name] = Column(Label(name, label.unit, _common(members)), values)
+        columns[name] = Column(Label(name, label.unit, _common_words(members)), values)
     return columns, wheels
 
 
-def _same(one: Label, other: Label) -> bool:
+def _is_same_column(one: Label, other: Label) -> bool:
     """Return whether two labels of one name stand for the same column."""
     return one.wheel is None or other.wheel is None or one.wheel == other.wheel
 
 
-def _common(members: list[tuple[Label, Array]]) -> str:
-    """Return the words of a quantity with every wheel's own name taken out."""
+def _common_words(members: list[tuple[Label, Array]]) -> str:
+    """Return the description of a quantity without the name of a wheel."""
     label = members[0][0]
     return label.words.replace(f"wheel {label.wheel}", "the wheel")
 
 
-def _report_label(loop: System, name: str) -> Label:
-    blocks = (*loop.blocks, *loop.after)
+def _report_label(system: System, name: str) -> Label:
+    blocks = (*system.blocks, *system.after)
     units = {f"{block.labels[0].name}_residual": block.labels[0].unit for block in blocks}
     words = {
         "newton_step": "largest change of a position by the Newton step on the sample",

@@ -12,7 +12,7 @@ from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.records import Array, Mask, leaves, unpack
 from slipfree.solve.initial_conditions import consistent, limit_words
-from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
+from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Stop, Trajectory
 
@@ -41,8 +41,8 @@ def settle(dae: Dae, *, guess: Mapping[str, float] | None = None, **start: float
     loop = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
     z = consistent(loop, 0.0, x, first_guess(dae, x, guess or {}), loop.u[:, 0])
     samples = Samples(np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), loop.u)
-    samples, report = corrected(loop, samples)
-    run = table(loop, samples, report)
+    samples, report = correct_samples(loop, samples)
+    run = to_trajectory(loop, samples, report)
     fault = first_violation(loop, run, samples)
     if fault is not None:
         raise ModelError(f"the start is not valid: {fault[1].words}")
@@ -69,7 +69,7 @@ def _said(limit: Limit, value: float, x: Array, z: Array) -> str:
 
 
 def first_violation(
-    loop: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED
+    loop: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED_RESIDUAL
 ) -> tuple[int, Stop] | None:
     """Return the first sample that breaks a limit or fails a check, and the stop it means.
 
@@ -95,7 +95,7 @@ def first_violation(
     for block in (*loop.blocks, *loop.after):
         if not block.linear or block in loop.after:
             label = run.columns[f"{block.labels[0].name}_residual"].label
-            most = UNSOLVED if block in loop.after else unsolved
+            most = UNSOLVED_RESIDUAL if block in loop.after else unsolved
             values, most = run.of(label), most * loop.dae.size_of(block.labels[0])
             consider(
                 ~(values <= most),

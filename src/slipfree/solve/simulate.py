@@ -21,7 +21,7 @@ from slipfree.records import Array
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.events import Event, WatchedEvent, crossings_of, values_of, watch_events
 from slipfree.solve.initial_conditions import consistent
-from slipfree.solve.sampling import UNSOLVED, Samples, corrected, table
+from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.settle import first_violation
 from slipfree.solve.stop_diagnosis import ending
 from slipfree.solve.system import System, with_inputs
@@ -375,12 +375,16 @@ def _looked_at(
     """
     system, runs, parts = solver.system, list[Trajectory](), list[Samples]()
     # Where all friction is used, states within the tolerance may have no exact equilibrium.
-    unsolved = max(UNSOLVED, LEEWAY * solver.tolerance) if system.dae.continuation else UNSOLVED
+    unsolved = (
+        max(UNSOLVED_RESIDUAL, LEEWAY * solver.tolerance)
+        if system.dae.continuation
+        else UNSOLVED_RESIDUAL
+    )
     found = list[_Found]()
     for left in range(0, samples.t.size, CHUNK):
         part = Samples(*(row[..., left : left + CHUNK] for row in samples))
-        part, report = corrected(system, part)
-        runs.append(table(system, part, report) if limited else Trajectory(part.t, {}))
+        part, report = correct_samples(system, part)
+        runs.append(to_trajectory(system, part, report) if limited else Trajectory(part.t, {}))
         parts.append(part)
         fault = first_violation(system, runs[-1], part, unsolved) if limited else None
         if fault is not None:

@@ -1,4 +1,4 @@
-"""Starts from other data than all states: some unknowns in their place, or a pose nearby."""
+"""Settle from unknowns of the pose in place of states, or near a given pose."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def settle_exchanged(dae: Dae, exchange: Mapping[str, str], **start: float) -> T
             f"{', '.join(exchange.values())}"
         )
     i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
-    model = _exchange(dae, i, j)
-    guess = _exchanged_guess(dae, i, j, model.start(**start))
+    model = _exchanged_model(dae, i, j)
+    guess = _guess_exchanged(dae, i, j, model.start(**start))
     return _settle_at(dae, settle(replace(model, guess=ca.SX(guess)), guess=None, **start))
 
 
-def _exchange(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
+def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
     """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
 
     For starts only: new states are at rest, and it has no checks.
@@ -79,7 +79,7 @@ def _exchange(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
     return rearrange(used_once, unpack(x, states), unpack(z, unknowns), u, blocks(dae))
 
 
-def _exchanged_guess(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
+def _guess_exchanged(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
     """Return an initial guess of ``z`` of the exchanged model from its states, by a Newton step.
 
     The step makes the model's own guess of the unknowns ``j`` equal to their given values; it is

@@ -1,4 +1,4 @@
-"""A DAE under given inputs, compiled once: what settling, integrating and sampling evaluate."""
+"""Evaluate a DAE under given inputs: residuals, Jacobians, outputs and limits as functions."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from slipfree.dae import Dae, PiecewiseLinear
 from slipfree.errors import ModelError
 from slipfree.lookups import found_column
 from slipfree.records import Array, Label, leaves, pack
-from slipfree.solve.equations import equations
+from slipfree.solve.equations import motion_equations
 
-FOLLOWING = 25  # Newton steps at most for what follows from a motion
+MAX_NEWTON_STEPS = 25  # for blocks that depend on the motion
 
 
 class Block(NamedTuple):
@@ -111,69 +111,71 @@ def with_inputs(dae: Dae, inputs: Any, intervals: int) -> System:
     slopes, slope = np.zeros_like(values), ca.SX.sym("slope", u.numel())
     for index, (label, value) in enumerate(zip(leaves(dae.labels.u), leaves(inputs), strict=True)):
         if isinstance(value, ca.SX):
-            law[index] = _checked(dae, label, value)
+            law[index] = _check_law(dae, label, value)
         elif isinstance(value, PiecewiseLinear):
             law[index] += slope[index] * dae.t
-            values[index] = _numbers(label, value.base, intervals)
-            slopes[index] = _numbers(label, value.slope, intervals)
+            values[index] = _check_numbers(label, value.base, intervals)
+            slopes[index] = _check_numbers(label, value.slope, intervals)
         else:
-            values[index] = _numbers(label, value, intervals)
+            values[index] = _check_numbers(label, value, intervals)
     linear = any(isinstance(value, PiecewiseLinear) for value in leaves(inputs))
     numbers = np.concatenate([values, slopes]) if linear else values
     if any(isinstance(value, ca.SX) for value in leaves(inputs)):
-        system = _compiled(dae, law, ca.vertcat(u, slope) if linear else u)
+        system = _compile(dae, law, ca.vertcat(u, slope) if linear else u)
     else:
-        system = _under_numbers(dae, linear=linear)
+        system = _with_numbers(dae, linear=linear)
     return system._replace(u=numbers)
 
 
 @lru_cache(maxsize=8)
-def _under_numbers(dae: Dae, *, linear: bool) -> System:
+def _with_numbers(dae: Dae, *, linear: bool) -> System:
     """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers.
 
     If they are linear in time, they are given by values at zero and slopes.
     """
     u = dae.columns()[2]
     if not linear:
-        return _compiled(dae, list(leaves(dae.u)), u)
+        return _compile(dae, list(leaves(dae.u)), u)
     slopes = ca.SX.sym("slope", u.numel())
-    return _compiled(dae, ca.vertsplit(u + slopes * dae.t), ca.vertcat(u, slopes))
+    return _compile(dae, ca.vertsplit(u + slopes * dae.t), ca.vertcat(u, slopes))
 
 
-def _compiled(dae: Dae, law: list[ca.SX], u: ca.SX) -> System:
+def _compile(dae: Dae, law: list[ca.SX], u: ca.SX) -> System:
     """Compile a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
     x, z, inputs = dae.columns()
     limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
     continuation = (
         ca.SX.sym("continuation") if dae.continuation is None else dae.continuation.symbol
     )
-    eased = [dae.ode, dae.quad, pack(dae.y), limits, inputs, *dae.residuals]
-    eased = ca.substitute(eased, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
-    meant = ca.SX(dae.continuation.values[-1] if dae.continuation else 0.0)
+    continued = [dae.ode, dae.quad, pack(dae.y), limits, inputs, *dae.residuals]
+    continued = ca.substitute(continued, [inputs], [ca.vertcat(ca.SX(0, 1), *law)])
+    end = ca.SX(dae.continuation.values[-1] if dae.continuation else 0.0)
     ode, quad, y, bounds, driven, *parts = (
-        ca.substitute(eased, [continuation], [meant]) if dae.continuation else eased
+        ca.substitute(continued, [continuation], [end]) if dae.continuation else continued
     )
-    blocks = _blocks(dae, [dae.t, x, z, u, continuation], eased[5:])
-    first = _following(ode, parts, z, blocks)
+    blocks = _equation_blocks(dae, [dae.t, x, z, u, continuation], continued[5:])
+    first = _first_dependent_block(ode, parts, z, blocks)
     motion, after = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
-    motion_equations = equations(dae, m.numel(), law, u)
+    equations = motion_equations(dae, m.numel(), law, u)
     return System(
         dae,
         np.zeros((u.numel(), 0)),
-        motion_equations.core,
-        _quadratures(dae, [dae.t, x, z, u], quad, after),
+        equations.core,
+        _quadrature_rates(dae, [dae.t, x, z, u], quad, after),
         motion,
         after,
-        motion_equations.newton,
-        motion_equations.jacobian,
+        equations.newton,
+        equations.jacobian,
         dae.function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
-        dae.function("margin", [dae.t, x, m, u], [_least(dae, bounds, z[m.numel() :])]),
+        dae.function("margin", [dae.t, x, m, u], [_limit_margin(dae, bounds, z[m.numel() :])]),
     )
 
 
-def _following(ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ...]) -> int:
-    """Return the first of the last blocks on which the motion does not depend."""
+def _first_dependent_block(
+    ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ...]
+) -> int:
+    """Return the index of the first trailing block on which the motion does not depend."""
     first = len(blocks)
     for index in reversed(range(len(blocks))):
         others = ca.vertcat(ode, *parts[:index])
@@ -184,13 +186,13 @@ def _following(ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ..
     return max(first, 1)
 
 
-def _quadratures(
+def _quadrature_rates(
     dae: Dae,
     symbols: list[ca.SX],
     quad: ca.SX,
     after: tuple[Block, ...],
 ) -> ca.Function:
-    """Return the rates of the quadratures from the motion, what follows from it solved for."""
+    """Return the rates of the quadratures from the motion, solving the dependent blocks."""
     t, x, z, u = symbols
     count = after[0].span.start if after else z.numel()
     if not after or not ca.depends_on(quad, z[count:]):
@@ -200,12 +202,12 @@ def _quadratures(
     guess = dae.function("guess", [x], [dae.guess[count:]])
     found = ca.vertcat(given[2], guess(given[1]))
     for block in after:
-        found = _followed(block, [given[0], given[1], found, given[3]])
+        found = _solve_symbolically(block, [given[0], given[1], found, given[3]])
     rates = dae.function("rates", symbols, [quad])
     return ca.Function("quad", given, [rates(given[0], given[1], found, given[3])])
 
 
-def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
+def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
     """Return ``z`` with the unknowns of a block in place of their guess."""
     t, x, z, u = point
     before, guess, rest = ca.vertsplit(z, [0, block.span.start, block.span.stop, z.numel()])
@@ -219,13 +221,13 @@ def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
     t_0, x_0, z_0, u_0 = ca.vertsplit(symbol, ends)
     other = ca.vertcat(z_0, unknown, ca.MX.zeros(rest.numel()))
     at = (t_0, x_0, other, u_0, block.stages[-1])
-    equations = block.residual(*at)
+    motion_equations = block.residual(*at)
     # Its own Jacobian would be that by everything that is given as well.
-    slopes = ca.Function("slopes", [unknown, symbol], [block.jacobian(*at), equations])
-    problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": equations}
+    slopes = ca.Function("slopes", [unknown, symbol], [block.jacobian(*at), motion_equations])
+    problem: dict[str, Any] = {"x": unknown, "p": symbol, "g": motion_equations}
     options: dict[str, Any] = {
         "error_on_fail": False,
-        "max_iter": FOLLOWING,
+        "max_iter": MAX_NEWTON_STEPS,
         "show_eval_warnings": False,
         "jacobian_function": slopes,
     }
@@ -233,7 +235,7 @@ def _followed(block: Block, point: list[ca.MX]) -> ca.MX:
     return ca.vertcat(before, solver(x0=guess, p=given)["x"], rest)
 
 
-def _least(dae: Dae, bounds: ca.SX, following: ca.SX) -> ca.SX:
+def _limit_margin(dae: Dae, bounds: ca.SX, following: ca.SX) -> ca.SX:
     least = ca.SX(np.inf)
     for limit, value in zip(dae.limits, ca.vertsplit(bounds) if dae.limits else [], strict=True):
         if ca.depends_on(value, following):
@@ -246,7 +248,7 @@ def _least(dae: Dae, bounds: ca.SX, following: ca.SX) -> ca.SX:
     return least
 
 
-def _checked(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
+def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
     x, z, u = dae.columns()
     if law.shape != (1, 1):
         raise ModelError(f"input {label.full}: expected a scalar expression, found {law.shape}")
@@ -260,7 +262,7 @@ def _checked(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
     return law
 
 
-def _numbers(label: Label, value: Any, intervals: int) -> Array:
+def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
     if isinstance(value, ca.MX | str) or np.iscomplexobj(value):
         raise ModelError(f"input {label.full}: expected real numbers or SX, found {value!r}")
     numbers = np.asarray(value, dtype=float)
@@ -274,7 +276,7 @@ def _numbers(label: Label, value: Any, intervals: int) -> Array:
     return numbers
 
 
-def _blocks(dae: Dae, symbols: list[ca.SX], parts: list[ca.SX]) -> tuple[Block, ...]:
+def _equation_blocks(dae: Dae, symbols: list[ca.SX], parts: list[ca.SX]) -> tuple[Block, ...]:
     z, continuation = symbols[2], symbols[4]
     ends = np.cumsum([0, *(len(labels) for labels in dae.labels.alg)]).tolist()
     spans = [slice(*ends[k : k + 2]) for k in range(len(parts))]
@@ -285,14 +287,14 @@ def _blocks(dae: Dae, symbols: list[ca.SX], parts: list[ca.SX]) -> tuple[Block, 
         slopes = ca.jacobian(rows, z[span])
         if ca.depends_on(rows, z[span.stop :]):
             raise ModelError("a block of equations depends on the unknowns of a later one")
-        eased = dae.continuation is not None and ca.depends_on(rows, continuation)
+        is_continued = dae.continuation is not None and ca.depends_on(rows, continuation)
         blocks.append(
             Block(
                 span,
                 dae.function("residual", symbols, [rows]),
                 dae.function("jacobian", symbols, [ca.densify(slopes)]),
                 not ca.depends_on(slopes, z[span]),
-                dae.continuation.values if dae.continuation and eased else (0.0,),
+                dae.continuation.values if dae.continuation and is_continued else (0.0,),
                 labels,
             )
         )

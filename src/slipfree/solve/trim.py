@@ -1,4 +1,4 @@
-"""A start under inputs, and states at which some outputs of a model are least."""
+"""Solve a start under inputs, and find states at which outputs of a model are least."""
 
 from __future__ import annotations
 
@@ -12,30 +12,32 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
 from slipfree.solve.initial_conditions import consistent
-from slipfree.solve.sampling import Samples, corrected, table
+from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.settle import first_violation
 from slipfree.solve.system import Block, System, with_inputs
 from slipfree.trajectory import Trajectory
 
-TRIALS = 50  # evaluations of all sought states' effects at most
-SETTLED = 1e-13  # relative change at which states count as found
+MAX_EVALUATIONS = 50  # per sought state
+TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
 
 
-def moving(dae: Dae, start: Trajectory, inputs: Any) -> Trajectory:
-    """Return a start with the unknowns that its inputs lead to.
+def apply_inputs(dae: Dae, start: Trajectory, inputs: Any) -> Trajectory:
+    """Return a start whose unknowns satisfy the equations under given inputs.
 
     Raises
     ------
     ModelError
         If they do not determine them, or a limit is violated.
     """
-    return _under(with_inputs(dae, inputs, 0), dae.rows("x", start, -1), _known(dae, start))
+    return _consistent_start(
+        with_inputs(dae, inputs, 0), dae.rows("x", start, -1), _known_unknowns(dae, start)
+    )
 
 
-def seek(
+def trim_states(
     dae: Dae, start: Trajectory, inputs: Any, *, states: Sequence[str], least: Sequence[str]
 ) -> Trajectory:
-    """Return a start at the states at which some outputs are least in the mean square.
+    """Return a start at the states that minimize the mean square of outputs.
 
     Parameters
     ----------
@@ -69,30 +71,30 @@ def seek(
     for name in (*(each for each in states if each not in x_names), *(set(least) - found)):
         raise ModelError(f"seek: the model has no {name!r}; states are {', '.join(x_names)}")
     where = [x_names.index(name) for name in states]
-    loop = with_inputs(dae, inputs, 0)
-    part = loop._replace(blocks=_needed(loop, [list(leaves(dae.y))[k] for k in rows]))
-    x, first = dae.rows("x", start, -1), _known(dae, start)
+    system = with_inputs(dae, inputs, 0)
+    part = system._replace(blocks=_needed_blocks(system, [list(leaves(dae.y))[k] for k in rows]))
+    x, first = dae.rows("x", start, -1), _known_unknowns(dae, start)
 
     def outputs(values: Array) -> Array:
         x[where] = values
-        z = consistent(part, 0.0, x, first, loop.u[:, 0])
-        return np.array(loop.outputs(0.0, x, z, loop.u[:, 0])[0]).ravel()[rows]
+        z = consistent(part, 0.0, x, first, system.u[:, 0])
+        return np.array(system.outputs(0.0, x, z, system.u[:, 0])[0]).ravel()[rows]
 
     if where:
         result = least_squares(
             outputs,
             x[where],
             method="lm",
-            max_nfev=TRIALS * len(where),
-            xtol=SETTLED,
-            ftol=SETTLED,
-            gtol=SETTLED,
+            max_nfev=MAX_EVALUATIONS * len(where),
+            xtol=TRIM_TOLERANCE,
+            ftol=TRIM_TOLERANCE,
+            gtol=TRIM_TOLERANCE,
         )
         x[where] = result.x
-    return _under(loop, x, first)
+    return _consistent_start(system, x, first)
 
 
-def _known(dae: Dae, start: Trajectory) -> Array:
+def _known_unknowns(dae: Dae, start: Trajectory) -> Array:
     """Return the unknowns of a start, local; zero where it has none of that name."""
     pairs = zip(leaves(dae.labels.z), dae.shift[1], strict=True)
     return np.array(
@@ -103,20 +105,20 @@ def _known(dae: Dae, start: Trajectory) -> Array:
     )
 
 
-def _needed(loop: System, outputs: Sequence[ca.SX]) -> tuple[Block, ...]:
+def _needed_blocks(system: System, outputs: Sequence[ca.SX]) -> tuple[Block, ...]:
     """Return the first blocks of equations, up to the last on which outputs depend."""
-    z, together = loop.dae.columns()[1], ca.vertcat(*outputs)
-    last = [k for k, block in enumerate(loop.blocks) if ca.depends_on(together, z[block.span])]
-    return loop.blocks[: max(last, default=0) + 1]
+    z, together = system.dae.columns()[1], ca.vertcat(*outputs)
+    last = [k for k, block in enumerate(system.blocks) if ca.depends_on(together, z[block.span])]
+    return system.blocks[: max(last, default=0) + 1]
 
 
-def _under(loop: System, x: Array, z: Array) -> Trajectory:
-    u = loop.u[:, :1]
-    z = consistent(loop, 0.0, x, z, u[:, 0])
-    still = np.zeros((loop.dae.quad.numel(), 1))
-    found, report = corrected(loop, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
-    run = table(loop, found, report)
-    fault = first_violation(loop, run, found)
+def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
+    u = system.u[:, :1]
+    z = consistent(system, 0.0, x, z, u[:, 0])
+    still = np.zeros((system.dae.quad.numel(), 1))
+    found, report = correct_samples(system, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
+    run = to_trajectory(system, found, report)
+    fault = first_violation(system, run, found)
     if fault is not None:
         raise ModelError(f"the start is not valid: {fault[1].words}")
     return run

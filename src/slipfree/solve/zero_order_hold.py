@@ -1,4 +1,4 @@
-"""Motion under a sampled controller, whose outputs are held from sample to sample."""
+"""Simulate a sampled controller whose outputs are held from sample to sample."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from slipfree.errors import ModelError
 from slipfree.interrupt import InterruptGuard
 from slipfree.lookups import found_column
 from slipfree.records import Array, leaves, unpack
-from slipfree.solve.sampling import Samples, table
+from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.settle import first_violation
 from slipfree.solve.simulate import COUNTS, STEPS, hushed, reason, usable_times
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
-EVEN = 1e-6  # relative difference between sample times that counts as none
+PERIOD_TOLERANCE = 1e-6  # relative difference between sample times that counts as none
 
 
 def simulate_sampled(
@@ -59,19 +59,19 @@ def simulate_sampled(
     """
     t = usable_times(t)
     period = float(t[1] - t[0])
-    if np.abs(np.diff(t) - period).max() > EVEN * period:
+    if np.abs(np.diff(t) - period).max() > PERIOD_TOLERANCE * period:
         raise ModelError("t: a sampled controller takes evenly spaced times in seconds")
     if dae.guess.numel():
         raise ModelError(
             f"a sampled controller takes a model without algebraic unknowns, found "
             f"{dae.guess.numel()}; use simulate with one value of the inputs for each interval"
         )
-    loop, law = _opened(dae, inputs, t.size - 1)
+    system, law = _split_inputs(dae, inputs, t.size - 1)
     clock = time.process_time()
     with InterruptGuard() as heed:
-        samples, cost, failure = _marched(loop, law, start, t, tolerance, heed)
-    run = table(loop, samples, {})
-    fault = first_violation(loop, run, samples)
+        samples, cost, failure = _integrate_periods(system, law, start, t, tolerance, heed)
+    run = to_trajectory(system, samples, {})
+    fault = first_violation(system, run, samples)
     if fault is not None:
         run = run.part(slice(fault[0] + 1), fault[1])
     elif failure:
@@ -82,17 +82,17 @@ def simulate_sampled(
     return replace(run, statistics=cost)
 
 
-def _opened(dae: Dae, inputs: Any, intervals: int) -> tuple[System, ca.Function]:
-    """Return the model under the inputs that are numbers, and all inputs at a sample.
+def _split_inputs(dae: Dae, inputs: Any, intervals: int) -> tuple[System, ca.Function]:
+    """Return the model under its numeric inputs, and a function of all inputs at a sample.
 
     The latter is a function of ``t, x`` and the former.
     """
     given = list(leaves(inputs))
     laws = [isinstance(value, ca.SX) for value in given]
     numbers = [0.0 if is_law else value for value, is_law in zip(given, laws, strict=True)]
-    loop = with_inputs(dae, unpack(dae.u, numbers), intervals)
+    system = with_inputs(dae, unpack(dae.u, numbers), intervals)
     x, _, u = dae.columns()
-    if loop.u.shape[0] != u.numel():
+    if system.u.shape[0] != u.numel():
         raise ModelError("a sampled controller holds its inputs: linear ones are not possible")
     symbols = ca.vertsplit(u)
     held = ca.vertcat(*(symbols[k] for k, is_law in enumerate(laws) if is_law))
@@ -103,27 +103,27 @@ def _opened(dae: Dae, inputs: Any, intervals: int) -> tuple[System, ca.Function]
     known = [dae.t, x, u, found_column(dae.lookups)]
     if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
         raise ModelError(f"inputs: {free[0]} is not a symbol of the model")
-    return loop, dae.function("law", known[:3], [column])
+    return system, dae.function("law", known[:3], [column])
 
 
-def _marched(
-    loop: System,
+def _integrate_periods(
+    system: System,
     law: ca.Function,
     start: Trajectory,
     t: Array,
     tolerance: float,
     heed: InterruptGuard,
 ) -> tuple[Samples, dict[str, float], str]:
-    """Return the samples up to the first beyond a limit, what they cost, and why they end."""
-    dae, n = loop.dae, t.size
-    integrator = _integrator(loop, float(t[1] - t[0]), tolerance)
+    """Return the samples up to the first beyond a limit, statistics, and the failure if any."""
+    dae, n = system.dae, t.size
+    integrator = _period_integrator(system, float(t[1] - t[0]), tolerance)
     x, q = np.zeros((dae.ode.numel(), n)), np.zeros((dae.quad.numel(), n))
     x[:, 0], q[:, 0] = dae.rows("x", start, -1), dae.rows("q", start, -1)
-    u, cost, failure, last = np.zeros((loop.u.shape[0], n)), dict.fromkeys(COUNTS, 0.0), "", 0
+    u, cost, failure, last = np.zeros((system.u.shape[0], n)), dict.fromkeys(COUNTS, 0.0), "", 0
     for k in range(n):
-        u[:, k] = np.array(law(t[k], x[:, k], loop.u[:, min(k, n - 2)])).ravel()
+        u[:, k] = np.array(law(t[k], x[:, k], system.u[:, min(k, n - 2)])).ravel()
         last = k
-        if k == n - 1 or float(loop.margin(t[k], x[:, k], [], u[:, k])) < 0:
+        if k == n - 1 or float(system.margin(t[k], x[:, k], [], u[:, k])) < 0:
             break
         try:
             with hushed():
@@ -139,12 +139,12 @@ def _marched(
     return Samples(t, x, np.zeros((0, n)), q, u).head(last + 1), cost, failure
 
 
-def _integrator(loop: System, period: float, tolerance: float) -> ca.Function:
+def _period_integrator(system: System, period: float, tolerance: float) -> ca.Function:
     """Return the integrator over one period, of the state and of the inputs with their time."""
-    t, x = ca.MX.sym("t"), ca.MX.sym("x", loop.dae.ode.numel())
-    p = ca.MX.sym("p", loop.u.shape[0] + 1)
+    t, x = ca.MX.sym("t"), ca.MX.sym("x", system.dae.ode.numel())
+    p = ca.MX.sym("p", system.u.shape[0] + 1)
     point = (p[-1] + t, x, ca.MX(0, 1), p[:-1])
-    system = {"t": t, "x": x, "p": p, "ode": loop.core(*point)[0], "quad": loop.quad(*point)}
+    equations = {"t": t, "x": x, "p": p, "ode": system.core(*point)[0], "quad": system.quad(*point)}
     options = {
         "reltol": tolerance,
         "abstol": tolerance,
@@ -153,4 +153,4 @@ def _integrator(loop: System, period: float, tolerance: float) -> ca.Function:
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
-    return ca.integrator("period", "cvodes", system, 0.0, period, options)
+    return ca.integrator("period", "cvodes", equations, 0.0, period, options)

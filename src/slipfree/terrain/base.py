@@ -1,4 +1,4 @@
-"""What every ground offers to the models, and the checked grid of heights behind a height map."""
+"""The interface between grounds and models, and the checked grid of heights of a height map."""
 
 from __future__ import annotations
 
@@ -238,19 +238,19 @@ class Grid:
 
 
 def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -> None:
-    """Refuse a function of two SX scalars that is no expression of them, and of them alone.
+    """Check that a function of two SX scalars returns one expression of them alone.
 
     Parameters
     ----------
     function : callable
         ``function(x, y)`` must return one scalar.
     owner, value : str
-        What the function belongs to and what it returns, for the message.
+        Names of its owner and of its result, for the message.
 
     Raises
     ------
     ModelError
-        If it returns another shape, or what it returns holds other symbols.
+        If it returns another shape, or an expression of other symbols.
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     found = ca.SX(function(x, y))
@@ -267,7 +267,7 @@ def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -
 
 
 def _check_type(name: str, array: Array) -> None:
-    """Refuse what is not a plain array of doubles: nothing is converted behind the user's back."""
+    """Check that an array is a plain array of doubles; nothing is converted silently."""
     if not isinstance(array, np.ndarray):
         found, remedy = type(array).__name__, f"np.asarray({name}, dtype=float)"
     elif np.ma.isMaskedArray(array):

@@ -35,7 +35,7 @@ BORDER = 2  # rows of nodes which, repeated around a map, make it constant away 
 
 
 def check_friction(mu: Friction) -> None:
-    """Refuse what is no coefficient of friction.
+    """Check a coefficient of friction.
 
     Raises
     ------

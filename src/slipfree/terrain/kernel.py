@@ -43,14 +43,14 @@ class Layout(NamedTuple):
 
 
 class Opened(NamedTuple):
-    """A ground that the compiled evaluator knows.
+    """A ground registered with the compiled evaluator.
 
     Attributes
     ----------
     slot : int
         Its number there.
     key : float
-        What tells it from others of that number.
+        Identifies it among grounds that had the same number.
     function : casadi Function
         ``[x, y, key] -> [x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the middle of the cell
         and the 16 derivatives there, local. While it or anything made of it lives, the number is
@@ -74,7 +74,7 @@ class Opened(NamedTuple):
 
 
 def opened(table: Array, layout: Layout) -> Opened | None:
-    """Return a ground as the compiled evaluator knows it; None without one, or if it is full.
+    """Register a ground with the compiled evaluator; return None without one, or if it is full.
 
     Parameters
     ----------
