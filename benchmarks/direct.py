@@ -24,7 +24,7 @@ from reference import heading
 from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
 from slipfree.lookups import LookupTable
 from slipfree.records import leaves
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import System, with_inputs
 from slipfree.terrain.base import Jet, jet_of
 
@@ -100,7 +100,7 @@ def row(kind: str, nodes: int) -> dict[str, Any]:
     law = straight(dae, vehicle, start, speed=SPEED)
     system = with_inputs(dae, law, 100)
     x = dae.rows("x", start, -1)
-    z = consistent(system, 0.0, x, dae.rows("z", start, -1), system.u[:, 0])
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), system.u[:, 0])
     equations, own = wrapped(system) if kind == "ours" else (written_out(system, law), {})
     t = np.linspace(0, DISTANCE / SPEED, 101)
     runs = {}

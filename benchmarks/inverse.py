@@ -32,7 +32,7 @@ from slipfree.models.determinacy import conditions
 from slipfree.models.given_rates import EULER, VELOCITY
 from slipfree.models.inverse import PLANAR, along, inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.system import with_inputs
 
@@ -76,7 +76,9 @@ def moving(dae: Any, poses: list[dict[str, float]]) -> Trajectory:
         except ModelError:
             continue  # a second touch
         x.append(dae.rows("x", begin, 0))
-        z.append(consistent(system, 0.0, x[-1], dae.rows("z", begin, 0), system.u[:, 0]))
+        z.append(
+            solve_initial_conditions(system, 0.0, x[-1], dae.rows("z", begin, 0), system.u[:, 0])
+        )
     n = len(x)
     u = np.repeat(system.u[:, :1], n, axis=1)
     samples = Samples(
@@ -182,7 +184,7 @@ def pointwise() -> None:
             if dae.checks[-1].margin(x[:, None], z[:, None])[0] < DETERMINED:
                 left_out += 1
                 continue
-            back = consistent(
+            back = solve_initial_conditions(
                 system, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), system.u[:, 0]
             )
             worst, returned = max(worst, float(np.abs(back - z).max())), returned + 1

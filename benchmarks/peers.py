@@ -47,7 +47,7 @@ from work_precision import cvodes
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
 from slipfree.codegen_cache import FOLDER
 from slipfree.models.montana import montana_kinematics
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Trajectory, path_length
 
@@ -235,7 +235,7 @@ def ours(rough: float) -> dict[str, Line]:
     dae, start, system, _ = prepared(rough)
     x = dae.rows("x", start, -1)
     u = system.u[:, 0]
-    z = consistent(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
     at = {"x0": x, "z0": z, "u": u}
     metres = SPEED * DURATION
     rates = explicit(system, at)
@@ -261,7 +261,7 @@ def naive(rough: float) -> dict[str, Line]:
     dae, start, system, law = prepared(rough, naive=True)
     x = dae.rows("x", start, -1)
     u = system.u[:, 0]
-    z = consistent(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
     at = {"x0": x, "z0": z, "u": u}
     return {"naive": points(by_idas(written_out(system, law), {}, at), SPEED * DURATION)}
 

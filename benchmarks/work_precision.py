@@ -30,7 +30,7 @@ from reference import heading
 from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
 from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import Block, System, with_inputs
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.trajectory import Trajectory, path_length
@@ -136,7 +136,7 @@ def line(kind: str, dae: Any, drive: Drive, stand: Trajectory, exact: Trajectory
     begin = {"x0": x, "u": u}
     if kind != "cvodes":
         rest = dae.rows("z", stand, -1)
-        begin["z0"] = consistent(system, 0.0, x, rest, u)
+        begin["z0"] = solve_initial_conditions(system, 0.0, x, rest, u)
     equations, own = (cvodes(system), {}) if kind == "cvodes" else wrapped(system)
     points = []
     for tolerance in TOLERANCES:

@@ -19,7 +19,7 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.records import leaves
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import with_inputs
 
 RATES = {"right_rate": 0.45, "left_rate": 0.44, "steer_rate": 0.0}
@@ -86,7 +86,7 @@ def parts(ground, law) -> Parts:
     begin = settle(dae, **TURNED)
     system = with_inputs(dae, dae.inputs(**UNEQUAL), 0)
     x = dae.rows("x", begin, 0)
-    z = consistent(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
     w = ca.vertcat(*leaves(dae.z.rates.motion))
     slip = ca.vertcat(
         *(v for pair in zip(dae.y.slip_along, dae.y.slip_across, strict=True) for v in pair)
@@ -160,7 +160,7 @@ def random_starts(axle, mu, eps, count, rng) -> tuple[int, float]:
     begin = settle(dae, heading=0.7, steer=0.2, **tilts)
     system = with_inputs(dae, dae.inputs(right_rate=0.5, left_rate=0.35, steer_rate=0.1), 0)
     x = dae.rows("x", begin, 0)
-    z = consistent(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", begin, 0), system.u[:, 0])
     block = system.blocks[1]
     meant = system._replace(blocks=(system.blocks[0], block._replace(stages=block.stages[-1:])))
     converged, apart = 0, 0.0
@@ -168,7 +168,7 @@ def random_starts(axle, mu, eps, count, rng) -> tuple[int, float]:
         first = z.copy()
         first[block.span] += rng.normal(size=len(block.labels)) * 0.3 * dae.scale[block.span]
         try:
-            again = consistent(meant, 0.0, x, first, system.u[:, 0])
+            again = solve_initial_conditions(meant, 0.0, x, first, system.u[:, 0])
         except ModelError:
             continue
         converged += 1

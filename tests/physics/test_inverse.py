@@ -31,7 +31,7 @@ from slipfree.models.inverse import (
     steering_slip,
 )
 from slipfree.solve.collocation import drive
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
 from slipfree.vehicle.wheel import Wheel
@@ -90,7 +90,9 @@ def test_rates_come_back_at_recorded_states(family):
             x, z = dae.rows("x", run, k), dae.rows("z", run, k)
             if dae.checks[-1].margin(x[:, None], z[:, None])[0] < 1e-3:
                 continue
-            z = consistent(system, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), system.u[:, 0])
+            z = solve_initial_conditions(
+                system, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), system.u[:, 0]
+            )
             expected, n = dae.rows("z", run, k), system.moving
             assert_allclose(z[:n], expected[:n], rtol=0, atol=1e-10, err_msg=str(given))
             returned += 1
@@ -132,7 +134,9 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
         moved = x + step * np.array(
             [label.name == "steer" for label in (*dae.labels.x[:3], *dae.labels.x.joints)]
         )
-        rates.append(consistent(system, 0.0, moved, z, system.u[:, 0])[system.moving - 1])
+        rates.append(
+            solve_initial_conditions(system, 0.0, moved, z, system.u[:, 0])[system.moving - 1]
+        )
     growth = ca.Function("growth", list(dae.columns()), dae.named("steering_growth"))
     assert_allclose(float(growth(x, z, system.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)
 
@@ -278,7 +282,9 @@ def moving(dae, stands):
     )
     for begin in stands:
         x.append(dae.rows("x", begin, 0))
-        z.append(consistent(system, 0.0, x[-1], dae.rows("z", begin, 0), system.u[:, 0]))
+        z.append(
+            solve_initial_conditions(system, 0.0, x[-1], dae.rows("z", begin, 0), system.u[:, 0])
+        )
     n = len(stands)
     u = np.repeat(system.u[:, :1], n, axis=1)
     samples = Samples(

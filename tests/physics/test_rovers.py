@@ -225,13 +225,13 @@ def test_rocky_7_settles_from_poor_guesses(monkeypatch):
     place = {"x": 2.0, "y": 0.2, "heading": -np.pi / 2}
     right = settle(dae, **place)
     names = ("z", "roll", "pitch", *(c.name for c in vehicle.of("suspension")))
-    solved, steps = initial_conditions._solve, []
+    solved, steps = initial_conditions._newton_step, []
 
     def counted(*args, check):
         steps[-1] += not check
         return solved(*args, check=check)
 
-    monkeypatch.setattr(initial_conditions, "_solve", counted)
+    monkeypatch.setattr(initial_conditions, "_newton_step", counted)
     for _ in range(60):
         sizes = np.array([0.2] + [0.4] * 5)
         off = rng.uniform(-sizes, sizes)

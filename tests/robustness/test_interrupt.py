@@ -221,8 +221,8 @@ def test_at_the_entry_of_a_step(method, monkeypatch):
 @pytest.mark.parametrize(
     ("where", "name"),
     [
-        (simulate._Spy, "has_eval_buffer"),
-        (simulate._Spy, "get_sparsity_in"),
+        (simulate._StepObserver, "has_eval_buffer"),
+        (simulate._StepObserver, "get_sparsity_in"),
         (simulate, "with_inputs"),
         (simulate, "to_trajectory"),
     ],
@@ -234,7 +234,7 @@ def test_while_it_is_made_and_looked_at(where, name, monkeypatch):
         moved()
 
 
-@pytest.mark.parametrize("name", ["hushed", "correct_samples"])
+@pytest.mark.parametrize("name", ["suppress_messages", "correct_samples"])
 def test_swallowed_around_a_call(name, monkeypatch):
     """As in CasADi's own code: the call goes on, or fails with words of its own."""
     function = getattr(simulate, name)
@@ -293,7 +293,7 @@ def test_between_the_samples_of_a_controller(fails, monkeypatch):
         if fails:
             raise RuntimeError("CV_RHSFUNC_FAIL")
 
-    monkeypatch.setattr(zero_order_hold, "hushed", swallowing)
+    monkeypatch.setattr(zero_order_hold, "suppress_messages", swallowing)
     dae = model(lambda _t, _x, u: u)
     with pytest.raises(KeyboardInterrupt):
         zero_order_hold.simulate_sampled(dae, settle(dae, x=1.0), dae.inputs(push=1.0), T)

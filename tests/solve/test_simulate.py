@@ -420,17 +420,17 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     plain = simulate(dae, start, inputs, t, tolerance=1e-6)
     integrator, first = module._integrator, []
 
-    def rejecting(solver, spy, t, given):
+    def rejecting(solver, observer, t, given):
         def fail(**start):
             first.append(start)
             raise RuntimeError("IDA_LINESEARCH_FAIL")
 
-        return integrator(solver, spy, t, given) if given else fail
+        return integrator(solver, observer, t, given) if given else fail
 
     monkeypatch.setattr(module, "_integrator", rejecting)
-    shifted = module._state(module.with_inputs(dae, inputs, 5), start, 0.0)
+    shifted = module._initial_sample(module.with_inputs(dae, inputs, 5), start, 0.0)
     shifted = shifted._replace(z=shifted.z + 1e-3)
-    monkeypatch.setattr(module, "_state", lambda *_: shifted)
+    monkeypatch.setattr(module, "_initial_sample", lambda *_: shifted)
     run = simulate(dae, start, inputs, t, tolerance=1e-6)
     assert first
     for name in ("x", "y", "heading"):
@@ -497,20 +497,25 @@ def test_kinks_of_inputs_take_no_new_start_and_jumps_do(monkeypatch):
 
 def test_new_starts_after_failures_pass_kinks(monkeypatch):
     """The integrator fails at every second sample: more often than one interval allows."""
-    dae, solve = follows_input(), module._solved
+    dae, solve = follows_input(), module._call_integrator
 
-    def failing(solver, spy, at, t, u):
-        found = solve(solver, spy, at, t[:3], u[:, :2])
-        if t.size > 3:
+    def failing(solver, observer, at, t, u):
+        if t.size > 3 and t[-1] == 3.0:
+            solve(solver, observer, at, t[:3], u[:, :2])
             raise SolverError("none of those")
-        return found
+        return solve(solver, observer, at, t, u)
 
-    monkeypatch.setattr(module, "_solved", failing)
-    t = np.linspace(0, 3, 2 * module.STARTS + 21)
+    t = np.linspace(0, 3, 2 * module.MAX_RESTARTS + 21)
     rate, way = zigzag(t, np.random.default_rng(2).uniform(-1, 1, t.size))
-    run = simulate(dae, settle(dae), dae.inputs(speed=rate), t, tolerance=1e-10)
+    given = dae, settle(dae), dae.inputs(speed=rate), t
+    levels = [Event(dae.x.value - at, name=f"way {at}") for at in (way[1:8] + way[:7]) / 2]
+    expected = simulate(*given, tolerance=1e-10, events=levels).events
+    monkeypatch.setattr(module, "_call_integrator", failing)
+    run = simulate(*given, tolerance=1e-10, events=levels)
     assert_array_equal(run.t, t)
     assert_allclose(run["value"], way, rtol=0, atol=1e-7)
+    for name, times in expected.items():
+        assert_allclose(run.events[name], times, rtol=0, atol=1e-6)
     with pytest.raises(SolverError, match="none of those") as caught:
         simulate(dae, settle(dae), dae.inputs(speed=1.0), t)
     assert 1.5 < caught.value.trajectory.t[-1] < 2.5

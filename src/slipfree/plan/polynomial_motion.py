@@ -10,7 +10,7 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.plan.transcription import CollocationMesh, Index, Program, VariableLayout, completed
 from slipfree.records import Array, leaves
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.radau import radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
@@ -187,7 +187,7 @@ def sample_plan(program: Program, unknowns: Array) -> Trajectory:
     t = nodes * found.duration
     # The program has no unknowns at the beginning; a failed one may be no guess for them either.
     with suppress(ModelError):
-        z[:, 0] = consistent(system, 0.0, x[:, 0], z[:, 1], u[:, 0])
+        z[:, 0] = solve_initial_conditions(system, 0.0, x[:, 0], z[:, 1], u[:, 0])
     try:
         rates = np.array(system.quad.map(t.size)(t[None], x, z[: system.moving], u))[:, 1:]
     except RuntimeError:  # the forces of a failed iterate may not be found

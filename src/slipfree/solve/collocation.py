@@ -25,7 +25,7 @@ from slipfree.records import Array, Mask, leaves, unpack
 from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.settle import first_violation, settle
-from slipfree.solve.simulate import simulate, usable_times
+from slipfree.solve.simulate import check_times, simulate
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
@@ -243,7 +243,7 @@ def drive(
     SolverError
         If there is no such motion, or the replay fails; then ``trajectory`` is the motion.
     """
-    t, names = usable_times(t), [label.full for label in leaves(inverse.labels.x)]
+    t, names = check_times(t), [label.full for label in leaves(inverse.labels.x)]
     if not set(sought) <= set(names):
         raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
     clock, system = time.process_time(), with_inputs(inverse, inputs, 0)

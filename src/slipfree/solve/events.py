@@ -1,4 +1,4 @@
-"""Events: zero crossings of expressions along a motion, found by changes of sign at samples."""
+"""Find zero crossings of expressions along a motion by sign changes between samples."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class WatchedEvent(NamedTuple):
 
 
 def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
-    """Return events with their functions.
+    """Return the events with their expressions as functions.
 
     Raises
     ------
@@ -71,21 +71,21 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
     return tuple(watched)
 
 
-def values_of(watched: WatchedEvent, system: System, samples: Samples) -> Array:
+def event_values(watched: WatchedEvent, system: System, samples: Samples) -> Array:
     """Return the values of an event's expression, shape (n,), at samples."""
     count, at = samples.t.size, (samples.t[None], samples.x, samples.z)
     inputs = system.outputs.map(count)(*at, samples.u)[2]
     return np.array(watched.function.map(count)(*at, inputs)).ravel()
 
 
-def crossings_of(
+def crossing_indices(
     watched: WatchedEvent, system: System, samples: Samples, tolerance: float
 ) -> list[int]:
-    """Return the indices of samples between which and the one before an event occurs.
+    """Return the indices of the samples right after the occurrences of an event.
 
     A first value within the tolerance of zero has no sign.
     """
-    values = values_of(watched, system, samples)
+    values = event_values(watched, system, samples)
     if abs(values[0]) <= tolerance:
         values[0] = 0.0
     before, after = values[:-1], values[1:]

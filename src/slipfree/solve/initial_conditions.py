@@ -1,4 +1,4 @@
-"""Unknowns that satisfy a model's equations at one instant, found by Newton's method."""
+"""Solve a model's algebraic equations at one instant by Newton's method."""
 
 from __future__ import annotations
 
@@ -11,96 +11,95 @@ from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
 from slipfree.solve.system import Block, System
 
-LARGEST_STEP = 0.25  # of an unknown's typical size, in one Newton step
-STEPS = 100
-BETWEEN = (
-    3  # times that a stage of the continuation is divided where Newton's method does not take it
-)
-CONVERGED = 1e-13  # residual without unit
-SINGULAR = 1e-10  # smallest singular value of a block, relative to the largest
+MAX_STEP = 0.25  # of an unknown's typical size, in one Newton step
+MAX_STEPS = 100
+MAX_DIVISIONS = 3  # how often a stage of the continuation may be halved
+CONVERGED_RESIDUAL = 1e-13  # residual without unit
+MIN_SINGULAR_VALUE = 1e-10  # smallest singular value of a block, relative to the largest
 
 
 class UnsolvedError(ModelError):
-    """Equations were not solved; ``z`` is where Newton's method ended."""
+    """The equations were not solved; ``z`` is the last iterate of Newton's method."""
 
     def __init__(self, message: str, z: Array) -> None:
         super().__init__(message)
         self.z = z
 
 
-def consistent(
-    loop: System, t: float, x: Array, z: Array, u: Array, *, eased: bool = True
+def solve_initial_conditions(
+    system: System, t: float, x: Array, z: Array, u: Array, *, continuation: bool = True
 ) -> Array:
     """Return ``z`` that satisfies all algebraic equations at ``t``, ``x`` and ``u``.
 
-    Block by block: a block that is linear in its unknowns is solved at once, another by damped
-    Newton steps of limited size, since far from the ground the closure is strongly curved.
+    A block that is linear in its unknowns is solved by one step, another by damped Newton steps of
+    limited size, since far from the ground the closure is strongly curved.
 
     Parameters
     ----------
-    loop : System
+    system : System
         The model under inputs.
     t : float
         Time. [s]
     x, z, u : ndarray, shape (n_x,), (n_z,) and (n_u,)
-        States, first guess of the unknowns, and inputs.
-    eased : bool
-        Whether to go through all stages of the continuation, or to begin at the last, near a
-        solution.
+        States, initial guess of the unknowns, and inputs.
+    continuation : bool
+        Whether to go through all stages of the continuation; False near a solution.
 
     Raises
     ------
     ModelError
         If Newton's method does not converge or a Jacobian is singular; it names the equation that
-        misses most, or the motion that no contact determines.
+        has the largest residual, or the unknown that no equation determines.
     """
     z = z.copy()
-    for block in loop.blocks:
+    for block in system.blocks:
         if block.linear:
             z[block.span] = 0.0
-            z[block.span] -= _solve(loop, block, (t, x, z, u, block.stages[-1]), check=True)
+            z[block.span] -= _newton_step(system, block, (t, x, z, u, block.stages[-1]), check=True)
             continue
-        z = _newton(loop, block, (t, x, z, u, block.stages[0 if eased else -1]))
-        for stage in pairwise(block.stages) if eased else ():
-            z = _eased(loop, block, (t, x, z, u), stage, BETWEEN)
+        z = _solve_block(system, block, (t, x, z, u, block.stages[0 if continuation else -1]))
+        for stage in pairwise(block.stages) if continuation else ():
+            z = _solve_stage(system, block, (t, x, z, u), stage, MAX_DIVISIONS)
     return z
 
 
-def _eased(
-    loop: System,
+def _solve_stage(
+    system: System,
     block: Block,
     point: tuple[float, Array, Array, Array],
     stage: tuple[float, float],
     depth: int,
 ) -> Array:
-    """Return the unknowns at the second value of the continuation from those at the first.
+    """Return the unknowns at the second value of the continuation, given those at the first.
 
-    If needed, it goes by way of others at the geometric mean, at most ``depth`` times.
+    Where Newton's method fails, the stage is halved at the geometric mean, at most ``depth`` times.
     """
     t, x, z, u = point
     try:
-        return _newton(loop, block, (*point, stage[1]))
+        return _solve_block(system, block, (*point, stage[1]))
     except UnsolvedError:
         if not depth:
             raise
     between = float(np.sqrt(stage[0] * stage[1]))
-    z = _eased(loop, block, (t, x, z, u), (stage[0], between), depth - 1)
-    return _eased(loop, block, (t, x, z, u), (between, stage[1]), depth - 1)
+    z = _solve_stage(system, block, (t, x, z, u), (stage[0], between), depth - 1)
+    return _solve_stage(system, block, (t, x, z, u), (between, stage[1]), depth - 1)
 
 
-def _newton(loop: System, block: Block, point: tuple[float, Array, Array, Array, float]) -> Array:
+def _solve_block(
+    system: System, block: Block, point: tuple[float, Array, Array, Array, float]
+) -> Array:
     t, x, z, u, continuation = point
-    scale = loop.dae.scale[block.span]
+    scale = system.dae.scale[block.span]
 
     def size(z: Array) -> float:
         return float(np.linalg.norm(np.array(block.residual(t, x, z, u, continuation))))
 
     first, now = z, size(z)
-    for _ in range(STEPS):
-        if now < CONVERGED:
+    for _ in range(MAX_STEPS):
+        if now < CONVERGED_RESIDUAL:
             break
-        step = _solve(loop, block, (t, x, z, u, continuation), check=False)
-        damping = min(1.0, LARGEST_STEP / max(float(np.abs(step / scale).max()), 1e-300))
+        step = _newton_step(system, block, (t, x, z, u, continuation), check=False)
+        damping = min(1.0, MAX_STEP / max(float(np.abs(step / scale).max()), 1e-300))
         for _ in range(12):
             trial = z.copy()
             trial[block.span] -= damping * step
@@ -111,23 +110,23 @@ def _newton(loop: System, block: Block, point: tuple[float, Array, Array, Array,
         else:
             break  # no descent: rounding, or a dead end
         z, now = trial, new
-    if not now < 1e3 * CONVERGED:
-        raise UnsolvedError(_unsettled(loop, block, (t, x, z, u, continuation), first), z)
-    _solve(loop, block, (t, x, z, u, continuation), check=True)
+    if not now < 1e3 * CONVERGED_RESIDUAL:
+        raise UnsolvedError(_failure_message(system, block, (t, x, z, u, continuation), first), z)
+    _newton_step(system, block, (t, x, z, u, continuation), check=True)
     return z
 
 
-def _solve(loop: System, block: Block, point: tuple[Any, ...], *, check: bool) -> Array:
+def _newton_step(system: System, block: Block, point: tuple[Any, ...], *, check: bool) -> Array:
     residual = np.array(block.residual(*point)).ravel()
     jacobian = np.array(block.jacobian(*point))
     if not np.isfinite(jacobian).all() or not np.isfinite(residual).all():
         return np.full(residual.shape, np.nan)
-    size = loop.dae.sizes.z[block.span]
+    size = system.dae.sizes.z[block.span]
     jacobian = jacobian * size
     if check:
         _, values, right = np.linalg.svd(jacobian)
-        if values[-1] < SINGULAR * values[0]:
-            labels = list(leaves(loop.dae.labels.z))[block.span]
+        if values[-1] < MIN_SINGULAR_VALUE * values[0]:
+            labels = list(leaves(system.dae.labels.z))[block.span]
             weakest = labels[int(np.abs(right[-1]).argmax())]
             raise ModelError(
                 f"the model is singular here: nothing determines {weakest.full} ({weakest.words}), "
@@ -136,12 +135,10 @@ def _solve(loop: System, block: Block, point: tuple[Any, ...], *, check: bool) -
     return np.asarray(size * np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
 
 
-def _unsettled(loop: System, block: Block, point: tuple[Any, ...], first: Array) -> str:
+def _failure_message(system: System, block: Block, point: tuple[Any, ...], first: Array) -> str:
     _, x, z, u, _ = point
-    if (
-        len(block.stages) > 1
-    ):  # what took continuation may have no solution, for reasons the model knows
-        for limit in loop.dae.limits:
+    if len(block.stages) > 1:  # there may be no solution, for reasons that the limits describe
+        for limit in system.dae.limits:
             if limit.describe is not None:
                 words = limit.describe(x, z)
                 if words:
@@ -150,25 +147,27 @@ def _unsettled(loop: System, block: Block, point: tuple[Any, ...], first: Array)
     worst = block.labels[int(residual.argmax())]
     message = (
         f"the vehicle cannot stand at the start: {worst.full}, the {worst.words}, misses by "
-        f"{residual.max() * loop.dae.size_of(worst):.2g} {worst.unit}"
+        f"{residual.max() * system.dae.size_of(worst):.2g} {worst.unit}"
     )
     for state in (first, z):
-        words = _violated(loop, x, state, u)
+        words = _violation_message(system, x, state, u)
         if words:
             return f"{message}; {words}"
     return message
 
 
-def _violated(loop: System, x: Array, z: Array, u: Array) -> str:
-    _, values, _ = loop.outputs(0.0, x, z, u)
-    for limit, value in zip(loop.dae.limits, np.array(values).ravel(), strict=True):
+def _violation_message(system: System, x: Array, z: Array, u: Array) -> str:
+    _, values, _ = system.outputs(0.0, x, z, u)
+    for limit, value in zip(system.dae.limits, np.array(values).ravel(), strict=True):
         if not limit.lower <= value <= limit.upper:
-            return limit_words(limit.label.words, value, limit.lower, limit.upper, limit.label.unit)
+            return limit_message(
+                limit.label.words, value, limit.lower, limit.upper, limit.label.unit
+            )
     return ""
 
 
-def limit_words(words: str, value: float, lower: float, upper: float, unit: str) -> str:
-    """Return the sentence that says which limit was left and by how much."""
+def limit_message(words: str, value: float, lower: float, upper: float, unit: str) -> str:
+    """Return the message of a violated limit."""
     if np.isfinite(lower) and np.isfinite(upper):
         allowed = f"{lower:g} to {upper:g}"
     else:

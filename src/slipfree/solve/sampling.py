@@ -10,7 +10,7 @@ import numpy as np
 from slipfree.dae import SampledCheck
 from slipfree.errors import ModelError
 from slipfree.records import Array, Label, Mask, leaves
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import MAX_NEWTON_STEPS, Block, System
 from slipfree.trajectory import Column, SolverError, Trajectory
 
@@ -89,7 +89,7 @@ def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: M
                 continue
             point = (float(samples.t[k]), samples.x[:, k], z[:, j], samples.u[:, k])
             try:
-                z[:, k] = consistent(system, *point, eased=False)
+                z[:, k] = solve_initial_conditions(system, *point, continuation=False)
                 break
             except ModelError:  # the reported residual shows it
                 continue

@@ -1,4 +1,4 @@
-"""A consistent start: the pose in which a vehicle stands on the ground."""
+"""Find a consistent start: the pose in which a vehicle stands on the ground."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.records import Array, Mask, leaves, unpack
-from slipfree.solve.initial_conditions import consistent, limit_words
+from slipfree.solve.initial_conditions import limit_message, solve_initial_conditions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Stop, Trajectory
@@ -26,31 +26,33 @@ def settle(dae: Dae, *, guess: Mapping[str, float] | None = None, **start: float
     dae : Dae
         The model.
     guess : mapping of str to float, optional
-        First guesses for what the ground decides, by name, such as ``{"z": 2.0}``; the model has
-        its own for the rest. [m, rad]
+        Initial guesses of unknowns, by name, such as ``{"z": 2.0}``; the model has its own for the
+        others. [m, rad]
     **start : float
         Differential states by name, such as ``x``, ``y``, ``heading``; others are zero. [m, rad]
 
     Raises
     ------
     ModelError
-        If a name is unknown, the vehicle cannot stand there, a limit is violated, or a motion is
-        left undetermined.
+        If a name is unknown, the vehicle cannot stand there, a limit is violated, or no equation
+        determines one of the unknowns.
     """
     x = dae.start(**start)
-    loop = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
-    z = consistent(loop, 0.0, x, first_guess(dae, x, guess or {}), loop.u[:, 0])
-    samples = Samples(np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), loop.u)
-    samples, report = correct_samples(loop, samples)
-    run = to_trajectory(loop, samples, report)
-    fault = first_violation(loop, run, samples)
-    if fault is not None:
-        raise ModelError(f"the start is not valid: {fault[1].words}")
+    system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
+    z = solve_initial_conditions(system, 0.0, x, first_guess(dae, x, guess or {}), system.u[:, 0])
+    samples = Samples(
+        np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), system.u
+    )
+    samples, report = correct_samples(system, samples)
+    run = to_trajectory(system, samples, report)
+    violation = first_violation(system, run, samples)
+    if violation is not None:
+        raise ModelError(f"the start is not valid: {violation[1].words}")
     return run
 
 
 def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
-    """Return an initial guess of ``z``, local, from values by name in map coordinates."""
+    """Return an initial guess of ``z`` in local coordinates, from values in map coordinates."""
     z = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
     for name, value in given.items():
@@ -61,20 +63,20 @@ def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
     return z
 
 
-def _said(limit: Limit, value: float, x: Array, z: Array) -> str:
+def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
     if limit.describe is not None and (words := limit.describe(x, z)):
         return words
     label = limit.label
-    return limit_words(label.words, value, limit.lower, limit.upper, label.unit)
+    return limit_message(label.words, value, limit.lower, limit.upper, label.unit)
 
 
 def first_violation(
-    loop: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED_RESIDUAL
+    system: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED_RESIDUAL
 ) -> tuple[int, Stop] | None:
-    """Return the first sample that breaks a limit or fails a check, and the stop it means.
+    """Return the first sample that violates a limit or a check, and the stop.
 
-    ``unsolved`` is the residual, without unit, of the motion's equations from which on they count
-    as not solved.
+    ``unsolved`` is the residual, without unit, above which the motion's equations count as not
+    solved.
     """
     found: tuple[int, Stop] | None = None
 
@@ -84,19 +86,21 @@ def first_violation(
             k = int(bad.argmax())
             found = k, Stop(name, float(run.t[k]), words(k))
 
-    for limit in loop.dae.limits:
+    for limit in system.dae.limits:
         label, lower, upper = limit.label, limit.lower, limit.upper
         values = run.of(label)
         consider(
             ~((values >= lower) & (values <= upper)),
             label.full,
-            lambda k, v=values, of=limit: _said(of, float(v[k]), samples.x[:, k], samples.z[:, k]),
+            lambda k, v=values, of=limit: _limit_message(
+                of, float(v[k]), samples.x[:, k], samples.z[:, k]
+            ),
         )
-    for block in (*loop.blocks, *loop.after):
-        if not block.linear or block in loop.after:
+    for block in (*system.blocks, *system.after):
+        if not block.linear or block in system.after:
             label = run.columns[f"{block.labels[0].name}_residual"].label
-            most = UNSOLVED_RESIDUAL if block in loop.after else unsolved
-            values, most = run.of(label), most * loop.dae.size_of(block.labels[0])
+            most = UNSOLVED_RESIDUAL if block in system.after else unsolved
+            values, most = run.of(label), most * system.dae.size_of(block.labels[0])
             consider(
                 ~(values <= most),
                 label.name,
@@ -105,7 +109,7 @@ def first_violation(
                     f"allowed at most {most:g}; a smaller tolerance may help"
                 ),
             )
-    for check in loop.dae.checks:
+    for check in system.dae.checks:
         label = check.label
         values = run.of(label)
         consider(

@@ -1,4 +1,4 @@
-"""Integration of a DAE with SUNDIALS, IDAS or CVODES, through CasADi."""
+"""Integrate a DAE by SUNDIALS, IDAS or CVODES, through CasADi."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import InterruptGuard
-from slipfree.records import Array
+from slipfree.records import Array, Mask
 from slipfree.solve.equations import scaled_jacobian
-from slipfree.solve.events import Event, WatchedEvent, crossings_of, values_of, watch_events
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.events import Event, WatchedEvent, crossing_indices, event_values, watch_events
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.settle import first_violation
-from slipfree.solve.stop_diagnosis import ending
+from slipfree.solve.stop_diagnosis import diagnose_stop
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
-REFINED = 64  # sub-intervals in which a crossing is sought at a time
-CROSSING = 1e-6  # to which a crossing is bracketed [s]
-FINEST = 1e-14  # tolerance below which rounding rules
-LEEWAY = 100.0  # tolerances by which an eased model's equations may be missed at a sample
-BEYOND = 1e-6  # of a limit's unit or size; what is nearer is left to the samples
-STEPS = 10_000  # of the integrator between two samples
-STARTS = 20  # anew after failures of the integrator, for each interval of the inputs
+SUBINTERVALS = 64  # into which an interval with a crossing is divided at a time
+CROSSING_TOLERANCE = 1e-6  # to which a crossing is bracketed [s]
+MIN_TOLERANCE = 1e-14  # below which rounding dominates
+RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continuation [tolerance]
+LIMIT_TOLERANCE = 1e-6  # of a limit's unit or size, by which a step may exceed it
+MAX_STEPS = 10_000  # of the integrator between two samples
+MAX_RESTARTS = 20  # after failures of the integrator, per interval of the inputs
 ROUNDING = 1e-13  # of an input's terms, up to which it does not jump
 NO_START = "no consistent start was found"
-CHUNK = 2000  # samples looked at together, for the sake of memory
+CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 Progress = Callable[[float], bool | None]
 Method = Literal["idas", "cvodes"]
 
@@ -54,12 +54,11 @@ def simulate(
     events: Sequence[Event] = (),
     progress: Progress | None = None,
 ) -> Trajectory:
-    """Return the motion from a start under given inputs.
+    """Integrate the motion from a start under given inputs.
 
-    The integrator takes one call from jump to jump of the inputs; at every sample the algebraic
-    unknowns then get one Newton step, and the limits and checks of the model are looked at. The
-    first violation ends the motion: the crossing is located between the samples and the rest is
-    cut off.
+    One call of the integrator goes from jump to jump of the inputs. At every sample the algebraic
+    unknowns are then corrected by Newton's method, and the limits and checks of the model are
+    evaluated. The first violation ends the motion: the crossing is located between the samples.
 
     Parameters
     ----------
@@ -101,38 +100,40 @@ def simulate(
     SolverError
         If the integrator fails; ``trajectory`` holds what was reached.
     """
-    t = usable_times(t)
-    if not FINEST <= tolerance < 1:
+    t = check_times(t)
+    if not MIN_TOLERANCE <= tolerance < 1:
         raise ModelError(
-            f"tolerance: expected a number from {FINEST:g} to below 1, found {tolerance}"
+            f"tolerance: expected a number from {MIN_TOLERANCE:g} to below 1, found {tolerance}"
         )
     watched = watch_events(dae, events)
     stops = tuple(each for each in watched if each.event.stop)
     with InterruptGuard() as guard:
         system = with_inputs(dae, inputs, t.size - 1)
         solver = _Solver(system, tolerance, _method(system, method), guard)
-        first = _state(system, start, t[0])
+        first = _initial_sample(system, start, t[0])
         clock = time.process_time()
-        spy = _Spy(guard, progress, guarded=True)
-        samples, counts, end = _march(solver, spy, first, t, system.u)
-        whole, samples, found = _looked_at(solver, samples, stops)
+        observer = _StepObserver(guard, progress, guarded=True)
+        samples, counts, end = _integrate(solver, observer, first, t, system.u)
+        whole, samples, found = _check_samples(solver, samples, stops)
         left = t > samples.t[-1]
-        if isinstance(end, _BeyondError) and found is None and left.any():
-            spy.guarded = False  # a limit was only grazed: go on without looking
+        if isinstance(end, _LimitError) and found is None and left.any():
+            observer.guarded = False  # the limit was only grazed
             rest = np.append(samples.t[-1], t[left])
-            at, u = _column(samples, -1), system.u[:, 1 - rest.size :]
-            more, cost, end = _march(solver, spy, at, rest, u)
-            counts = _sum(counts, cost)
-            whole, samples, found = _looked_at(solver, _chained([samples, more]), stops)
-        run = whole if found is None else _cut(solver, whole, samples, found, stops)
-        times = {each.event.name: _times(solver, whole, samples, each, run) for each in watched}
+            at, u = _select(samples, [-1]), system.u[:, 1 - rest.size :]
+            more, cost, end = _integrate(solver, observer, at, rest, u)
+            counts = _add_counts(counts, cost)
+            whole, samples, found = _check_samples(solver, _join_parts([samples, more]), stops)
+        run = whole if found is None else _cut_at_crossing(solver, whole, samples, found, stops)
+        times = {
+            each.event.name: _event_times(solver, whole, samples, each, run) for each in watched
+        }
         statistics = {"tolerance": tolerance, "cpu_seconds": time.process_time() - clock}
         run = replace(run, statistics=counts | statistics, events=times)
-        return _ended(system, run, samples, found, end)
+        return _finish_motion(system, run, samples, found, end)
 
 
-def usable_times(t: Array) -> Array:
-    """Return times as they are, or refuse what are no ascending times."""
+def check_times(t: Array) -> Array:
+    """Return the times as an array; raise unless they are finite and ascend."""
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0).all():
         raise ModelError(
@@ -143,7 +144,7 @@ def usable_times(t: Array) -> Array:
 
 
 def _method(system: System, method: Method | None) -> Method:
-    """Return how to integrate, or refuse what cannot be."""
+    """Return the integration method; raise if the model does not allow the given one."""
     if method is None:
         return "idas" if system.moving else "cvodes"
     if method not in get_args(Method):
@@ -156,17 +157,17 @@ def _method(system: System, method: Method | None) -> Method:
     return method
 
 
-def _state(system: System, start: Trajectory, t: float) -> Samples:
+def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
     """Return the last sample of a trajectory, made consistent with the inputs."""
     dae = system.dae
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
-    z = consistent(system, t, x, z, system.u[:, 0])
+    z = solve_initial_conditions(system, t, x, z, system.u[:, 0])
     q = dae.rows("q", start, -1)
     return Samples(np.array([t]), x[:, None], z[:, None], q[:, None], system.u[:, :1])
 
 
 class _Solver(NamedTuple):
-    """How to integrate."""
+    """Model, tolerance and method of an integration."""
 
     system: System
     tolerance: float
@@ -174,43 +175,43 @@ class _Solver(NamedTuple):
     guard: InterruptGuard
 
 
-class _BeyondError(Exception):
+class _LimitError(Exception):
     """A step of the integrator went beyond a limit of the model."""
 
 
-class _RefusedError(Exception):
+class _ProgressError(Exception):
     """The progress callable ended the motion."""
 
 
-End = SolverError | _BeyondError | _RefusedError
+EarlyEnd = SolverError | _LimitError | _ProgressError
 
 
-def _march(
-    solver: _Solver, spy: _Spy, first: Samples, t: Array, u: Array
-) -> tuple[Samples, dict[str, float], End | None]:
+def _integrate(
+    solver: _Solver, observer: _StepObserver, first: Samples, t: Array, u: Array
+) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
     """Integrate from jump to jump of the inputs.
 
-    Returns the samples reached, what they cost, and why they end before the last time, if they do.
+    Returns the samples reached, their statistics, and the reason of an early end, if any.
     """
     parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
-    for right in (*_jumps(solver.system, t, u), t.size - 1):
-        at = _restarted(solver.system, parts[-1], u[:, left])
+    for right in (*_jump_indices(solver.system, t, u), t.size - 1):
+        at = _start_after_jump(solver.system, parts[-1], u[:, left])
         span, inputs = t[left : right + 1], u[:, left:right]
-        part, cost, end = _reached(solver, spy, at, span, inputs)
+        part, cost, end = _integrate_between_jumps(solver, observer, at, span, inputs)
         if isinstance(end, SolverError):
-            part, more, end = _continued(solver, spy, part, end, span, inputs)
-            cost = _sum(cost, more)
+            part, more, end = _restart_after_failure(solver, observer, part, end, span, inputs)
+            cost = _add_counts(cost, more)
         parts.append(part)
-        counts, left = _sum(counts, cost), right
+        counts, left = _add_counts(counts, cost), right
         if end is not None:
             break
-    return _chained(parts), counts, end
+    return _join_parts(parts), counts, end
 
 
-def _jumps(system: System, t: Array, u: Array) -> list[int]:
+def _jump_indices(system: System, t: Array, u: Array) -> list[int]:
     """Return the indices of the times at which an input jumps.
 
-    The integrator passes a kink of inputs that are linear in time without a new start.
+    A kink of inputs that are linear in time is no jump: the integrator passes it.
     """
     n = system.dae.columns()[2].numel()
     base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
@@ -220,87 +221,85 @@ def _jumps(system: System, t: Array, u: Array) -> list[int]:
     return (1 + np.flatnonzero(jumps.any(axis=0))).tolist()
 
 
-def _continued(
-    solver: _Solver, spy: _Spy, part: Samples, end: SolverError, t: Array, u: Array
-) -> tuple[Samples, dict[str, float], End | None]:
-    """Go on over ``t`` from the last step before a failure of the integrator, by new starts.
+def _restart_after_failure(
+    solver: _Solver, observer: _StepObserver, part: Samples, end: SolverError, t: Array, u: Array
+) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
+    """Restart after a failure of the integrator, from the last step before it.
 
-    A new start has a small step and a Jacobian of its own, with which it often passes. The motion
-    ends where no new start gets on.
+    A restart has a small step and a new Jacobian, with which it often passes. The motion ends
+    where a restart makes no progress.
     """
-    counts, last = dict.fromkeys(COUNTS, 0.0), end
+    counts = dict.fromkeys(COUNTS, 0.0)
     intervals = 1 + int((np.diff(u, axis=1) != 0).any(axis=0).sum())
-    for _ in range(STARTS * intervals):
+    for _ in range(MAX_RESTARTS * intervals):
         rest = np.append(part.t[-1], t[t > part.t[-1]])
-        left = u[:, 1 - rest.size :]
-        at = _consistent(solver.system, _column(part, -1), left[:, 0], eased=False)
+        inputs = u[:, 1 - rest.size :]
+        at = _make_consistent(solver.system, _select(part, [-1]), inputs[:, 0], continuation=False)
         if part.t.size == 1 or at is None:
-            return part, counts, last
-        more, cost, reason_of_end = _reached(solver, spy, at, rest, left)
-        counts = _sum(counts, cost)
+            break
+        more, cost, next_end = _integrate_between_jumps(solver, observer, at, rest, inputs)
+        counts = _add_counts(counts, cost)
         if more.t.size == 1:
-            return part, counts, last
-        kept = np.isin(part.t, t)
-        part = Samples(
-            *(
-                np.concatenate([before[..., kept], after[..., 1:]], axis=-1)
-                for before, after in zip(part, more, strict=True)
-            )
-        )
-        if not isinstance(reason_of_end, SolverError):
-            return part, counts, reason_of_end
-        last = reason_of_end
-    return part, counts, last
+            break
+        part = _join_parts([part, more])
+        part = _select(part, np.isin(part.t, [*t, part.t[-1]]))
+        if not isinstance(next_end, SolverError):
+            return part, counts, next_end
+        end = next_end
+    return part, counts, end
 
 
-def _reached(
-    solver: _Solver, spy: _Spy, at: Samples, t: Array, u: Array
-) -> tuple[Samples, dict[str, float], End | None]:
-    """Integrate over ``t``; if that ends at a step before the last time, again up to that step.
+def _integrate_between_jumps(
+    solver: _Solver, observer: _StepObserver, at: Samples, t: Array, u: Array
+) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
+    """Integrate over ``t``, where no input jumps, and keep the part before a failure or stop.
 
-    If the integrator fails there as well, up to one of the steps before, which are the fewer the
-    more often it fails.
+    CasADi returns nothing of a call that ends early, so the call is repeated up to its last step.
+    If the integrator fails there as well, it is repeated up to earlier and earlier steps.
     """
-    spy.times.clear()
+    observer.times.clear()
     try:
-        return *_solved(solver, spy, at, t, u), None
-    except (SolverError, _BeyondError, _RefusedError) as error:
+        return *_call_integrator(solver, observer, at, t, u), None
+    except (SolverError, _LimitError, _ProgressError) as error:
         end = error
-    seen, left_out = sorted({each for each in spy.times if each > t[0]}), 1
+    seen, left_out = sorted({each for each in observer.times if each > t[0]}), 1
     while seen:
         span = np.append(t[t < seen[-1]], seen[-1])
         try:
-            return *_solved(solver, _Spy(solver.guard), at, span, u[:, : span.size - 1]), end
+            return *_call_integrator(
+                solver, _StepObserver(solver.guard), at, span, u[:, : span.size - 1]
+            ), end
         except SolverError:
             seen, left_out = seen[:-left_out], 2 * left_out
     return at, dict.fromkeys(COUNTS, 0.0), end
 
 
-def _solved(
-    solver: _Solver, spy: _Spy, at: Samples, t: Array, u: Array
+def _call_integrator(
+    solver: _Solver, observer: _StepObserver, at: Samples, t: Array, u: Array
 ) -> tuple[Samples, dict[str, float]]:
-    """Integrate over all of ``t``, where no input jumps, in one call, or raise.
+    """Integrate over all of ``t``, where no input jumps, by one call.
 
-    IDAS's own search may find no consistent start because the one given is consistent to rounding.
-    Then that one is made so and taken.
+    IDAS's own search may find no consistent start since the given one is consistent to rounding.
+    The start is then solved for by Newton's method, and the search is left out.
     """
     system, given = solver.system, dict[str, Any]()
     x_size, m_size = (size[:, None] for size in _sizes(system))
     while True:
-        integrator = _integrator(solver, spy, t, given)
+        integrator = _integrator(solver, observer, t, given)
         states = {"x0": at.x / x_size, "z0": at.z[: system.moving] / m_size}
         try:
             # one column for each output time, that of the interval which it ends
-            with hushed():
+            with suppress_messages():
                 found = integrator(**states, u=np.column_stack([u[:, :1], u]))
             break
         except RuntimeError as error:
             solver.guard.check()
-            words = reason(str(error))
-            taken = None if given or NO_START not in words else _taken(system, at, u[:, 0])
-            if taken is None:
+            words, start = failure_reason(str(error)), None
+            if NO_START in words and not given:
+                start = _make_consistent(system, at, u[:, 0], continuation=False)
+            if start is None:
                 raise SolverError(words) from error
-            at, given = taken
+            at, given = start, {"calc_ic": False, "init_xdot": _scaled_rates(system, start)}
     solver.guard.check()
     x, z, q = (np.array(found[key]) for key in ("xf", "zf", "qf"))
     x, z = x * x_size, z * m_size
@@ -312,96 +311,103 @@ def _solved(
     return Samples(t, x, z, q[: at.q.shape[0]] + at.q, inputs), counts
 
 
-def _taken(system: System, at: Samples, u: Array) -> tuple[Samples, dict[str, Any]] | None:
-    """Return a start made consistent, and the options by which IDAS takes it, if it can be."""
-    t, x = float(at.t[0]), at.x[:, 0]
-    try:
-        z = consistent(system, t, x, at.z[:, 0], u, eased=False)
-    except ModelError:
-        return None
-    rates = np.array(system.core(t, x, z[: system.moving], u)[0]).ravel()
-    slopes = rates / system.dae.sizes.x
-    return at._replace(z=z[:, None]), {"calc_ic": False, "init_xdot": slopes.tolist()}
+def _scaled_rates(system: System, at: Samples) -> list[float]:
+    """Return the rates of one sample's states, divided by the sizes of the states."""
+    m = at.z[: system.moving]
+    rates = np.array(system.core(at.t, at.x, m, at.u)[0]).ravel()
+    return list[float]((rates / system.dae.sizes.x).tolist())
 
 
-def _restarted(system: System, samples: Samples, u: Array) -> Samples:
-    """Return the last sample, made consistent with the inputs that come if they jump there."""
-    at = _column(samples, -1)
+def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
+    """Return the last sample as a start, consistent with the inputs after a jump."""
+    at = _select(samples, [-1])
     if np.array_equal(at.u[:, -1], u):
         return at
-    found = (_consistent(system, at, u, eased=eased) for eased in (False, True))
-    return next((each for each in found if each is not None), at)  # else the integrator tells
+    for continuation in (False, True):
+        start = _make_consistent(system, at, u, continuation=continuation)
+        if start is not None:
+            return start
+    return at  # the integrator fails there
 
 
-def _consistent(system: System, at: Samples, u: Array, *, eased: bool) -> Samples | None:
-    """Return a sample made consistent with inputs, None if it cannot be."""
+def _make_consistent(
+    system: System, at: Samples, u: Array, *, continuation: bool
+) -> Samples | None:
+    """Solve for the unknowns of a sample under inputs; return None where there is no solution."""
     try:
-        z = consistent(system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, eased=eased)
+        z = solve_initial_conditions(
+            system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, continuation=continuation
+        )
     except ModelError:
         return None
     return at._replace(z=z[:, None], u=u[:, None])
 
 
-def _column(samples: Samples, k: int) -> Samples:
-    """Return one sample."""
-    return Samples(*(row[..., [k]] for row in samples))
+def _select(samples: Samples, k: slice | list[int] | Mask) -> Samples:
+    """Return some of the samples."""
+    return Samples(*(row[..., k] for row in samples))
 
 
-def _chained(parts: Sequence[Samples]) -> Samples:
-    """Return samples as one, of which each part goes on from the last sample of the one before."""
-    rows = zip(*(part.head(-1) for part in parts[:-1]), parts[-1], strict=True)
-    return Samples(*(np.concatenate(row, axis=-1) for row in rows))
+def _concatenate(parts: Sequence[Samples]) -> Samples:
+    """Return the samples of all parts, one after the other."""
+    return Samples(*(np.concatenate(row, axis=-1) for row in zip(*parts, strict=True)))
 
 
-def _sum(counts: dict[str, float], more: dict[str, float]) -> dict[str, float]:
+def _join_parts(parts: Sequence[Samples]) -> Samples:
+    """Return the samples of parts, each of which starts at the last sample of the one before."""
+    return _concatenate([*(part.head(-1) for part in parts[:-1]), parts[-1]])
+
+
+def _add_counts(counts: dict[str, float], more: dict[str, float]) -> dict[str, float]:
     return {name: counts[name] + more[name] for name in counts}
 
 
-class _Found(NamedTuple):
-    """The first sample at or beyond a limit or an event, and the stop that it means."""
+class _Crossing(NamedTuple):
+    """The first sample at or beyond a limit or an event, and its stop."""
 
     k: int
     stop: Stop
     event: WatchedEvent | None
 
 
-def _looked_at(
+def _check_samples(
     solver: _Solver, samples: Samples, watched: Sequence[WatchedEvent], *, limited: bool = True
-) -> tuple[Trajectory, Samples, _Found | None]:
-    """Return the corrected samples, and the first that breaks a limit or lies beyond an event.
+) -> tuple[Trajectory, Samples, _Crossing | None]:
+    """Correct the samples, and find the first that violates a limit or lies beyond an event.
 
-    Samples long after one that breaks a limit are left out. Without limits, which take most of the
-    time, the trajectory has times only.
+    Samples long after a violation are left out. Without limits, which take most of the time, the
+    trajectory has times only.
     """
     system, runs, parts = solver.system, list[Trajectory](), list[Samples]()
     # Where all friction is used, states within the tolerance may have no exact equilibrium.
     unsolved = (
-        max(UNSOLVED_RESIDUAL, LEEWAY * solver.tolerance)
+        max(UNSOLVED_RESIDUAL, RESIDUAL_FACTOR * solver.tolerance)
         if system.dae.continuation
         else UNSOLVED_RESIDUAL
     )
-    found = list[_Found]()
-    for left in range(0, samples.t.size, CHUNK):
-        part = Samples(*(row[..., left : left + CHUNK] for row in samples))
+    found = list[_Crossing]()
+    for left in range(0, samples.t.size, CHUNK_SIZE):
+        part = _select(samples, slice(left, left + CHUNK_SIZE))
         part, report = correct_samples(system, part)
         runs.append(to_trajectory(system, part, report) if limited else Trajectory(part.t, {}))
         parts.append(part)
-        fault = first_violation(system, runs[-1], part, unsolved) if limited else None
-        if fault is not None:
-            found.append(_Found(left + fault[0], fault[1], None))
+        violation = first_violation(system, runs[-1], part, unsolved) if limited else None
+        if violation is not None:
+            found.append(_Crossing(left + violation[0], violation[1], None))
             break
-    rows = zip(*parts, strict=True)
-    run, samples = joined(*runs), Samples(*(np.concatenate(row, axis=-1) for row in rows))
+    run, samples = joined(*runs), _concatenate(parts)
     for each in watched:
-        for k in crossings_of(each, system, samples, solver.tolerance)[:1]:
+        for k in crossing_indices(each, system, samples, solver.tolerance)[:1]:
             name = each.event.name
             stop = Stop(name, float(run.t[k]), f"the event {name!r} occurred")
-            found.append(_Found(k, stop, each))
+            found.append(_Crossing(k, stop, each))
     return run, samples, min(found, key=lambda one: one.k, default=None)
 
 
-def _integrator(solver: _Solver, spy: _Spy, t: Array, given: dict[str, Any]) -> ca.Function:
-    """Return the integrator over all of ``t``, of states and unknowns divided by their sizes."""
+def _integrator(
+    solver: _Solver, observer: _StepObserver, t: Array, given: dict[str, Any]
+) -> ca.Function:
+    """Return the integrator over ``t``, of states and unknowns divided by their sizes."""
     system, dae = solver.system, solver.system.dae
     x_size, m_size = _sizes(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
@@ -409,13 +415,13 @@ def _integrator(solver: _Solver, spy: _Spy, t: Array, given: dict[str, Any]) -> 
     t_0, x, m, u = symbols
     point = [t_0, x * ca.DM(x_size), m * ca.DM(m_size), u]
     ode, alg = system.core(*point)
-    quad = ca.vertcat(system.quad(*point), spy(ca.vertcat(t_0, system.margin(*point))))
+    quad = ca.vertcat(system.quad(*point), observer(ca.vertcat(t_0, system.margin(*point))))
     problem = dict(zip("txzu", symbols, strict=True))
     problem |= {"ode": ode / ca.DM(x_size), "alg": alg, "quad": quad}
     options: dict[str, Any] = {
         "reltol": solver.tolerance,
         "abstol": solver.tolerance,
-        "max_num_steps": STEPS,
+        "max_num_steps": MAX_STEPS,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
     }
@@ -428,13 +434,13 @@ def _integrator(solver: _Solver, spy: _Spy, t: Array, given: dict[str, Any]) -> 
 
 
 def _sizes(system: System) -> tuple[Array, Array]:
-    """Return the units in which the integrator has the states and the unknowns of the motion."""
+    """Return the sizes by which states and unknowns of the motion are divided."""
     return system.dae.sizes.x, system.dae.sizes.z[: system.moving]
 
 
 @contextmanager
-def hushed() -> Iterator[None]:
-    """Keep off the screen what an exception says anyway: SUNDIALS's words, the spy's traceback."""
+def suppress_messages() -> Iterator[None]:
+    """Suppress SUNDIALS's messages and tracebacks of callbacks, which exceptions repeat."""
     hook, sys.excepthook = sys.excepthook, lambda *_: None
     try:
         with redirect_stderr(StringIO()):
@@ -443,8 +449,8 @@ def hushed() -> Iterator[None]:
         sys.excepthook = hook
 
 
-def reason(message: str) -> str:
-    """Return what the integrator said, out of CasADi's message, in words."""
+def failure_reason(message: str) -> str:
+    """Return the reason of a failure in words, from CasADi's error message."""
     words = {
         "CV_CONV_FAILURE": "the equations of a step could not be solved",
         "CV_ERR_FAILURE": "the error test failed at the smallest step",
@@ -467,13 +473,13 @@ def reason(message: str) -> str:
     return message.strip().splitlines()[-1]
 
 
-class _Spy(ca.Callback):
-    """A quadrature that is always zero and looks on: it remembers and reports the times of steps.
+class _StepObserver(ca.Callback):
+    """A quadrature that is identically zero, by which the steps of an integrator are observed.
 
-    It ends the call at a step beyond a limit, if it is guarded, or where the progress says so.
-    Both integrators evaluate quadratures once a step, outside Newton's method, and zero passes
-    every error test, so that looking on does not change the motion. It must live as long as the
-    integrator.
+    It records the times of the steps, reports progress, and ends the call at a step beyond a
+    limit, if it is guarded, or where the progress callable returns False. Both integrators
+    evaluate quadratures once per step, outside Newton's method, and zero passes every error test,
+    so the motion does not change. It must live as long as the integrator.
     """
 
     def __init__(
@@ -483,112 +489,114 @@ class _Spy(ca.Callback):
         self.guard, self.progress, self.guarded = guard, progress, guarded
         self.times: list[float] = []
         self.reported = -np.inf
-        self.construct("spy", {})
+        self.construct("observer", {})
 
     def get_sparsity_in(self, _index: int) -> ca.Sparsity:
         """Return the shape of the argument: time, and least distance to a limit."""
         return ca.Sparsity.dense(2, 1)
 
     def has_eval_buffer(self) -> bool:
-        """Return that numbers come as they are in memory, which takes a fifth of the time."""
+        """Return that arguments are passed as memory, which takes a fifth of the time."""
         return True
 
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
-        """Look at a step."""
-        self.guard.call(self._look, *_doubles(arguments[0]))
+        """Observe a step."""
+        self.guard.call(self._observe, *_doubles(arguments[0]))
         _doubles(results[0])[0] = 0.0
         return 0
 
-    def _look(self, t: float, margin: float) -> None:
+    def _observe(self, t: float, margin: float) -> None:
         self.times.append(t)
         if self.progress is not None and t > self.reported:
             self.reported = t
             answer = self.progress(t)
             if isinstance(answer, bool | np.bool_) and not answer:
-                raise _RefusedError
-        if self.guarded and not margin >= -BEYOND:
-            raise _BeyondError
+                raise _ProgressError
+        if self.guarded and not margin >= -LIMIT_TOLERANCE:
+            raise _LimitError
 
 
 def _doubles(memory: memoryview) -> memoryview[float]:
     return memory.cast("b").cast("d")
 
 
-def _cut(
+def _cut_at_crossing(
     solver: _Solver,
     run: Trajectory,
     samples: Samples,
-    found: _Found,
+    found: _Crossing,
     stops: Sequence[WatchedEvent],
 ) -> Trajectory:
     """Return the motion up to the limit or event that ends it."""
     if found.k == 0:
         raise ModelError(f"the start is not valid: {found.stop.words}")
-    kept, tail = run.part(slice(found.k)), _located(solver, run, samples, found, stops)
+    kept, tail = run.part(slice(found.k)), _locate_crossing(solver, run, samples, found, stops)
     return joined(kept, tail) if tail.t[0] > kept.t[-1] else replace(kept, stop=tail.stop)
 
 
-def _ended(
-    system: System, run: Trajectory, samples: Samples, found: _Found | None, end: End | None
+def _finish_motion(
+    system: System, run: Trajectory, samples: Samples, found: _Crossing | None, end: EarlyEnd | None
 ) -> Trajectory:
-    """Return the motion with the reason for its end, or raise that the integrator failed."""
+    """Return the motion with its stop; raise if the integrator failed."""
     t, failed = float(run.t[-1]), isinstance(end, SolverError) and found is None
     if failed or (run.stop and run.stop.name.endswith("_residual")):
-        why = ending(system, samples, found.k if found else None)
+        why = diagnose_stop(system, samples, found.k if found else None)
         if why is not None:
             return replace(run, stop=why._replace(t=t))
     if failed:
         words = f"the integrator stopped at t = {t:.6g} s: {end}"
         run = replace(run, stop=Stop("solver", t, words))
         raise SolverError(words, run)
-    if isinstance(end, _RefusedError) and found is None:
+    if isinstance(end, _ProgressError) and found is None:
         words = "the progress callable ended the motion by returning False"
         run = replace(run, stop=Stop("interrupted", t, words))
     return run
 
 
-def _times(
+def _event_times(
     solver: _Solver,
     whole: Trajectory,
     samples: Samples,
     each: WatchedEvent,
     run: Trajectory,
 ) -> Array:
-    """Return the times at which an event occurred in a motion, of which ``run`` is kept."""
+    """Return the times of an event in a motion, of which ``run`` is kept."""
     if each.event.stop:
         return run.t[-1:] if run.stop and run.stop.name == each.event.name else run.t[:0]
     stop, times = Stop(each.event.name, 0.0, ""), list[float]()
-    for k in crossings_of(each, solver.system, samples, solver.tolerance):
+    for k in crossing_indices(each, solver.system, samples, solver.tolerance):
         if whole.t[k - 1] < run.t[-1]:
-            found = _Found(k, stop, each)
-            times.extend(_located(solver, whole, samples, found, [each], limited=False).t)
+            found = _Crossing(k, stop, each)
+            times.extend(_locate_crossing(solver, whole, samples, found, [each], limited=False).t)
     return np.array([each for each in times if each <= run.t[-1]])
 
 
-def _located(
+def _locate_crossing(
     solver: _Solver,
     run: Trajectory,
     samples: Samples,
-    found: _Found,
+    found: _Crossing,
     watched: Sequence[WatchedEvent],
     *,
     limited: bool = True,
 ) -> Trajectory:
-    """Return the sample at which a limit or an event is reached, sought on ever finer samples.
+    """Locate the crossing of a limit or an event on successively finer samples.
 
-    It is the last valid one at a limit, and between the last two at an event.
+    Returns the last valid sample at a limit, and a sample between the last two at an event.
     """
     k, stop, event = found
-    while run.t[k] - run.t[k - 1] > CROSSING:
-        t = np.linspace(run.t[k - 1], run.t[k], REFINED + 1)
-        u = np.repeat(samples.u[:, k - 1 : k], REFINED, axis=1)
-        march, *_ = _march(solver, _Spy(solver.guard), _column(samples, k - 1), t, u)
-        fine, finer, nearer = _looked_at(solver, march, watched, limited=limited)
+    while run.t[k] - run.t[k - 1] > CROSSING_TOLERANCE:
+        t = np.linspace(run.t[k - 1], run.t[k], SUBINTERVALS + 1)
+        u = np.repeat(samples.u[:, k - 1 : k], SUBINTERVALS, axis=1)
+        refined, *_ = _integrate(
+            solver, _StepObserver(solver.guard), _select(samples, [k - 1]), t, u
+        )
+        fine, finer, nearer = _check_samples(solver, refined, watched, limited=limited)
         if nearer is None or nearer.k == 0:  # it lies on one of the two samples
             past = nearer is not None
             if event is not None and nearer is None:
-                last = values_of(event, solver.system, finer)[-1]
-                past = last * values_of(event, solver.system, samples)[k] > 0
+                last = event_values(event, solver.system, finer)[-1]
+                past = last * event_values(event, solver.system, samples)[k] > 0
             if not past:
                 run, k = fine, fine.t.size
             event = None
@@ -596,10 +604,10 @@ def _located(
         (k, stop, event), run, samples = nearer, fine, finer
     tail = run.part(slice(k - 1, k))
     if event is not None:
-        before, after = values_of(event, solver.system, samples)[k - 1 : k + 1]
+        before, after = event_values(event, solver.system, samples)[k - 1 : k + 1]
         share = before / (before - after)
-        pairs = zip(_column(samples, k - 1), _column(samples, k), strict=True)
+        pairs = zip(_select(samples, [k - 1]), _select(samples, [k]), strict=True)
         at = Samples(*(one + share * (other - one) for one, other in pairs))
         at = at._replace(u=samples.u[:, [k - 1]])
-        tail = _looked_at(solver, at, (), limited=limited)[0]
+        tail = _check_samples(solver, at, (), limited=limited)[0]
     return replace(tail, stop=stop._replace(t=float(tail.t[0])))

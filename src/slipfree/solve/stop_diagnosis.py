@@ -1,4 +1,4 @@
-"""Why a motion whose start takes a continuation stops: no solution, or one a jump away."""
+"""Find the cause of a stop of models with a continuation: no solution, or one a jump away."""
 
 from __future__ import annotations
 
@@ -6,50 +6,50 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
-from slipfree.solve.initial_conditions import UnsolvedError, consistent
+from slipfree.solve.initial_conditions import UnsolvedError, solve_initial_conditions
 from slipfree.solve.sampling import Samples
 from slipfree.solve.system import System
 from slipfree.trajectory import Stop
 
-SOON = 1e-3  # after the last sample that an integrator reached [s]
-JUMP = 0.05  # change of an unknown, in its typical size, that no motion makes in that time
+PREDICTION_TIME = 1e-3  # after the last sample that the integrator reached [s]
+MIN_JUMP = 0.05  # change of an unknown in that time, in its typical size, that is a jump
 
 
-def ending(loop: System, samples: Samples, fault: int | None) -> Stop | None:
-    """Return why a motion ends, if the model's equations say so.
+def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:
+    """Return the stop that the model's equations explain, None if they do not.
 
     Parameters
     ----------
-    loop : System
+    system : System
         The model under inputs.
     samples : Samples
-        What the integrator reached.
-    fault : int or None
-        The sample at which the equations do not hold, looked at first; else what comes soon after
-        the last one.
+        Those that the integrator reached.
+    violation : int or None
+        Index of the sample at which the equations do not hold; without one, the states shortly
+        after the last sample are predicted.
     """
-    if loop.dae.continuation is None:
+    if system.dae.continuation is None:
         return None
-    k = -1 if fault is None else fault
+    k = -1 if violation is None else violation
     t, x, z, u = float(samples.t[k]), samples.x[:, k], samples.z[:, k], samples.u[:, k]
-    if fault is None:
-        if not _is_solved(loop, t, x, z, u):
-            return None  # the inputs jump there: what the integrator failed at is its start
-        x = x + SOON * np.array(loop.core(t, x, z[: loop.moving], u)[0]).ravel()
+    if violation is None:
+        if not _is_solved(system, t, x, z, u):
+            return None  # the integrator failed at its start after a jump of the inputs
+        x = x + PREDICTION_TIME * np.array(system.core(t, x, z[: system.moving], u)[0]).ravel()
     try:
-        found = consistent(loop, t, x, z, u)
+        found = solve_initial_conditions(system, t, x, z, u)
     except ModelError as error:
         reached = error.z if isinstance(error, UnsolvedError) else z  # else they are singular
-        for limit in loop.dae.limits:
+        for limit in system.dae.limits:
             words = limit.describe(x, reached) if limit.describe else ""
             if words:
                 return Stop(limit.label.full, t, words)
         return None
-    jump = np.abs((found - z) / loop.dae.scale)[: loop.moving]
+    jump = np.abs((found - z) / system.dae.scale)[: system.moving]
     k = int(jump.argmax())
-    if jump[k] < JUMP:
+    if jump[k] < MIN_JUMP:
         return None
-    label = list(leaves(loop.dae.labels.z))[k]
+    label = list(leaves(system.dae.labels.z))[k]
     unit = "" if label.unit == "1" else f" {label.unit}"
     return Stop(
         "fold",
@@ -59,10 +59,10 @@ def ending(loop: System, samples: Samples, fault: int | None) -> Stop | None:
     )
 
 
-def _is_solved(loop: System, t: float, x: Array, z: Array, u: Array) -> bool:
-    """Return whether the unknowns of a sample are those that its states and inputs lead to."""
+def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
+    """Return whether the unknowns of a sample solve the equations at its states and inputs."""
     try:
-        found = consistent(loop, t, x, z, u, eased=False)
+        found = solve_initial_conditions(system, t, x, z, u, continuation=False)
     except ModelError:
         return True  # nothing to compare with
-    return bool(np.abs((found - z) / loop.dae.scale)[: loop.moving].max() < JUMP)
+    return bool(np.abs((found - z) / system.dae.scale)[: system.moving].max() < MIN_JUMP)

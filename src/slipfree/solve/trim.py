@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
-from slipfree.solve.initial_conditions import consistent
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.settle import first_violation
 from slipfree.solve.system import Block, System, with_inputs
@@ -77,7 +77,7 @@ def trim_states(
 
     def outputs(values: Array) -> Array:
         x[where] = values
-        z = consistent(part, 0.0, x, first, system.u[:, 0])
+        z = solve_initial_conditions(part, 0.0, x, first, system.u[:, 0])
         return np.array(system.outputs(0.0, x, z, system.u[:, 0])[0]).ravel()[rows]
 
     if where:
@@ -114,7 +114,7 @@ def _needed_blocks(system: System, outputs: Sequence[ca.SX]) -> tuple[Block, ...
 
 def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
     u = system.u[:, :1]
-    z = consistent(system, 0.0, x, z, u[:, 0])
+    z = solve_initial_conditions(system, 0.0, x, z, u[:, 0])
     still = np.zeros((system.dae.quad.numel(), 1))
     found, report = correct_samples(system, Samples(np.zeros(1), x[:, None], z[:, None], still, u))
     run = to_trajectory(system, found, report)

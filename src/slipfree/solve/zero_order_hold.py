@@ -16,7 +16,13 @@ from slipfree.lookups import found_column
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.settle import first_violation
-from slipfree.solve.simulate import COUNTS, STEPS, hushed, reason, usable_times
+from slipfree.solve.simulate import (
+    COUNTS,
+    MAX_STEPS,
+    check_times,
+    failure_reason,
+    suppress_messages,
+)
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
@@ -57,7 +63,7 @@ def simulate_sampled(
     SolverError
         If CVODES fails; ``trajectory`` holds what was reached.
     """
-    t = usable_times(t)
+    t = check_times(t)
     period = float(t[1] - t[0])
     if np.abs(np.diff(t) - period).max() > PERIOD_TOLERANCE * period:
         raise ModelError("t: a sampled controller takes evenly spaced times in seconds")
@@ -126,10 +132,10 @@ def _integrate_periods(
         if k == n - 1 or float(system.margin(t[k], x[:, k], [], u[:, k])) < 0:
             break
         try:
-            with hushed():
+            with suppress_messages():
                 found = integrator(x0=x[:, k], p=np.append(u[:, k], t[k]))
         except RuntimeError as error:
-            failure = reason(str(error))
+            failure = failure_reason(str(error))
             break
         heed.check()
         x[:, k + 1] = np.array(found["xf"]).ravel()
@@ -148,7 +154,7 @@ def _period_integrator(system: System, period: float, tolerance: float) -> ca.Fu
     options = {
         "reltol": tolerance,
         "abstol": tolerance,
-        "max_num_steps": STEPS,
+        "max_num_steps": MAX_STEPS,
         "quad_err_con": True,
         "show_eval_warnings": False,
         "disable_internal_warnings": True,
