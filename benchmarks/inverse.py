@@ -33,6 +33,7 @@ from slipfree.models.given_rates import EULER, VELOCITY
 from slipfree.models.inverse import PLANAR, along, inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import solve_initial_conditions
+from slipfree.solve.replay import replay, spline_inputs
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.system import with_inputs
 
@@ -205,18 +206,19 @@ def in_time() -> None:
         least = {"least_margin": 0.0} if sought else {}
         dae = inverse_kinematics(VEHICLE, Analytic(hills), given=PLANAR, **least)
         inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
-        replay = ""
+        repeated = ""
         if sought:
-            found = drive(dae, direct, begin, inputs, t, sought=["steer"])
+            found = drive(dae, begin, inputs, t, sought=["steer"])
             back = found.run
-            replay = f", replay within {max(found.difference.values()):.1e} m, rad"
+            again = replay(direct, back, spline_inputs(direct, found.t, found.unknowns))
+            repeated = f", replay within {max(again.difference.values()):.1e} m, rad"
         else:
             back = simulate(dae, begin, inputs, t, tolerance=1e-10)
         error = max(float(np.abs(back[name] - run[name]).max()) for name in WHEEL_RATES)
         growth = back["steering_growth"]
         print(
             f"{words:28}{error:.1e} rad/s over {t[-1]:g} s; steering growth "
-            f"{growth.min():.3g} to {growth.max():.3g} 1/s{replay}"
+            f"{growth.min():.3g} to {growth.max():.3g} 1/s{repeated}"
         )
 
 

@@ -128,7 +128,7 @@ def in_time(terrain: Terrain) -> None:
     run = simulate(dae, start, inputs, t)
     spent = time.process_time() - begin
     begin = time.process_time()
-    again = replay(direct, run)
+    again = replay(direct, run).motion
     print(
         f"10 s, forward 0.1 m/s, yaw rate 0.05 rad/s: {spent:.2f} s CPU, the direct model alone "
         f"{time.process_time() - begin:.2f} s"

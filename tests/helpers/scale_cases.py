@@ -116,7 +116,7 @@ def path(scale: float, ground: Ground) -> Trajectory:
     y = radius * (ca.sin(heading) - np.sin(1.0))
     t = np.linspace(0, 6, 61)
     inputs = along(back, start, x, y, heading)
-    return drive(back, dae, start, inputs, t, sought=["steer"], tolerance=TOLERANCE).run
+    return drive(back, start, inputs, t, sought=["steer"], tolerance=TOLERANCE).run
 
 
 def rover(scale: float) -> Trajectory:

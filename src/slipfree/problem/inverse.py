@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError
+from slipfree.errors import ModelError, SlipfreeError
 from slipfree.files.toml.errors import Fault, names, problem_error
 from slipfree.models.given_rates import EULER, OMEGA, VELOCITY
 from slipfree.models.inverse import (
@@ -39,8 +39,9 @@ from slipfree.problem.load import Problem, S
 from slipfree.problem.subset import build_subset, drive_subset, is_subset
 from slipfree.records import Array
 from slipfree.solve.collocation import drive
+from slipfree.solve.replay import replay, spline_inputs
 from slipfree.solve.trim import apply_inputs
-from slipfree.trajectory import SolverError, Trajectory
+from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
@@ -195,27 +196,24 @@ def drive_along(
     if isinstance(setup.dae.u, Wanted):
         return drive_subset(setup, tolerance, progress)
     sought = [c.name for c in setup.vehicle.of("commanded")]
-    try:
-        found = drive(
-            setup.dae,
-            setup.model,
-            setup.start,
-            setup.inputs,
-            setup.t,
-            sought=sought,
-            tolerance=tolerance,
-        )
-    except SolverError as error:
-        if error.trajectory is None:
-            raise
-        return replace(error.trajectory, attributes={"replay_stopped": str(error)})
+    found = drive(setup.dae, setup.start, setup.inputs, setup.t, sought=sought, tolerance=tolerance)
+    run, words, gaps = found.run, "", dict[str, float]()
     if progress is not None:
-        progress(float(found.run.t[-1]))
-    gaps = {f"replay_{name}": size for name, size in found.difference.items()}
-    stop = found.replay.stop
-    early = {} if stop is None else {"replay_stopped": f"at {stop.t:.6g} s: {stop.words}"}
-    statistics = {**found.run.statistics, "tolerance": tolerance, **gaps}
-    return replace(found.run, statistics=statistics, attributes=early)
+        progress(float(run.t[-1]))
+    try:
+        inputs = spline_inputs(setup.model, found.t, found.unknowns)
+        again = replay(setup.model, run, inputs, tolerance=tolerance)
+    except (SlipfreeError, np.linalg.LinAlgError) as error:
+        words = f"the replay by the direct model failed: {error}"
+    else:
+        gaps = {f"replay_{name}": size for name, size in again.difference.items()}
+        if (stop := again.motion.stop) is not None:
+            words = f"at {stop.t:.6g} s: {stop.words}"
+    return replace(
+        run,
+        statistics={**run.statistics, "tolerance": tolerance, **gaps},
+        attributes={"replay_stopped": words} if words else {},
+    )
 
 
 def finished(run: Trajectory) -> Trajectory:

@@ -127,7 +127,7 @@ def drive_subset(
         gaps = {f"round_trip_{name}": gap for name, gap in trip.items()}
         if run.t.size < 2:
             return replace(run, statistics={**run.statistics, **gaps})
-        again = replay(direct, run, jumps=_jumps(setup, run), tolerance=tolerance)
+        again = replay(direct, run, jumps=_jumps(setup, run), tolerance=tolerance).motion
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         early["replay_stopped"] = str(error)
     else:

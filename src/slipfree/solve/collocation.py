@@ -19,13 +19,13 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import ModelError, SlipfreeError
+from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.records import Array, Mask, leaves, unpack
+from slipfree.records import Array, Mask, leaves
 from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
-from slipfree.solve.settle import first_violation, settle
-from slipfree.solve.simulate import check_times, simulate
+from slipfree.solve.settle import first_violation
+from slipfree.solve.simulate import check_times
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
@@ -166,6 +166,13 @@ class CollocationScheme:
             t, x, np.concatenate([z, rest]), q, np.repeat(self.system.u[:, :1], t.size, axis=1)
         )
 
+    def points(self, elements: Sequence[CollocationElement]) -> tuple[Array, Array]:
+        """Return the times of the start and of all points, and the unknowns there in rows."""
+        first, points = elements[0], self.basis.points
+        begin = first.z @ self.basis.values(np.zeros(1), tied=False).T
+        times = [e.begin + (e.end - e.begin) * points for e in elements]
+        return np.concatenate([[first.begin], *times]), np.hstack([begin, *(e.z for e in elements)])
+
 
 def collocation_schemes(system: System, sought: Mask) -> list[CollocationScheme]:
     """Return the collocations of a DAE under laws at the numbers of points that are tried."""
@@ -182,30 +189,26 @@ def collocation_schemes(system: System, sought: Mask) -> list[CollocationScheme]
 
 
 class Drive(NamedTuple):
-    """A motion along a path, and its replay by the direct model.
+    """A motion along a path.
 
     Attributes
     ----------
     run : Trajectory
-        The motion that was found.
-    inputs : record of SX
-        Inputs of the direct model, as functions of time, that make it.
-    replay : Trajectory
-        The direct model's motion under these inputs, integrated.
-    difference : dict of str to float
-        Largest difference between the two in every state of the direct model. [m, rad]
+        The motion.
+    t : ndarray, shape (n,)
+        Times of the collocation points. [s]
+    unknowns : dict of str to ndarray of shape (n,)
+        The unknowns of the motion at these times, by name.
     """
 
     run: Trajectory
-    inputs: Any
-    replay: Trajectory
-    difference: dict[str, float]
+    t: Array
+    unknowns: dict[str, Array]
 
 
 @computing
 def drive(
-    inverse: Dae,
-    direct: Dae,
+    dae: Dae,
     start: Trajectory,
     inputs: Any,
     t: Array,
@@ -213,7 +216,7 @@ def drive(
     sought: Sequence[str],
     tolerance: float = 1e-8,
 ) -> Drive:
-    """Return the motion of an inverse model, some of whose states are found, and its replay.
+    """Return the motion of a model some of whose states have no initial value.
 
     Elements are shortened until two degrees agree on the sought states within the tolerance, or as
     well as they ever do: on short elements of high degree, what changes fast counts as smooth, and
@@ -221,32 +224,30 @@ def drive(
 
     Parameters
     ----------
-    inverse, direct : Dae
-        The model whose inputs are known, and the one whose inputs are wanted; the latter's inputs
-        and states are among the former's unknowns and states.
+    dae : Dae
+        The model.
     start : Trajectory
         Its last sample is where the motion starts, but for the sought states.
     inputs : record
-        From ``inverse.inputs(...)``: constants, or expressions of time.
+        From ``dae.inputs(...)``: constants, or expressions of time.
     t : ndarray, shape (n,)
         Ascending times of the samples. [s]
     sought : sequence of str
         States without an initial value.
     tolerance : float
-        Of the sought states, and of the integrator in the replay; lengths in sizes of the vehicle.
-        [size, rad]
+        Of the sought states; lengths in sizes of the vehicle. [size, rad]
 
     Raises
     ------
     ModelError
         If an argument is not usable, or the start is not valid.
     SolverError
-        If there is no such motion, or the replay fails; then ``trajectory`` is the motion.
+        If there is no such motion.
     """
-    t, names = check_times(t), [label.full for label in leaves(inverse.labels.x)]
+    t, names = check_times(t), [label.full for label in leaves(dae.labels.x)]
     if not set(sought) <= set(names):
         raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
-    clock, system = time.process_time(), with_inputs(inverse, inputs, 0)
+    clock, system = time.process_time(), with_inputs(dae, inputs, 0)
     mask = np.array([name in sought for name in names])
     best, elements, error = _refine_elements(system, mask, start, t, tolerance)
     samples, report = _correct_pose(system, best.samples(elements, t))
@@ -260,12 +261,11 @@ def drive(
         "sought_error": error,
         "cpu_seconds": time.process_time() - clock,
     }
-    run = replace(run, statistics=statistics)
-    laws = _input_splines(direct, inverse, best, elements)
-    try:
-        return Drive(run, laws, *_replay_drive(direct, run, laws, tolerance))
-    except (SlipfreeError, np.linalg.LinAlgError) as error:
-        raise SolverError(f"the replay by the direct model failed: {error}", run) from error
+    times, unknowns = best.points(elements)
+    names = [label.full for label in leaves(dae.labels.z)][: len(unknowns)]
+    return Drive(
+        replace(run, statistics=statistics), times, dict(zip(names, unknowns, strict=True))
+    )
 
 
 def _refine_elements(
@@ -337,41 +337,3 @@ def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:
     if k == 1:
         raise ModelError(f"t: a motion needs two samples, and before the second {stop.words}")
     return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))
-
-
-def _input_splines(
-    direct: Dae, inverse: Dae, best: CollocationScheme, elements: Sequence[CollocationElement]
-) -> Any:
-    """Return the direct model's inputs as splines through the values at all points."""
-    from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
-
-    names = [label.full for label in leaves(inverse.labels.z)]
-    asked = [label.full for label in leaves(direct.labels.u)]
-    missing = set(asked) - set(names)
-    if missing:
-        raise ModelError(f"the inverse model does not determine {', '.join(sorted(missing))}")
-    first, points = elements[0], best.basis.points
-    begins = best.basis.values(np.zeros(1), tied=False) @ first.z.T
-    t = np.concatenate([[first.begin], *(e.begin + (e.end - e.begin) * points for e in elements)])
-    values = np.concatenate([begins, *(e.z.T for e in elements)])
-    inside = ca.fmin(ca.fmax(direct.t, t[0]), t[-1])
-    columns = values[:, [names.index(name) for name in asked]]
-    spline = make_interp_spline(t, columns, k=5)
-    at = ca.MX.sym("t")
-    value = ca.Function.bspline(
-        "law", [spline.t.tolist()], spline.c.ravel().tolist(), [5], len(asked)
-    )
-    law = ca.Function("law", [at], [value(at)], {"never_inline": True})
-    return unpack(direct.u, ca.vertsplit(law(inside)))
-
-
-def _replay_drive(
-    direct: Dae, run: Trajectory, laws: Any, tolerance: float
-) -> tuple[Trajectory, dict[str, float]]:
-    """Return the direct model's motion from the same start, and its difference from the run."""
-    states = {label.full: float(run[label.name][0]) for label in leaves(direct.labels.x)}
-    replay = simulate(
-        direct, settle(direct, guess=None, **states), laws, run.t, tolerance=tolerance
-    )
-    n = replay.t.size if replay.stop is None else replay.t.size - 1
-    return replay, {name: float(np.abs(replay[name][:n] - run[name][:n]).max()) for name in states}

@@ -1,14 +1,15 @@
-"""Drive a motion again by another model, under the inputs that the first one found."""
+"""Repetition of a motion by another model under the inputs that the first model found."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
+from slipfree.errors import ModelError
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.sampling import Samples, correct_samples
 from slipfree.solve.settle import settle
@@ -17,6 +18,21 @@ from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory, joined
 
 SPLINE_DEGREE = 5  # of the spline through the inputs
+
+
+class Replay(NamedTuple):
+    """A motion repeated by another model.
+
+    Attributes
+    ----------
+    motion : Trajectory
+        The motion of the other model.
+    difference : dict of str to float
+        Largest difference between the two in every state of the other model. [m, rad]
+    """
+
+    motion: Trajectory
+    difference: dict[str, float]
 
 
 def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, float]:
@@ -52,11 +68,14 @@ def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, flo
 
 
 def replay(
-    dae: Dae, run: Trajectory, *, jumps: Sequence[float] = (), tolerance: float = 1e-8
-) -> Trajectory:
-    """Return the motion of a model under the sampled inputs of another motion, from its start.
-
-    Splines go through the samples of the inputs, from each jump to the next.
+    dae: Dae,
+    run: Trajectory,
+    inputs: Any = None,
+    *,
+    jumps: Sequence[float] = (),
+    tolerance: float = 1e-8,
+) -> Replay:
+    """Return the motion of a model under the inputs of another motion, from its start.
 
     Parameters
     ----------
@@ -64,6 +83,9 @@ def replay(
         The model; the motion holds its states, its first unknowns and its inputs.
     run : Trajectory
         The motion.
+    inputs : record of SX, optional
+        Inputs of the model, see `spline_inputs`; by default splines through the samples of the
+        motion, from each jump to the next.
     jumps : sequence of float
         Times at which inputs may jump; samples there hold their values behind the jump. [s]
     tolerance : float
@@ -76,43 +98,76 @@ def replay(
     SolverError
         If the integrator fails.
     """
-    t, labels = run.t, list(leaves(dae.labels.u))
-    values = np.column_stack([run.of(label) for label in labels])
+    t = run.t
     start = settle(
         dae, guess=_first_values(run, dae.labels.z[0]), **_first_values(run, dae.labels.x)
     )
-    cuts = [k for k in range(1, t.size - 1) if np.isin(t[k], jumps)]
+    cuts = [k for k in range(1, t.size - 1) if inputs is None and np.isin(t[k], jumps)]
     parts: list[Trajectory] = []
     for left, right in zip([0, *cuts], [*cuts, t.size - 1], strict=True):
         last = right + (right == t.size - 1)
-        law = _input_splines(dae, t[left:last], values[left:last], float(t[right]))
+        law = inputs
+        if law is None:
+            values = {each.full: run.of(each)[left:last] for each in leaves(dae.labels.u)}
+            law = spline_inputs(dae, t[left:last], values, end=float(t[right]))
         start = simulate(dae, start, law, t[left : right + 1], tolerance=tolerance)
         parts.append(start)
         if start.stop is not None:
             break
-    return joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
+    motion = joined(*(part.part(slice(-1)) for part in parts[:-1]), parts[-1])
+    n = motion.t.size if motion.stop is None else motion.t.size - 1
+    return Replay(
+        motion,
+        {
+            each.full: float(np.abs(motion.of(each)[:n] - run.of(each)[:n]).max(initial=0.0))
+            for each in leaves(dae.labels.x)
+        },
+    )
 
 
 def _first_values(run: Trajectory, record: Any) -> dict[str, float]:
     return {label.full: float(run.of(label)[0]) for label in leaves(record)}
 
 
-def _input_splines(dae: Dae, t: Array, values: Array, end: float) -> Any:
-    """Return the inputs as splines through samples, carried on to the end."""
+def spline_inputs(
+    dae: Dae, t: Array, values: Mapping[str, Array], *, end: float | None = None
+) -> Any:
+    """Return the inputs of a model as splines through samples.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    t : ndarray, shape (n,)
+        Ascending times of the samples; inputs are constant before the first and after the last. [s]
+    values : mapping of str to ndarray of shape (n,)
+        Samples by name, of all inputs and perhaps more.
+    end : float, optional
+        Time up to which the last polynomials are continued. [s]
+
+    Raises
+    ------
+    ModelError
+        If samples of an input are missing.
+    """
     from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
 
+    names = [label.full for label in leaves(dae.labels.u)]
+    if missing := sorted(set(names) - set(values)):
+        raise ModelError(f"the motion does not determine the inputs {', '.join(missing)}")
+    samples = np.column_stack([values[name] for name in names])
     degree = min(SPLINE_DEGREE, t.size - 1)
     if not degree:
-        return unpack(dae.u, values[0].tolist())
+        return unpack(dae.u, samples[0].tolist())
     if degree % 2 == 0:
         degree -= 1
-    spline = make_interp_spline(t, values, k=degree)
-    if end > t[-1]:
+    spline = make_interp_spline(t, samples, k=degree)
+    if end is not None and end > t[-1]:
         t = np.append(t, end)
         spline = make_interp_spline(t, spline(t), k=degree)
     at = ca.MX.sym("t")
     value = ca.Function.bspline(
-        "law", [spline.t.tolist()], spline.c.ravel().tolist(), [degree], values.shape[1]
+        "law", [spline.t.tolist()], spline.c.ravel().tolist(), [degree], samples.shape[1]
     )
     law = ca.Function("law", [at], [value(at)], {"never_inline": True})
     inside = ca.fmin(ca.fmax(dae.t, t[0]), t[-1])
