@@ -1,5 +1,8 @@
 """Vehicles that several tests drive."""
 
+from dataclasses import replace
+
+from slipfree.vehicle.catalogue.rovers import Station, rocker_bogie
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -36,4 +39,58 @@ def four_wheels(*, rock):
             Wheel("front_right", "right_knuckle", origin, *size, driven=False),
             Wheel("front_left", "left_knuckle", origin, *size, driven=False),
         ),
+    )
+
+
+def four_wheel_steered(**steering):
+    """Return a four-wheeler with a rocking front axle; all wheels are driven and steered.
+
+    Keywords are those of the steered coordinates, such as stops.
+    """
+    vehicle = Vehicle(
+        "four_wheel_steered",
+        (Coordinate("rock", "suspension", "front axle"),),
+        (Joint("axle", "platform", "y", (0.0, 0.4, 0.0), "rock"),),
+        tuple(
+            Wheel(f"{end}_{side}", parent, (x, y, 0.0), 0.03, 0.12, driven=True)
+            for end, parent, y in (("front", "axle", 0.0), ("rear", "platform", -0.4))
+            for side, x in (("right", 0.3), ("left", -0.3))
+        ),
+    )
+    for wheel in vehicle.wheels:
+        name = f"steer_{wheel.name}"
+        words = f"steering angle of wheel {wheel.name}, left positive"
+        vehicle = replace(
+            vehicle,
+            coordinates=(*vehicle.coordinates, Coordinate(name, "commanded", words, **steering)),
+            joints=(*vehicle.joints, Joint(name, wheel.parent, "z", wheel.at, name)),
+            wheels=tuple(
+                replace(w, parent=name, at=(0.0, 0.0, 0.0)) if w is wheel else w
+                for w in vehicle.wheels
+            ),
+        )
+    return vehicle
+
+
+def six_wheel_steered():
+    """Return a rocker-bogie rover whose six wheels are driven and steered, level at rest."""
+    stations = {
+        end: Station(half_track, ahead, -0.185, on_bogie=end != "rear", steered=True)
+        for end, half_track, ahead in (
+            ("front", 0.18, 0.27),
+            ("middle", 0.25, 0.0),
+            ("rear", 0.18, -0.27),
+        )
+    }
+    return rocker_bogie(
+        "six_wheel_steered",
+        stations,
+        differential=(-0.02, 0.0),
+        bogie=(0.095, -0.09),
+        radius=0.075,
+        r1=0.02,
+        mass=0.0,
+        center_of_mass=(0.0, 0.0, 0.0),
+        wheel_mass=0.0,
+        grip=1.0,
     )

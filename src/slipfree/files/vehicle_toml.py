@@ -110,6 +110,7 @@ class CoordinateTable(Record):
     rest: float = 0.0
     damping: NonNegative = 0.0
     bump: NonNegative = 0.0
+    max_rate: Positive | None = None
 
 
 class JointTable(Record):

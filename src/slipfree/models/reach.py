@@ -25,6 +25,11 @@ SUBSET = {
     "yaw_rate": Label("yaw_rate", "rad s-1", "rate of the heading, counter-clockwise"),
 }
 DEFAULT = ("forward", "yaw_rate")
+MOVES = {
+    "forward": "move the platform forward",
+    "right": "move the platform sideways",
+    "yaw_rate": "turn the platform",
+}
 RANK = 1e-9  # relative singular value below which wheels have no effect on a given rate
 MISSED = 1e-9  # part of the given rates that may be missed
 LEAST_MARGIN = 5e-3  # smallest singular value at which given rates still count as reached
@@ -40,7 +45,7 @@ def planar_rates(direct: Dae) -> dict[str, ca.SX]:
     }
 
 
-def check_given(vehicle: Vehicle, given: tuple[str, ...]) -> None:
+def check_given(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = True) -> None:
     """Raise ModelError for given rates that are not known, or more than driven wheels."""
     for name in given:
         if name not in SUBSET:
@@ -53,11 +58,12 @@ def check_given(vehicle: Vehicle, given: tuple[str, ...]) -> None:
             "rollers: give right as well, right = 0 to go straight"
         )
     driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
-    if len(given) > len(driven):
+    if exact and len(given) > len(driven):
         raise ModelError(
             f"{vehicle.name} has {len(driven)} driven wheels, which determine as many rates of the "
             f"platform at most, found {', '.join(given)}; leave out "
-            f"{'right' if 'right' in given else given[-1]}"
+            f"{'right' if 'right' in given else given[-1]}, or set exact = false for the nearest "
+            "motion"
         )
 
 
@@ -100,10 +106,13 @@ class Response:
         """Return the smallest singular value of the reach, and what it means in words."""
         left, values, _ = np.linalg.svd(self.reach(parts))
         name = self.given[int(np.abs(left[:, -1]).argmax())]
-        beside = ", beside the other given rates" if len(self.given) > 1 else ""
+        at, remedy = "", "Remove"
+        if self.joints:
+            at, remedy = "with the current steering angles ", "Steer the wheels first, remove"
         return float(values[-1]), (
-            f"no rates of the driven wheels bring about {name} here{beside} (singular value "
-            f"{values[-1]:.1e} of {values[0]:.1e}); leave {name} out of the given rates"
+            f"platform rate '{name}' cannot be imposed: {at}the wheels cannot {MOVES[name]} "
+            f"(smallest singular value {values[-1]:.1e}, largest {values[0]:.1e}). {remedy} "
+            f"'{name}' from the given rates, or set exact = false for the nearest motion"
         )
 
 

@@ -41,6 +41,7 @@ class JointTable(Record):
     rest: float | None = None
     damping: NonNegative | None = None
     bump: NonNegative | None = None
+    max_rate: Positive | None = None
 
 
 class WheelTable(Record):

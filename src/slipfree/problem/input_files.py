@@ -11,7 +11,7 @@ from typing import Any
 from slipfree.errors import DataError
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.load import Problem
-from slipfree.problem.schema import Climb, Motion
+from slipfree.problem.schema import Climb, Inverse, Motion
 from slipfree.regular_files import regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # that may name a file
@@ -24,6 +24,8 @@ def input_names(spec: Motion | Climb, tables: Sequence[str] = TABLES) -> tuple[s
     found = [getattr(spec, name, None) for name in tables]
     names: list[Any] = [getattr(table, "file", None) for table in found]
     names += [getattr(table, "friction", None) for table in found]
+    if isinstance(spec, Inverse) and tables is TABLES:
+        names.append((spec.given or {}).get("file"))
     return tuple(name for name in names if isinstance(name, str))
 
 

@@ -35,6 +35,7 @@ from slipfree.problem.build_common import (
     turned,
 )
 from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.commands import ROBOT
 from slipfree.problem.load import Problem, S
 from slipfree.problem.subset import build_subset, drive_subset, is_subset
 from slipfree.records import Array
@@ -66,13 +67,19 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
         return build_subset(problem, spec)
     given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
     faults = [*_given(given)]
+    if spec.exact is not None and not _is_path(spec):
+        expected = f"no key 'exact' but with {', '.join(SUBSET)} or a path"
+        faults.append(Fault(("exact",), expected, str(spec.exact).lower()))
     if faults:
         raise problem_error(problem.source, faults)
-    ground, points = build_ground(problem), _points(problem, spec)
-    sought = _is_path(spec)
+    points, sought = _points(problem, spec), _is_path(spec)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
+        if sought and not _rolls(vehicle):
+            return build_subset(problem, spec, points)
         _check_rolls(vehicle)
+    ground = build_ground(problem)
+    with at(problem, ("vehicle",)):
         terrain = build_terrain(problem, ground)
         dae = inverse_kinematics(
             vehicle,
@@ -103,10 +110,14 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
 
 def _given(given: dict[str, float]) -> Iterator[Fault]:
     """Yield what keeps rates from being three that may be given together."""
-    unknown = [*names(("given",), given, (*KNOWN, *SUBSET))]
+    known = list(dict.fromkeys((*KNOWN, *SUBSET, *ROBOT)))
+    unknown = [*names(("given",), given, known)]
     yield from unknown
-    if ours := [name for name in given if name in SUBSET]:
-        expected = f"rates in the platform's heading frame ({', '.join(SUBSET)}) or others alone"
+    if ours := [name for name in given if name in {*SUBSET, *ROBOT} - {*KNOWN}]:
+        expected = (
+            f"rates in the platform's heading frame ({', '.join(SUBSET)}; with frame = 'rep103' "
+            f"also {', '.join(ROBOT)}) or others alone"
+        )
         yield Fault(("given", ours[0]), expected, ", ".join(given))
     for name, value in given.items():
         if not isinstance(value, float):
@@ -124,14 +135,19 @@ def _given(given: dict[str, float]) -> Iterator[Fault]:
         yield Fault(("given",), expected, ", ".join(angular))
 
 
-def _check_rolls(vehicle: Vehicle) -> None:
+def _rolls(vehicle: Vehicle) -> bool:
+    """Return whether a vehicle can roll without slip and has three inputs."""
     free = sum(not wheel.driven for wheel in vehicle.wheels)
     inputs = len(vehicle.wheels) - free + len(vehicle.of("commanded"))
-    if len(vehicle.of("passive")) + free != 2 * len(vehicle.wheels) - 3 or inputs != 3:
+    return inputs == 3 and len(vehicle.of("passive")) + free == 2 * len(vehicle.wheels) - 3
+
+
+def _check_rolls(vehicle: Vehicle) -> None:
+    if not _rolls(vehicle):
         raise ModelError(
-            f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates or "
-            f"along a path needs, or has not three inputs; give some of {', '.join(SUBSET)} in "
-            "[given] instead"
+            f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates "
+            f"requires, or does not have three inputs; give some of {', '.join(SUBSET)} in "
+            "[given], or a path with steering = 'angle'"
         )
 
 

@@ -165,7 +165,14 @@ class Inverse(Motion):
 
     verb: Literal["inverse"] = Field(description=VERB)
     given: dict[str, TimeFunction] | None = Field(
-        default=None, description="rates of the platform by name [m/s, rad/s]"
+        default=None,
+        description="rates of the platform by name, or the name of a CSV file of them in "
+        "time [m/s, rad/s]",
+    )
+    exact: bool | None = Field(
+        default=None,
+        description="whether rates in the heading frame are met exactly or refused; else their "
+        "errors are the least; by default unless all three are given",
     )
     path: Path | None = Field(default=None, description="a path in time instead")
     steering: Literal["rate", "angle"] = Field(default="angle", description="what of it is unknown")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from slipfree.control.path_tracking import track_path
+from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
-from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.platform_rates import steered, subset_kinematics
 from slipfree.models.reach import SUBSET, check_reach
@@ -24,42 +25,65 @@ from slipfree.problem.build_common import (
     samples,
 )
 from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.commands import are_commands, read_commands
 from slipfree.problem.load import Problem, S
-from slipfree.records import leaves
+from slipfree.records import Array, leaves
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.simulate import simulate
 from slipfree.solve.trim import trim_states
 from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.formula import evaluate
 
+LEAST_SAMPLES = 4  # between jumps of the given rates, for a replay
 MOTION = ("velocity_x", "velocity_y", "heading_rate")
 
 
 def is_subset(spec: schema.Motion) -> bool:
     """Return whether all given rates are in the platform's heading frame."""
-    given = spec.given if isinstance(spec, schema.Inverse) else None
-    return bool(given) and set(given or ()) <= set(SUBSET)
+    return isinstance(spec, schema.Inverse) and are_commands(spec.given or ())
 
 
-def build_subset(problem: Problem[S], spec: schema.Inverse) -> Setup:
-    """Return the models, the start and the inputs of a problem.
+def build_subset(problem: Problem[S], spec: schema.Inverse, points: Array | None = None) -> Setup:
+    """Return the models, the start and the inputs of a problem under commands or along a path.
 
-    The steering starts at the angles that the given rates ask for, but for what is given of it.
+    The steering starts at the angles that the first commands lead to, but for those in `[start]`.
     """
-    given = dict(spec.given or {})
-    if faults := [*_steering(spec)]:
-        raise problem_error(problem.source, faults)
+    place, given = ("path",), dict.fromkeys(SUBSET, 0.0)
+    if points is None:
+        place, (given, words) = ("given",), read_commands(problem, spec)
+    exact = len(given) < len(SUBSET) if spec.exact is None else spec.exact
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
         terrain = build_terrain(problem, ground)
         direct = direct_kinematics(vehicle, terrain)
-    with at(problem, ("given",)):
-        dae = subset_kinematics(vehicle, terrain, given=tuple(given))
+    with at(problem, place):
+        dae = subset_kinematics(vehicle, terrain, given=tuple(given), exact=exact)
     direct = replace(direct, compiled=spec.solver.compiled)
     dae = replace(dae, compiled=spec.solver.compiled)
     check_names(problem, direct, None)
     stand = build_start(problem, direct)
+    t, inputs, first = _inputs(problem, spec, dae, given)
+    if points is not None:
+        words = f"path of {points.shape[1]} way-points in {points[0, -1]:g} s"
+        dae, inputs = track_path(dae, *points)
+        first = inputs
+    sought = [name for name in steered(vehicle, direct) if name not in spec.start]
+    with at(problem, place):
+        try:
+            errors = [f"{name}_error" for name in sought]
+            start = trim_states(dae, stand, first, states=sought, least=errors)
+        except ModelError:
+            if exact:
+                check_reach(vehicle, direct, stand, tuple(given))
+            raise
+    return Setup(ground, terrain, vehicle, direct, dae, start, inputs, t, words)
+
+
+def _inputs(
+    problem: Problem[S], spec: schema.Inverse, dae: Dae, given: Mapping[str, Any]
+) -> tuple[Array, Any, Any]:
+    """Return the times of the samples, the inputs, and those at the start."""
     formulas = {}
     for name, value in given.items():
         if isinstance(value, str):
@@ -70,25 +94,7 @@ def build_subset(problem: Problem[S], spec: schema.Inverse) -> Setup:
     first = {
         name: value[0] if isinstance(value, np.ndarray) else value for name, value in rates.items()
     }
-    sought = [name for name in steered(vehicle, direct) if name not in spec.start]
-    errors = [f"{name}_error" for name in sought]
-    with at(problem, ("given",)):
-        inputs = dae.inputs(**rates, **formulas)
-        try:
-            start = trim_states(
-                dae, stand, dae.inputs(**first, **formulas), states=sought, least=errors
-            )
-        except ModelError:
-            check_reach(vehicle, direct, stand, tuple(given))
-            raise
-    words = ", ".join(f"{name} {_words(given[name])} {_unit(name)}" for name in given)
-    return Setup(ground, terrain, vehicle, direct, dae, start, inputs, t, words)
-
-
-def _steering(spec: schema.Inverse) -> Iterator[Fault]:
-    if spec.steering != "angle":
-        expected = f"'angle', which the steering follows with {', '.join(SUBSET)}"
-        yield Fault(("steering",), expected, repr(spec.steering))
+    return t, dae.inputs(**rates, **formulas), dae.inputs(**first, **formulas)
 
 
 def _formula(name: str, text: str, time: ca.SX) -> ca.SX:
@@ -97,16 +103,6 @@ def _formula(name: str, text: str, time: ca.SX) -> ca.SX:
         return evaluate(text, {"t": time})
     except ModelError as error:
         raise ModelError(f"{name}: {error}; a rate may be a formula of t, in seconds") from error
-
-
-def _words(value: float | schema.Piecewise | str) -> str:
-    if isinstance(value, tuple):
-        return " then ".join(f"{rate:g}" for _, rate in value)
-    return value if isinstance(value, str) else f"{value:g}"
-
-
-def _unit(name: str) -> str:
-    return SUBSET[name].unit.replace(" s-1", "/s")
 
 
 def drive_subset(
@@ -127,7 +123,9 @@ def drive_subset(
         gaps = {f"round_trip_{name}": gap for name, gap in trip.items()}
         if run.t.size < 2:
             return replace(run, statistics={**run.statistics, **gaps})
-        again = replay(direct, run, jumps=_jumps(setup, run), tolerance=tolerance).motion
+        jumps = _jumps(setup, run)
+        _check_samples(run.t, jumps)
+        again = replay(direct, run, jumps=jumps, tolerance=tolerance).motion
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         early["replay_stopped"] = str(error)
     else:
@@ -139,6 +137,16 @@ def drive_subset(
         if again.stop is not None and run.stop is None:
             early["replay_stopped"] = f"at {again.stop.t:.6g} s: {again.stop.words}"
     return replace(run, statistics={**run.statistics, **gaps}, attributes=early)
+
+
+def _check_samples(t: Array, jumps: Sequence[float]) -> None:
+    """Raise ModelError if samples between jumps are too few for splines through the inputs."""
+    places = np.searchsorted(t, [t[0], *jumps])
+    if jumps and np.diff(places).min() < LEAST_SAMPLES:
+        raise ModelError(
+            f"not done: it needs {LEAST_SAMPLES} or more samples between changes of the commands, "
+            f"found {np.diff(places).min()}; reduce 'step' in [time]"
+        )
 
 
 def _jumps(setup: Setup, run: Trajectory) -> list[float]:

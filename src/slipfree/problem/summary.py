@@ -8,11 +8,14 @@ import numpy as np
 
 from slipfree.contact.certify import NONE
 from slipfree.models.inverse import steering_note
+from slipfree.models.reach import SUBSET
 from slipfree.problem.climb_summary import climb_facts, is_climb
+from slipfree.records import Mask
 from slipfree.trajectory import Trajectory, path_length
 
 UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
 ROUNDING = 1e-6  # of a limit that a plan keeps to, in its unit
+STEERED = 0.01  # error of a steering angle within which it is at its target [rad, m]
 Facts = list[tuple[str, str]]
 
 
@@ -77,7 +80,8 @@ def steering_warning(run: Trajectory) -> str:
 
 def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
     """Yield what an inverse motion was sought for, and how well it is determined."""
-    if "inverse_margin" not in run.columns:
+    commanded = [name for name in SUBSET if f"{name}_error" in run.columns]
+    if "inverse_margin" not in run.columns and not commanded:
         return
     for wheel in run.wheels:
         if (name := f"{wheel}_rate") in run.columns:
@@ -88,14 +92,24 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
             low, high, unit = run[name].min(), run[name].max(), run.columns[name].label.unit
             words = "steering angle" if unit == "rad" else "steering rate"
             yield words, f"{low:.6g} to {high:.6g} {unit.replace(' s-1', '/s')}"
-    margin = run["inverse_margin"]
-    worst = int(margin.argmin())
-    words = run.columns["inverse_margin"].label.words
-    yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
-    for name in [name for name in run if f"{name}_error" in run.columns]:
+    if "inverse_margin" in run.columns:
+        margin = run["inverse_margin"]
+        worst = int(margin.argmin())
+        words = run.columns["inverse_margin"].label.words
+        yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
+    known = {*SUBSET, "path", "heading"}
+    steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
+    for name in steered:
         low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
         unit = run.columns[name].label.unit
         yield f"steering {name}", f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most"
+    errors = [np.abs(run[f"{name}_error"]) for name in steered]
+    is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
+    for name in commanded:
+        yield f"error of {name}", _largest_error(run, f"{name}_error", is_turning)
+    for name in ("path_error", "heading_error"):
+        if name in run.columns:
+            yield name.replace("_", " "), _largest_error(run, name, is_turning)
     if "steering_slip" in run.columns:
         yield "steering slip", f"{run['steering_slip'].max():.2e} m/s at most: lever times rate"
     if warning := steering_warning(run):
@@ -107,6 +121,18 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
             f"{max(trip):.1e} at most: rates of the direct model at the samples, from those of "
             "wheels and joints",
         )
+
+
+def _largest_error(run: Trajectory, name: str, is_turning: Mask) -> str:
+    """Return the largest error and its time, and the largest with the steering at its target."""
+    error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
+    worst = int(error.argmax())
+    words = f"{error[worst]:.1e} {unit} at most (t = {run.t[worst]:.4g} s)"
+    if is_turning.all():
+        return f"{words}; the steering is never within {STEERED:g} rad of its target"
+    if is_turning.any():
+        return f"{words}, {error[~is_turning].max():.1e} {unit} while the steering is at its target"
+    return words
 
 
 def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:

@@ -60,6 +60,8 @@ class Coordinate:
     bump : float
         Stiffness of the stops. Zero if they are rigid: then reaching one ends the motion, and what
         goes on from there is the vehicle with that joint locked (`actuated`). [N m/rad or N/m]
+    max_rate : float
+        Largest rate of its actuator, which steering laws respect. [rad/s or m/s]
     """
 
     name: str
@@ -71,6 +73,7 @@ class Coordinate:
     rest: float = 0.0
     damping: float = 0.0
     bump: float = 0.0
+    max_rate: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -83,6 +86,10 @@ class Coordinate:
                 raise ModelError(
                     f"coordinate {self.name}: {key} must be zero or more, found {value}"
                 )
+        if not self.max_rate > 0:
+            raise ModelError(
+                f"coordinate {self.name}: max_rate must be positive, found {self.max_rate}"
+            )
         if self.bump and not (math.isfinite(self.lower) or math.isfinite(self.upper)):
             raise ModelError(f"coordinate {self.name}: bump needs a stop, found none")
         if not math.isfinite(self.rest):

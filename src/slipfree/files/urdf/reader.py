@@ -319,9 +319,9 @@ class _Reading:
     def _restrict(
         self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
     ) -> None:
-        """Narrow the stops of a coordinate to the limits of a joint that it moves.
+        """Narrow stops and rate of a coordinate to the limits of a joint that it moves.
 
-        Stops that the role of the leading joint gives stay as they are.
+        Those that the role of the leading joint gives stay as they are.
         """
         c, role = self.coordinates.get(name), self.roles.joints.get(leader.name)
         if multiplier == 0:
@@ -345,7 +345,10 @@ class _Reading:
                 f"there, which override the URDF's{self._in_file()}",
             )
             return
-        self.coordinates[name] = replace(c, lower=lower, upper=upper)
+        rate = c.max_rate
+        if role is None or "max_rate" not in role.keywords:
+            rate = min(rate, joint.max_rate / abs(multiplier))
+        self.coordinates[name] = replace(c, lower=lower, upper=upper, max_rate=rate)
 
     def _limit(self, joint: UrdfJoint, key: str) -> float:
         """Return a limit of a joint in the URDF; add an error if its unit looks wrong."""

@@ -55,6 +55,7 @@ class UrdfJoint(NamedTuple):
     axis: Vector
     lower: float
     upper: float
+    max_rate: float
     mimic: Mimic | None
     line: int
 
@@ -225,6 +226,7 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
                 'write <axis xyz="0 1 0"/> for one to the left',
             )
     lower, upper = _limits(element, kind, faults, who)
+    max_rate = _max_rate(element, faults, who)
     mimic = element.first("mimic")
     follows = (
         None
@@ -236,7 +238,18 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
         )
     )
     return UrdfJoint(
-        name, kind, ends[0], ends[1], at, turned, axis, lower, upper, follows, element.line
+        name,
+        kind,
+        ends[0],
+        ends[1],
+        at,
+        turned,
+        axis,
+        lower,
+        upper,
+        max_rate,
+        follows,
+        element.line,
     )
 
 
@@ -255,6 +268,13 @@ def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[floa
         value = _number(limit, key, 0.0, faults, f"{who}: limit")
         found.append(sign * math.inf if abs(value) >= ENDLESS else value)
     return found[0], found[1]
+
+
+def _max_rate(element: Element, faults: Faults, who: str) -> float:
+    """Return the velocity limit of a joint, infinite if absent or zero. [rad/s or m/s]."""
+    limit = element.first("limit")
+    found = 0.0 if limit is None else _number(limit, "velocity", 0.0, faults, f"{who}: limit")
+    return found if 0 < found < ENDLESS else math.inf
 
 
 def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]:

@@ -1,0 +1,101 @@
+"""Commands of a problem: rates in the platform's heading frame, in its file or in a CSV file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from slipfree.errors import DataError
+from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.models.reach import SUBSET
+from slipfree.problem import schema
+from slipfree.problem.build_common import read_columns
+from slipfree.problem.build_ground import at
+from slipfree.problem.load import Problem, S
+from slipfree.regular_files import read_bytes
+
+FILE = "file"
+ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
+
+
+def are_commands(given: Collection[str]) -> bool:
+    """Return whether given rates, or those of their file, are in the platform's heading frame."""
+    names = set(given)
+    return FILE in names or (bool(names) and (names <= set(SUBSET) or names <= set(ROBOT)))
+
+
+def read_commands(problem: Problem[S], spec: schema.Inverse) -> tuple[dict[str, Any], str]:
+    """Return the commands of a problem by the names of `SUBSET`, and in words.
+
+    Raises
+    ------
+    ProblemError
+        If the file cannot be read, or names are unknown, given twice or of another frame.
+    """
+    given, columns, words = dict(spec.given or {}), dict[str, Any](), []
+    if (file := given.pop(FILE, None)) is not None:
+        with at(problem, ("given", FILE)):
+            columns = _read_file(problem.folder / str(file))
+        words = [f"{', '.join(columns)} of {file}"]
+    if faults := [*_faults(spec, given, columns)]:
+        raise problem_error(problem.source, faults)
+    found = {
+        ROBOT.get(name, name): _negative(value) if name == "v_y" else value
+        for name, value in (columns | given).items()
+    }
+    words += [f"{name} {_words(value)} {_unit(name)}" for name, value in given.items()]
+    return found, ", ".join(words)
+
+
+def _read_file(file: Path) -> dict[str, schema.Piecewise]:
+    """Return the columns of a CSV file; a command holds until the next one."""
+    header = read_bytes(file, "commands as CSV").decode("utf-8-sig", "replace").partition("\n")[0]
+    names = [name.strip() for name in header.split(",")]
+    rates = [name for name in names if name != "t"]
+    if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
+        raise DataError(
+            f"{file}: expected a first line of names, t and some of {', '.join(SUBSET)} or some of "
+            f"{', '.join(ROBOT)}, found {header.strip()!r}"
+        )
+    t, *columns = zip(*read_columns(file, ["t", *rates], "commands"), strict=True)
+    if t[0] != 0 or any(b <= a for a, b in pairwise(t)):
+        raise DataError(f"{file}: expected times that ascend from 0")
+    return {
+        name: tuple(zip(t, rate, strict=True)) for name, rate in zip(rates, columns, strict=True)
+    }
+
+
+def _faults(
+    spec: schema.Inverse, given: Mapping[str, Any], columns: Collection[str]
+) -> Iterator[Fault]:
+    """Yield what keeps rates from being commands."""
+    if spec.steering != "angle":
+        expected = f"'angle', which the steering follows with {', '.join(SUBSET)}"
+        yield Fault(("steering",), expected, repr(spec.steering))
+    for name in given:
+        if not are_commands({name, *columns}):
+            yield Fault(("given", name), f"more rates like {', '.join(columns)}", repr(name))
+        elif name in columns:
+            yield Fault(("given", name), "a rate that the file does not have", repr(name))
+    if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
+        place = ("given", robot[0] if robot[0] in given else FILE)
+        expected = f"{', '.join(SUBSET)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
+        yield Fault(place, expected, f"{robot[0]} in the frame {spec.frame!r}")
+
+
+def _negative(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple((t, -rate) for t, rate in value)
+    return f"-({value})" if isinstance(value, str) else -value
+
+
+def _words(value: float | schema.Piecewise | str) -> str:
+    if isinstance(value, tuple):
+        return " then ".join(f"{rate:g}" for _, rate in value)
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _unit(name: str) -> str:
+    return SUBSET[ROBOT.get(name, name)].unit.replace(" s-1", "/s")

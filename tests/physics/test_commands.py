@@ -1,0 +1,380 @@
+"""Commands of robots: steering angles and wheel rates for rates of the platform, with errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from typer.testing import CliRunner
+
+from helpers.cases import hills
+from helpers.vehicles import four_wheel_steered, six_wheel_steered
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
+from slipfree.cli import app
+from slipfree.control.path_tracking import GAIN, track_path
+from slipfree.files import netcdf
+from slipfree.models.platform_rates import FASTEST, STOP_CLEARANCE, steered, subset_kinematics
+from slipfree.models.reach import SUBSET
+from slipfree.problem.input_files import input_files
+from slipfree.problem.load import read
+from slipfree.solve.replay import replay, round_trip
+from slipfree.solve.trim import X
+from slipfree.vehicle.catalogue.carts import ackermann, differential_drive
+from slipfree.vehicle.catalogue.rovers import open_source_rover
+
+LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
+FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)
+VEHICLES = {
+    "four_wheel_steered": four_wheel_steered(),
+    "six_wheel_steered": six_wheel_steered(),
+    "ackermann": ackermann(**LIGHT),
+    "open_source_rover": open_source_rover(**LIGHT),
+}
+ANY = [(0.3, 0.0, 0.0), (0.3, 0.1, 0.0), (0.0, -0.2, 0.0), (0.0, 0.0, 0.4), (-0.2, 0.1, -0.3)]
+COMMANDS = {  # forward, right, yaw rate
+    "four_wheel_steered": ANY,
+    "six_wheel_steered": ANY,
+    "ackermann": [(0.3, 0, 0), (0.3, 0, 0.2), (0.3, 0, -0.2), (-0.3, 0, 0), (-0.2, 0, 0.1)],
+    "open_source_rover": [(0.3, 0, 0), (0.2, 0, 0.3), (0.2, 0, -0.1), (0, 0, 0.4), (-0.3, 0, 0.2)],
+}
+START = {"x": 0.3, "y": -0.4, "heading": 0.7}
+
+
+@lru_cache(maxsize=16)
+def models(vehicle, terrain):
+    """The direct model, and the model of all three commands."""
+    direct = direct_kinematics(vehicle, terrain)
+    return direct, subset_kinematics(vehicle, terrain, given=tuple(SUBSET), exact=False)
+
+
+def poised(vehicle, terrain, command, **start):
+    """Both models, the inputs, and the start with the steering that the command leads to."""
+    direct, dae = models(vehicle, terrain)
+    inputs = dae.inputs(**dict(zip(SUBSET, command, strict=True)))
+    sought = [name for name in steered(vehicle, direct) if name not in start]
+    errors = [f"{name}_error" for name in sought]
+    stand = settle(direct, **(START | start))
+    return direct, dae, inputs, trim_states(dae, stand, inputs, states=sought, least=errors)
+
+
+def planar(run):
+    """Forward, right and yaw rate of samples, shape (3, n)."""
+    c, s = np.cos(run["heading"]), np.sin(run["heading"])
+    x, y = run["velocity_x"], run["velocity_y"]
+    return np.array([c * y - s * x, c * x + s * y, run["heading_rate"]])
+
+
+def announced(run):
+    """The errors of the given rates, shape (3, n)."""
+    return np.array([run[f"{name}_error"] for name in SUBSET])
+
+
+CASES = [(name, command) for name, commands in COMMANDS.items() for command in commands]
+
+
+@pytest.mark.parametrize(("name", "command"), CASES)
+def test_level_ground_against_closed_forms(name, command):
+    vehicle, (forward, right, yaw_rate) = VEHICLES[name], command
+    _, _, _, start = poised(vehicle, FLAT, command, heading=0.0)
+    for k, wheel in enumerate(vehicle.wheels):
+        x, y = (start[f"center_{axis}"][0, k] - start[axis][0] for axis in "xy")
+        velocity = np.array([right - yaw_rate * y, forward + yaw_rate * x])
+        angle = start[f"steer_{wheel.name}"][0] if f"steer_{wheel.name}" in start else 0.0
+        if name == "ackermann" and "front" in wheel.name:
+            length, half = 0.7, 0.3 * (1 if "right" in wheel.name else -1)
+            tangent = np.tan(start["steer"][0])
+            assert_allclose(tangent * forward, length * yaw_rate, rtol=0, atol=1e-9)
+            angle = np.arctan2(length * tangent, length + half * tangent)
+        along, across = np.array([[-np.sin(angle), np.cos(angle)], [np.cos(angle), np.sin(angle)]])
+        assert_allclose(velocity @ across, 0, rtol=0, atol=1e-9)
+        rate = velocity @ along / wheel.radius
+        assert_allclose(start["wheel_rate"][0, k], rate, rtol=0, atol=1e-9)
+    assert_allclose(announced(start), 0, rtol=0, atol=1e-9)
+    assert_allclose(planar(start)[:, 0], command, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", list(VEHICLES))
+@pytest.mark.parametrize("command", [(0.25, 0.0, 0.1), (0.2, 0.1, 0.05), (0.0, 0.0, 0.3)])
+def test_on_hills_the_platform_follows_within_the_announced_error(name, command):
+    vehicle = VEHICLES[name]
+    direct, dae, inputs, start = poised(vehicle, HILLS, command)
+    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), tolerance=1e-8)
+    assert run.stop is None
+    assert (
+        max(round_trip(direct, run, ("velocity_x", "velocity_y", "heading_rate")).values()) < 1e-11
+    )
+    again = replay(direct, run)  # wheel and joint rates alone
+    assert again.t.size == run.t.size
+    missed = np.array(command)[:, None] - planar(again)
+    assert_allclose(missed, announced(run), rtol=0, atol=1e-4)
+    if name in ("four_wheel_steered", "six_wheel_steered"):  # can do all of them
+        assert np.abs(missed).max() < 5e-3
+        assert np.hypot(run["slip_along"], run["slip_across"]).max() < 5e-3
+    assert np.abs(run["wheel_rate"]).max() < 1.7 * max(1.0, np.abs(start["wheel_rate"]).max())
+
+
+@pytest.mark.parametrize("right", [0.0, 0.1])
+def test_commands_that_straight_wheels_cannot_impose_are_carried_out(right):
+    vehicle = VEHICLES["four_wheel_steered"]
+    direct, dae, inputs, start = poised(vehicle, FLAT, (0.3, right, 0.0))
+    run = simulate(dae, start, inputs, [0.0, 1.0])
+    assert_allclose(planar(run)[:, -1], [0.3, right, 0.0], rtol=0, atol=1e-9)
+    angles = [run[name][-1] for name in steered(vehicle, direct)]
+    assert_allclose(angles, -np.arctan2(right, 0.3), rtol=0, atol=1e-9)
+
+
+def test_the_steering_turns_from_given_angles_and_errors_vanish():
+    vehicle = VEHICLES["four_wheel_steered"]
+    straight = dict.fromkeys(steered(vehicle, models(vehicle, FLAT)[0]), 0.0)
+    _, dae, inputs, start = poised(vehicle, FLAT, (0.0, 0.0, 0.3), **straight)
+    run = simulate(dae, start, inputs, np.linspace(0, 5, 51))
+    error = np.abs(announced(run)) * np.array([[1.0], [1.0], [0.5]])
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    assert error[:, 0].max() > 0.05
+    assert error[:, -1].max() < 1e-7
+    assert slip[-1].max() < 1e-6
+    assert np.abs(run["wheel_rate"]).max() < 1.2 * 0.3 * 0.5 / 0.15
+    assert_allclose(
+        [run[name][-1] for name in straight], np.array([1, -1, -1, 1]) * np.arctan2(4, 3), atol=1e-6
+    )
+
+
+def test_a_vehicle_that_cannot_comes_as_near_as_it_can():
+    vehicle = differential_drive(**LIGHT)
+    _, dae, inputs, start = poised(vehicle, FLAT, (0.2, 0.1, 0.1))
+    assert_allclose(announced(start)[:, 0], [0.0, 0.1, 0.0], atol=1e-9)  # its axle is its centre
+    assert simulate(dae, start, inputs, [0.0, 0.5]).stop is None
+
+
+def test_rates_and_stops_of_the_steering_are_kept_and_do_not_end_the_motion():
+    vehicle = ackermann(**LIGHT)
+    steer = [c for c in vehicle.coordinates if c.name == "steer"]
+    others = [c for c in vehicle.coordinates if c.name != "steer"]
+    vehicle = replace(vehicle, coordinates=(*others, replace(steer[0], max_rate=0.3)))
+    _, dae, inputs, start = poised(vehicle, HILLS, (0.1, 0.0, 0.4), steer=-0.2)
+    run = simulate(dae, start, inputs, np.linspace(0, 6, 121))
+    assert run.stop is None
+    assert 0.299 < run["steer_rate"].max() <= 0.3
+    assert_allclose(run["steer"][-1], 0.7 - STOP_CLEARANCE, atol=1e-7)
+    assert run["steer"].max() <= 0.7
+    assert np.abs(announced(run)[:, -1]).max() > 0.01  # the stop costs the command
+    _, _, _, start = poised(vehicle, HILLS, (0.1, 0.0, 0.4))
+    assert_allclose(start["steer"], 0.7 - STOP_CLEARANCE, atol=1e-7)
+    dae = subset_kinematics(vehicle, HILLS)  # exact: the wheels slip more
+    inputs = dae.inputs(forward=0.1, yaw_rate=0.4)
+    run = simulate(dae, moving(dae, start, inputs), inputs, [0.0, 1.0])
+    assert run.stop is None
+    assert_allclose(planar(run)[[0, 2]], [[0.1, 0.1], [0.4, 0.4]], rtol=0, atol=1e-9)
+
+
+def test_a_wheel_points_backward_if_that_alone_is_within_its_stops():
+    vehicle = four_wheel_steered(lower=-1.0, upper=2.0)
+    direct, _, _, start = poised(vehicle, FLAT, (0.1, 0.3, 0.0))
+    angles = [start[name][0] for name in steered(vehicle, direct)]
+    assert_allclose(angles, np.pi - np.arctan2(0.3, 0.1), rtol=0, atol=1e-9)
+    assert_allclose(start["wheel_rate"], -np.hypot(0.3, 0.1) / 0.15, rtol=0, atol=1e-9)
+    assert_allclose(announced(start), 0, rtol=0, atol=1e-9)
+
+
+def test_commands_may_jump_and_reverse():
+    vehicle, t = VEHICLES["six_wheel_steered"], np.linspace(0, 4, 81)
+    direct, dae, _, start = poised(vehicle, HILLS, (0.2, 0.0, 0.0))
+    early = t[:-1] < 1.99
+    inputs = dae.inputs(
+        forward=np.where(early, 0.2, -0.2), right=np.where(early, 0.0, 0.1), yaw_rate=0.0
+    )
+    run = simulate(dae, start, inputs, t)
+    assert np.abs(announced(run)[:, t < 1.99]).max() < 2e-3
+    assert np.abs(announced(run)[:, -1]).max() < 2e-3
+    assert np.abs(run["steer_rear_left_rate"]).max() < FASTEST
+    again = replay(direct, run, jumps=[t[40]])
+    assert_allclose(again["x"], run["x"], atol=1e-4)
+    assert_allclose(again["y"], run["y"], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["four_wheel_steered", "open_source_rover"])
+def test_a_path_with_a_heading_is_followed(name):
+    vehicle, t = VEHICLES[name], np.linspace(0, 12, 25)
+    direct, dae = models(vehicle, HILLS)
+    path = 0.3 * np.sin(0.3 * t), 0.15 * t, 0.2 * np.sin(0.4 * t)
+    dae, inputs = track_path(dae, t, *path)
+    sought = list(steered(vehicle, direct))
+    stand = settle(direct, x=0.1)  # beside the path
+    start = trim_states(dae, stand, inputs, states=sought, least=[f"{each}_error" for each in sought])
+    run = simulate(dae, start, inputs, t)
+    assert run.stop is None
+    apart = np.hypot(run["x"] - path[0], run["y"] - path[1])
+    assert_allclose(run["path_error"], apart, rtol=0, atol=1e-9)
+    assert_allclose(run["heading_error"], path[2] - run["heading"], rtol=0, atol=1e-9)
+    assert_allclose(apart[0], 0.1)
+    rolls = name == "four_wheel_steered"  # the rover's middle wheels do not steer
+    assert apart[t > 6 / GAIN].max() < (0.01 if rolls else 0.04)
+    assert np.abs(run["heading_error"][t > 6]).max() < 0.01
+
+
+def test_a_path_is_checked():
+    _, dae = models(VEHICLES["four_wheel_steered"], FLAT)
+    t = np.arange(6.0)
+    with pytest.raises(ModelError, match="expected 6 or more times and as many values"):
+        track_path(dae, t[:5], t[:5], t[:5], t[:5])
+    with pytest.raises(ModelError, match="expected finite values at times that ascend"):
+        track_path(dae, t[::-1], t, t, t)
+
+
+def test_exactness_is_refused_in_words_that_name_the_remedy():
+    vehicle = VEHICLES["four_wheel_steered"]
+    with pytest.raises(ModelError, match=r"has 2 driven wheels.*or set exact = false"):
+        subset_kinematics(VEHICLES["ackermann"], FLAT, given=tuple(SUBSET))
+    dae = subset_kinematics(vehicle, FLAT, given=("right",))
+    stand = settle(direct_kinematics(vehicle, FLAT))
+    with pytest.raises(ModelError, match="nothing determines multiplier_right"):
+        trim_states(dae, stand, dae.inputs(right=0.0), states=[], least=[])
+
+
+FOUR_WHEELS = """\
+name = "crab"
+frame = "rep103"
+coordinates = [
+  { name = "rock", kind = "suspension" },
+  { name = "fr", kind = "commanded", max_rate = 0.5 }, { name = "fl", kind = "commanded" },
+  { name = "rr", kind = "commanded" }, { name = "rl", kind = "commanded", lower = -2, upper = 2 },
+]
+joints = [
+  { name = "axle", parent = "platform", axis = "x", value = "rock", at = [0.4, 0, 0] },
+  { name = "fr", parent = "axle", axis = "z", value = "fr", at = [0, -0.3, 0] },
+  { name = "fl", parent = "axle", axis = "z", value = "fl", at = [0, 0.3, 0] },
+  { name = "rr", parent = "platform", axis = "z", value = "rr", at = [-0.4, -0.3, 0] },
+  { name = "rl", parent = "platform", axis = "z", value = "rl", at = [-0.4, 0.3, 0] },
+]
+wheels = [
+  { name = "front_right", parent = "fr", radius = 0.15, tube = 0.03, driven = true },
+  { name = "front_left", parent = "fl", radius = 0.15, tube = 0.03, driven = true },
+  { name = "rear_right", parent = "rr", radius = 0.15, tube = 0.03, driven = true },
+  { name = "rear_left", parent = "rl", radius = 0.15, tube = 0.03, driven = true },
+]
+"""
+PROBLEM = """\
+verb = "inverse"
+frame = "rep103"
+
+[terrain.synthetic]
+x = [-2, 2]
+y = [-2, 2]
+spacing = 0.1
+power_law = { rms = 0.02, hurst = 0.9, longest = 3.0, shortest = 1.0, seed = 3 }
+
+[vehicle]
+file = "crab.toml"
+
+[start]
+heading = 1.5707963267948966
+
+[given]
+v_x = 0.2
+v_y = 0.1
+omega_z = 0.0
+
+[time]
+duration = 1.0
+step = 0.1
+
+[solver]
+tolerance = 1e-6
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "crab.toml").write_text(FOUR_WHEELS)
+    (tmp_path / "p.toml").write_text(PROBLEM)
+    (tmp_path / "cmd.csv").write_text("t,omega_z,v_x,v_y\n0,0.0,0.2,0.1\n\n0.5,0.3,0.1,-0.1\n")
+    return tmp_path
+
+
+def _run(*settings: str, code: int = 0) -> Any:
+    words = [word for setting in settings for word in ("--set", setting)]
+    result = CliRunner().invoke(app, ["run", "p.toml", "-o", "p.nc", "--no-draw", *words])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    assert result.exit_code == code, result.output
+    return result.stderr if code else (result.stdout, netcdf.read("p.nc"))
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_robots_command_counts_left_positive() -> None:
+    words, run = _run()
+    assert "v_x 0.2 m/s, v_y 0.1 m/s, omega_z 0 rad/s" in words
+    for name in SUBSET:
+        assert f"error of {name} " in words
+    assert "margin" not in words.split("closure residual")[0].replace("tip-over margin", "")
+    assert_allclose(run["right"], -0.1)
+    assert run["x"][-1] < -0.05  # the heading is that of +y: left is west
+    _, same = _run("given={forward=0.2, right=-0.1, yaw_rate=0.0}")
+    assert_allclose(same["x"], run["x"], rtol=0, atol=0)
+    _, formula = _run("given.v_y='0.1*cos(0*t)'")
+    assert_allclose(formula["x"], run["x"], rtol=0, atol=1e-9)
+
+
+def test_commands_in_time_from_a_file(folder: Path) -> None:
+    words, run = _run("given={file='cmd.csv'}", "time.step=0.05")
+    assert "omega_z, v_x, v_y of cmd.csv" in words
+    assert "while the steering is at its target" in words
+    late = run.t > 0.49
+    assert_allclose(run["yaw_rate"], np.where(late, 0.3, 0.0), rtol=0, atol=0)
+    assert_allclose(run["right"], np.where(late, 0.1, -0.1), rtol=0, atol=0)
+    assert run.statistics["replay_x"] < 1e-4
+    assert 0.45 < np.abs(run["fr_rate"]).max() <= 0.5 < np.abs(run["fl_rate"]).max()
+    problem = read(folder / "p.toml", ["given={file='cmd.csv'}"])
+    assert set(input_files(problem)) == {"crab.toml", "cmd.csv"}
+    words, run = _run("given={file='cmd.csv'}", "time.step=0.5")
+    assert "replay stopped early" in words
+    assert "reduce 'step' in [time]" in words
+    (folder / "cmd.csv").write_text("t,v_x\n0,0.2\n")
+    _, run = _run("given={file='cmd.csv', v_y=[[0, 0.1], [0.5, 0.0]], omega_z=0}")
+    assert_allclose(run["right"], np.where(late[::2], 0.0, -0.1), rtol=0, atol=0)
+
+
+PATH = "path={t=[0,1,2,3,4,5], x=[0,-0.1,-0.2,-0.3,-0.4,-0.5], y=[0,0.1,0.2,0.3,0.4,0.5], heading="
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_path_in_a_problem() -> None:
+    east = "[1.5707963267948966, 1.57, 1.56, 1.55, 1.54, 1.53]}"
+    words, run = _run("given=", PATH + east)
+    assert "path of 6 way-points in 5 s" in words
+    assert "path error  " in words
+    assert "heading error  " in words
+    assert run["path_error"].max() < 3e-3
+    assert np.abs(run["heading_error"]).max() < 3e-3
+    assert_allclose([run["x"][-1], run["y"][-1]], [-0.1, 0.1], atol=3e-3)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["exact=true"], "platform rate 'right' cannot be imposed: with the current steering ang"),
+        (["exact=true"], "Steer the wheels first, remove 'right' from the given rates, or set ex"),
+        (["frame=paper"], "or frame = 'rep103' with v_x, v_y, omega_z (v_y left), found v_x in "),
+        (
+            ["frame=paper", "given={file='cmd.csv'}"],
+            "given.file: expected forward, right, yaw_rate, or fra",
+        ),
+        (["given.forward=0.1"], "given.v_x: expected rates in the platform's heading frame "),
+        (["given={file='none.csv'}"], "none.csv"),
+        (["given={file='p.toml'}"], "expected a first line of names, t and some of forward, righ"),
+        (["given={file='late.csv'}"], "late.csv: expected times that ascend from 0"),
+        (["given={file='cmd.csv', v_x=0.1}"], "expected a rate that the file does not have, fou"),
+        (["given={file='cmd.csv', forward=0.1}"], "expected more rates like omega_z, v_x, v_y, f"),
+        (["given={velocity_x=0, velocity_y=0.1, heading_rate=0}", "exact=true"], "no key 'exact'"),
+        (["steering=rate"], "expected 'angle', which the steering follows"),
+    ],
+)
+def test_what_is_wrong_is_refused(settings: list[str], words: str) -> None:
+    Path("late.csv").write_text("t,v_x\n1,0.2\n")
+    assert words in _run(*settings, code=2)
