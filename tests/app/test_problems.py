@@ -66,3 +66,16 @@ def test_rocks_stop_a_rigid_wheel_and_are_crossed_as_it_feels_them():
     bare = motion("rover_rocks_direct", "terrain.rolled=")
     assert bare.stop.name == "clearance[right]"
     assert "wheel right touches a second time at (1.0" in bare.stop.words
+
+
+def test_a_rover_with_four_steered_wheels_carries_out_commands():
+    trajectory = motion("crab_inverse")
+    assert trajectory.stop is None
+    assert trajectory.statistics["replay_x"] < 1e-3
+    steering = [name for name in trajectory if name.startswith("steer_") and name[-6:] == "_error"]
+    assert len(steering) == 4
+    settled = np.max([np.abs(trajectory[name]) for name in steering], axis=0) < 0.01
+    assert settled.mean() > 0.6
+    for name in ("forward", "right", "yaw_rate"):
+        assert np.abs(trajectory[f"{name}_error"][settled]).max() < 5e-3
+    assert np.abs(trajectory["steer_rear_left_rate"]).max() <= 1.5

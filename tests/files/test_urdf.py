@@ -393,7 +393,7 @@ def test_what_the_file_cannot_say_is_asked(roles, words, tmp_path):
 def test_roles_complete_and_override(tmp_path):
     roles = """urdf = "cart.urdf"
 name = "my cart"
-joints = { caster = { kind = "passive", words = "swivel", upper = 0.5, stiffness = 2 } }
+joints = { caster = { kind = "passive", words = "swivel", upper = 0.5, stiffness = 2, max_rate = 3 } }
 [wheels]
 caster_axle = { driven = false, radius = 0.12, tube = 0.03, grip = 0.5, rollers = true }
 left_drive = { driven = false }
@@ -402,6 +402,7 @@ left_drive = { driven = false }
     (caster,) = vehicle.coordinates
     assert (vehicle.name, caster.words, caster.kind) == ("my cart", "swivel", "passive")
     assert (caster.lower, caster.upper, caster.stiffness) == (-np.inf, 0.5, 2.0)
+    assert caster.max_rate == 3.0
     wheels = {wheel.name: wheel for wheel in vehicle.wheels}
     axle = wheels["caster_axle"]
     assert (axle.r1, axle.radius, axle.grip, axle.rollers) == (0.03, 0.12, 0.5, True)
@@ -559,7 +560,7 @@ def test_endings_count_in_any_case(tmp_path):
 
 def test_limits_become_stops_of_the_one_that_is_mimicked():
     rocker = next(c for c in read_vehicle(DATA / "bogie.toml").coordinates if c.name[0] == "r")
-    assert (rocker.lower, rocker.upper) == (-0.6, 0.5)
+    assert (rocker.lower, rocker.upper, rocker.max_rate) == (-0.6, 0.5, 1.0)
     assert (rocker.name, rocker.kind) == ("rocker_left", "suspension")
 
 

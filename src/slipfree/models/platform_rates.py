@@ -68,7 +68,7 @@ STOP_CLEARANCE = 1e-4  # between a stop and the target of a steered coordinate [
 STILL = 1e-4  # speed of a wheel below which it is not steered [size/s]
 LOOSE = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # weights of rates not given [1]
 ERROR_WEIGHT = 10.0  # of errors of the given rates beside slip along the wheels [1]
-BRANCH = 0.05  # beyond a right angle, of the largest steering error to the right [rad]
+BRANCH = 0.2  # beyond a right angle, of the largest steering error to the right [rad]
 NEAR = 1e-9  # effect of a joint on a wheel's direction that is none [1, 1/m]
 
 
@@ -176,7 +176,7 @@ def subset_kinematics(
     off = [value - plane[name] for name, value in zip(given, u.platform, strict=True)]
     sizes = [extent(vehicle) if name == "yaw_rate" else 1.0 for name in given]
     if exact:
-        goal, conditions = _slip(direct), off
+        goal, conditions = _slip(direct), [-each for each in off]
     else:
         goal, conditions = _departure(direct, guide, off, sizes), []
     rates, rate_labels, balance = _rates(direct, given, goal, conditions)
