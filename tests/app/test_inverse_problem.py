@@ -254,7 +254,7 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
             ["given.velocity_x=", "given.velocity_u=1"],
             "--set given.velocity_u: expected one of "
             "velocity_x, velocity_y, velocity_z, omega_x, omega_y, omega_z, heading_rate, "
-            "roll_rate, pitch_rate, forward, right, yaw_rate, found the unknown key "
+            "roll_rate, pitch_rate, forward, right, yaw_rate, v_x, v_y, found the unknown key "
             "'velocity_u'; did you "
             "mean 'velocity_",
         ),

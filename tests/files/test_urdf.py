@@ -393,7 +393,7 @@ def test_what_the_file_cannot_say_is_asked(roles, words, tmp_path):
 def test_roles_complete_and_override(tmp_path):
     roles = """urdf = "cart.urdf"
 name = "my cart"
-joints = { caster = { kind = "passive", words = "swivel", upper = 0.5, stiffness = 2, max_rate = 3 } }
+joints.caster = { kind = "passive", words = "swivel", upper = 0.5, stiffness = 2, max_rate = 3 }
 [wheels]
 caster_axle = { driven = false, radius = 0.12, tube = 0.03, grip = 0.5, rollers = true }
 left_drive = { driven = false }

@@ -23,7 +23,7 @@ from slipfree.models.reach import SUBSET
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import read
 from slipfree.solve.replay import replay, round_trip
-from slipfree.solve.trim import X
+from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.vehicle.catalogue.carts import ackermann, differential_drive
 from slipfree.vehicle.catalogue.rovers import open_source_rover
 
@@ -167,7 +167,7 @@ def test_rates_and_stops_of_the_steering_are_kept_and_do_not_end_the_motion():
     assert_allclose(start["steer"], 0.7 - STOP_CLEARANCE, atol=1e-7)
     dae = subset_kinematics(vehicle, HILLS)  # exact: the wheels slip more
     inputs = dae.inputs(forward=0.1, yaw_rate=0.4)
-    run = simulate(dae, moving(dae, start, inputs), inputs, [0.0, 1.0])
+    run = simulate(dae, apply_inputs(dae, start, inputs), inputs, [0.0, 1.0])
     assert run.stop is None
     assert_allclose(planar(run)[[0, 2]], [[0.1, 0.1], [0.4, 0.4]], rtol=0, atol=1e-9)
 
@@ -205,7 +205,9 @@ def test_a_path_with_a_heading_is_followed(name):
     dae, inputs = track_path(dae, t, *path)
     sought = list(steered(vehicle, direct))
     stand = settle(direct, x=0.1)  # beside the path
-    start = trim_states(dae, stand, inputs, states=sought, least=[f"{each}_error" for each in sought])
+    start = trim_states(
+        dae, stand, inputs, states=sought, least=[f"{each}_error" for each in sought]
+    )
     run = simulate(dae, start, inputs, t)
     assert run.stop is None
     apart = np.hypot(run["x"] - path[0], run["y"] - path[1])

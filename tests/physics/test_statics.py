@@ -1045,6 +1045,10 @@ WHEEL = {"name": "w", "parent": "platform", "at": (0, 0, 0), "r1": 0.1, "r2": 0.
         ),
         (lambda: Coordinate("c", "passive", "c", rest=np.inf), "coordinate c: rest must be finite"),
         (
+            lambda: Coordinate("c", "commanded", "c", max_rate=0.0),
+            "coordinate c: max_rate must be positive, found 0.0",
+        ),
+        (
             lambda: Coordinate("c", "commanded", "c", stiffness=1.0),
             "coordinate c: its rate is commanded, so that it takes no spring",
         ),

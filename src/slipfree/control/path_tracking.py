@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
+from slipfree.rearrange import with_outputs
 from slipfree.records import Array, Label
 
 GAIN = 1.0  # at which errors of place and heading decay [1/s]
 DEGREE = 5  # of the splines through the way-points
-
-
-class TrackingOutputs(NamedTuple):
-    """Outputs of a model and errors with respect to the path. [m, rad]."""
-
-    motion: Any
-    path_error: Any
-    heading_error: Any
 
 
 def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[Dae, Any]:
@@ -70,13 +62,9 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     inputs = dae.inputs(
         forward=c * v_y - s * v_x, right=c * v_x + s * v_y, yaw_rate=velocity[2] + GAIN * turn
     )
-    labels = TrackingOutputs(
-        dae.labels.y,
-        Label("path_error", "m", "distance of the platform's centre to its place on the path"),
-        Label("heading_error", "rad", "heading of the path minus that of the platform"),
-    )
-    outputs = TrackingOutputs(dae.y, ca.sqrt(east**2 + north**2), turn)
-    return replace(dae, y=outputs, labels=dae.labels._replace(y=labels)), inputs
+    apart = Label("path_error", "m", "distance of the platform's centre to its place on the path")
+    turned = Label("heading_error", "rad", "heading of the path minus that of the platform")
+    return with_outputs(dae, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
 
 
 def _splines(t: Array, values: Array, time: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -15,7 +15,7 @@ from slipfree.trajectory import Trajectory, path_length
 
 UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
 ROUNDING = 1e-6  # of a limit that a plan keeps to, in its unit
-STEERED = 0.01  # error of a steering angle within which it is at its target [rad, m]
+STEERED = 0.02  # error of a steering angle within which it is at its target [rad, m]
 Facts = list[tuple[str, str]]
 
 
