@@ -108,7 +108,7 @@ def test_on_hills_the_platform_follows_within_the_announced_error(name, command)
     assert (
         max(round_trip(direct, run, ("velocity_x", "velocity_y", "heading_rate")).values()) < 1e-11
     )
-    again = replay(direct, run)  # wheel and joint rates alone
+    again = replay(direct, run).motion  # wheel and joint rates alone
     assert again.t.size == run.t.size
     missed = np.array(command)[:, None] - planar(again)
     assert_allclose(missed, announced(run), rtol=0, atol=1e-4)
@@ -192,7 +192,7 @@ def test_commands_may_jump_and_reverse():
     assert np.abs(announced(run)[:, t < 1.99]).max() < 2e-3
     assert np.abs(announced(run)[:, -1]).max() < 2e-3
     assert np.abs(run["steer_rear_left_rate"]).max() < FASTEST
-    again = replay(direct, run, jumps=[t[40]])
+    again = replay(direct, run, jumps=[t[40]]).motion
     assert_allclose(again["x"], run["x"], atol=1e-4)
     assert_allclose(again["y"], run["y"], atol=1e-4)
 
