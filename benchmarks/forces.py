@@ -19,10 +19,11 @@ from reference import heading
 
 from slipfree import (
     Analytic,
+    Coulomb,
     ModelError,
-    Traction,
     best_utilisation,
     direct_kinematics,
+    quasi_statics,
     settle,
     simulate,
     three_wheeler,
@@ -123,8 +124,8 @@ def creep() -> None:
         for degrees in (5, 10, 20, 30):
             s = np.radians(degrees)
             ground = slope(s, 0.6, across=True)
-            law = Traction(eps)
-            run = settle(direct_kinematics(FIXED, ground, slip="traction", traction=law))
+            law = Coulomb(eps)
+            run = settle(quasi_statics(FIXED, ground, law=law))
             expected = eps * np.tan(s) / np.sqrt(0.36 - np.tan(s) ** 2)
             found = np.hypot(run["slip_along"], run["slip_across"])
             error = max(error, np.abs(found / expected - 1).max())
@@ -178,7 +179,7 @@ def steps() -> None:
     sizes = (1e-3, 1e-4, 1e-5, 1e-6)
     for axle in ("tilting", "sliding", "fixed", "prismatic"):
         runs = [
-            moved(three_wheeler(axle=axle), Analytic(hills, mu=0.6), Traction(eps), T, **PLACE)
+            moved(three_wheeler(axle=axle), Analytic(hills, mu=0.6), Coulomb(eps), T, **PLACE)
             for eps in sizes
         ]
         words = ", ".join(f"{run.statistics['steps']:.0f}" for run in runs)
@@ -209,7 +210,7 @@ def least_mu(vehicle: Any, angle: float, start: dict[str, float]) -> float:
     low, high = 0.0, 3.0
     for _ in range(14):
         mu = (low + high) / 2
-        dae = direct_kinematics(vehicle, slope(angle, mu), slip="traction", traction=Traction(1e-3))
+        dae = quasi_statics(vehicle, slope(angle, mu), law=Coulomb(1e-3))
         try:
             settle(dae, **start)
             high = mu

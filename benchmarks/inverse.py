@@ -21,6 +21,7 @@ from reference import heading
 from slipfree import (
     Analytic,
     ModelError,
+    Rolling,
     SolverError,
     Trajectory,
     direct_kinematics,
@@ -104,7 +105,7 @@ def condition_table() -> None:
     found: dict[str, Any] = {}
     for ground, height, where in (("flat", GROUNDS["flat"], [{}]), ("hills", rough, poses)):
         terrain = Analytic(height)
-        run = moving(direct_kinematics(VEHICLE, terrain, slip="rolling"), where)
+        run = moving(direct_kinematics(VEHICLE, terrain, slip=Rolling()), where)
         for solve_for in ("rates", "angles"):
             by_choice = conditions(VEHICLE, terrain, run, solve_for=solve_for)
             found[f"{ground}, {solve_for}"] = by_choice
@@ -165,7 +166,7 @@ def tilt_table() -> None:
 
 def direct_run(t: Any, tolerance: float, **start: float) -> tuple[Any, Trajectory, Trajectory]:
     """Return model, start and motion of a drive with smoothly changing rates on the hills."""
-    dae = direct_kinematics(VEHICLE, Analytic(hills), slip="rolling")
+    dae = direct_kinematics(VEHICLE, Analytic(hills), slip=Rolling())
     right = 0.45 + 0.05 * ca.sin(0.5 * dae.t)
     left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
     rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))

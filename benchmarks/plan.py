@@ -42,12 +42,13 @@ from reference import heading
 from slipfree import (
     Analytic,
     Bicubic,
+    Coulomb,
     Grid,
     Path,
     SlipfreeError,
-    Traction,
     direct_kinematics,
     follow,
+    quasi_statics,
     settle,
     simulate,
     three_wheeler,
@@ -183,12 +184,7 @@ def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
 
 def frictional(creep: float) -> Any:
     """Return the model under traction."""
-    return direct_kinematics(
-        three_wheeler(axle="fixed"),
-        Analytic(hills, mu=MU),
-        slip="traction",
-        traction=Traction(creep),
-    )
+    return quasi_statics(three_wheeler(axle="fixed"), Analytic(hills, mu=MU), law=Coulomb(creep))
 
 
 def by_friction(drive: Drive, creep: float) -> tuple[float, str]:
@@ -423,7 +419,7 @@ def warm() -> None:
 
 def ramp() -> None:
     """Print the climb of a ramp of 20 degrees with a coefficient of friction of 0.5."""
-    flat, law = test_climb.model("least"), test_climb.model("traction")
+    flat, law = test_climb.model(), test_climb.model(quasi_statics)
     places = [settle(flat, x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
     best = [
         best_utilisation(test_climb.VEHICLE, test_climb.GROUND, place)["utilisation_best"][0]

@@ -76,7 +76,7 @@ def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, 
 
     Joints are at rest.
     """
-    count, driving = len(direct.z.rates.multipliers), len(direct.u.wheels)
+    count, driving = len(direct.z.rates.law.multipliers), len(direct.u.wheels)
     unknown = ca.vertcat(*leaves(direct.z.rates.motion), *direct.u.wheels)
     plane = planar_rates(direct)
     kept = ca.vertcat(direct.alg[1][-count:], *(plane[name] for name in given))

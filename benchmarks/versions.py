@@ -196,6 +196,14 @@ except ModuleNotFoundError:  # version 0.1.0
     from slipfree.plan.transcribe import Mesh, transcribe
     from slipfree.solve.loop import close as with_inputs
     from slipfree.terrain.rolled import rolled
+try:
+    from slipfree.laws.rolling import Rolling
+    from slipfree.models.quasi_statics import quasi_statics
+except ModuleNotFoundError:  # version 0.1.0
+    def Rolling():
+        return "rolling"
+    def quasi_statics(vehicle, ground):
+        return direct_kinematics(vehicle, ground, slip="traction")
 
 x = np.linspace(-6, 6, 121)
 z = 0.1 * np.sin(1.3 * x)[:, None] * np.cos(0.9 * x) + 0.02 * np.sin(4 * x)[:, None]
@@ -217,8 +225,8 @@ three, rover = sf.three_wheeler(), sf.rocky7()
 MODELS = {
     "least slip": lambda g: direct_kinematics(three, g),
     "least slip, rover": lambda g: direct_kinematics(rover, g),
-    "rolling": lambda g: direct_kinematics(three, g, slip="rolling"),
-    "traction": lambda g: direct_kinematics(sf.three_wheeler(axle="fixed"), g, slip="traction"),
+    "rolling": lambda g: direct_kinematics(three, g, slip=Rolling()),
+    "traction": lambda g: quasi_statics(sf.three_wheeler(axle="fixed"), g),
     "Montana": lambda g: montana_kinematics(three, g),
     "inverse, steering rate": lambda g: inverse_kinematics(three, g),
     "inverse, steering angle": lambda g: inverse_kinematics(three, g, solve_for="angles"),
@@ -248,8 +256,8 @@ for ground_name, make in GROUNDS.items():
             slopes = system.core.jacobian()(*at, *(0 for _ in range(system.core.n_out())))
             whole = [np.array(ca.DM(slopes[j])).ravel() for j in (1, 2, 5, 6)]
             found[f"{key} | Jacobian"] = np.concatenate(whole)
-    for slip in ("least", "traction"):
-        dae = direct_kinematics(sf.three_wheeler(axle="fixed"), ground, slip=slip)
+    for slip, model in (("least", direct_kinematics), ("traction", quasi_statics)):
+        dae = model(sf.three_wheeler(axle="fixed"), ground)
         task = task_of(dae, sf.settle(dae), goal={"y": 1.0}, costs={"slip": 1.0, "effort": 0.01},
                        duration=(4.0, 6.0), limits={"steer": (-1.0, 1.0)})
         program, rng = transcribe(task, Mesh(np.linspace(0, 1, 3), 2)), np.random.default_rng(3)

@@ -27,7 +27,16 @@ import numpy as np
 from direct import wrapped
 from reference import heading
 
-from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
+from slipfree import (
+    Bicubic,
+    Grid,
+    Rolling,
+    direct_kinematics,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
 from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -81,9 +90,9 @@ def formulations(ground: Bicubic) -> dict[str, Any]:
     vehicle = VEHICLE
     return {
         "closure least": direct_kinematics(vehicle, ground),
-        "closure rolling": direct_kinematics(vehicle, ground, slip="rolling"),
+        "closure rolling": direct_kinematics(vehicle, ground, slip=Rolling()),
         "Montana least": montana_kinematics(vehicle, ground),
-        "Montana rolling": montana_kinematics(vehicle, ground, slip="rolling"),
+        "Montana rolling": montana_kinematics(vehicle, ground, slip=Rolling()),
     }
 
 

@@ -26,7 +26,15 @@ from pathlib import Path
 import numpy as np
 
 import slipfree
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Analytic,
+    ModelError,
+    direct_kinematics,
+    quasi_statics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import read
 from slipfree.problem.solve import run
@@ -134,7 +142,7 @@ places |= {"20 up": (20, 0), "20 down": (20, 180)}
 
 def is_held(vehicle, slope, heading, mu):
     try:
-        settle(direct_kinematics(vehicle, plane(slope, mu), slip="traction"), heading=heading)
+        settle(quasi_statics(vehicle, plane(slope, mu)), heading=heading)
     except ModelError:
         return False
     return True
@@ -267,7 +275,7 @@ figure = style.figure(5.8, 3.2)
 ax = figure.subplots()
 for k, stiffness in enumerate((0.0, 20.0, 40.0)):
     sprung = three_wheeler(stiffness=stiffness)
-    model = direct_kinematics(sprung, plane(0.0, mu=0.6), slip="traction")
+    model = quasi_statics(sprung, plane(0.0, mu=0.6))
     start = settle(model, tilt_right=3 * DEG, tilt_left=3 * DEG)
     still = model.inputs(right_rate=0.0, left_rate=0.0, steer_rate=0.0)
     motion = simulate(model, start, still, t)

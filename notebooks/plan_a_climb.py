@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 import slipfree
-from slipfree import direct_kinematics, settle
+from slipfree import quasi_statics, settle
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import read
@@ -68,7 +68,7 @@ for words, outcome in outcomes.items():
 def by_friction(outcome):
     """Return the motion under the planned rates where friction decides."""
     setup, plan = outcome.setup, from_arrays(outcome.arrays, "the plan")
-    model = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
+    model = quasi_statics(setup.vehicle, setup.terrain)
     start = settle(model, **{name: setup.start[name][0] for name in ("x", "y", "heading")})
     return simulate_plan(model, start, plan.motion, step=0.1, tolerance=1e-6)
 

@@ -24,6 +24,7 @@ from slipfree import (
     Path,
     direct_kinematics,
     follow,
+    quasi_statics,
     settle,
     simulate,
     three_wheeler,
@@ -107,12 +108,12 @@ figure
 # %% [markdown]
 # ## Does friction hold it?
 #
-# So far the motion was given by kinematics, and friction was what it *needs*. With `slip="traction"`
+# So far the motion was given by kinematics, and friction was what it *needs*. In `quasi_statics`
 # friction decides: every wheel that pushes creeps a little. On ice there is no equilibrium, and the
 # message says what it would take.
 
 # %%
-by_friction = direct_kinematics(vehicle, ground, slip="traction")
+by_friction = quasi_statics(vehicle, ground)
 law = follow(by_friction, vehicle, path, speed=0.3)
 crept = simulate(by_friction, settle(by_friction, heading=-0.2), law, np.linspace(0, 15, 301))
 slips = np.hypot(crept["slip_along"], crept["slip_across"])
@@ -120,7 +121,7 @@ print(f"on mu = 0.6: largest creep {1000 * slips.max():.2f} mm/s, ", end="")
 print(
     f"ends {np.hypot(crept['x'][-1] - along['x'][-1], crept['y'][-1] - along['y'][-1]):.4f} m away"
 )
-ice = direct_kinematics(vehicle, Bicubic(grid, mu=0.05), slip="traction")
+ice = quasi_statics(vehicle, Bicubic(grid, mu=0.05))
 try:
     settle(ice, heading=-0.2)
 except ModelError as error:

@@ -10,9 +10,12 @@ if TYPE_CHECKING:
     from slipfree.dae import Dae
     from slipfree.errors import DataError, ModelError, SlipfreeError
     from slipfree.geometry.path import Path
+    from slipfree.laws.coulomb import Coulomb
+    from slipfree.laws.least_slip import LeastSlip
+    from slipfree.laws.rolling import Rolling
     from slipfree.models.friction_feasibility import best_utilisation
     from slipfree.models.kinematics import direct_kinematics
-    from slipfree.models.traction import Traction
+    from slipfree.models.quasi_statics import quasi_statics
     from slipfree.solve.settle import settle
     from slipfree.solve.simulate import simulate
     from slipfree.terrain.analytic import Analytic
@@ -33,15 +36,17 @@ if TYPE_CHECKING:
 __all__ = [
     "Analytic",
     "Bicubic",
+    "Coulomb",
     "Dae",
     "DataError",
     "Grid",
+    "LeastSlip",
     "ModelError",
     "Path",
+    "Rolling",
     "SlipfreeError",
     "SolverError",
     "Terrain",
-    "Traction",
     "Trajectory",
     "Vehicle",
     "__version__",
@@ -53,6 +58,7 @@ __all__ = [
     "direct_kinematics",
     "follow",
     "open_source_rover",
+    "quasi_statics",
     "rocky7",
     "settle",
     "seven_wheels",
@@ -67,9 +73,12 @@ _HOMES = {
     "errors": ("DataError", "ModelError", "SlipfreeError"),
     "geometry.path": ("Path",),
     "control.path_following": ("follow", "straight"),
+    "laws.coulomb": ("Coulomb",),
+    "laws.least_slip": ("LeastSlip",),
+    "laws.rolling": ("Rolling",),
     "models.friction_feasibility": ("best_utilisation",),
     "models.kinematics": ("direct_kinematics",),
-    "models.traction": ("Traction",),
+    "models.quasi_statics": ("quasi_statics",),
     "solve.settle": ("settle",),
     "solve.simulate": ("simulate",),
     "terrain.analytic": ("Analytic",),

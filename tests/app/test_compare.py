@@ -12,6 +12,7 @@ from helpers.cases import hills
 from slipfree import (
     Analytic,
     ModelError,
+    Rolling,
     direct_kinematics,
     settle,
     simulate,
@@ -82,14 +83,14 @@ def test_slip_jacobian_has_the_counted_rank(axle):
     assert 6 + len(vehicle.of("passive")) + free == FREEDOMS[axle]
     ground = Analytic(hills)
     if axle in CAN_ROLL:
-        dae = direct_kinematics(vehicle, ground, slip="rolling")
+        dae = direct_kinematics(vehicle, ground, slip=Rolling())
         start = settle(dae, heading=0.2)
         law = straight(dae, vehicle, start, speed=0.1)
         run = simulate(dae, start, law, np.linspace(0, 2, 5))
         assert run["no_slip_residual"].max() < 1e-13
     else:
-        with pytest.raises(ModelError, match="cannot be made to roll"):
-            direct_kinematics(vehicle, ground, slip="rolling")
+        with pytest.raises(ModelError, match="cannot roll without slip"):
+            direct_kinematics(vehicle, ground, slip=Rolling())
 
 
 def test_measured_slip_needs_even_samples():

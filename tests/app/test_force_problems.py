@@ -190,8 +190,11 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
             ["slip=least", "traction={ creep = 1e-3 }"],
             "traction: expected slip = 'traction', found 'least'",
         ),
-        (["terrain.friction="], "p.toml:2: slip: traction: the ground has no friction"),
-        (["vehicle.mass=0", "vehicle.wheel_mass=0"], "three_wheeler with fixed axle has no mass"),
+        (["terrain.friction="], "p.toml:2: slip: Coulomb friction: expected a ground with"),
+        (
+            ["vehicle.mass=0", "vehicle.wheel_mass=0"],
+            "a vehicle with mass, found none in 'three_wheeler with fixed axle'",
+        ),
         (["traction={ creep = 0.0 }"], "traction.creep: expected a number greater than 0"),
         (["traction={ grip = 1.0 }"], "traction.grip: expected one of creep, reserve"),
         (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
@@ -204,7 +207,7 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
             ["vehicle.center_of_mass=[0, 0]"],
             "vehicle.center_of_mass[2]: expected a number, found none",
         ),
-        (["formulation='montana'"], "takes slip = 'least' or 'rolling', found 'traction'"),
+        (["formulation='montana'"], "expected slip = 'least' or 'rolling', found 'traction'"),
         (["terrain.synthetic.ramp.rise=20.0", "start.y=1.5"], "no quasi-static equilibrium"),
     ],
 )
@@ -290,4 +293,4 @@ def test_vehicle_tells_masses_springs_and_forces():
     assert "contact forces" in told
     assert "equilibrium determines them" in told
     assert "load-weighted" in called("vehicle", "slip=least").stdout
-    assert "law of friction" in called("vehicle").stdout
+    assert "wheel-ground law" in called("vehicle").stdout

@@ -11,9 +11,11 @@ import numpy as np
 from helpers.cases import hills
 from slipfree import (
     Analytic,
+    Coulomb,
     ModelError,
-    Traction,
+    Rolling,
     direct_kinematics,
+    quasi_statics,
     settle,
     simulate,
     three_wheeler,
@@ -44,7 +46,7 @@ def slope(angle, mu=None, across=False):
 
 def moved(vehicle, ground, law, t, rates=None, tolerance=1e-8, **start):
     """Drive a vehicle with friction at constant rates."""
-    dae = direct_kinematics(vehicle, ground, slip="traction", traction=law)
+    dae = quasi_statics(vehicle, ground, law=law)
     begin = settle(dae, **start)
     return simulate(dae, begin, dae.inputs(**(rates or RATES)), t, tolerance=tolerance)
 
@@ -57,11 +59,11 @@ def order(sizes, errors):
 def from_rolling(axle, creep) -> Iterator[tuple[float, int]]:
     """Yield how far the motion over hills is from rolling, and its steps at tolerance 1e-8."""
     vehicle, ground = three_wheeler(axle=axle), Analytic(hills, mu=MU)
-    rolling = direct_kinematics(vehicle, ground, slip="rolling")
+    rolling = direct_kinematics(vehicle, ground, slip=Rolling())
     run = simulate(rolling, settle(rolling, **PLACE), rolling.inputs(**RATES), T, tolerance=1e-12)
     for eps in creep:
-        same = moved(vehicle, ground, Traction(eps), T, tolerance=1e-11, **PLACE)
-        usual = moved(vehicle, ground, Traction(eps), T, **PLACE)
+        same = moved(vehicle, ground, Coulomb(eps), T, tolerance=1e-11, **PLACE)
+        usual = moved(vehicle, ground, Coulomb(eps), T, **PLACE)
         if same.stop or usual.stop:
             raise AssertionError(same.stop or usual.stop)
         apart = max(np.abs(same[name] - run[name]).max() for name in ("x", "y", "heading"))
@@ -82,7 +84,7 @@ class Parts(NamedTuple):
 
 def parts(ground, law) -> Parts:
     """Return the instant at which a rigid axle starts to move at rates that do not fit it."""
-    dae = direct_kinematics(FIXED, ground, slip="traction", traction=law)
+    dae = quasi_statics(FIXED, ground, law=law)
     begin = settle(dae, **TURNED)
     system = with_inputs(dae, dae.inputs(**UNEQUAL), 0)
     x = dae.rows("x", begin, 0)
@@ -108,7 +110,7 @@ def parts(ground, law) -> Parts:
 
 def from_linear(ground, mu, ratio=2e-3) -> float:
     """Return how far the rates are from the linear law ``f = -(mu/eps) N s``. [m/s, rad/s]."""
-    now = parts(Analytic(ground, mu=float(mu)), Traction(creep=ratio * mu))
+    now = parts(Analytic(ground, mu=float(mu)), Coulomb(creep=ratio * mu))
     weight = np.repeat(now.bears, 2) / ratio
     n, m = len(now.rates), len(now.bears)
     matrix = np.zeros((n + m, n + m))
@@ -131,7 +133,7 @@ class Dissipation(NamedTuple):
 
 def dissipation(eps) -> Dissipation:
     """Return what is least for small creep; by duality the friction used bounds the gap. [W]."""
-    now = parts(Analytic(hills, mu=MU), Traction(eps))
+    now = parts(Analytic(hills, mu=MU), Coulomb(eps))
 
     def slips(rates):
         return np.hypot(*(now.jac @ rates + now.rest).reshape(3, 2).T)
@@ -155,7 +157,7 @@ def random_starts(axle, mu, eps, count, rng) -> tuple[int, float]:
     """Return how many of Newton's runs converge, and how far apart their solutions lie at most."""
     ground = slope(np.radians(8), mu)
     vehicle = three_wheeler(axle=axle)
-    dae = direct_kinematics(vehicle, ground, slip="traction", traction=Traction(eps))
+    dae = quasi_statics(vehicle, ground, law=Coulomb(eps))
     tilts = {"tilt_right": 0.05, "tilt_left": -0.03} if axle == "tilting" else {}
     begin = settle(dae, heading=0.7, steer=0.2, **tilts)
     system = with_inputs(dae, dae.inputs(right_rate=0.5, left_rate=0.35, steer_rate=0.1), 0)

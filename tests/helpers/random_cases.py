@@ -34,6 +34,7 @@ from slipfree import (
     straight,
     three_wheeler,
 )
+from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves
 from slipfree.terrain.rolled import rolled
@@ -389,7 +390,7 @@ CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"start is not valid: the platform is overturned": "overturned",
     r"start is not valid: the stop of \w+ \(.*\) is reached: .*, allowed": "at a stop",
     r"model is singular here: nothing determines \S+ \(": "singular",
-    r"cannot be made to roll: \d+ conditions .*, found \d": "cannot roll",
+    r"cannot roll without slip: expected \d+ passive .*, found \d": "cannot roll",
     r"wheel \w+: Montana's equations need a tube": "no tube",
     r"wheel \w+ is not in its place on the vehicle": "not assembled",
 }
@@ -452,10 +453,10 @@ def build(case: Case) -> tuple[Any, ...]:
         _refused(request)
     vehicle = VEHICLES[case.vehicle](case.rng("vehicle"), case.wheels)
     ground = ground_of(case, max(wheel.radius for wheel in vehicle.wheels))
-    closure = direct_kinematics(vehicle, ground, slip=case.slip)
+    closure = direct_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
     dae = closure
     if case.formulation == "montana":
-        dae = montana_kinematics(vehicle, ground, slip=case.slip)
+        dae = montana_kinematics(vehicle, ground, slip=SLIP_LAWS[case.slip]())
     start = settle(closure, **(start_of(case, ground, vehicle) | request["start"]))
     inputs = inputs_of(case, dae, vehicle, start, count)
     if isinstance(inputs, dict):

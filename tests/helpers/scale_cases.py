@@ -14,6 +14,8 @@ from slipfree import (
     Analytic,
     Bicubic,
     Grid,
+    LeastSlip,
+    Rolling,
     Trajectory,
     Vehicle,
     direct_kinematics,
@@ -22,6 +24,7 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.dae import power_of_length
+from slipfree.laws.protocols import SlipLaw
 from slipfree.models.inverse import along, inverse_kinematics
 from slipfree.models.montana import montana_kinematics
 from slipfree.models.platform_rates import subset_kinematics
@@ -71,7 +74,12 @@ def bicubic(scale: float) -> Bicubic:
 Ground = Callable[[float], Analytic | Bicubic]
 
 
-def direct(scale: float, ground: Ground, slip: str = "least", end: float = 6.0) -> Trajectory:
+def direct(
+    scale: float,
+    ground: Ground,
+    slip: SlipLaw = LeastSlip(),  # noqa: B008
+    end: float = 6.0,
+) -> Trajectory:
     dae = direct_kinematics(scaled(three_wheeler(), scale), ground(scale), slip=slip)
     start = settle(dae, x=0.3 * scale, heading=0.2)
     t = np.linspace(0, end, 121)
@@ -97,7 +105,7 @@ def montana(scale: float) -> Trajectory:
 def inverse(scale: float, solve_for: str) -> Trajectory:
     """Follow the paper's platform rates, from a start that moves."""
     vehicle, ground = scaled(three_wheeler(), scale), bicubic(scale)
-    dae = direct_kinematics(vehicle, ground, slip="rolling")
+    dae = direct_kinematics(vehicle, ground, slip=Rolling())
     inputs = dae.inputs(right_rate=0.45, left_rate=0.42, steer_rate=0.0)
     start = simulate(dae, settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
     back = inverse_kinematics(vehicle, ground, solve_for=solve_for)
@@ -136,7 +144,7 @@ def from_a_contact(scale: float) -> Trajectory:
 CASES: dict[str, Callable[[float], Trajectory]] = {
     "direct, formula": lambda scale: direct(scale, formula),
     "direct, map": lambda scale: direct(scale, bicubic),
-    "direct, no slip": lambda scale: direct(scale, bicubic, "rolling"),
+    "direct, no slip": lambda scale: direct(scale, bicubic, Rolling()),
     "direct, to the edge": to_the_edge,
     "Montana": montana,
     "inverse, steering rate": lambda scale: inverse(scale, "rates"),

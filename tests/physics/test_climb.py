@@ -17,7 +17,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Analytic,
+    ModelError,
+    direct_kinematics,
+    quasi_statics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.control.path_following import follow, straight
 from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
@@ -49,8 +57,8 @@ GROUND = Analytic(terraces, mu=MU)
 
 
 @cache
-def model(slip):
-    return direct_kinematics(VEHICLE, GROUND, slip=slip)
+def model(of=direct_kinematics):
+    return of(VEHICLE, GROUND)
 
 
 def bow(aside, start=START["y"], end=GOAL["y"]):
@@ -70,7 +78,7 @@ class Task(NamedTuple):
 
 
 def planned(task, ways, **limits) -> Plan:
-    dae = model("least")
+    dae = model()
     start = settle(dae, **task.start)
     t = np.linspace(0, task.duration, 61)
     guesses = [
@@ -111,7 +119,7 @@ def length(run):
 
 
 def test_the_straight_way_needs_more_friction_than_there_is():
-    places = [settle(model("least"), x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
+    places = [settle(model(), x=0.0, y=y) for y in np.linspace(3.0, 6.0, 16)]
     weighted = max(place["utilisation"].max() for place in places)
     best = max(best_utilisation(VEHICLE, GROUND, place)["utilisation_best"][0] for place in places)
     assert_allclose(best, 1.123, atol=2e-3)
@@ -119,7 +127,7 @@ def test_the_straight_way_needs_more_friction_than_there_is():
 
 
 def test_the_straight_way_ends_where_friction_does_not_hold():
-    dae = model("traction")
+    dae = model(quasi_statics)
     start = settle(dae, **START)
     law = straight(dae, VEHICLE, start, speed=0.5)
     run = simulate(dae, start, law, np.linspace(0, DURATION, 121))
@@ -169,7 +177,7 @@ def test_the_simulation_of_the_plan_keeps_within_friction_and_reaches_the_goal()
 
 def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
     """Standing there under Coulomb friction, it creeps by ``eps U / sqrt(1 - U^2)``."""
-    run, dae = climbed().run, model("traction")
+    run, dae = climbed().run, model(quasi_statics)
     names = ("x", "y", "heading", "steer")
     held = [settle(dae, **{name: run[name][k] for name in names}) for k in range(run.t.size)]
     used = np.array([place["utilisation"][0] for place in held])
@@ -181,7 +189,7 @@ def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
 
 def test_friction_carries_the_vehicle_to_the_goal():
     """Under its inputs; a rigid axle slips by far more than the creep on its way."""
-    dae = model("traction")
+    dae = model(quasi_statics)
     run = simulate_plan(dae, settle(dae, **START), climbed().motion, step=0.5, tolerance=1e-7)
     assert run.stop is None
     assert np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]) < 0.2

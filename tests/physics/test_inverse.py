@@ -14,6 +14,7 @@ from slipfree import (
     Bicubic,
     Grid,
     ModelError,
+    Rolling,
     SolverError,
     Vehicle,
     settle,
@@ -58,7 +59,7 @@ MIRRORED = Analytic(lambda x, y: -low(x, y))
 
 def direct_run(terrain, t, *, tolerance=1e-10, **start):
     """Drive with smoothly changing rates of all three inputs."""
-    dae = closure_model(three_wheeler(), terrain, slip="rolling")
+    dae = closure_model(three_wheeler(), terrain, slip=Rolling())
     right = 0.45 + 0.05 * ca.sin(0.5 * dae.t)
     left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
     rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))
@@ -214,7 +215,7 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
 def test_path_on_a_map_crosses_too():
     """What `straight` has driven on the reference ground, again from its path alone."""
     terrain, t = case1()[0], np.linspace(0, 5, 101)
-    direct = closure_model(three_wheeler(), terrain, slip="rolling")
+    direct = closure_model(three_wheeler(), terrain, slip=Rolling())
     begin = settle(direct, heading=0.2)
     law = straight(direct, three_wheeler(), begin, speed=0.135)
     run = simulate(direct, begin, law, t, tolerance=1e-12)
@@ -300,7 +301,7 @@ def moving(dae, stands):
 
 
 def test_conditions_on_flat_ground():
-    dae = closure_model(three_wheeler(), FLAT, slip="rolling")
+    dae = closure_model(three_wheeler(), FLAT, slip=Rolling())
     run = moving(dae, [settle(dae, heading=0.0)])
     by_rate = conditions(three_wheeler(), FLAT, run)
     assert len(by_rate) == 20
@@ -314,7 +315,7 @@ def test_conditions_on_flat_ground():
 def test_conditions_on_hills(rng):
     """Median, 90 % and maximum; (Vx, Vy, Oz) is by far the best in both forms."""
     ground, stands = Analytic(rough), []
-    dae = closure_model(three_wheeler(), ground, slip="rolling")
+    dae = closure_model(three_wheeler(), ground, slip=Rolling())
     names = ("x", "y", "heading", "tilt_right", "tilt_left", "steer")
     while len(stands) < 150:
         values = rng.uniform(-1, 1, 6) * [3, 3, 3.1, 0.2, 0.2, 0.4]

@@ -15,7 +15,17 @@ from scipy.spatial.transform import Rotation
 
 from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
 from helpers.vehicles import four_wheels
-from slipfree import Analytic, Bicubic, Grid, ModelError, settle, simulate, straight, three_wheeler
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    Rolling,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
 from slipfree.contact.montana import ContactCoordinates, pair
 from slipfree.geometry.frame import turn
 from slipfree.lookups import LookupTable
@@ -129,7 +139,7 @@ def test_rolling_law_and_feedback_apply_here_too():
     closure = closure_model(vehicle, ground)
     stand = settle(closure, **START)
     runs = []
-    for dae in (closure, montana_model(vehicle, ground, slip="rolling")):
+    for dae in (closure, montana_model(vehicle, ground, slip=Rolling())):
         runs.append(simulate(dae, stand, straight(dae, vehicle, stand, speed=0.4), T))
     assert gap(*runs) < 2e-6
     assert np.abs(runs[1]["slip_across"]).max() < 1e-12

@@ -18,7 +18,17 @@ from scipy.optimize import brentq
 
 from helpers.cases import PAPER_RATES, closure_model, drive, hills
 from helpers.vehicles import four_wheels
-from slipfree import Analytic, Bicubic, Grid, ModelError, settle, simulate, three_wheeler
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    LeastSlip,
+    ModelError,
+    Rolling,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics
@@ -73,7 +83,7 @@ def model(vehicle, ground, slip):
     return closure_model(vehicle, ground, slip=slip)
 
 
-def stand(vehicle, ground, *, slip="least", **start):
+def stand(vehicle, ground, *, slip=LeastSlip(), **start):  # noqa: B008
     return settle(model(vehicle, ground, slip), **start)
 
 
@@ -959,7 +969,7 @@ def test_montanas_form_bears_the_same():
 
 @pytest.mark.parametrize("solve_for", ["rates", "angles"])
 def test_the_inverse_model_bears_the_same(solve_for):
-    direct = closure_model(VEHICLE, HILLS, slip="rolling")
+    direct = closure_model(VEHICLE, HILLS, slip=Rolling())
     rates = PAPER_RATES | {"steer_rate": 0.02 if solve_for == "rates" else 0.0}
     run = simulate(
         direct,
@@ -979,7 +989,7 @@ def test_the_inverse_model_bears_the_same(solve_for):
 
 def test_rolling_bears_what_least_slip_bears():
     start = {"heading": 0.4, "tilt_right": 0.2, "steer": 0.1}
-    compare(stand(VEHICLE, HILLS, **start), stand(VEHICLE, HILLS, slip="rolling", **start))
+    compare(stand(VEHICLE, HILLS, **start), stand(VEHICLE, HILLS, slip=Rolling(), **start))
 
 
 # Utilisation as a limit

@@ -28,12 +28,14 @@ from helpers.vehicles import four_wheels
 from slipfree import (
     Analytic,
     Bicubic,
+    Coulomb,
     Grid,
+    LeastSlip,
     ModelError,
-    Traction,
     actuated,
     best_utilisation,
     direct_kinematics,
+    quasi_statics,
     settle,
     simulate,
     three_wheeler,
@@ -43,8 +45,8 @@ from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.tree import Body
 
 
-def standing(vehicle, ground, law=Traction(), **start):  # noqa: B008
-    return settle(direct_kinematics(vehicle, ground, slip="traction", traction=law), **start)
+def standing(vehicle, ground, law=Coulomb(), **start):  # noqa: B008
+    return settle(quasi_statics(vehicle, ground, law=law), **start)
 
 
 def creeps(run):
@@ -56,7 +58,7 @@ def creeps(run):
 def test_a_rigid_axle_creeps_straight_down_across_a_slope(degrees, eps):
     """``eps tan s / sqrt(mu^2 - tan^2 s)``: every wheel uses the same part of its friction."""
     s = np.radians(degrees)
-    run = standing(FIXED, slope(s, 0.6, across=True), Traction(eps))
+    run = standing(FIXED, slope(s, 0.6, across=True), Coulomb(eps))
     expected = eps * np.tan(s) / np.sqrt(0.6**2 - np.tan(s) ** 2)
     assert_allclose(creeps(run), expected, rtol=1e-6)
     assert run["velocity_x"][0] < 0  # downhill
@@ -77,7 +79,7 @@ def test_a_driven_wheel_creeps_by_what_it_uses(degrees):
 def test_the_reserve_holds_beyond_friction(reserve):
     """A block on a slope of 35 degrees: ``mu p + c s = tan s``, about ``(tan s - mu) / c``."""
     s, mu, eps = np.radians(35), 0.6, 1e-3
-    run = standing(FIXED, slope(s, mu, across=True), Traction(eps, reserve))
+    run = standing(FIXED, slope(s, mu, across=True), Coulomb(eps, reserve))
     slip = creeps(run)
     assert_allclose(slip, slip[0], rtol=1e-9)
     assert_allclose(mu * slip / np.hypot(slip, eps) + reserve * slip, np.tan(s), rtol=1e-9)
@@ -144,7 +146,7 @@ def test_no_equilibrium_is_a_stop_by_name():
     needed = held["friction_needed"].max(axis=1)
     k = int(np.argmax(needed > 0.35))
     expected = held.t[k - 1] + 0.1 * (0.35 - needed[k - 1]) / (needed[k] - needed[k - 1])
-    run = moved(three_wheeler(), ground, Traction(1e-6), t, rates)
+    run = moved(three_wheeler(), ground, Coulomb(1e-6), t, rates)
     assert run.stop.name == "no_equilibrium"
     assert run.stop.t == pytest.approx(expected, abs=2e-3)
     assert run.stop.words.startswith(
@@ -163,7 +165,7 @@ def test_a_stuck_vehicle_with_spinning_wheels_is_an_equilibrium(damping, toleran
     rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
     vehicle = three_wheeler(stiffness=60.0, damping=damping)
     t = np.linspace(0, 60, 301)
-    run = moved(vehicle, ground, Traction(), t, rates, tolerance=tolerance)
+    run = moved(vehicle, ground, Coulomb(), t, rates, tolerance=tolerance)
     assert run.stop is None
     assert np.ptp(run["y"][200:]) < 0.1
     assert run["slip_along", "right"][-1] < -0.1
@@ -185,7 +187,7 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
         "steer_rate": -0.23850475241570412,
     }
     start = {"x": 0.06577387785453626, "y": -0.0420728627881235, "heading": 0.3860773330023184}
-    ground, law = Bicubic(grid, mu=0.048397107850166564), Traction(3.4290050665254273e-06)
+    ground, law = Bicubic(grid, mu=0.048397107850166564), Coulomb(3.4290050665254273e-06)
     t = np.linspace(0, 10, 51)
     runs = [moved(FIXED, ground, law, t, rates, tolerance=each, **start) for each in (1e-8, 1e-10)]
     for run in runs:
@@ -197,7 +199,7 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
 def test_friction_that_a_formula_makes_zero_is_a_stop_by_name():
     ground = Analytic(lambda x, y: 0 * x + 0 * y, mu=lambda _, y: 0.5 - 0.3 * y)
     rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
-    run = moved(FIXED, ground, Traction(1e-6), T, rates)
+    run = moved(FIXED, ground, Coulomb(1e-6), T, rates)
     assert run.stop.name == "friction[front]"
     assert run["contact_y", "front"][-1] == pytest.approx(0.5 / 0.3, abs=1e-4)
     assert "the coefficient of friction under wheel front is not positive" in run.stop.words
@@ -219,7 +221,7 @@ def test_ice_is_a_stop_by_name_even_where_friction_jumps():
     ground = Analytic(
         lambda x, y: hills(x, y) + 0.2 * y, mu=lambda _, y: ca.if_else(y > 0.9, 0.02, 0.6)
     )
-    run = moved(FIXED, ground, Traction(), T, x=0.013, y=0.017)
+    run = moved(FIXED, ground, Coulomb(), T, x=0.013, y=0.017)
     assert run.stop.name == "no_equilibrium"
     assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
     assert "times the friction that it finds, the ground offers 0.02 to 0.6" in run.stop.words
@@ -231,7 +233,7 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     heights = Grid(axis, axis, np.zeros((13, 13)))
     ground = Bicubic(heights, mu=mu)
     rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
-    run = moved(FIXED, ground, Traction(1e-6), T, rates)
+    run = moved(FIXED, ground, Coulomb(1e-6), T, rates)
     assert run.stop.name == "friction_margin[front]"
     assert run.stop.t == pytest.approx(0.5 / 0.15, abs=2e-4)
     assert (
@@ -243,7 +245,7 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
 def test_a_rigid_stop_of_a_tilt_ends_the_motion_by_name():
     """On flat ground a common tilt falls over; the stop is where it would be passed."""
     ground = slope(0.0, 0.6)
-    t, law = np.linspace(0, 60, 241), Traction(1e-3)
+    t, law = np.linspace(0, 60, 241), Coulomb(1e-3)
     rates, tilts = dict.fromkeys(RATES, 0.0), {"tilt_right": 0.1, "tilt_left": 0.1}
     free = moved(three_wheeler(), ground, law, np.linspace(0, 30, 601), rates, **tilts)
     run = moved(three_wheeler(tilt_stop=0.2), ground, law, t, rates, **tilts)
@@ -260,7 +262,7 @@ def test_an_elastic_stop_bears_the_wheel_that_leans_on_it():
     run = moved(
         vehicle,
         slope(0.0, 0.6),
-        Traction(1e-2),
+        Coulomb(1e-2),
         np.linspace(0, 60, 121),
         dict.fromkeys(RATES, 0.0),
         tilt_right=0.1,
@@ -294,7 +296,7 @@ def test_only_a_stiff_spring_holds_a_tilt_upright():
 def test_a_damper_slows_the_fall():
     rates = [
         standing(
-            three_wheeler(damping=d), slope(0.0, 0.6), Traction(1e-1), tilt_right=0.1, tilt_left=0.1
+            three_wheeler(damping=d), slope(0.0, 0.6), Coulomb(1e-1), tilt_right=0.1, tilt_left=0.1
         )["tilt_right_rate"][0]
         for d in (0.0, 100.0)
     ]
@@ -303,7 +305,7 @@ def test_a_damper_slows_the_fall():
 
 def test_work_is_what_is_gained_and_what_is_lost():
     t = np.linspace(0, 10, 1001)
-    run = moved(FIXED, Analytic(hills, mu=0.6), Traction(1e-3), t, UNEQUAL, tolerance=1e-10)
+    run = moved(FIXED, Analytic(hills, mu=0.6), Coulomb(1e-3), t, UNEQUAL, tolerance=1e-10)
     from scipy.interpolate import CubicSpline
 
     lost = CubicSpline(run.t, run["dissipation"]).antiderivative()(run.t)
@@ -315,17 +317,24 @@ def test_work_is_what_is_gained_and_what_is_lost():
 def test_what_does_not_suit_is_refused():
     ground = slope(0.0, 0.6)
 
-    def fails(words, vehicle=FIXED, ground=ground, law=Traction()):  # noqa: B008
+    def fails(words, vehicle=FIXED, ground=ground, law=Coulomb, **changes):
         with pytest.raises(ModelError, match=words):
-            direct_kinematics(vehicle, ground, slip="traction", traction=law)
+            quasi_statics(vehicle, ground, law=law(**changes))
 
-    fails("has no mass; give", vehicle=three_wheeler(mass=0.0, wheel_mass=0.0))
-    fails("the ground has no friction", ground=slope(0.0, None))
-    fails("expected a creep above 0 and up to 0.3 m/s, found 0", law=Traction(0.0))
-    fails("expected a creep", law=Traction(1.0))
-    fails("expected a reserve of zero or more, found -1", law=Traction(reserve=-1.0))
-    with pytest.raises(ModelError, match="slip = 'least' or 'rolling', found 'traction'"):
-        montana_kinematics(FIXED, ground, slip="traction")
+    fails("a vehicle with mass, found none in", vehicle=three_wheeler(mass=0.0, wheel_mass=0.0))
+    fails("a ground with a coefficient of friction, found none", ground=slope(0.0, None))
+    fails("creep: expected a number > 0, found 0", creep=0.0)
+    fails("creep: expected a number <= 0.3, found 1", creep=1.0)
+    fails("creep: expected a number > 0, found nan", creep=np.nan)
+    fails("reserve: expected a number >= 0, found -1", reserve=-1.0)
+    fails("reserve: expected a number < inf", reserve=np.inf)
+    fails("expected a wheel-ground law such as", law=LeastSlip)
+    fails("expected a wheel-ground law such as", law=lambda: Coulomb)
+    for of in (direct_kinematics, montana_kinematics):
+        with pytest.raises(ModelError, match=r"expected a slip law such as LeastSlip\(\) or"):
+            of(FIXED, ground, slip=Coulomb())
+    with pytest.raises(ModelError, match=r"or Rolling\(\), found 'least'"):
+        direct_kinematics(FIXED, ground, slip="least")
 
 
 def test_a_lock_keeps_a_tilt_and_bears_its_torque():

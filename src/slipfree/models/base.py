@@ -1,36 +1,30 @@
-"""What the models of a vehicle's motion share: poses, rates, outputs, limits and sizes."""
+"""Poses, rates, outputs and sizes that all models of a vehicle share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import ContactFrame, relative_curvature, wheel_coordinates
-from slipfree.dae import Labels, Limit
+from slipfree.contact.closure import ContactFrame, wheel_coordinates
+from slipfree.dae import Labels
 from slipfree.geometry.frame import Pose, platform, quaternion
 from slipfree.lookups import LookupTable, lookup_function
+from slipfree.models.quantities import Quantities
 from slipfree.models.records import (
-    Algebraic,
     Configuration,
     Dependent,
     ForceOutputs,
     Inputs,
     Outputs,
     Rates,
-    SlipLaw,
     kept,
 )
-from slipfree.models.slip import least_slip
-from slipfree.records import Array, Label, leaves, pack
+from slipfree.records import Array, leaves, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
-
-Domain = tuple[float, float, float, float]
-FLAT = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
-OVERTURNED = 0.1  # likewise for the platform's up axis and the horizontal
 
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
@@ -45,10 +39,10 @@ def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[s
     return dict(zip(names, (*x.joints, *position.suspension), strict=True))
 
 
-def spins(vehicle: Vehicle, rates: Rates, u: Inputs) -> list[ca.SX]:
+def spins(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
     """Return the rates of all wheels, driven or free. [rad/s]."""
     driven, free = iter(u.wheels), iter(rates.free)
-    return [next(driven) if wheel.driven else next(free) for wheel in vehicle.wheels]
+    return tuple(next(driven) if wheel.driven else next(free) for wheel in vehicle.wheels)
 
 
 def joint_rates(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
@@ -58,19 +52,11 @@ def joint_rates(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
     return tuple(next(commanded) if kind == "commanded" else next(passive) for kind in kinds)
 
 
-def outputs(
-    terrain: Terrain,
-    poses: tuple[Pose, ...],
-    contacts: list[ContactFrame],
-    slips: list[ca.SX],
-    wheel_rates: list[ca.SX],
-    x: Configuration,
-    z: Algebraic,
-    forces: ForceOutputs | tuple[()],
-) -> Outputs:
-    """Return what is sampled along a motion, in map coordinates."""
-    o_x, o_y, o_z = terrain.origin
-    base = platform(x.x, x.y, z.position.z, x.heading, z.position.roll, z.position.pitch).rotation
+def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
+    """Return the sampled outputs of a model, in map coordinates."""
+    o_x, o_y, o_z = q.terrain.origin
+    x, position, poses, contacts = q.x, q.position, q.poses, q.contacts
+    base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch).rotation
     on_wheels = zip(
         *(wheel_coordinates(*each) for each in zip(poses, contacts, strict=True)), strict=True
     )
@@ -81,9 +67,9 @@ def outputs(
         center_x=tuple(c.origin[0] + o_x for c in poses),
         center_y=tuple(c.origin[1] + o_y for c in poses),
         center_z=tuple(c.origin[2] + o_z for c in poses),
-        slip_along=tuple(ca.dot(c.along, s) for c, s in zip(contacts, slips, strict=True)),
-        slip_across=tuple(ca.dot(c.across, s) for c, s in zip(contacts, slips, strict=True)),
-        wheel_rate=tuple(wheel_rates),
+        slip_along=tuple(ca.dot(c.along, s) for c, s in zip(contacts, q.slips, strict=True)),
+        slip_across=tuple(ca.dot(c.across, s) for c, s in zip(contacts, q.slips, strict=True)),
+        wheel_rate=q.spins,
         wheel_u=wheel_u,
         wheel_v=wheel_v,
         psi=psi,
@@ -94,10 +80,10 @@ def outputs(
 
 
 def touch_function(
-    x: Configuration,
-    z: Algebraic,
-    poses: tuple[Pose, ...],
-    contacts: list[ContactFrame],
+    x: Any,
+    z: Any,
+    poses: Sequence[Pose],
+    contacts: Sequence[ContactFrame],
     lookups: LookupTable,
 ) -> list[ca.Function]:
     """Return, for every wheel, centre, rotation and contact point as functions of the states."""
@@ -110,66 +96,8 @@ def touch_function(
     ]
 
 
-def stops(vehicle: Vehicle, x: Configuration, z: Algebraic) -> Iterator[Limit]:
-    """Yield the limits that concern the vehicle alone."""
-    values = values_of(vehicle, x, z.position)
-    for c in vehicle.coordinates:
-        if not c.bump and (np.isfinite(c.lower) or np.isfinite(c.upper)):
-            words = f"the stop of {c.name} ({c.words}) is reached"
-            yield Limit(
-                Label(f"{c.name}_stop", vehicle.unit(c.name), words),
-                values[c.name],
-                c.lower,
-                c.upper,
-            )
-    upright = ca.cos(z.position.roll) * ca.cos(z.position.pitch)
-    words = "the platform is overturned (cosine of its inclination)"
-    yield Limit(Label("upright", "1", words), upright, OVERTURNED, np.inf)
-
-
-def contact_limits(
-    vehicle: Vehicle, terrain: Terrain, contacts: list[ContactFrame]
-) -> Iterator[Limit]:
-    """Yield the limits of every wheel on the ground."""
-    for wheel, contact in zip(vehicle.wheels, contacts, strict=True):
-        if np.isfinite(terrain.domain).all():
-            inside = margin_to(terrain, terrain.domain, contact)
-            words = f"wheel {wheel.name} leaves the map, which reaches {reach(terrain.domain)}"
-            yield Limit(Label("map_margin", "m", words, wheel.name), inside, 0.0, np.inf)
-        words = f"wheel {wheel.name} lies flat on the ground (sine of axle to normal)"
-        label = Label("uprightness", "1", words, wheel.name)
-        yield Limit(label, contact.uprightness, FLAT, np.inf)
-        words = (
-            f"the ground under wheel {wheel.name} is more concave than the wheel, so that its "
-            "contact is not unique; terrain.rolled(radius) gives the ground as the wheel feels it "
-            "(relative curvature)"
-        )
-        label = Label("relative_curvature", "m-1", words, wheel.name)
-        yield Limit(label, relative_curvature(wheel, contact), 0.0, np.inf)
-
-
-def margin_to(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:
-    """Return the distance of a contact to the edge of a domain in map coordinates. [m]."""
-    west, east, south, north = domain
-    o_x, o_y, _ = terrain.origin
-    u_g, v_g = contact.point[0], contact.point[1]
-    return ca.fmin(
-        ca.fmin(u_g - (west - o_x), (east - o_x) - u_g),
-        ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
-    )
-
-
-def reach(domain: Domain) -> str:
-    """Return from where to where a domain reaches, in words."""
-    west, east, south, north = domain
-    return (
-        f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y "
-        "(distance to its edge)"
-    )
-
-
 def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tuple[Array, Array]]:
-    """Return typical sizes of z, and what leads from local to map coordinates."""
+    """Return typical sizes of ``z``, and the shifts of ``x`` and ``z`` to map coordinates."""
     radius = min(wheel.radius for wheel in vehicle.wheels)
     typical = {"m": radius, "m s-1": radius, "N": vehicle.weight}
     scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
@@ -194,14 +122,6 @@ def extent(vehicle: Vehicle) -> float:
 
 
 def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
-    """Return a first guess of rates and forces: none, but that every wheel bears its share."""
+    """Return the guess of rates and forces: zero, and equal normal forces."""
     share = vehicle.weight / len(vehicle.wheels)
     return ca.SX([share if each.name == "force_normal" else 0.0 for each in leaves(labels)])
-
-
-def balance(law: SlipLaw, slips: list[ca.SX], contacts: list[ContactFrame], rates: Rates) -> ca.SX:
-    """Return the equations for the rates: least slip, or none."""
-    if law == "rolling":
-        return ca.vertcat(*slips)
-    normals = [contact.normal for contact in contacts]
-    return least_slip(slips, normals, pack(rates.motion), pack(rates.multipliers))

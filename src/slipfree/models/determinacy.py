@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.dae import Dae
+from slipfree.laws.rolling import Rolling
 from slipfree.models.base import extent
 from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, omega
 from slipfree.models.kinematics import direct_kinematics
@@ -241,7 +242,7 @@ def conditions(
         Condition numbers, shape (n,), one for each sample, by the names of the three velocities;
         infinite where the choice is singular.
     """
-    direct = direct_kinematics(vehicle, terrain, slip="rolling")
+    direct = direct_kinematics(vehicle, terrain, slip=Rolling())
     slip, count = slip_columns(vehicle, direct), run.t.size
     choices = list(combinations((*VELOCITY, *OMEGA), 3))
     matrices = [slip.matrix(given, solve_for)[0] for given in choices]

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import ContactFrame, contact_frame
+from slipfree.contact.closure import contact_frame
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import platform
 from slipfree.lookups import LookupTable, lookup_function
 from slipfree.models.base import carriers
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.labels import labels_of
-from slipfree.models.records import Algebraic, Configuration
-from slipfree.models.statics import Mechanics, mechanics
+from slipfree.models.quantities import Mechanics, Quantities
+from slipfree.models.records import Algebraic
+from slipfree.models.statics import mechanics
 from slipfree.records import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Column, Trajectory
@@ -56,7 +57,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     """
     if not vehicle.mass:
         raise ModelError(f"best_utilisation: {vehicle.name} has no mass")
-    labels = labels_of(vehicle, "least")
+    labels = labels_of(vehicle)
     sought = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
     lookups = LookupTable()
@@ -84,18 +85,12 @@ def _held(parts: Mechanics) -> list[ca.SX]:
     return [parts.free.T, parts.load / parts.weight, ca.vertcat(*parts.friction)]
 
 
-def diagnosis(
-    parts: Mechanics,
-    contacts: Sequence[ContactFrame],
-    margin: ca.SX,
-    x: Configuration,
-    z: Algebraic,
-    lookups: LookupTable,
-) -> Callable[[Array, Array], str]:
-    """Return what says, of a state, which friction it would take to hold the vehicle there.
+def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
+    """Return a function of a state that reports the friction needed to hold the vehicle there.
 
-    It says as well how far a wheel leans, and nothing where friction does hold the vehicle.
+    It reports also the lean of a wheel, and is empty where friction holds the vehicle.
     """
+    x, contacts = q.x, q.contacts
     normal = sum((each.normal for each in contacts), ca.SX.zeros(3))
     uphill, slope = -normal[:2], ca.acos(normal[2] / ca.norm_2(normal))
     base = platform(x.x, x.y, z.position.z, x.heading, z.position.roll, z.position.pitch)
@@ -103,8 +98,8 @@ def diagnosis(
     aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
     angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
     lean = ca.acos(ca.fmin(ca.mmin(ca.vertcat(*(each.uprightness for each in contacts))), 1))
-    results = [*_held(parts), *angles, margin, lean]
-    f = lookup_function(lookups.lookups, "hold", [pack(x), pack(z)], results)
+    results = [*_held(q.mechanics), *angles, q.tip_over_margin, lean]
+    f = lookup_function(q.lookups.lookups, "hold", [pack(x), pack(z)], results)
 
     def describe(x: Array, z: Array) -> str:
         matrix, load, friction, *rest = (np.array(each) for each in f(x, z))

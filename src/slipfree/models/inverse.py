@@ -24,6 +24,7 @@ import numpy as np
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
+from slipfree.laws.rolling import Rolling
 from slipfree.models.determinacy import angle_slopes, rolling_determinacy
 from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, derived_rates, impose
 from slipfree.models.kinematics import direct_kinematics
@@ -83,7 +84,7 @@ def inverse_kinematics(
     _check_vehicle(vehicle, solve_for)
     if not least_margin >= 0:
         raise ModelError(f"least_margin: expected zero or more, found {least_margin}")
-    direct = direct_kinematics(vehicle, terrain, slip="rolling")
+    direct = direct_kinematics(vehicle, terrain, slip=Rolling())
     build = _solved_for_angles if solve_for == "angles" else _solved_for_rates
     dae = build(vehicle, direct, given)
     rest = [each for name, each in derived_rates(direct).items() if name not in given]

@@ -1,9 +1,11 @@
-"""Labels of everything that a vehicle's models hold: names, units and words."""
+"""Labels of the unknowns, equations, inputs and outputs of a vehicle's models."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from slipfree.dae import Labels
-from slipfree.errors import ModelError
+from slipfree.laws.protocols import ACROSS, ALONG, NORMAL, component_labels, wheel_labels
 from slipfree.models.records import (
     Algebraic,
     Configuration,
@@ -14,7 +16,6 @@ from slipfree.models.records import (
     Inputs,
     Outputs,
     Rates,
-    SlipLaw,
     Totals,
     is_determinate,
 )
@@ -24,26 +25,22 @@ from slipfree.vehicle.tree import Coordinate, Vehicle
 HEADING = Label("heading", "rad", "counter-clockwise angle of the right axis from the x axis")
 ROLL = Label("roll", "rad", "angle about the forward axis, right side down positive")
 PITCH = Label("pitch", "rad", "angle about the right axis, nose up positive")
-ALONG = "force_along", "N", "force of the ground on the wheel along it, forward positive"
-ACROSS = "force_across", "N", "force of the ground on the wheel across it, to the right positive"
-NORMAL = "force_normal", "N", "force of the ground on the wheel along the normal"
-TRACTION = (
-    NORMAL,
-    ("friction_used_along", "1", "part of the friction that is used along the wheel"),
-    ("friction_used_across", "1", "part of the friction that is used across the wheel"),
-)
 
 
-def labels_of(vehicle: Vehicle, slip: SlipLaw) -> Labels:
-    """Return names, units and words of all unknowns and equations of the closure model.
+def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels:
+    """Return the labels of a closure model, except those of the equations of its rates.
 
-    Raises
-    ------
-    ModelError
-        If ``slip`` is rolling and the vehicle has too few or too many freedoms for it, or traction
-        and it has no mass.
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    law : record of Label
+        Labels of the unknowns of the slip law or wheel-ground law.
+    follow : bool
+        Whether forces are unknowns that follow from the motion, for a vehicle with mass; else the
+        wheel-ground law gives them, and tangential forces are outputs.
     """
-    rates = _rate_labels(vehicle, slip)
+    rates = _rate_labels(vehicle, law)
     x = Configuration(
         Label("x", "m", "easting of the platform's centre"),
         Label("y", "m", "northing of the platform's centre"),
@@ -51,8 +48,8 @@ def labels_of(vehicle: Vehicle, slip: SlipLaw) -> Labels:
         tuple(_coordinate(vehicle, c) for c in vehicle.coordinates if c.kind != "suspension"),
     )
     contacts = zip(
-        _each(vehicle, "contact_x", "m", "easting of the contact point"),
-        _each(vehicle, "contact_y", "m", "northing of the contact point"),
+        wheel_labels(vehicle, "contact_x", "m", "easting of the contact point"),
+        wheel_labels(vehicle, "contact_y", "m", "northing of the contact point"),
         strict=True,
     )
     position = Dependent(
@@ -69,25 +66,12 @@ def labels_of(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     )
     words = "angle through which the wheel has turned"
     work = Label("work", "J", "work of the drives and actuators")
-    q = Totals(_each(vehicle, "wheel_angle", "rad", words), (work,) if vehicle.mass else ())
-    closures = _components(vehicle, "closure", "m", "contact condition")
-    balance = _balance_labels(vehicle, rates, slip)
-    y = _output_labels(vehicle, slip)
-    forces, equilibrium = _force_labels(vehicle, rates, slip)
+    q = Totals(wheel_labels(vehicle, "wheel_angle", "rad", words), (work,) if vehicle.mass else ())
+    closures = component_labels(vehicle, "closure", "m", "contact condition")
+    y = _output_labels(vehicle, follow=follow)
+    forces, equations = _force_labels(vehicle, rates) if follow else (Forces(), ())
     z = Algebraic(position, rates, forces)
-    return Labels(x, z, q, u, y, (closures, balance, equilibrium))
-
-
-def _each(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
-    return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
-
-
-def _components(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
-    return tuple(
-        Label(name, unit, f"{axis} component of the {words}", wheel.name)
-        for wheel in vehicle.wheels
-        for axis in "xyz"
-    )
+    return Labels(x, z, q, u, y, (closures, (), equations))
 
 
 def _turning(name: str, words: str) -> Label:
@@ -102,16 +86,13 @@ def _rate(vehicle: Vehicle, c: Coordinate) -> Label:
     return Label(f"{c.name}_rate", f"{vehicle.unit(c.name)} s-1", f"rate of {c.words}")
 
 
-def _rate_labels(vehicle: Vehicle, slip: SlipLaw) -> Rates:
+def _rate_labels(vehicle: Vehicle, law: Any) -> Rates:
     velocity = [
         Label(f"velocity_{axis}", "m s-1", f"velocity of the platform's centre along {axis}")
         for axis in "xyz"
     ]
     angles = [_turning(label.name, label.words) for label in (HEADING, ROLL, PITCH)]
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
-    words = "multiplier of the contact in the least-slip condition"
-    multipliers = _each(vehicle, "multiplier", "m s-1", words) if slip == "least" else ()
-    forces = [_each(vehicle, *each) for each in TRACTION] if slip == "traction" else []
     return Rates(
         velocity[0],
         velocity[1],
@@ -122,19 +103,16 @@ def _rate_labels(vehicle: Vehicle, slip: SlipLaw) -> Rates:
         tuple(_rate(vehicle, c) for c in vehicle.of("suspension")),
         tuple(_rate(vehicle, c) for c in vehicle.of("passive")),
         tuple(_turning(name, f"the free wheel {name}") for name in free),
-        multipliers,
-        *forces,
+        law,
     )
 
 
-def _force_labels(
-    vehicle: Vehicle, rates: Rates, slip: SlipLaw
-) -> tuple[Forces, tuple[Label, ...]]:
+def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, ...]]:
     """Return the labels of the forces that follow from a motion, and of their equations."""
-    if not vehicle.mass or slip == "traction":
+    if not vehicle.mass:
         return Forces(), ()
-    equilibrium = _equilibrium_labels(rates)
-    along, across, normal = (_each(vehicle, *each) for each in (ALONG, ACROSS, NORMAL))
+    equilibrium = equilibrium_labels(rates)
+    along, across, normal = (wheel_labels(vehicle, *each) for each in (ALONG, ACROSS, NORMAL))
     if is_determinate(vehicle):
         return Forces(along, across, normal), equilibrium
     virtual = tuple(
@@ -143,11 +121,11 @@ def _force_labels(
         )
         for each in leaves(rates.motion)
     )
-    shared = _components(vehicle, "distribution", "1", "law that distributes the forces")
+    shared = component_labels(vehicle, "distribution", "1", "law that distributes the forces")
     return Forces(along, across, normal, virtual), (*equilibrium, *shared)
 
 
-def _equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
+def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
     """Return the labels of the equations of equilibrium, one for each rate."""
     return tuple(
         Label(
@@ -159,42 +137,9 @@ def _equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
     )
 
 
-def slip_unit(unit: str) -> str:
-    """Return the unit of the derivative of a squared slip velocity in a rate of another unit."""
-    return {"m s-1": "m s-1", "rad s-1": "m2 s-1", "m2 s-1": "rad s-1"}[unit]
-
-
-def _balance_labels(vehicle: Vehicle, rates: Rates, slip: SlipLaw) -> tuple[Label, ...]:
-    """Return the labels of the equations for the rates; refuse what cannot roll."""
-    if slip == "least":
-        return tuple(
-            Label("least_slip", slip_unit(label.unit), f"least slip with respect to {label.full}")
-            for label in leaves(rates)
-        )
-    if slip == "traction":
-        touching = _each(vehicle, "touching", "m s-1", "normal velocity of the contact point")
-        friction = [
-            _each(vehicle, f"friction_{axis}", "m s-1", f"law of friction {axis} the wheel")
-            for axis in ("along", "across")
-        ]
-        return (*_equilibrium_labels(rates), *touching, *friction[0], *friction[1])
-    given, needed = len(rates.passive) + len(rates.free), 2 * len(vehicle.wheels) - 3
-    if any(wheel.rollers for wheel in vehicle.wheels):
-        raise ModelError(
-            f"{vehicle.name} has wheels with rollers, whose motion is that of least slip: use "
-            "slip='least'"
-        )
-    if given != needed:
-        raise ModelError(
-            f"{vehicle.name} cannot be made to roll: {needed} conditions of no slip need as many "
-            f"passive joints and free wheels, found {given}; use slip = 'least'"
-        )
-    return _components(vehicle, "no_slip", "m s-1", "slip")
-
-
-def _output_labels(vehicle: Vehicle, slip: SlipLaw) -> Outputs:
+def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
     def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
-        return _each(vehicle, name, unit, words)
+        return wheel_labels(vehicle, name, unit, words)
 
     return Outputs(
         each("contact_z", "m", "height of the contact point"),
@@ -214,22 +159,26 @@ def _output_labels(vehicle: Vehicle, slip: SlipLaw) -> Outputs:
             Label(f"quaternion_{axis}", "1", f"{axis} of the platform's quaternion (x forward)")
             for axis in "xyzw"
         ),
-        _force_output_labels(vehicle, slip) if vehicle.mass else (),
+        _force_output_labels(vehicle, follow=follow) if vehicle.mass else (),
     )
 
 
-def _force_output_labels(vehicle: Vehicle, slip: SlipLaw) -> ForceOutputs:
+def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
     def effort(name: str, words: str) -> Label:
         turns = vehicle.unit(name) == "rad"
         kind, unit = ("torque", "N m") if turns else ("force", "N")
         return Label(f"{name}_{kind}", unit, f"{kind} of the actuator of {words}")
 
     return ForceOutputs(
-        _each(vehicle, *ALONG) if slip == "traction" else (),
-        _each(vehicle, *ACROSS) if slip == "traction" else (),
-        _each(vehicle, "friction_needed", "1", "tangential over normal force"),
-        _each(vehicle, "utilisation", "1", "friction that is needed over what the ground offers"),
-        _each(vehicle, "drive_torque", "N m", "torque of the wheel's drive, forward positive"),
+        () if follow else wheel_labels(vehicle, *ALONG),
+        () if follow else wheel_labels(vehicle, *ACROSS),
+        wheel_labels(vehicle, "friction_needed", "1", "tangential over normal force"),
+        wheel_labels(
+            vehicle, "utilisation", "1", "friction that is needed over what the ground offers"
+        ),
+        wheel_labels(
+            vehicle, "drive_torque", "N m", "torque of the wheel's drive, forward positive"
+        ),
         tuple(effort(c.name, c.words) for c in vehicle.of("commanded")),
         Label("power", "W", "power of the drives and actuators"),
         Label("dissipation", "W", "power that contacts and dampers take from the drives"),

@@ -27,31 +27,33 @@ from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.dae import Dae, Labels, Limit
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, Twist
+from slipfree.laws.least_slip import LeastSlip
+from slipfree.laws.protocols import SlipLaw, wheel_labels
 from slipfree.lookups import LookupTable
 from slipfree.models.base import (
     at_rest,
-    balance,
     carriers,
-    contact_limits,
     extent,
     joint_rates,
     outputs,
     sizes,
     spins,
-    stops,
     touch_function,
 )
+from slipfree.models.kinematics import check_slip_law, slip_equations
 from slipfree.models.labels import labels_of
+from slipfree.models.limits import limits_of
+from slipfree.models.quantities import Quantities
 from slipfree.models.records import (
-    Algebraic,
     Configuration,
     Dependent,
     ForceOutputs,
     Forces,
+    Inputs,
     Rates,
-    SlipLaw,
 )
-from slipfree.models.statics import loads, mechanics
+from slipfree.models.statics import following_forces, force_outputs, mechanics
+from slipfree.models.tip_over import tip_over_margin
 from slipfree.records import Array, Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
@@ -107,7 +109,7 @@ class AssemblyOutputs(NamedTuple):
     drift_rotation: tuple[Any, ...]
 
 
-class Rolling(NamedTuple):
+class RollingWheel(NamedTuple):
     """A wheel that rolls: where, how fast, and how far from the place the vehicle has for it.
 
     Attributes
@@ -134,7 +136,11 @@ class Rolling(NamedTuple):
 
 
 def montana_kinematics(
-    vehicle: Vehicle, terrain: Terrain, *, slip: SlipLaw = "least", kappa: float = 10.0
+    vehicle: Vehicle,
+    terrain: Terrain,
+    *,
+    slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
+    kappa: float = 10.0,
 ) -> Dae:
     """Return the same motion as ``direct_kinematics`` from contact equations at rate level.
 
@@ -148,8 +154,8 @@ def montana_kinematics(
         The vehicle; every wheel has a tube (``r1 > 0``).
     terrain : Terrain
         The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
-    slip : {"least", "rolling"}
-        As in the closure model; traction belongs to that one.
+    slip : SlipLaw
+        As in the closure model.
     kappa : float
         Rate at which drift decays. [1/s]
 
@@ -163,59 +169,48 @@ def montana_kinematics(
     ModelError
         If a wheel is a disc, ``kappa`` is not a rate, or the slip law does not fit the vehicle.
     """
-    _check(vehicle, kappa, slip)
-    labels = _assembly_labels(vehicle, slip)
-    x, z, u, t = symbols(labels.x), symbols(labels.z), symbols(labels.u), ca.SX.sym("t")
-    configuration, position = _place(x)
-    like = configuration, Algebraic(position, z.rates, z.forces)
-    turning = spins(vehicle, z.rates, u)
-    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(vehicle, z.rates, u), *z.rates.suspension)
-    lookups = LookupTable()
-    rolls = _rolls(vehicle, terrain, x, q_dot, turning, kappa, lookups)
-    contacts, poses = [roll.contact for roll in rolls], tuple(roll.pose for roll in rolls)
-    slips = [roll.slip for roll in rolls]
+    check_slip_law(vehicle, slip)
+    _check(vehicle, kappa)
+    labels = _assembly_labels(labels_of(vehicle, slip.unknowns(vehicle)), vehicle)
+    x, z = symbols(labels.x), symbols(labels.z)
+    q, rolls, q_dot = _quantities(vehicle, terrain, x, z, symbols(labels.u), kappa)
+    law = slip_equations(slip, labels, q)
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
-    touching = touch_function(x, z, poses, contacts, lookups)
-    parts = mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u, lookups)
-    state = configuration, position, u
-    bears = loads(vehicle, terrain, parts, z.forces, slips, contacts, state)
+    wheels = touch_function(x, z, q.poses, q.contacts, q.lookups)
+    sampled = force_outputs(q, labels.y.forces)
     return Dae(
-        t,
+        ca.SX.sym("t"),
         x,
         z,
         symbols(labels.q),
-        u,
+        q.u,
         ode=ca.vertcat(q_dot, *leaves(tuple(roll.rates for roll in rolls))),
-        alg=(balance(slip, slips, contacts, z.rates), bears.equations),
-        quad=ca.vertcat(*turning, *bears.work),
+        alg=(law.rows, following_forces(q)),
+        quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
         y=AssemblyOutputs(
-            **_of_assembly(outputs(terrain, poses, contacts, slips, turning, *like, bears.outputs)),
+            **_of_assembly(outputs(q, sampled)),
             drift_position=tuple(ca.norm_2(roll.displacement) for roll in rolls),
             drift_rotation=tuple(ca.norm_2(roll.rotation) for roll in rolls),
         ),
-        labels=labels,
+        labels=labels._replace(alg=(law.labels, labels.alg[1])),
         limits=(
             *_assembled(vehicle, rolls),  # first: nothing else is meaningful for a wheel astray
-            *stops(vehicle, *like),
-            *contact_limits(vehicle, terrain, contacts),
-            *bears.limits,
+            *limits_of(q),
         ),
         checks=tuple(
             SecondTouch(terrain, wheel, pose, size)
-            for wheel, pose in zip(vehicle.wheels, touching, strict=True)
+            for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
         ),
         guess=at_rest(vehicle, labels.z),
         scale=scale,
         shift=shift,
         size=size,
         suppress_algebraic=True,
-        lookups=lookups.lookups,
+        lookups=q.lookups.lookups,
     )
 
 
-def _check(vehicle: Vehicle, kappa: float, slip: SlipLaw) -> None:
-    if slip == "traction":
-        raise ModelError("Montana's form takes slip = 'least' or 'rolling', found 'traction'")
+def _check(vehicle: Vehicle, kappa: float) -> None:
     if any(wheel.rollers for wheel in vehicle.wheels):
         raise ModelError("Montana's form takes wheels without rollers; use the closure")
     if not (np.isfinite(kappa) and kappa >= 0):
@@ -234,21 +229,36 @@ def _place(x: Assembly) -> tuple[Configuration, Dependent]:
     return Configuration(x.x, x.y, x.heading, x.joints), position
 
 
-def _rolls(
-    vehicle: Vehicle,
-    terrain: Terrain,
-    x: Assembly,
-    q_dot: ca.SX,
-    turning: list[ca.SX],
-    kappa: float,
-    lookups: LookupTable,
-) -> list[Rolling]:
-    """Return how every wheel rolls; ``q_dot`` are the rates of all states but the contacts."""
-    chain, q = carriers(vehicle, *_place(x)), pack(x[:-1])
-    return [
+def _quantities(
+    vehicle: Vehicle, terrain: Terrain, x: Assembly, z: Unknowns, u: Inputs, kappa: float
+) -> tuple[Quantities, list[RollingWheel], ca.SX]:
+    """Return the quantities of the model, its wheels, and the rates of all but their contacts."""
+    configuration, position = _place(x)
+    turning, lookups = spins(vehicle, z.rates, u), LookupTable()
+    q, chain = pack(x[:-1]), carriers(vehicle, configuration, position)
+    q_dot = ca.vertcat(*z.rates[:6], *joint_rates(vehicle, z.rates, u), *z.rates.suspension)
+    rolls = [
         _rolling(wheel, terrain, at, carrier, carrier.twist(q, q_dot), spin, kappa, lookups)
         for wheel, at, carrier, spin in zip(vehicle.wheels, x.contacts, chain, turning, strict=True)
     ]
+    contacts = tuple(roll.contact for roll in rolls)
+    quantities = Quantities(
+        vehicle,
+        terrain,
+        configuration,
+        position,
+        z.rates,
+        z.forces,
+        u,
+        tuple(roll.pose for roll in rolls),
+        contacts,
+        tuple(roll.slip for roll in rolls),
+        turning,
+        mechanics(vehicle, terrain, configuration, position, contacts, z.rates, u, lookups),
+        tip_over_margin(vehicle, configuration, position, contacts),
+        lookups,
+    )
+    return quantities, rolls, q_dot
 
 
 def _rolling(
@@ -260,7 +270,7 @@ def _rolling(
     spin: ca.SX,
     kappa: float,
     lookups: LookupTable,
-) -> Rolling:
+) -> RollingWheel:
     """Return how a wheel rolls whose hub moves as the chain does, and towards its place there."""
     both = pair(wheel, terrain, at, lookups)
     pose, frame = both.pose, both.frame
@@ -275,7 +285,7 @@ def _rolling(
     )
     # u and v belong to the hub, in which the wheel turns: v stays near 3 pi/2
     rates = ContactCoordinates(ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin, psi)
-    return Rolling(contact, pose, slip, rates, displacement, rotation)
+    return RollingWheel(contact, pose, slip, rates, displacement, rotation)
 
 
 def _of_assembly(shared: Any) -> dict[str, Any]:
@@ -285,7 +295,7 @@ def _of_assembly(shared: Any) -> dict[str, Any]:
     }
 
 
-def _assembled(vehicle: Vehicle, rolls: list[Rolling]) -> Iterator[Limit]:
+def _assembled(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:
     """Yield the limits on the drift."""
     for wheel, roll in zip(vehicle.wheels, rolls, strict=True):
         words = (
@@ -296,19 +306,19 @@ def _assembled(vehicle: Vehicle, rolls: list[Rolling]) -> Iterator[Limit]:
         yield Limit(Label("assembly", "1", words, wheel.name), drift, -np.inf, LOOSE)
 
 
-def _assembly_labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
+def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
     """Return the labels of the closure model, sorted into the records used here."""
-
-    def each(name: str, unit: str, words: str) -> tuple[Label, ...]:
-        return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
-
-    x, z, q, u, y, (_, *equations) = labels_of(vehicle, slip)
+    x, z, q, u, y, (_, *equations) = labels
     place = z.position
     contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
     sampled = AssemblyOutputs(
         **_of_assembly(y),
-        drift_position=each("drift_position", "m", "distance of the wheel from its place"),
-        drift_rotation=each("drift_rotation", "rad", "angle of the wheel from its orientation"),
+        drift_position=wheel_labels(
+            vehicle, "drift_position", "m", "distance of the wheel from its place"
+        ),
+        drift_rotation=wheel_labels(
+            vehicle, "drift_rotation", "rad", "angle of the wheel from its orientation"
+        ),
     )
     states = Assembly(
         x.x,

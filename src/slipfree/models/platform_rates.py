@@ -38,9 +38,9 @@ import numpy as np
 
 from slipfree.dae import Dae, Labels
 from slipfree.geometry.frame import Pose
+from slipfree.laws.least_slip import slip_unit
 from slipfree.models.base import extent, values_of
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.labels import slip_unit
 from slipfree.models.reach import (
     DEFAULT,
     SUBSET,
@@ -243,7 +243,7 @@ def _guide(
     rates, names = direct.z.rates, direct.labels.z.rates
     labels = Guide(
         tuple(replace(label, name=f"guide_{label.name}") for label in _motion(names)),
-        tuple(replace(label, name="guide_multiplier") for label in names.multipliers),
+        tuple(replace(label, name="guide_multiplier") for label in names.law.multipliers),
         tuple(
             Label(f"guide_multiplier_{name}", slip_unit(SUBSET[name].unit), SUBSET[name].words)
             for name in given
@@ -254,7 +254,7 @@ def _guide(
     plane = planar_rates(direct)
     sizes = {"yaw_rate": direct.size}
     loose = [LOOSE[name] * (sizes.get(name, 1.0) * rate) ** 2 for name, rate in plane.items()]
-    count = len(rates.multipliers)
+    count = len(rates.law.multipliers)
     lagrangian = 0.5 * sum((*loose, *(slip**2 for slip in across)))
     lagrangian += ca.dot(pack(guide.contacts), direct.alg[1][-count:])
     for multiplier, name, value in zip(guide.given, given, u.platform, strict=True):

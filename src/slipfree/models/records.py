@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from slipfree.records import pack
 from slipfree.vehicle.tree import Vehicle
-
-SlipLaw = Literal["least", "rolling", "traction"]
 
 
 class Configuration(NamedTuple):
@@ -42,11 +40,10 @@ class Dependent(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Rates of all that is not commanded, and what the law of slip needs with them. [m/s, rad/s].
+    """Rates that are not commanded, and the unknowns of the slip law or wheel-ground law.
 
-    ``passive`` are those of the passive coordinates, ``free`` those of the wheels without drive.
-    With least slip, ``multipliers`` are those of the contacts [m/s]. With traction, ``normal`` are
-    the normal forces [N], ``along`` and ``across`` the parts of the friction that are used [1].
+    ``passive`` are the rates of the passive coordinates, ``free`` those of the wheels without
+    drive. ``law`` is the law's own record, empty if it has no unknowns. [m/s, rad/s]
     """
 
     x: Any
@@ -58,15 +55,12 @@ class Rates(NamedTuple):
     suspension: tuple[Any, ...]
     passive: tuple[Any, ...]
     free: tuple[Any, ...]
-    multipliers: tuple[Any, ...]
-    normal: tuple[Any, ...] = ()
-    along: tuple[Any, ...] = ()
-    across: tuple[Any, ...] = ()
+    law: Any
 
     @property
     def motion(self) -> tuple[Any, ...]:
-        """The rates alone."""
-        return tuple(self[: self._fields.index("multipliers")])
+        """The rates without the law's unknowns."""
+        return tuple(self[:-1])
 
 
 class Forces(NamedTuple):

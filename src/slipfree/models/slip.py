@@ -1,4 +1,4 @@
-"""Slip of the wheels, and the rates that make it least."""
+"""Slip velocities of the wheels, in a model's symbols and along a motion."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 from slipfree.contact.closure import ContactFrame
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
+from slipfree.models.base import carriers, joint_rates, spins
 from slipfree.models.poses import wheel_poses
-from slipfree.records import Array
+from slipfree.models.records import Configuration, Dependent, Inputs, Rates
+from slipfree.records import Array, pack
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
@@ -44,6 +46,43 @@ def slip_velocity(
     omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
     slip = twist.v + ca.cross(omega, contact.point - carrier.origin)
     return slip - contact.across * ca.dot(contact.across, slip) if wheel.rollers else slip
+
+
+def slip_velocities(
+    vehicle: Vehicle,
+    x: Configuration,
+    position: Dependent,
+    contacts: Sequence[ContactFrame],
+    rates: Rates,
+    u: Inputs,
+) -> tuple[ca.SX, ...]:
+    """Return the slip velocities of all wheels that a chain of joints carries. [m/s].
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    x, position : Configuration and Dependent
+        Coordinates of platform and joints. [m, rad]
+    contacts : sequence of ContactFrame
+        Contact frames of the wheels.
+    rates, u : Rates and Inputs
+        Rates of these coordinates and of the wheels. [m/s, rad/s]
+
+    Returns
+    -------
+    tuple of SX, shape (3, 1)
+        In fixed axes, one for each wheel.
+    """
+    q = pack((*x, *position[:4]))
+    joints = joint_rates(vehicle, rates, u)
+    inclination = rates.z, rates.roll, rates.pitch
+    q_dot = pack((rates.x, rates.y, rates.heading, joints, *inclination, rates.suspension))
+    poses, turning = carriers(vehicle, x, position), spins(vehicle, rates, u)
+    return tuple(
+        slip_velocity(wheel, pose, contact, q, q_dot, spin)
+        for wheel, pose, contact, spin in zip(vehicle.wheels, poses, contacts, turning, strict=True)
+    )
 
 
 def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
@@ -85,26 +124,3 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
 
     differences = carried(-2) - 8 * carried(-1) + 8 * carried(1) - carried(2)
     return np.asarray(differences / (12 * steps[0]))
-
-
-def least_slip(
-    slips: Sequence[ca.SX], normals: Sequence[ca.SX], rates: ca.SX, multipliers: ca.SX
-) -> ca.SX:
-    """Return the conditions for the least slip that the contacts allow, shape (n + m, 1).
-
-    The rates are the stationary point of ``L = 1/2 sum s.s + sum lambda n.s``: the slip
-    velocities ``s`` are least in the mean square while no wheel leaves or enters the ground. Since
-    ``n.s`` vanishes, only the tangential slip counts. What a vehicle does on real ground also
-    depends on friction: this is the least slip that kinematics allows, not a prediction.
-
-    Parameters
-    ----------
-    slips, normals : sequence of SX, shape (3, 1)
-        Slip velocity and unit normal at every wheel. [m/s, 1]
-    rates, multipliers : SX, shapes (n, 1) and (m, 1)
-        The unknowns.
-    """
-    lagrangian = sum(0.5 * ca.sumsqr(s) for s in slips)
-    for s, n, multiplier in zip(slips, normals, ca.vertsplit(multipliers), strict=True):
-        lagrangian += multiplier * ca.dot(n, s)
-    return ca.gradient(lagrangian, ca.vertcat(rates, multipliers))

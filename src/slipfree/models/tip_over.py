@@ -23,8 +23,10 @@ def tip_over_margin(
 
     About the line through two neighbouring contact points, it is the angle between the vertical
     and the way from the common centre of mass to the line (as Papadopoulos and Rey's force-angle
-    measure, for gravity alone).
+    measure, for gravity alone). It is infinite for a vehicle without mass.
     """
+    if not vehicle.mass:
+        return ca.SX.inf()
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     masses = list(vehicle.masses(base, values_of(vehicle, x, position)))
     center = sum(mass * at for _, mass, at in masses) / vehicle.mass

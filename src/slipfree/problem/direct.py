@@ -12,9 +12,11 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
+from slipfree.laws.coulomb import Coulomb
+from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.montana import montana_kinematics
-from slipfree.models.traction import Traction
+from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_common import (
     Setup,
@@ -46,7 +48,9 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
     t, rates = samples(spec.time, spec.inputs or {})
     if spec.formulation == "montana":
         with at(problem, ("formulation",)):
-            dae = montana_kinematics(vehicle, terrain, slip=spec.slip)
+            if spec.slip == "traction":
+                raise ModelError("expected slip = 'least' or 'rolling', found 'traction'")
+            dae = montana_kinematics(vehicle, terrain, slip=SLIP_LAWS[spec.slip]())
         dae = replace(dae, compiled=spec.solver.compiled)
     if spec.driver is None:
         driven = "inputs " + ", ".join(spec.inputs or {})
@@ -65,9 +69,12 @@ def build_model(
     if spec.traction is not None and spec.slip != "traction":
         where = problem.source.where(("traction",))
         raise ProblemError(f"{where}: traction: expected slip = 'traction', found {spec.slip!r}")
-    law = Traction(**dict(spec.traction or schema.Traction()))
     with at(problem, ("slip",)):
-        model = direct_kinematics(vehicle, terrain, slip=spec.slip, traction=law)
+        if spec.slip == "traction":
+            law = Coulomb(**dict(spec.traction or schema.Traction()))
+            model = quasi_statics(vehicle, terrain, law=law)
+        else:
+            model = direct_kinematics(vehicle, terrain, slip=SLIP_LAWS[spec.slip]())
     return replace(model, compiled=spec.solver.compiled)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.files.toml.errors import Fault, names, problem_error
+from slipfree.laws.rolling import Rolling
 from slipfree.models.given_rates import EULER, OMEGA, VELOCITY
 from slipfree.models.inverse import (
     LEAST_MARGIN,
@@ -88,7 +89,7 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
             solve_for="rates" if points is not None or spec.steering == "rate" else "angles",
             least_margin=0.0 if sought else LEAST_MARGIN,
         )
-        direct = direct_kinematics(vehicle, terrain, slip="rolling")
+        direct = direct_kinematics(vehicle, terrain, slip=Rolling())
     direct = replace(direct, compiled=spec.solver.compiled)
     dae = replace(dae, compiled=spec.solver.compiled)
     check_names(problem, direct, None)

@@ -14,7 +14,7 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import SlipfreeError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
-from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.quasi_statics import quasi_statics
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import STOPPED_STATUS, Plan, plan
 from slipfree.plan.problem import limits_of, task_of
@@ -312,7 +312,7 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     able = setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.slip != "traction"):
         return {}
-    model: Dae = direct_kinematics(setup.vehicle, setup.terrain, slip="traction")
+    model: Dae = quasi_statics(setup.vehicle, setup.terrain)
     model = replace(model, compiled=setup.dae.compiled)
     values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
     try:

@@ -160,8 +160,8 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
     if not vehicle.mass:
         return
     count = 3 * len(vehicle.wheels)
-    if dae.labels.z.rates.normal:
-        how = "the law of friction decides them, together with the rates"
+    if _has_ground_law(dae):
+        how = "the wheel-ground law decides them, together with the rates"
     elif is_determinate(vehicle):
         how = "equilibrium determines them"
     else:
@@ -195,7 +195,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> Facts:
         ("decided by the ground", listed(position)),
         ("  equations", f"{3 * wheels}: three for each wheel that touches the ground"),
         ("suspension", f"{len(vehicle.of('suspension'))} of {wheels - 3} needed"),
-        ("rates", listed((rates.motion, rates.multipliers))),
+        ("rates", listed((rates.motion, rates.law))),
         ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),
         ("passive joints", f"{len(passive)}: {', '.join(passive) or 'none'}"),
         ("free wheels", f"{len(free)}: {', '.join(free) or 'none'}"),
@@ -204,10 +204,16 @@ def counts(vehicle: Vehicle, dae: Dae) -> Facts:
     ]
 
 
+def _has_ground_law(dae: Dae) -> bool:
+    """Return whether tangential forces are outputs of a wheel-ground law, not unknowns."""
+    forces = dae.labels.y.forces
+    return bool(forces and forces.along)
+
+
 def _equations(dae: Dae) -> str:
     """Return what the equations of the rates state."""
-    if dae.labels.z.rates.normal:
-        return "equilibrium, touching and friction; they decide the normal forces too"
+    if _has_ground_law(dae):
+        return "equilibrium and the wheel-ground law; they decide the normal forces too"
     return dae.labels.alg[1][0].name.replace("_", " ")
 
 

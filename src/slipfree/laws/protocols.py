@@ -1,0 +1,186 @@
+"""Protocols of slip laws and wheel-ground laws, and the records that laws and models exchange."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, NamedTuple, Protocol, get_type_hints, runtime_checkable
+
+import casadi as ca
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.dae import Continuation, Limit
+from slipfree.errors import ModelError
+from slipfree.records import Array, Label
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import Vehicle
+
+ALONG = "force_along", "N", "force of the ground on the wheel along it, forward positive"
+ACROSS = "force_across", "N", "force of the ground on the wheel across it, to the right positive"
+NORMAL = "force_normal", "N", "force of the ground on the wheel along the normal"
+
+
+BOUNDS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+    "gt": (">", lambda value, edge: value > edge),
+    "ge": (">=", lambda value, edge: value >= edge),
+    "lt": ("<", lambda value, edge: value < edge),
+    "le": ("<=", lambda value, edge: value <= edge),
+}
+
+
+class Equations(NamedTuple):
+    """Residuals and their labels.
+
+    Attributes
+    ----------
+    labels : tuple of Label
+        Name, unit and words of each residual.
+    rows : SX, shape (n, 1)
+        The residuals, in the labels' units.
+    """
+
+    labels: tuple[Label, ...]
+    rows: ca.SX
+
+
+class Motion(NamedTuple):
+    """Rates of a vehicle and the slip that they cause, in the symbols of a model.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The vehicle, with n_wheels wheels.
+    contacts : tuple of ContactFrame
+        Contact frames of the wheels.
+    slips : tuple of SX, shape (3, 1)
+        Slip velocities of the wheels in fixed axes; linear in the rates. [m/s]
+    rates : SX, shape (n_rates, 1)
+        Rates that are not commanded. [m/s, rad/s]
+    labels : tuple of Label
+        Labels of these rates.
+    """
+
+    vehicle: Vehicle
+    contacts: tuple[ContactFrame, ...]
+    slips: tuple[ca.SX, ...]
+    rates: ca.SX
+    labels: tuple[Label, ...]
+
+
+@runtime_checkable
+class SlipLaw(Protocol):
+    """Condition on the slip velocities of a kinematic model.
+
+    The unknowns of a law are a ``NamedTuple`` of tuples, or an empty tuple; the equations number
+    as many as the rates and the unknowns together.
+    """
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Raise ModelError if the law does not suit the vehicle."""
+
+    def unknowns(self, vehicle: Vehicle) -> Any:
+        """Return the labels of the unknowns that the law adds to the rates."""
+
+    def equations(self, motion: Motion, unknowns: Any) -> Equations:
+        """Return the equations of the rates and of the law's unknowns."""
+
+
+class SlidingContacts(NamedTuple):
+    """Wheels that slide over the ground, in the symbols of a quasi-static model.
+
+    Attributes
+    ----------
+    vehicle : Vehicle
+        The vehicle, with n_wheels wheels.
+    along, across, normal : tuple of SX
+        Components of the slip velocity of each wheel. [m/s]
+    friction : tuple of SX
+        Coefficient of friction at each wheel. [1]
+    driven : tuple of SX
+        Rates of the driven wheels. [rad/s]
+    diagnose : callable
+        ``diagnose(x, z)`` returns why a state has no equilibrium, in words; empty if friction is
+        not the reason.
+    """
+
+    vehicle: Vehicle
+    along: tuple[ca.SX, ...]
+    across: tuple[ca.SX, ...]
+    normal: tuple[ca.SX, ...]
+    friction: tuple[ca.SX, ...]
+    driven: tuple[ca.SX, ...]
+    diagnose: Callable[[Array, Array], str]
+
+
+class Reaction(NamedTuple):
+    """Forces of the ground on the wheels by a law, and the equations of the law's unknowns.
+
+    Attributes
+    ----------
+    along, across, normal : tuple of SX
+        Components of the force on each wheel. [N]
+    equations : Equations
+        As many as the law has unknowns.
+    limits : tuple of Limit
+        Limits of the law's validity.
+    continuation : Continuation or None
+        Parameter that leads a start from an easier law to this one.
+    """
+
+    along: tuple[ca.SX, ...]
+    across: tuple[ca.SX, ...]
+    normal: tuple[ca.SX, ...]
+    equations: Equations
+    limits: tuple[Limit, ...] = ()
+    continuation: Continuation | None = None
+
+
+@runtime_checkable
+class GroundLaw(Protocol):
+    """Forces of the ground on the wheels of a quasi-static model.
+
+    The unknowns of a law are a ``NamedTuple`` of tuples. The model adds the equilibrium of the
+    vehicle, one equation for each rate.
+    """
+
+    def check(self, vehicle: Vehicle, terrain: Terrain) -> None:
+        """Raise ModelError if the law does not suit the vehicle or the ground."""
+
+    def unknowns(self, vehicle: Vehicle) -> Any:
+        """Return the labels of the unknowns that the law adds to the rates."""
+
+    def reaction(self, contacts: SlidingContacts, unknowns: Any) -> Reaction:
+        """Return the forces of the ground and the equations of the law's unknowns."""
+
+
+def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
+    """Return the labels of a quantity that each wheel has."""
+    return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
+
+
+def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
+    """Return the labels of a vector that each wheel has, wheel by wheel."""
+    return tuple(
+        Label(name, unit, f"{axis} component of the {words}", wheel.name)
+        for wheel in vehicle.wheels
+        for axis in "xyz"
+    )
+
+
+def check_law(law: object, protocol: type, expected: str) -> None:
+    """Raise ModelError if an argument is not a law of the given kind."""
+    if not isinstance(law, protocol) or isinstance(law, type):
+        raise ModelError(f"expected {expected}, found {law!r}")
+
+
+def check_bounds(law: Any) -> None:
+    """Raise ModelError if a field of a law is outside the bounds of its annotation."""
+    hints = get_type_hints(type(law), include_extras=True)
+    for field in fields(law):
+        value, annotation = getattr(law, field.name), hints[field.name]
+        for bound in getattr(annotation, "__metadata__", ()):
+            for key, (sign, holds) in BOUNDS.items():
+                edge = getattr(bound, key, None)
+                if edge is not None and not holds(value, edge):
+                    name = f"{type(law).__name__}: {field.name}"
+                    raise ModelError(f"{name}: expected a number {sign} {edge:g}, found {value}")

@@ -1,0 +1,19 @@
+"""Names of the slip laws and wheel-ground laws in problem files.
+
+A slip law determines the rates of a kinematic model where closure leaves them open; a wheel-ground
+law gives the forces of the ground on the wheels of a quasi-static model. Each law is a frozen
+dataclass in a file of its own, and one line here.
+"""
+
+from slipfree.laws.coulomb import Coulomb
+from slipfree.laws.least_slip import LeastSlip
+from slipfree.laws.protocols import GroundLaw, SlipLaw
+from slipfree.laws.rolling import Rolling
+
+SLIP_LAWS: dict[str, type[SlipLaw]] = {
+    "least": LeastSlip,
+    "rolling": Rolling,
+}
+GROUND_LAWS: dict[str, type[GroundLaw]] = {
+    "coulomb": Coulomb,
+}

@@ -1,0 +1,45 @@
+"""Rolling without slip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from slipfree.errors import ModelError
+from slipfree.laws.protocols import Equations, Motion, component_labels
+from slipfree.vehicle.tree import Vehicle
+
+
+@dataclass(frozen=True)
+class Rolling:
+    """No slip at any wheel.
+
+    For vehicles whose passive joints and free wheels number as many as the conditions of rolling,
+    ``2 n_wheels - 3``, such as the tilting three-wheeler.
+    """
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Raise ModelError if the vehicle cannot roll without slip."""
+        if any(wheel.rollers for wheel in vehicle.wheels):
+            raise ModelError(
+                f"{vehicle.name} has wheels with rollers, which cannot roll without slip; use "
+                "least slip: LeastSlip(), slip = 'least'"
+            )
+        free = sum(not wheel.driven for wheel in vehicle.wheels)
+        found, needed = len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3
+        if found != needed:
+            raise ModelError(
+                f"{vehicle.name} cannot roll without slip: expected {needed} passive joints and "
+                f"free wheels, as many as the conditions of rolling, found {found}; use least "
+                "slip: LeastSlip(), slip = 'least'"
+            )
+
+    def unknowns(self, vehicle: Vehicle) -> tuple[()]:  # noqa: ARG002 - of the protocol
+        """Return no labels: the rates are the only unknowns."""
+        return ()
+
+    def equations(self, motion: Motion, unknowns: tuple[()]) -> Equations:  # noqa: ARG002
+        """Return the condition that all slip velocities vanish."""
+        labels = component_labels(motion.vehicle, "no_slip", "m s-1", "slip")
+        return Equations(labels, ca.vertcat(*motion.slips))

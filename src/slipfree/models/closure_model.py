@@ -1,0 +1,152 @@
+"""Closure model: every wheel touches the ground at position level.
+
+Three equations hold in the two contact coordinates of each wheel and the pose of the platform.
+`slipfree.models.kinematics` and `slipfree.models.quasi_statics` add equations of the rates.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from slipfree.contact.certify import SecondTouch
+from slipfree.contact.closure import closure, contact_frame
+from slipfree.dae import Continuation, Dae, Labels, Limit
+from slipfree.geometry.frame import Pose
+from slipfree.laws.protocols import Equations
+from slipfree.lookups import LookupTable
+from slipfree.models.base import (
+    at_rest,
+    carriers,
+    extent,
+    joint_rates,
+    outputs,
+    sizes,
+    spins,
+    touch_function,
+)
+from slipfree.models.limits import limits_of
+from slipfree.models.quantities import Quantities
+from slipfree.models.records import Algebraic, Dependent
+from slipfree.models.slip import slip_velocities
+from slipfree.models.statics import force_outputs, mechanics
+from slipfree.models.tip_over import tip_over_margin
+from slipfree.records import symbols
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import Vehicle
+
+
+def closure_quantities(
+    vehicle: Vehicle, terrain: Terrain, labels: Labels
+) -> tuple[Algebraic, Quantities]:
+    """Return the algebraic unknowns of a closure model and the quantities that depend on them."""
+    x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
+    poses, lookups = carriers(vehicle, x, z.position), LookupTable()
+    contacts = tuple(
+        contact_frame(terrain, place.x, place.y, pose.rotation[:, 0], lookups)
+        for place, pose in zip(z.position.contacts, poses, strict=True)
+    )
+    return z, Quantities(
+        vehicle,
+        terrain,
+        x,
+        z.position,
+        z.rates,
+        z.forces,
+        u,
+        poses,
+        contacts,
+        slip_velocities(vehicle, x, z.position, contacts, z.rates, u),
+        spins(vehicle, z.rates, u),
+        mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups),
+        tip_over_margin(vehicle, x, z.position, contacts),
+        lookups,
+    )
+
+
+def closure_dae(
+    labels: Labels,
+    z: Algebraic,
+    q: Quantities,
+    law: Equations,
+    forces: ca.SX,
+    *,
+    limits: tuple[Limit, ...] = (),
+    suppress_algebraic: bool = False,
+    continuation: Continuation | None = None,
+) -> Dae:
+    """Return a closure model.
+
+    Parameters
+    ----------
+    labels : Labels
+        Labels of all but the law's equations.
+    z, q : Algebraic and Quantities
+        From `closure_quantities`, with the forces on the wheels.
+    law, forces : Equations and SX
+        Equations of the rates, and of forces that follow from them.
+    limits : tuple of Limit
+        Limits of the law.
+    suppress_algebraic, continuation
+        As in `Dae`.
+    """
+    vehicle, terrain = q.vehicle, q.terrain
+    wheels = touch_function(q.x, z, q.poses, q.contacts, q.lookups)
+    (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
+    sampled = force_outputs(q, labels.y.forces)
+    guess = _guess(q, labels)
+    return Dae(
+        ca.SX.sym("t"),
+        q.x,
+        z,
+        symbols(labels.q),
+        q.u,
+        ode=ca.vertcat(q.rates.x, q.rates.y, q.rates.heading, *joint_rates(vehicle, q.rates, q.u)),
+        alg=(_closures(q), law.rows, forces),
+        quad=ca.vertcat(*q.spins, *((sampled.power,) if sampled else ())),
+        y=outputs(q, sampled),
+        labels=labels._replace(alg=(labels.alg[0], law.labels, labels.alg[2])),
+        limits=(*limits_of(q), *limits),
+        checks=tuple(
+            SecondTouch(terrain, wheel, pose, size)
+            for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
+        ),
+        guess=guess,
+        scale=scale,
+        shift=shift,
+        size=size,
+        suppress_algebraic=suppress_algebraic,
+        continuation=continuation,
+        lookups=q.lookups.lookups,
+    )
+
+
+def _closures(q: Quantities) -> ca.SX:
+    """Return the closures of all wheels, from the platform's centre.
+
+    Subtracted before anything is added to them, large coordinates cost no digits.
+    """
+    level = q.x._replace(x=ca.SX(0), y=ca.SX(0))
+    arms = [pose.origin for pose in carriers(q.vehicle, level, q.position._replace(z=ca.SX(0)))]
+    center = ca.vertcat(q.x.x, q.x.y, q.position.z)
+    return ca.vertcat(
+        *(
+            closure(wheel, Pose(carrier.rotation, arm), each._replace(point=each.point - center))
+            for wheel, carrier, arm, each in zip(
+                q.vehicle.wheels, q.poses, arms, q.contacts, strict=True
+            )
+        )
+    )
+
+
+def _guess(q: Quantities, labels: Labels) -> ca.SX:
+    """Return a level platform at the mean height of its wheels, contacts below their centres."""
+    level = Dependent(0, 0, 0, tuple(0 for _ in q.position.suspension), ())
+    centers = [carrier.origin for carrier in carriers(q.vehicle, q.x, level)]
+    lifts = [
+        q.terrain.height(c[0], c[1], q.lookups) + wheel.radius - c[2]
+        for c, wheel in zip(centers, q.vehicle.wheels, strict=True)
+    ]
+    places = [c[:2] for c in centers]
+    rest = ca.SX.zeros(len(level.suspension) + 2)
+    others = at_rest(q.vehicle, labels.z[1:])
+    return ca.densify(ca.vertcat(sum(lifts) / len(lifts), rest, *places, others))

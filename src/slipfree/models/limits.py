@@ -1,0 +1,151 @@
+"""Limits of a vehicle's motion: one function for each, and the tuple in which they are registered.
+
+A limit function takes the quantities of a model and yields limits of its expressions; it yields
+none where it does not apply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import casadi as ca
+import numpy as np
+
+from slipfree.contact.closure import ContactFrame
+from slipfree.contact.closure import relative_curvature as curvature_of
+from slipfree.dae import Limit
+from slipfree.models.base import values_of
+from slipfree.models.quantities import Quantities
+from slipfree.records import Label
+from slipfree.terrain.base import Terrain
+
+Domain = tuple[float, float, float, float]
+FLAT = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
+OVERTURNED = 0.1  # likewise for the platform's up axis and the horizontal
+LEAST_FRICTION = 1e-6  # coefficients of a formula below this count as zero
+
+
+def joint_stops(q: Quantities) -> Iterator[Limit]:
+    """Yield the rigid stops of all joints."""
+    values = values_of(q.vehicle, q.x, q.position)
+    for c in q.vehicle.coordinates:
+        if not c.bump and (np.isfinite(c.lower) or np.isfinite(c.upper)):
+            words = f"the stop of {c.name} ({c.words}) is reached"
+            label = Label(f"{c.name}_stop", q.vehicle.unit(c.name), words)
+            yield Limit(label, values[c.name], c.lower, c.upper)
+
+
+def upright(q: Quantities) -> Iterator[Limit]:
+    """Yield the inclination at which the platform is overturned."""
+    words = "the platform is overturned (cosine of its inclination)"
+    cosine = ca.cos(q.position.roll) * ca.cos(q.position.pitch)
+    yield Limit(Label("upright", "1", words), cosine, OVERTURNED, np.inf)
+
+
+def map_margin(q: Quantities) -> Iterator[Limit]:
+    """Yield the distance of each wheel to the edge of the map."""
+    domain = q.terrain.domain
+    if not np.isfinite(domain).all():
+        return
+    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
+        words = f"wheel {wheel.name} leaves the map, which reaches {_extent(domain)}"
+        label = Label("map_margin", "m", words, wheel.name)
+        yield Limit(label, _margin(q.terrain, domain, contact), 0.0, np.inf)
+
+
+def lies_flat(q: Quantities) -> Iterator[Limit]:
+    """Yield the angle of each axle to the ground's normal at which the wheel lies flat."""
+    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
+        words = f"wheel {wheel.name} lies flat on the ground (sine of axle to normal)"
+        label = Label("uprightness", "1", words, wheel.name)
+        yield Limit(label, contact.uprightness, FLAT, np.inf)
+
+
+def relative_curvature(q: Quantities) -> Iterator[Limit]:
+    """Yield the curvature of the ground relative to each wheel's."""
+    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
+        words = (
+            f"the ground under wheel {wheel.name} is more concave than the wheel, so that its "
+            "contact is not unique; terrain.rolled(radius) gives the ground as the wheel feels it "
+            "(relative curvature)"
+        )
+        label = Label("relative_curvature", "m-1", words, wheel.name)
+        yield Limit(label, curvature_of(wheel, contact), 0.0, np.inf)
+
+
+def friction_map_margin(q: Quantities) -> Iterator[Limit]:
+    """Yield the distance of each wheel to the edge of the map of friction."""
+    domain = q.terrain.friction_domain
+    if not q.vehicle.mass or domain is None:
+        return
+    for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
+        words = f"wheel {wheel.name} leaves the map of friction, which reaches {_extent(domain)}"
+        label = Label("friction_margin", "m", words, wheel.name)
+        yield Limit(label, _margin(q.terrain, domain, contact), 0.0, np.inf)
+
+
+def positive_friction(q: Quantities) -> Iterator[Limit]:
+    """Yield the coefficients of friction that a formula gives."""
+    if not q.vehicle.mass or q.terrain.friction_domain is not None:
+        return
+    for wheel, mu in zip(q.vehicle.wheels, q.mechanics.friction, strict=True):
+        if not mu.is_constant():
+            words = f"the coefficient of friction under wheel {wheel.name} is not positive"
+            yield Limit(Label("friction", "1", words, wheel.name), mu, LEAST_FRICTION, np.inf)
+
+
+def tip_over(q: Quantities) -> Iterator[Limit]:
+    """Yield the angle of gravity to the nearest edge of the support."""
+    if q.vehicle.mass:
+        words = "the vehicle tips over: gravity passes an edge of its support (angle to it)"
+        yield Limit(Label("tip_over", "rad", words), q.tip_over_margin, 0.0, np.inf)
+
+
+def lift_off(q: Quantities) -> Iterator[Limit]:
+    """Yield the normal force of each wheel."""
+    for wheel, force in zip(
+        q.vehicle.wheels if q.vehicle.mass else (), q.forces.normal, strict=True
+    ):
+        words = (
+            f"wheel {wheel.name} lifts off: equilibrium would need the ground to pull it "
+            "(normal force)"
+        )
+        yield Limit(Label("lift_off", "N", words, wheel.name), force, 0.0, np.inf)
+
+
+LIMITS: tuple[Callable[[Quantities], Iterator[Limit]], ...] = (
+    joint_stops,
+    upright,
+    map_margin,
+    lies_flat,
+    relative_curvature,
+    friction_map_margin,
+    positive_friction,
+    tip_over,
+    lift_off,
+)
+
+
+def limits_of(q: Quantities) -> tuple[Limit, ...]:
+    """Return all limits of a model with the given quantities."""
+    return tuple(limit for limits in LIMITS for limit in limits(q))
+
+
+def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:
+    """Return the distance of a contact to the edge of a domain in map coordinates. [m]."""
+    west, east, south, north = domain
+    o_x, o_y, _ = terrain.origin
+    u_g, v_g = contact.point[0], contact.point[1]
+    return ca.fmin(
+        ca.fmin(u_g - (west - o_x), (east - o_x) - u_g),
+        ca.fmin(v_g - (south - o_y), (north - o_y) - v_g),
+    )
+
+
+def _extent(domain: Domain) -> str:
+    """Return the extent of a domain in words."""
+    west, east, south, north = domain
+    return (
+        f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y "
+        "(distance to its edge)"
+    )

@@ -1,0 +1,95 @@
+"""Quasi-statics: the slow motion of a vehicle that gravity, drives and the ground determine.
+
+The vehicle is in equilibrium at every instant under forces that a wheel-ground law gives; inertia
+is left out. There may be no motion at all: beyond what friction can hold there is no equilibrium.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.forks import computing
+from slipfree.laws.coulomb import Coulomb
+from slipfree.laws.protocols import Equations, GroundLaw, SlidingContacts, check_law
+from slipfree.models.closure_model import closure_dae, closure_quantities
+from slipfree.models.friction_feasibility import diagnosis
+from slipfree.models.labels import equilibrium_labels, labels_of
+from slipfree.models.quantities import Quantities
+from slipfree.models.records import Algebraic, Forces
+from slipfree.models.statics import equilibrium
+from slipfree.records import pack
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import Vehicle
+
+
+@computing
+def quasi_statics(
+    vehicle: Vehicle,
+    terrain: Terrain,
+    *,
+    law: GroundLaw = Coulomb(),  # noqa: B008 - a frozen record
+) -> Dae:
+    """Return the quasi-static motion of a vehicle over a ground at given rates.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle, with mass.
+    terrain : Terrain
+        The ground, with friction; contacts keep to its domain.
+    law : GroundLaw
+        Wheel-ground law, such as `Coulomb`.
+
+    Returns
+    -------
+    Dae
+        Inputs are the rates of the driven wheels and of the commanded coordinates.
+
+    Raises
+    ------
+    ModelError
+        If ``law`` is not a wheel-ground law, the vehicle has no mass, or the law does not suit
+        the vehicle or the ground.
+    """
+    check_law(law, GroundLaw, "a wheel-ground law such as Coulomb()")
+    if not vehicle.mass:
+        raise ModelError(
+            f"quasi-statics: expected a vehicle with mass, found none in {vehicle.name!r}; give "
+            "its platform or its wheels a mass"
+        )
+    law.check(vehicle, terrain)
+    labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
+    z, q = closure_quantities(vehicle, terrain, labels)
+    reaction = law.reaction(_sliding(z, q), q.rates.law)
+    q = q._replace(forces=Forces(reaction.along, reaction.across, reaction.normal))
+    balance = Equations(
+        (*equilibrium_labels(labels.z.rates), *reaction.equations.labels),
+        ca.vertcat(equilibrium(q.mechanics, q.forces.column), reaction.equations.rows),
+    )
+    return closure_dae(
+        labels,
+        z,
+        q,
+        balance,
+        ca.SX(0, 1),
+        limits=reaction.limits,
+        suppress_algebraic=True,  # rates with friction are too steep for an error test
+        continuation=reaction.continuation,
+    )
+
+
+def _sliding(z: Algebraic, q: Quantities) -> SlidingContacts:
+    """Return the slip of the wheels, as linear functions of rates and inputs."""
+    parts = q.mechanics
+    slip = ca.vertsplit(parts.free @ pack(q.rates.motion) + parts.driven @ pack(q.u))
+    return SlidingContacts(
+        q.vehicle,
+        tuple(slip[::3]),
+        tuple(slip[1::3]),
+        tuple(slip[2::3]),
+        parts.friction,
+        q.u.wheels,
+        diagnosis(z, q),
+    )
