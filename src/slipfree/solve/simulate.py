@@ -333,7 +333,7 @@ def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
 def _make_consistent(
     system: System, at: Samples, u: Array, *, continuation: bool
 ) -> Samples | None:
-    """Solve for the unknowns of a sample under inputs; return None where there is no solution."""
+    """Solve for the unknowns of a sample under inputs; return None if there is none."""
     try:
         z = solve_initial_conditions(
             system, float(at.t[0]), at.x[:, 0], at.z[:, 0], u, continuation=continuation
@@ -434,7 +434,7 @@ def _integrator(
 
 
 def _sizes(system: System) -> tuple[Array, Array]:
-    """Return the sizes by which states and unknowns of the motion are divided."""
+    """Return the sizes of the states and of the motion's unknowns."""
     return system.dae.sizes.x, system.dae.sizes.z[: system.moving]
 
 
