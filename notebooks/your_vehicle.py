@@ -29,6 +29,7 @@ from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.vehicle_report import describe
 from slipfree.show import motion_figures, style
 from slipfree.terrain.synthetic import blank, power_law
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint
 from slipfree.vehicle.wheel import Wheel
 
@@ -136,9 +137,9 @@ cart = Vehicle(
     coordinates=(Coordinate("swivel", "passive", "swivel of the caster"),),
     joints=(Joint("caster", "platform", "z", (0.0, 0.5, 0.0), "swivel"),),
     wheels=(
-        Wheel("right", "platform", (0.25, 0.0, 0.0), 0.02, 0.1, driven=True),
-        Wheel("left", "platform", (-0.25, 0.0, 0.0), 0.02, 0.1, driven=True),
-        Wheel("front", "caster", (0.0, -0.06, 0.0), 0.02, 0.1, driven=False),
+        Wheel("right", "platform", (0.25, 0.0, 0.0), Torus(0.02, 0.1), driven=True),
+        Wheel("left", "platform", (-0.25, 0.0, 0.0), Torus(0.02, 0.1), driven=True),
+        Wheel("front", "caster", (0.0, -0.06, 0.0), Torus(0.02, 0.1), driven=False),
     ),
 )
 model = direct_kinematics(cart, ground)

@@ -26,9 +26,9 @@ def test_a_vehicle_file_by_itself():
         "platform: 12 kg, centre of mass at (0, 0.1, 0.05) m",
         "  bracket: rigid",
         "    caster: turns about z by caster (passive)",
-        "      wheel caster_axle: free, r1 0.02, r2 0.08 m",
-        "  wheel left_drive: driven, r1 0.02, r2 0.13 m, 1.5 kg",
-        "  wheel right_drive: driven, r1 0.02, r2 0.13 m, 1.5 kg",
+        "      wheel caster_axle: free, torus r1 0.02, r2 0.08 m",
+        "  wheel left_drive: driven, torus r1 0.02, r2 0.13 m, 1.5 kg",
+        "  wheel right_drive: driven, torus r1 0.02, r2 0.13 m, 1.5 kg",
     ]
     assert facts(found)["inputs"] == "2: left_drive_rate, right_drive_rate"
     assert facts(found)["suspension"] == "0 of 0 needed"

@@ -30,12 +30,14 @@ from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
 from slipfree.show.film import film_writer
 from slipfree.show.html_page import with_legend
 from slipfree.show.mesh_refinement import MOST, refined
-from slipfree.show.meshes import clipped, extruded, plate, rod, spokes, tyre
+from slipfree.show.meshes import clipped, extruded, plate, rod, spokes
 from slipfree.show.scene import ARROWS, BLOCKED, TYRE, framed, rgb, scale_words
 from slipfree.show.style import PALETTE
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Stop, Trajectory
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.torus import Torus
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\
@@ -136,8 +138,8 @@ def volume(mesh: Any) -> float:
 
 
 def test_shapes_are_closed_and_look_outwards() -> None:
-    assert_allclose(volume(tyre(0.05, 0.25)), 2 * np.pi**2 * 0.25 * 0.05**2, rtol=0.06)
-    assert_allclose(np.linalg.norm(tyre(0.0, 0.3).vertices[:, 1:], axis=1).max(), 0.3)
+    assert_allclose(volume(Torus(0.05, 0.25).mesh()), 2 * np.pi**2 * 0.25 * 0.05**2, rtol=0.06)
+    assert_allclose(np.linalg.norm(Disc(0.3).mesh().vertices[:, 1:], axis=1).max(), 0.3)
     octagon = 2 * np.sqrt(2) * 0.1**2
     assert_allclose(volume(rod((1, 2, 3), (1, 2, 5), 0.1)), 2 * octagon)
     assert_allclose(volume(plate(1.0, -1.0, 3.0, 0.1)), 0.1 * (2 * 3 + 1))

@@ -15,6 +15,9 @@ from slipfree import Analytic, DataError, direct_kinematics, settle, simulate
 from slipfree.geometry.frame import Pose
 from slipfree.problem.build_vehicle import VehicleError, is_vehicle_file, read_vehicle
 from slipfree.vehicle.catalogue.carts import differential_drive
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Body
 
 RIGHT_FORWARD = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # from x forward, y left
@@ -405,7 +408,7 @@ left_drive = { driven = false }
     assert caster.max_rate == 3.0
     wheels = {wheel.name: wheel for wheel in vehicle.wheels}
     axle = wheels["caster_axle"]
-    assert (axle.r1, axle.radius, axle.grip, axle.rollers) == (0.03, 0.12, 0.5, True)
+    assert (axle.section, axle.grip) == (Omni(Torus(0.03, 0.12 - 0.03)), 0.5)
     driven = [wheel.driven for wheel in vehicle.wheels]
     assert driven == [False, True, False]
     assert list(wheels) == ["left_drive", "right_drive", "caster_axle"]
@@ -605,7 +608,7 @@ def test_a_ball_on_a_fixed_joint_is_a_caster(tmp_path):
     with pytest.raises(VehicleError) as caught:
         read_vehicle(file)
     wheel = next(w for w in caught.value.draft.wheels if w.name == "lidar_mount")
-    assert (wheel.r1, wheel.r2, wheel.rollers, wheel.axle) == (0.1, 0.0, True, (1.0, 0.0, 0.0))
+    assert (wheel.section, wheel.axle) == (Omni(Sphere(0.1)), (1.0, 0.0, 0.0))
     assert [c.name for c in caught.value.draft.coordinates] == []
 
 

@@ -19,6 +19,7 @@ from slipfree.files.vehicle_toml import CoordinateTable, JointTable, VehicleTabl
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.catalog_table import CATALOG
+from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.tree import Coordinate, Joint
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -77,7 +78,7 @@ def as_toml(vehicle, frame):
             f'parent = "{w.parent}"',
             f"at = {array(turned(w.at))}",
             f"radius = {w.radius!r}",
-            f"tube = {w.r1!r}",
+            f"tube = {w.half_width!r}",
             f"driven = {str(w.driven).lower()}",
             f"rollers = {str(w.rollers).lower()}",
             f"grip = {w.grip}",
@@ -199,7 +200,7 @@ def test_long_and_short_form_are_one_vehicle(tmp_path):
     assert vehicle == read(tmp_path, SHORT)
     assert len(SHORT.splitlines()) < 10
     caster = vehicle.wheels[2]
-    assert (caster.r1, caster.r2, caster.driven, caster.at) == (0.0, 0.1, False, (0, -0.08, -0.05))
+    assert (caster.section, caster.driven, caster.at) == (Disc(0.1), False, (0, -0.08, -0.05))
     assert {wheel.axle for wheel in vehicle.wheels} == {(1.0, 0.0, 0.0)}
 
 
@@ -378,9 +379,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             "radius = 0.1\n",
             "radius = 0.1\ntubes = 0.2",
             "v.toml:34: wheels[2].tubes (wheel "
-            "'caster'): expected one of name, parent, radius, at, tube, driven, rollers, "
-            "axle, grip, "
-            "mass, found the unknown key 'tubes'; did you mean 'tube'?",
+            "'caster'): expected one of name, parent, section, at, driven, rollers, axle, grip, "
+            "mass, radius, tube, found the unknown key 'tubes'; did you mean 'tube'?",
         ),
         (
             'name = "right"',

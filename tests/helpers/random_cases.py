@@ -39,6 +39,7 @@ from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves
 from slipfree.terrain.rolled import rolled
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp, rocks
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -250,7 +251,7 @@ def all_steered() -> Vehicle:
         "all_steered",
         tuple(Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
         tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
-        tuple(Wheel(k, k, (0.0, 0.0, 0.0), 0.03, 0.12, driven=True) for k in places),
+        tuple(Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
     )
 
 
@@ -372,7 +373,7 @@ FAULTS = {
     "unknown input": Fault(_set("inputs", thrust=1.0), r"inputs: expected .* not known: thrust"),
     "tolerance": Fault(_set("call", tolerance=0.0), r"tolerance: expected a number .*, found 0.0"),
     "times": Fault(_set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected .* ascending times"),
-    "wheel size": Fault(_set("build", r1=-0.1), r"wheel right: r1 must be a radius"),
+    "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be a radius"),
     "track": Fault(_set("build", half_track=np.nan), r"half_track must be a positive length"),
     "stops": Fault(_set("build", tilt_stop=-0.1), r"stops must ascend, found 0.1 to -0.1"),
     "spacing": Fault(_set("map", shortest=0.1), r"power_law: expected twice the spacing"),
@@ -585,10 +586,10 @@ def _depth(vehicle: Vehicle, ground: Any, centers: np.ndarray, turns: list[Rotat
     deepest, v, u = 0.0, np.linspace(0, 2 * np.pi, 181), np.linspace(0, np.pi, 19)
     for k in np.unique(np.linspace(0, len(centers) - 1, 6).astype(int)):
         for i, wheel in enumerate(vehicle.wheels):
-            rho = wheel.r2 + wheel.r1 * np.sin(u)
+            along, rho = wheel.section.outline(u)
             body = np.stack(
                 [
-                    np.broadcast_to(wheel.r1 * np.cos(u), (181, 19)),
+                    np.broadcast_to(along, (181, 19)),
                     np.outer(np.cos(v), rho),
                     np.outer(np.sin(v), rho),
                 ],

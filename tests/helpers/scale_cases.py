@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -31,6 +31,7 @@ from slipfree.models.platform_rates import subset_kinematics
 from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.collocation import drive
 from slipfree.vehicle.catalogue.rovers import open_source_rover
+from slipfree.vehicle.sections.base import Section
 
 TOLERANCE = 1e-8
 KINEMATIC = {"m", "m2", "m-1", "rad", "s-1", "1"}  # units without force
@@ -50,10 +51,16 @@ def scaled(vehicle: Vehicle, scale: float) -> Vehicle:
             for j in vehicle.joints
         ),
         wheels=tuple(
-            replace(w, at=times(w.at), r1=w.r1 * scale, r2=w.r2 * scale) for w in vehicle.wheels
+            replace(w, at=times(w.at), section=_scaled_section(w.section, scale))
+            for w in vehicle.wheels
         ),
         body=replace(vehicle.body, at=times(vehicle.body.at)),
     )
+
+
+def _scaled_section(section: Section, scale: float) -> Section:
+    sizes = {each.name: getattr(section, each.name) * scale for each in fields(section)}
+    return replace(section, **sizes)
 
 
 def formula(scale: float) -> Analytic:

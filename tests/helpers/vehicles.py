@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 from slipfree.vehicle.catalogue.rovers import Station, rocker_bogie
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -14,9 +16,9 @@ def skid_steered():
         (),
         (),
         (
-            Wheel("right", "platform", (0.5, 0.0, 0.0), 0.05, 0.15, driven=True),
-            Wheel("left", "platform", (-0.5, 0.0, 0.0), 0.05, 0.15, driven=True),
-            Wheel("front", "platform", (0.0, 0.6, 0.0), 0.2, 0.0, driven=False),
+            Wheel("right", "platform", (0.5, 0.0, 0.0), Torus(0.05, 0.15), driven=True),
+            Wheel("left", "platform", (-0.5, 0.0, 0.0), Torus(0.05, 0.15), driven=True),
+            Wheel("front", "platform", (0.0, 0.6, 0.0), Sphere(0.2), driven=False),
         ),
     )
 
@@ -24,7 +26,7 @@ def skid_steered():
 def four_wheels(*, rock):
     """A four-wheeler whose front axle rocks about its forward axis, or not."""
     kind = "suspension" if rock else "passive"
-    origin, size = (0.0, 0.0, 0.0), (0.03, 0.12)
+    origin, section = (0.0, 0.0, 0.0), Torus(0.03, 0.12)
     return Vehicle(
         "four_wheeler",
         (Coordinate("rock", kind, "front axle"), Coordinate("steer", "commanded", "steering")),
@@ -34,10 +36,10 @@ def four_wheels(*, rock):
             Joint("left_knuckle", "axle", "z", (-0.3, 0.0, 0.0), "steer"),
         ),
         (
-            Wheel("rear_right", "platform", (0.3, 0.0, 0.0), *size, driven=True),
-            Wheel("rear_left", "platform", (-0.3, 0.0, 0.0), *size, driven=True),
-            Wheel("front_right", "right_knuckle", origin, *size, driven=False),
-            Wheel("front_left", "left_knuckle", origin, *size, driven=False),
+            Wheel("rear_right", "platform", (0.3, 0.0, 0.0), section, driven=True),
+            Wheel("rear_left", "platform", (-0.3, 0.0, 0.0), section, driven=True),
+            Wheel("front_right", "right_knuckle", origin, section, driven=False),
+            Wheel("front_left", "left_knuckle", origin, section, driven=False),
         ),
     )
 
@@ -52,7 +54,7 @@ def four_wheel_steered(**steering):
         (Coordinate("rock", "suspension", "front axle"),),
         (Joint("axle", "platform", "y", (0.0, 0.4, 0.0), "rock"),),
         tuple(
-            Wheel(f"{end}_{side}", parent, (x, y, 0.0), 0.03, 0.12, driven=True)
+            Wheel(f"{end}_{side}", parent, (x, y, 0.0), Torus(0.03, 0.12), driven=True)
             for end, parent, y in (("front", "axle", 0.0), ("rear", "platform", -0.4))
             for side, x in (("right", 0.3), ("left", -0.3))
         ),

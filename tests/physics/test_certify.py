@@ -94,6 +94,7 @@ def test_relative_curvature_of_a_cylindrical_valley():
 def test_relative_curvature_equals_montanas_form(rng):
     """The smaller eigenvalue of ``K_w + K~_g`` changes sign with it (Montana 1988)."""
     wheel = three_wheeler().wheels[0]
+    r1, r2 = wheel.section.r1, wheel.section.r2
     a, b, c = ca.SX.sym("a"), ca.SX.sym("b"), ca.SX.sym("c")
     from slipfree.contact.closure import contact_frame, relative_curvature
 
@@ -111,7 +112,7 @@ def test_relative_curvature_equals_montanas_form(rng):
         direction = np.array([np.cos(lean), 0, np.sin(lean)])
         form = np.array([[2 * k[0], k[1]], [k[1], 2 * k[2]]])  # horizontal tangent plane at 0
         m = np.cos(lean)
-        wheel_form = np.diag([1 / wheel.r1, m / (wheel.r2 + wheel.r1 * m)])
+        wheel_form = np.diag([1 / r1, m / (r2 + r1 * m)])
         least = np.linalg.eigvalsh(wheel_form - form)[0]
         got = float(value(0, 0, direction, *k))
         assert np.sign(got) == np.sign(least)

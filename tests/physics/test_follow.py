@@ -20,6 +20,7 @@ from slipfree import (
 )
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -151,7 +152,7 @@ def test_all_wheels_steered_turn_about_the_centre():
         "all_steered",
         tuple(Coordinate(f"steer_{k}", "commanded", "steering") for k in places),
         tuple(Joint(k, "platform", "z", (*at, 0.0), f"steer_{k}") for k, at in places.items()),
-        tuple(Wheel(k, k, (0.0, 0.0, 0.0), 0.03, 0.12, driven=True) for k in places),
+        tuple(Wheel(k, k, (0.0, 0.0, 0.0), Torus(0.03, 0.12), driven=True) for k in places),
     )
     dae, path = closure_model(vehicle, FLAT), Path(WAY[:3])
     start = settle(dae, heading=heading_at_start(path, 0.0))
@@ -171,7 +172,7 @@ def test_laws_name_what_they_need():
         (),
         (),
         tuple(
-            Wheel(n, "platform", (x, y, 0.0), 0.05, 0.15, driven=False)
+            Wheel(n, "platform", (x, y, 0.0), Torus(0.05, 0.15), driven=False)
             for n, x, y in (("a", 0.5, 0.0), ("b", -0.5, 0.0), ("c", 0.0, 0.5))
         ),
     )

@@ -36,6 +36,7 @@ from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.replay import replay, spline_inputs
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.wheel import Wheel
 
 WHEEL_RATES = ("right_rate", "left_rate", "steer_rate")
@@ -419,8 +420,8 @@ def test_choices_are_checked(options, words):
 def test_vehicles_that_do_not_suit_are_refused():
     whole = three_wheeler()
     rear = (
-        Wheel("right", "platform", (1.0, -0.5, 0.0), 0.05, 0.25, driven=True),
-        Wheel("left", "platform", (-1.0, -0.5, 0.0), 0.05, 0.25, driven=True),
+        Wheel("right", "platform", (1.0, -0.5, 0.0), Torus(0.05, 0.25), driven=True),
+        Wheel("left", "platform", (-1.0, -0.5, 0.0), Torus(0.05, 0.25), driven=True),
     )
     rigid = Vehicle("rigid", whole.coordinates[2:], whole.joints[2:], (*rear, whole.wheels[2]))
     with pytest.raises(ModelError, match=r"rigid cannot roll without slip.*: 3 .*, found 1"):

@@ -359,7 +359,9 @@ def test_the_disc_is_the_limit_of_thin_tori():
 
 
 def test_discs_are_refused_by_name():
-    with pytest.raises(ModelError, match=r"wheel right: .* need a tube, r1 > 0, found 0.0 m"):
+    with pytest.raises(
+        ModelError, match=r"wheel right: .* with r1 > 0, found the edge of disc radius 0.3 m"
+    ):
         montana_model(three_wheeler(r1=0.0, r2=0.3), GROUNDS["hills"])
 
 

@@ -33,6 +33,7 @@ from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Body, Coordinate, actuated
 from slipfree.vehicle.wheel import Wheel
 
@@ -1027,7 +1028,13 @@ def test_a_vehicle_without_mass_has_no_forces():
     assert {*OF_FORCES, "steer_torque", "tip_over", "lift_off"} <= set(stand(VEHICLE, HILLS))
 
 
-WHEEL = {"name": "w", "parent": "platform", "at": (0, 0, 0), "r1": 0.1, "r2": 0.1, "driven": True}
+WHEEL = {
+    "name": "w",
+    "parent": "platform",
+    "at": (0, 0, 0),
+    "section": Torus(0.1, 0.1),
+    "driven": True,
+}
 
 
 @pytest.mark.parametrize(

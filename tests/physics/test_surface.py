@@ -9,15 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from helpers.cases import function_of, hills
 from slipfree import Analytic, Bicubic, Grid
-from slipfree.contact.montana import ContactCoordinates, contact_rates, pair, torus
+from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.geometry.surface import Forms, patch
 from slipfree.lookups import LookupTable, lookup_function
+from slipfree.vehicle.sections.registry import section_of_radii
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.wheel import Wheel
 
 ORIGIN = (0.0, 0.0, 0.0)
 WHEELS = {
-    "torus": Wheel("torus", "platform", ORIGIN, 0.05, 0.25, driven=True),
-    "sphere": Wheel("sphere", "platform", ORIGIN, 0.3, 0.0, driven=True),
+    "torus": Wheel("torus", "platform", ORIGIN, Torus(0.05, 0.25), driven=True),
+    "sphere": Wheel("sphere", "platform", ORIGIN, Sphere(0.3), driven=True),
 }
 H = 2e-4  # step of the differences, in seconds: rounding and truncation are both near 1e-9
 STATES = 125  # for each of 8 pairs of surfaces: 1000
@@ -75,8 +78,8 @@ def test_cylinder_curves_across_its_axis_only(uv):
 @pytest.mark.parametrize(("r1", "r2"), [(0.3, 0.0), (0.05, 0.25)], ids=["sphere", "torus"])
 def test_torus_and_sphere(uv, r1, r2):
     u, v = 1.2, 4.1
-    wheel = Wheel("wheel", "platform", ORIGIN, r1, r2, driven=True)
-    point, frame, *forms = numbers(torus(wheel, uv[0], uv[1]), uv)(u, v)
+    wheel = Wheel("wheel", "platform", ORIGIN, section_of_radii(r1, r2), driven=True)
+    point, frame, *forms = numbers(wheel.section.point(uv[0], uv[1]), uv)(u, v)
     rho = r2 + r1 * np.sin(u)
     assert_allclose(frame[:, 2], [np.cos(u), np.cos(v) * np.sin(u), np.sin(v) * np.sin(u)])
     assert_allclose(point.ravel(), r1 * frame[:, 2] + [0, r2 * np.cos(v), r2 * np.sin(v)])
@@ -142,7 +145,7 @@ class Geometry:
 
     def __init__(self, wheel, ground):
         at, rotation, origin = ca.SX.sym("at", 4), ca.SX.sym("rotation", 3, 3), ca.SX.sym("o", 3)
-        on_wheel = patch(torus(wheel, at[0], at[1]), at[:2])
+        on_wheel = patch(wheel.section.point(at[0], at[1]), at[:2])
         lookups = LookupTable()
         on_ground = patch(height_map(ground, at[2:], lookups), at[2:])
         gap = origin + rotation @ on_wheel.point - on_ground.point
@@ -308,7 +311,7 @@ def test_rolling_in_a_hollow(wheel, hollow):
     wheel = WHEELS[wheel]
     f = rates_function(wheel, ground)
     upright = [np.pi / 2, 1.5 * np.pi, 0, 0]
-    tube = wheel.r1  # the radius that meets the ground where the wheel leans over
+    tube = wheel.half_width  # the radius that meets the ground where the wheel leans over
     for psi, radius_x, radius_y in ((np.pi, tube, wheel.radius), (np.pi / 2, wheel.radius, tube)):
         rates = np.array(f([*upright, psi], np.zeros(3), [0.3, 0.5, 0.7])[0]).ravel()
         assert_allclose(rates[2], 0.5 / (1 / radius_x - 1 / across), rtol=1e-12)
@@ -334,7 +337,7 @@ def test_a_leaning_wheel_rolls_in_a_circle(wheel):
     wheel, lean, spin, turning = WHEELS[wheel], 0.4, 2.0, 0.5
     f = rates_function(wheel, HOLLOWS["plane"][0])
     u = np.pi / 2 - lean
-    rho = wheel.r2 + wheel.r1 * np.sin(u)
+    _, rho = wheel.section.outline(np.array(u))
 
     def motion(_, q):
         axle = np.array(f(q, np.zeros(3), np.zeros(3))[1])[:, 0]

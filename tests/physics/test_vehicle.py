@@ -22,6 +22,10 @@ from slipfree import (
 )
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
 from slipfree.models.montana import montana_kinematics
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -124,7 +128,7 @@ def changed(**parts):
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: three_wheeler(r1=-0.1), "wheel right: r1 must be a radius of zero or more"),
+        (lambda: three_wheeler(r1=-0.1), "r1 must be a radius of zero or more"),
         (lambda: three_wheeler(r1=0.0, r2=0.0), "r1 \\+ r2 must be positive"),
         (lambda: three_wheeler(wheelbase=0.0), "wheelbase must be a positive length, found 0.0"),
         (lambda: three_wheeler(half_track=-1.0), "half_track must be a positive length"),
@@ -167,9 +171,9 @@ def test_a_motion_that_no_contact_feels_is_named():
         (Coordinate("pivot", "passive", "pivot of the ball wheel"),),
         (Joint("fork", "platform", "z", (0.0, 1.0, 0.0), "pivot"),),
         (
-            Wheel("right", "platform", (0.5, 0.0, 0.0), 0.0, 0.2, driven=True),
-            Wheel("left", "platform", (-0.5, 0.0, 0.0), 0.0, 0.2, driven=True),
-            Wheel("ball", "fork", origin, 0.2, 0.0, driven=False),
+            Wheel("right", "platform", (0.5, 0.0, 0.0), Disc(0.2), driven=True),
+            Wheel("left", "platform", (-0.5, 0.0, 0.0), Disc(0.2), driven=True),
+            Wheel("ball", "fork", origin, Sphere(0.2), driven=False),
         ),
     )
     dae = direct_kinematics(vehicle, Analytic(lambda x, _: 0 * x))
@@ -196,7 +200,7 @@ def test_a_part_is_turned_about_x_then_y_then_z(rng):
 
 @pytest.mark.parametrize("axle", [(1, 0, 0), (-1, 0, 0), (0, -2, 0), (0.3, 0.4, -0.5)])
 def test_an_axle_may_point_anywhere(axle):
-    wheel = Wheel("wheel", "platform", (1.0, 2.0, 3.0), 0.0, 0.2, driven=True, axle=axle)
+    wheel = Wheel("wheel", "platform", (1.0, 2.0, 3.0), Disc(0.2), driven=True, axle=axle)
     rotation = numbers(wheel.mount.rotation)
     assert_allclose(rotation[:, 0], np.array(axle) / np.linalg.norm(axle), atol=1e-15)
     assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-15)
@@ -237,15 +241,15 @@ def test_a_joint_follows_a_formula_of_coordinates():
         ),
         (lambda: Joint("boom", "platform", "x", (0, 0, 0), "a b"), "joint boom: formula 'a b'"),
         (
-            lambda: Wheel("w", "platform", (0, 0, 0), 0.0, 0.2, driven=True, axle=(0, 0, 0)),
+            lambda: Wheel("w", "platform", (0, 0, 0), Disc(0.2), driven=True, axle=(0, 0, 0)),
             "wheel w: axle: an axis must be",
         ),
         (
-            lambda: Wheel("a b", "platform", (0, 0, 0), 0.0, 0.2, driven=True),
+            lambda: Wheel("a b", "platform", (0, 0, 0), Disc(0.2), driven=True),
             "wheel 'a b': expected a name of letters, digits, _ and -",
         ),
         (
-            lambda: Wheel("w", "platform", (0, np.inf, 0), 0.0, 0.2, driven=True),
+            lambda: Wheel("w", "platform", (0, np.inf, 0), Disc(0.2), driven=True),
             "wheel w: at must be three finite numbers",
         ),
         (
@@ -264,7 +268,7 @@ def test_joints_and_wheels_that_are_none_are_refused(build, words):
 
 def omni_cart(*, rollers):
     """Three wheels at 120 degrees, each driven along the rim of the platform."""
-    wheels = []
+    wheels, torus = [], Torus(0.02, 0.08)
     for k in range(3):
         angle = 2 * np.pi * k / 3
         at = (0.4 * np.cos(angle), 0.4 * np.sin(angle), 0.0)
@@ -273,12 +277,10 @@ def omni_cart(*, rollers):
                 f"w{k}",
                 "platform",
                 at,
-                0.02,
-                0.08,
+                Omni(torus) if rollers else torus,
                 driven=True,
                 mass=1.0,
                 axle=(np.cos(angle), np.sin(angle), 0.0),
-                rollers=rollers,
             )
         )
     return Vehicle("omni_cart", (), (), tuple(wheels), Body(10.0))

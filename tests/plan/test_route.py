@@ -19,6 +19,7 @@ from slipfree.routing.regions import Disc, Polygon
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import STEEPEST, reasons, traversability
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp
+from slipfree.vehicle.sections.torus import Torus
 
 ROVER = three_wheeler(axle="fixed")  # half width 1.05 m, half length 1.05 m, reach 1.42 m
 SMALL = three_wheeler(axle="fixed", half_track=0.3, wheelbase=0.5, r1=0.02, r2=0.08)
@@ -133,7 +134,9 @@ def test_ground_more_hollow_than_the_largest_wheel_is_blocked():
     # beside it some of the footprint is too hollow: passable, but dear
     beside, away = (layers.cost[int(np.argmin(np.abs(layers.x - at))), 60] for at in (6.6, 9.0))
     assert 1.3 < beside / away < 3
-    small_wheels = replace(ROVER, wheels=tuple(replace(w, r2=0.1, r1=0.05) for w in ROVER.wheels))
+    small_wheels = replace(
+        ROVER, wheels=tuple(replace(w, section=Torus(0.05, 0.1)) for w in ROVER.wheels)
+    )
     assert reasons(traversability(bicubic, small_wheels, spacing=0.1), 6.0, 6.0) == ""
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from slipfree.records import Array, Label, Mask
 from slipfree.terrain.base import Terrain
+from slipfree.vehicle.sections.base import arc_lengths
 from slipfree.vehicle.wheel import Wheel
 
 RIM = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # around the wheel, from the contact
@@ -38,7 +39,7 @@ class SecondTouch:
     wheel : Wheel
         The wheel.
     pose : casadi Function
-        Centre, rotation (column by column) and contact point from ``x`` and ``z``, local.
+        Centre, local, rotation, column by column, and the ground's normal from ``x`` and ``z``.
     size : float
         Length in which `TOLERANCE` counts. [m]
     """
@@ -89,20 +90,19 @@ class SecondTouch:
 
     def _surface(self, x: Array, z: Array) -> Array:
         """Return points on the tread in map coordinates, shape (n, rim, tube, 3)."""
-        center, rotation, contact = (np.array(out) for out in self.pose.map(x.shape[1])(x, z))
-        half = int(np.ceil(np.pi / 2 * self.wheel.r1 / (SPACING * self.wheel.radius)))
-        tube = np.linspace(-np.pi / 2, np.pi / 2, 2 * half + 1) if half else np.zeros(1)
+        center, rotation, normal = (np.array(out) for out in self.pose.map(x.shape[1])(x, z))
         to_body = rotation.T.reshape(-1, 3, 3)  # column by column: the transposes
-        arm = (to_body @ (contact - center).T[..., None])[..., 0]
-        v_0 = np.arctan2(arm[:, 2], arm[:, 1])
-        u_0 = np.arctan2(np.hypot(arm[:, 1], arm[:, 2]) - self.wheel.r2, arm[:, 0])
-        v = v_0[:, None, None] + RIM[None, :, None]
-        u = np.clip(u_0[:, None, None] + tube[None, None, :], 0.0, np.pi)
-        rho = self.wheel.r2 + self.wheel.r1 * np.sin(u)
-        body = np.stack(
-            np.broadcast_arrays(self.wheel.r1 * np.cos(u), np.cos(v) * rho, np.sin(v) * rho), -1
-        )
-        shape, body = body.shape, body.reshape(len(arm), -1, 3)
+        down = -(to_body @ normal.T[..., None])[..., 0]
+        v = np.arctan2(down[:, 2], down[:, 1])[:, None, None] + RIM[None, :, None]
+        u_0 = np.arctan2(np.hypot(down[:, 1], down[:, 2]), down[:, 0])
+        angles, lengths = arc_lengths(self.wheel.section)
+        half = int(np.ceil(lengths[-1] / 2 / (SPACING * self.wheel.radius)))
+        steps = np.linspace(-0.5, 0.5, 2 * half + 1) * lengths[-1] if half else np.zeros(1)
+        at = np.interp(u_0, angles, lengths)[:, None] + steps
+        u = np.interp(np.clip(at, 0.0, lengths[-1]), lengths, angles)
+        along, rho = (each[:, None] for each in self.wheel.section.outline(u))
+        body = np.stack(np.broadcast_arrays(along, np.cos(v) * rho, np.sin(v) * rho), -1)
+        shape, body = body.shape, body.reshape(len(down), -1, 3)
         world = body @ to_body + (center.T + self.terrain.origin)[:, None, :]
         return np.asarray(world.reshape(shape))
 

@@ -1,9 +1,9 @@
-"""Contact of a torus wheel with the ground at position level.
+"""Contact of a wheel with the ground at position level.
 
-With the ground point ``G``, the ground's unit normal ``n``, the wheel's centre ``C`` and axle
-``a``, contact means ``G + r1 n + r2 e = C`` with ``e`` the unit vector of ``n - (n.a) a``: from
-the contact point up the normal to the tube's centre circle, then in the plane of the wheel to its
-centre. It holds for the torus, the disc (``r1 = 0``) and the sphere (``r2 = 0``) alike.
+The wheel touches the ground at ``G`` where its outward normal is opposite to the ground's unit
+normal ``n``. With the wheel's centre ``C`` and axle ``a``, and the point ``s(-n, a)`` of its
+surface with that normal (``Section.support``), contact means ``G = C + s(-n, a)``. For the torus
+it is ``G + r1 n + r2 e = C`` with ``e`` the unit vector of ``n - (n.a) a``.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ class ContactFrame(NamedTuple):
         Unit normal of the ground, upward. [1]
     along, across : SX, shape (3, 1)
         Unit tangents: forward, ``n x a / |n x a|``, and to the right. [1]
+    axle : SX, shape (3, 1)
+        Unit vector of the wheel's axle, to the right. [1]
     uprightness : SX, shape (1, 1)
         ``|n x a|``: one for a wheel that stands on the ground, zero for one that lies flat. [1]
     hessian : SX, shape (2, 2)
@@ -39,6 +41,7 @@ class ContactFrame(NamedTuple):
     normal: ca.SX
     along: ca.SX
     across: ca.SX
+    axle: ca.SX
     uprightness: ca.SX
     hessian: ca.SX
 
@@ -53,22 +56,22 @@ def contact_frame(
     uprightness = ca.norm_2(forward)
     along = forward / uprightness
     point = ca.vertcat(x, y, height)
-    return ContactFrame(point, normal, along, ca.cross(along, normal), uprightness, hessian)
+    across = ca.cross(along, normal)
+    return ContactFrame(point, normal, along, across, axle, uprightness, hessian)
 
 
 def closure(wheel: Wheel, carrier: Pose, contact: ContactFrame) -> ca.SX:
-    """Return ``G + r1 n + r2 e - C``, zero when the wheel touches the ground, shape (3, 1). [m]."""
-    axle, n = carrier.rotation[:, 0], contact.normal
-    e = (n - ca.dot(n, axle) * axle) / contact.uprightness
-    return contact.point + wheel.r1 * n + wheel.r2 * e - carrier.origin
+    """Return ``G - s(-n, a) - C``, zero where the wheel touches the ground, shape (3, 1). [m]."""
+    return contact.point - wheel.section.support(-contact.normal, contact.axle) - carrier.origin
 
 
 def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the contact coordinates ``u_w, v_w, psi`` of a wheel, in its carrier's frame. [rad].
 
-    ``u_w`` and ``v_w`` are the parameters of the torus (Chakraborty and Ghosal, eq. 1) where its
-    outward normal is the ground's downward one; ``v_w`` is 3 pi/2 for a wheel upright on level
-    ground. ``psi`` is the angle that takes the wheel's Gauss x axis to the ground's.
+    ``u_w`` and ``v_w`` are the parameters of ``Section.point`` (for the torus those of
+    Chakraborty and Ghosal, eq. 1) where the outward normal is the ground's downward one; ``v_w``
+    is 3 pi/2 for a wheel upright on level ground. ``psi`` is the angle that takes the wheel's
+    Gauss x axis to the ground's.
     """
     down = -carrier.rotation.T @ contact.normal
     u = ca.atan2(ca.norm_2(down[1:]), down[0])
@@ -84,15 +87,18 @@ def relative_curvature(wheel: Wheel, contact: ContactFrame) -> ca.SX:
 
     The contact is unique nearby if the wheel's curvature exceeds the ground's in every
     direction, that is, if Montana's relative curvature form is positive definite. Along the wheel
-    the torus has ``k = m / (r2 + r1 m)``, ``m`` its uprightness; across it ``1 / r1``. The form
-    is positive definite if ``1 + r1 K_ll`` and the Schur complement
-    ``k + K_tt - r1 K_tl^2 / (1 + r1 K_ll)`` are positive, with ``K`` the ground's form for the
-    upward normal, valleys negative. Written so, it holds for discs too. The smaller of the two is
-    returned, the first divided by the rolling radius.
+    its curvature is ``k = m / rho``, with ``m`` its uprightness and ``rho`` the distance of the
+    contact point from the axle; across it ``1 / r``. The form is positive definite if
+    ``1 + r K_ll`` and the Schur complement ``k + K_tt - r K_tl^2 / (1 + r K_ll)`` are positive,
+    with ``K`` the ground's form for the upward normal, valleys negative. Written so, it holds for
+    the edge of a disc too, ``r = 0``. The smaller of the two is returned, the first divided by the
+    rolling radius.
     """
     second = contact.hessian * contact.normal[2]  # second fundamental form, in (x, y)
     t, s = contact.along[:2], contact.across[:2]
     k_tt, k_tl, k_ll = -t.T @ second @ t, -t.T @ second @ s, -s.T @ second @ s
-    k_wheel = contact.uprightness / (wheel.r2 + wheel.r1 * contact.uprightness)
-    across = 1 + wheel.r1 * k_ll
-    return ca.fmin(k_wheel + k_tt - wheel.r1 * k_tl**2 / across, across / wheel.radius)
+    outward = -ca.dot(contact.normal, contact.axle), contact.uprightness
+    r, (_, rho) = wheel.section.tread_radius(*outward), wheel.section.profile(*outward)
+    across = 1 + r * k_ll
+    k_wheel = contact.uprightness / rho
+    return ca.fmin(k_wheel + k_tt - r * k_tl**2 / across, across / wheel.radius)

@@ -1,9 +1,9 @@
-"""Contact of a torus wheel with the ground at rate level: Montana's contact equations [1]_.
+"""Contact of a wheel with the ground at rate level: Montana's contact equations [1]_.
 
 Five contact coordinates place a wheel that touches the ground: the contact point on the ground
 ``u_g, v_g``, the same on the wheel ``u_w, v_w``, and the angle ``psi`` between the two Gauss
 frames. The equations say how they change when the wheel moves [2]_. They need the curvature of the
-tread, hence a tube of positive radius.
+tread, hence a section without edges.
 
 References
 ----------
@@ -28,9 +28,9 @@ from slipfree.vehicle.wheel import Wheel
 class ContactCoordinates(NamedTuple):
     """Where a wheel touches the ground, on both surfaces, and how it is turned.
 
-    ``x, y`` are the ground's coordinates ``u_g, v_g`` [m]; ``u, v`` those of the torus
-    ``u_w, v_w``; ``psi`` is the angle that takes the wheel's Gauss x axis to the ground's, about
-    the ground's normal [rad].
+    ``x, y`` are the ground's coordinates ``u_g, v_g`` [m]; ``u, v`` those of the wheel
+    ``u_w, v_w`` (``Section.point``); ``psi`` is the angle that takes the wheel's Gauss x axis to
+    the ground's, about the ground's normal [rad].
     """
 
     x: Any
@@ -69,7 +69,7 @@ class Pair(NamedTuple):
 
 def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates, lookups: LookupTable) -> Pair:
     """Return both surfaces at the contact point; local coordinates of the terrain."""
-    tread = patch(torus(wheel, at.u, at.v), ca.vertcat(at.u, at.v))
+    tread = patch(wheel.section.point(at.u, at.v), ca.vertcat(at.u, at.v))
     return Pair(tread, _ground(terrain.jet(at.x, at.y, lookups), at.x, at.y), at.psi)
 
 
@@ -79,16 +79,6 @@ def _ground(jet: Jet, x: ca.SX, y: ca.SX) -> Patch:
     tangents = ca.vertcat(1, 0, h_x), ca.vertcat(0, 1, h_y)
     h_xx, h_xy, h_yy = (ca.vertcat(0, 0, hessian[k]) for k in (0, 1, 3))
     return patch_of(ca.vertcat(x, y, h), tangents, (h_xx, h_xy, h_yy))
-
-
-def torus(wheel: Wheel, u: ca.SX, v: ca.SX) -> ca.SX:
-    """Return a point of the tread in the wheel's axes, shape (3, 1) (eq. 1 of the paper). [m].
-
-    The normal ``c_u x c_v`` points outward; ``u = pi/2`` is the middle of the tread and
-    ``v = 3 pi/2`` the lowest point of an upright wheel.
-    """
-    rho = wheel.r2 + wheel.r1 * ca.sin(u)
-    return ca.vertcat(wheel.r1 * ca.cos(u), ca.cos(v) * rho, ca.sin(v) * rho)
 
 
 def alignment(psi: ca.SX) -> ca.SX:

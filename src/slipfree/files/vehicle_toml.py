@@ -5,11 +5,23 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, fields
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
-from pydantic import AfterValidator, BaseModel, Field, PlainValidator, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    create_model,
+)
 from pydantic_core import PydanticCustomError
 
 from slipfree.errors import ModelError
@@ -30,6 +42,9 @@ from slipfree.files.vehicle_draft import (
 )
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.formula import names_in
+from slipfree.vehicle.sections.base import Section
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.registry import SECTIONS, section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -92,6 +107,10 @@ def _axis(value: Any) -> str | Vector:
     raise PydanticCustomError("expected", "'x', 'y', 'z' or a vector [x, y, z] other than zero")
 
 
+def _known_section(_: Any) -> None:
+    raise PydanticCustomError("expected", "{words}", {"words": f"one of {', '.join(SECTIONS)}"})
+
+
 Axis = Annotated[Any, PlainValidator(_axis)]
 At = Annotated[Place3, AfterValidator(_place)]
 Turned = Annotated[Place3, AfterValidator(_radians)]
@@ -127,19 +146,57 @@ class JointTable(Record):
     center_of_mass: At = ORIGIN
 
 
-class WheelTable(Record):
-    """A wheel."""
+class AnyWheelTable(Record):
+    """A wheel, whatever its section."""
 
     name: Name
     parent: Name
-    radius: Annotated[Positive, AfterValidator(meters)]
+    section: str | None = None
     at: At = ORIGIN
-    tube: NonNegative = 0.0
     driven: bool = False
     rollers: bool = False
     axle: Axis | None = None
     grip: Positive = 1.0
     mass: NonNegative = 0.0
+
+
+class WheelTable(AnyWheelTable):
+    """A wheel without the name of a section: a torus, disc or sphere."""
+
+    radius: Annotated[Positive, AfterValidator(meters)]
+    tube: NonNegative = 0.0
+
+
+class UnknownSectionTable(AnyWheelTable):
+    """A wheel with a section that is not known; its other keys are not judged."""
+
+    model_config = ConfigDict(extra="ignore")
+    section: Annotated[Any, PlainValidator(_known_section)]
+
+
+def wheel_table(data: Any) -> type[AnyWheelTable]:
+    """Return the schema of a wheel: with the fields of the section that it names as keys."""
+    if not isinstance(data, dict) or "section" not in data:
+        return WheelTable
+    section = SECTIONS.get(data["section"]) if isinstance(data["section"], str) else None
+    return UnknownSectionTable if section is None else _section_table(section)
+
+
+@cache
+def _section_table(section: type[Section]) -> type[AnyWheelTable]:
+    hints = get_type_hints(section)
+    keys: dict[str, Any] = {
+        each.name: (
+            Positive if hints[each.name] is float else hints[each.name],
+            ... if each.default is MISSING else each.default,
+        )
+        for each in fields(section)
+    }
+    return create_model(f"{section.__name__}Table", __base__=AnyWheelTable, **keys)
+
+
+def _read_wheel(data: Any, _: ValidatorFunctionWrapHandler) -> AnyWheelTable:
+    return wheel_table(data).model_validate(data)
 
 
 class VehicleTable(Record):
@@ -151,13 +208,16 @@ class VehicleTable(Record):
     center_of_mass: At = ORIGIN
     coordinates: Annotated[tuple[CoordinateTable, ...], Field(strict=False)] = ()
     joints: Annotated[tuple[JointTable, ...], Field(strict=False)] = ()
-    wheels: Annotated[tuple[WheelTable, ...], Field(strict=False)]
+    wheels: Annotated[
+        tuple[Annotated[AnyWheelTable, WrapValidator(_read_wheel)], ...], Field(strict=False)
+    ]
 
 
-TABLES: dict[str, type[Record]] = {
-    "coordinates": CoordinateTable,
-    "joints": JointTable,
-    "wheels": WheelTable,
+Tables = Mapping[str, Callable[[Any], type[BaseModel]]]  # of the elements of parts, from their data
+TABLES: Tables = {
+    "coordinates": lambda _: CoordinateTable,
+    "joints": lambda _: JointTable,
+    "wheels": wheel_table,
 }
 
 
@@ -210,12 +270,13 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
             return
 
 
-def validated(model: type[Record], parts: Mapping[str, type[BaseModel]], file: File) -> Any:
+def validated(model: type[Record], parts: Tables, file: File) -> Any:
     """Return the record that a file holds; VehicleError for every value that is wrong."""
     try:
         found = model.model_validate(file.data)
     except ValidationError as error:
-        faults = [_worded(model, parts, dict(e)) for e in error.errors(include_url=False)]
+        errors = error.errors(include_url=False)
+        faults = [_worded(model, parts, file.data, dict(each)) for each in errors]
         raise file.error(faults) from error
     if faults := [*vast(file.data)]:
         raise file.error(faults)
@@ -223,11 +284,11 @@ def validated(model: type[Record], parts: Mapping[str, type[BaseModel]], file: F
 
 
 def _worded(
-    model: type[BaseModel], parts: Mapping[str, type[BaseModel]], error: dict[str, Any]
+    model: type[BaseModel], parts: Tables, data: dict[str, Any], error: dict[str, Any]
 ) -> Fault:
     place, kind = tuple(error["loc"]), error["type"]
     if kind == "extra_forbidden":
-        table = parts[str(place[0])] if len(place) > 1 else model
+        table = parts[place[0]](data[place[0]][place[1]]) if len(place) > 1 else model
         (unknown,) = names(place[:-1], [str(place[-1])], list(table.model_fields))
         return unknown
     if kind == "missing" and isinstance(place[-1], str):
@@ -330,7 +391,7 @@ def _values(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _sizes(table: VehicleTable) -> Iterator[Fault]:
-    """Yield faults of stops and tubes."""
+    """Yield errors of stops and of wheels' sections."""
     slides = {
         name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
     }
@@ -344,9 +405,14 @@ def _sizes(table: VehicleTable) -> Iterator[Fault]:
                 expected = f"radians ({words})"
                 yield Fault(("coordinates", index, key), expected, f"{value:g}")
     for index, wheel in enumerate(table.wheels):
-        if wheel.tube > wheel.radius:
+        if isinstance(wheel, WheelTable) and wheel.tube > wheel.radius:
             expected = f"at most the radius, {wheel.radius:g} m (a ball)"
             yield Fault(("wheels", index, "tube"), expected, f"{wheel.tube:g}")
+            continue
+        try:
+            _section_of(wheel)
+        except ModelError as error:
+            yield Fault(("wheels", index, "section"), "dimensions of a section", str(error))
 
 
 def _names_in(formula: str) -> frozenset[str]:
@@ -390,8 +456,16 @@ def _joint(table: JointTable) -> Joint:
     return Joint(**given, body=Body(table.mass, table.center_of_mass))
 
 
-def _wheel(table: WheelTable, sideways: Vector) -> Wheel:
-    tube = table.tube
-    given = table.model_dump(include={"name", "parent", "at", "driven", "rollers", "grip", "mass"})
+def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
+    given = table.model_dump(include={"name", "parent", "at", "driven", "grip", "mass"})
     axle = sideways if table.axle is None else table.axle
-    return Wheel(**given, r1=tube, r2=table.radius - tube, axle=axle)
+    return Wheel(**given, section=_section_of(table), axle=axle)
+
+
+def _section_of(table: AnyWheelTable) -> Section:
+    if isinstance(table, WheelTable):
+        tube, rollers = table.tube, table.rollers
+        return section_of_radii(tube, table.radius - tube, rollers=rollers)
+    kind = SECTIONS[str(table.section)]
+    section = kind(**{each.name: getattr(table, each.name) for each in fields(kind)})
+    return Omni(section) if table.rollers else section

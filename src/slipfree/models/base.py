@@ -86,11 +86,11 @@ def touch_function(
     contacts: Sequence[ContactFrame],
     lookups: LookupTable,
 ) -> list[ca.Function]:
-    """Return, for every wheel, centre, rotation and contact point as functions of the states."""
+    """Return centre, rotation and ground normal of every wheel as functions of the states."""
     inputs, found = [pack(x), pack(z)], lookups.lookups
     return [
         lookup_function(
-            found, "wheel", inputs, [carrier.origin, ca.vec(carrier.rotation), contact.point]
+            found, "wheel", inputs, [carrier.origin, ca.vec(carrier.rotation), contact.normal]
         )
         for carrier, contact in zip(poses, contacts, strict=True)
     ]

@@ -150,9 +150,9 @@ def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
         each("slip_across", "m s-1", "slip across the wheel, to the right positive"),
         each("wheel_rate", "rad s-1", "rate of the wheel, forward positive"),
         each(
-            "wheel_u", "rad", "contact coordinate u of the torus, pi/2 in the middle of the tread"
+            "wheel_u", "rad", "contact coordinate u of the wheel, pi/2 in the middle of the tread"
         ),
-        each("wheel_v", "rad", "contact coordinate v of the torus in its carrier"),
+        each("wheel_v", "rad", "contact coordinate v of the wheel in its carrier"),
         each("psi", "rad", "angle that takes the wheel's Gauss x axis to the ground's"),
         Label("yaw", "rad", "angle of the forward axis from the x axis, counter-clockwise"),
         tuple(

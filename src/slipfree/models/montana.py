@@ -151,7 +151,7 @@ def montana_kinematics(
     Parameters
     ----------
     vehicle : Vehicle
-        The vehicle; every wheel has a tube (``r1 > 0``).
+        The vehicle; no wheel touches on an edge (``Disc``) or has rollers.
     terrain : Terrain
         The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
     slip : SlipLaw
@@ -216,10 +216,11 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
     if not (np.isfinite(kappa) and kappa >= 0):
         raise ModelError(f"kappa: expected a rate of zero or more per second, found {kappa}")
     for wheel in vehicle.wheels:
-        if wheel.r1 <= 0:
+        if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
             raise ModelError(
-                f"wheel {wheel.name}: Montana's equations need a tube, r1 > 0, found {wheel.r1} m; "
-                "the closure model (direct_kinematics) takes discs"
+                f"wheel {wheel.name}: Montana's equations need a tread with a radius of curvature, "
+                f"such as a torus with r1 > 0, found the edge of {wheel.section}; the closure "
+                "model (direct_kinematics) takes edges"
             )
 
 

@@ -18,6 +18,7 @@ from slipfree.files.vehicle_draft import Draft, UnfitError
 from slipfree.files.vehicle_toml import (
     PARTS,
     File,
+    Tables,
     VehicleError,
     meters,
     open_file,
@@ -132,7 +133,8 @@ def _draft(path: Path) -> Draft:
 
 def _completed(file: File) -> Draft:
     """Return the draft of a URDF that a vehicle file completes."""
-    table: UrdfTable = validated(UrdfTable, {"joints": JointTable, "wheels": WheelTable}, file)
+    tables: Tables = {"joints": lambda _: JointTable, "wheels": lambda _: WheelTable}
+    table: UrdfTable = validated(UrdfTable, tables, file)
     joints = {
         name: JointRole(each.kind, each.model_dump(exclude_none=True, exclude={"kind"}))
         for name, each in (table.joints or {}).items()

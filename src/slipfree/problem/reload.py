@@ -141,9 +141,10 @@ def _check_vehicle(
     )
     away = np.linalg.norm(placed.origins - center, axis=-1)
     along = np.einsum("nki,nki->nk", contact - center, placed.rotations[..., 0])
-    r1, r2 = (np.array([getattr(wheel, name) for wheel in vehicle.wheels]) for name in ("r1", "r2"))
     out = np.sqrt(np.maximum(((contact - center) ** 2).sum(axis=-1) - along**2, 0))
-    off = max(away.max(), np.abs(np.hypot(out - r2, along) - r1).max())
+    columns = zip(vehicle.wheels, run["wheel_u"].T, strict=True)
+    x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
+    off = max(away.max(), np.hypot(along - x, out - rho).max())
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
         raise _changed(file, "vehicle", named, f"its wheels are {off:.2g} m from the motion's")
 

@@ -115,11 +115,9 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
         for wheel in vehicle.wheels:
             if wheel.parent == part:
                 drive = "driven" if wheel.driven else "free"
-                size = f"r1 {wheel.r1:g}, r2 {wheel.r2:g} m"
                 more = f", {wheel.mass:g} kg" if wheel.mass else ""
                 more += f", grip {wheel.grip:g}" if wheel.grip != 1 else ""
-                more += ", rollers" if wheel.rollers else ""
-                yield f"{indent}wheel {wheel.name}: {drive}, {size}{more}"
+                yield f"{indent}wheel {wheel.name}: {drive}, {wheel.section}{more}"
 
     body = vehicle.body
     at = ", ".join(f"{each:g}" for each in body.at)

@@ -205,8 +205,8 @@ def extents(vehicle: Vehicle) -> tuple[float, float, float]:
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
     at = np.array([np.array(ca.evalf(pose.origin)).ravel()[:2] for pose in poses])
     radius = np.array([wheel.radius for wheel in vehicle.wheels])
-    tube = np.array([wheel.r1 for wheel in vehicle.wheels])
-    size = np.stack([tube, radius], axis=1)
+    half_width = np.array([wheel.half_width for wheel in vehicle.wheels])
+    size = np.stack([half_width, radius], axis=1)
     right, forward = 0.5 * ((at + size).max(axis=0) - (at - size).min(axis=0))
     return float(right), float(forward), float((np.hypot(*at.T) + radius).max())
 

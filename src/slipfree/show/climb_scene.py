@@ -16,12 +16,14 @@ from slipfree.climb.metrics import LOADED
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Body, Climber
 from slipfree.errors import ModelError
+from slipfree.geometry.mesh import Mesh
 from slipfree.models.poses import spun
 from slipfree.records import Array
 from slipfree.show import scene
-from slipfree.show.meshes import Mesh, clipped, extruded, joined, plate, rod, spokes, tyre
+from slipfree.show.meshes import clipped, extruded, joined, plate, rod, spokes
 from slipfree.show.scene import PLATE, ROD, TYRE, Actor, Arrows, Color, Ground, Scene
 from slipfree.trajectory import Trajectory
+from slipfree.vehicle.sections.torus import Torus
 
 TRACK = 3.5  # half of the track, in radii of the wheels
 WIDTH = 2.0  # half of the width of the ground, in half tracks
@@ -165,8 +167,8 @@ def _abreast(climber: Climber, k: int) -> Array:
 
 
 def _wheels(climber: Climber, run: Trajectory, origin: Array, color: Color) -> Iterable[scene.Body]:
-    tube = TUBE * climber.radius
-    looks = ((tyre(tube, climber.radius - tube), TYRE), (spokes(0.97 * climber.radius), color))
+    tread = Torus(TUBE * climber.radius, (1 - TUBE) * climber.radius).mesh()
+    looks = ((tread, TYRE), (spokes(0.97 * climber.radius), color))
     for k, axle in enumerate(AXLES):
         turned = spun(_turned(np.zeros(run.t.size)), run["wheel_angle", axle])
         for number, across in enumerate(_abreast(climber, k)):

@@ -15,7 +15,7 @@ from slipfree.routing.traversability import extents, nodes_at, traversability
 from slipfree.show import ground_drawing
 from slipfree.show.ground_drawing import Window
 from slipfree.show.mesh_refinement import Refined, refined
-from slipfree.show.meshes import joined, rod, spokes, tyre
+from slipfree.show.meshes import joined, rod, spokes
 from slipfree.show.scene import (
     BLOCKED,
     ROD,
@@ -222,7 +222,7 @@ def _parts(vehicle: Vehicle, parts: Placed, wheels: Placed, color: Color) -> Ite
 
 def _wheels(vehicle: Vehicle, wheels: Placed, color: Color) -> Iterable[Body]:
     for k, wheel in enumerate(vehicle.wheels):
-        looks = ((tyre(wheel.r1, wheel.r2), TYRE), (spokes(wheel.radius * 0.97), color))
+        looks = ((wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color))
         yield Body(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
 
 

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from slipfree.geometry.mesh import Mesh, sheet
 from slipfree.records import Array
-from slipfree.show.meshes import Mesh, joined, sheet
+from slipfree.show.meshes import joined
 from slipfree.terrain.base import Grid, Terrain
 
 MOST = 60_000  # nodes that are added

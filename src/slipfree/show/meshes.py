@@ -3,33 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from slipfree.geometry.mesh import Mesh, sheet
 from slipfree.records import Array
 
-AROUND, TUBE, ROD = 36, 12, 8  # faces around a wheel, around its tube and around a rod
-THIN = 0.04  # radius that the tube of a disc is drawn with, in radii of the wheel
+ROD = 8  # faces around a rod
 SPOKES, SPOKE = 4, 0.06  # of a wheel, and the radius of one in radii of the wheel
 NEAR = 1e-9  # lengths below this are none [m]
-Faces = npt.NDArray[np.uint32]
-
-
-class Mesh(NamedTuple):
-    """A surface of triangles.
-
-    Attributes
-    ----------
-    vertices : ndarray, shape (n, 3)
-        Its corners. [m]
-    faces : ndarray, shape (m, 3)
-        Three corners each, counter-clockwise as seen from outside.
-    """
-
-    vertices: Array
-    faces: Faces
 
 
 def joined(*meshes: Mesh) -> Mesh:
@@ -37,38 +19,6 @@ def joined(*meshes: Mesh) -> Mesh:
     starts = np.cumsum([0, *(len(each.vertices) for each in meshes)])
     faces = [each.faces + np.uint32(start) for each, start in zip(meshes, starts, strict=False)]
     return Mesh(np.concatenate([each.vertices for each in meshes]), np.concatenate(faces))
-
-
-def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
-    """Return the surface through a grid of points, shape (n, m, 3), closed in either direction."""
-    n, m, _ = points.shape
-    i, j = (
-        np.arange(size if each else size - 1) for size, each in zip((n, m), closed, strict=True)
-    )
-    first, right = i[:, None] * m, ((i + 1) % n)[:, None] * m
-    here, up = j[None, :], ((j + 1) % m)[None, :]
-    a, b, c, d = first + here, right + here, right + up, first + up
-    faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=2)
-    return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3).astype(np.uint32))
-
-
-def tyre(r1: float, r2: float) -> Mesh:
-    """Return a torus about the x axis.
-
-    Parameters
-    ----------
-    r1, r2 : float
-        Radius of its tube, and of the circle of tube centers. The tube of a disc is drawn a little
-        thick, inside its rolling radius. [m]
-    """
-    tube = max(r1, THIN * (r1 + r2))
-    v = 2 * np.pi * np.arange(AROUND) / AROUND
-    u = -2 * np.pi * np.arange(TUBE) / TUBE
-    out = r1 + r2 - tube + tube * np.sin(u)[None, :]
-    torus = np.broadcast_arrays(
-        tube * np.cos(u)[None, :], np.cos(v)[:, None] * out, np.sin(v)[:, None] * out
-    )
-    return sheet(np.stack(torus, axis=-1), closed=(True, True))
 
 
 def spokes(radius: float) -> Mesh:

@@ -15,9 +15,10 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
+from slipfree.geometry.mesh import Mesh
 from slipfree.records import Array
 from slipfree.show import style
-from slipfree.show.meshes import Mesh, plate
+from slipfree.show.meshes import plate
 from slipfree.trajectory import Trajectory
 
 ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform, in radii of the wheels

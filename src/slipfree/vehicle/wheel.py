@@ -1,20 +1,24 @@
-"""Wheels: tori, with the disc and the sphere as their limits."""
+"""Wheels: where they are, how they are driven, and their cross-section."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
+from slipfree.vehicle.sections.base import Section
 
 ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Wheel:
-    """A torus wheel.
+    """A wheel, a body of revolution about its axle.
 
     Attributes
     ----------
@@ -24,11 +28,8 @@ class Wheel:
         The joint that carries it, or ``"platform"``.
     at : tuple of 3 floats
         Its centre in the parent's frame. [m]
-    r1 : float
-        Radius of the tube, zero for a disc. [m]
-    r2 : float
-        Radius of the circle of tube centres, zero for a sphere; the rolling radius is
-        ``r1 + r2``. [m]
+    section : Section
+        Its cross-section, such as ``Torus(0.05, 0.25)``; on free rollers ``Omni(...)``.
     driven : bool
         Whether its rate is an input; a free wheel turns as the ground makes it.
     grip : float
@@ -37,21 +38,16 @@ class Wheel:
         Mass, at its centre. [kg]
     axle : {"x", "y", "z"} or tuple of 3 floats
         Direction of its axle in the parent's frame, to the right of its forward direction.
-    rollers : bool
-        Whether free rollers on its rim leave it free to move along its axle (an omni wheel): slip
-        across it then costs nothing and no force acts across it.
     """
 
     name: str
     parent: str
     at: Vector
-    r1: float
-    r2: float
+    section: Section
     driven: bool
     grip: float = 1.0
     mass: float = 0.0
     axle: Axis = "x"
-    rollers: bool = False
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[\w-]+", self.name):
@@ -60,14 +56,6 @@ class Wheel:
                 "use it"
             )
         check_vector(f"wheel {self.name}: at", self.at)
-        for key, radius in (("r1", self.r1), ("r2", self.r2)):
-            if not (math.isfinite(radius) and radius >= 0):
-                raise ModelError(
-                    f"wheel {self.name}: {key} must be a radius of zero or more metres, "
-                    f"found {radius}"
-                )
-        if self.radius <= 0:
-            raise ModelError(f"wheel {self.name}: r1 + r2 must be positive, found {self.radius}")
         if not 0 < self.grip < math.inf:
             raise ModelError(f"wheel {self.name}: grip must be positive, found {self.grip}")
         if not 0 <= self.mass < math.inf:
@@ -93,7 +81,17 @@ class Wheel:
         shortest = (0.0, -z, y) if across > 0 else (0.0, 0.0, 1.0)
         return translation(*self.at) @ turn(shortest, math.atan2(across, x))
 
-    @property
+    @cached_property
     def radius(self) -> float:
-        """Rolling radius ``r1 + r2``. [m]."""
-        return self.r1 + self.r2
+        """Rolling radius: distance from the axle to the middle of the tread. [m]."""
+        return float(self.section.outline(np.array(np.pi / 2))[1])
+
+    @cached_property
+    def half_width(self) -> float:
+        """Largest distance of its surface from the plane of the wheel. [m]."""
+        return float(np.abs(self.section.outline(np.array([0, np.pi]))[0]).max())
+
+    @property
+    def rollers(self) -> bool:
+        """Whether free rollers let it move along its axle."""
+        return self.section.rollers

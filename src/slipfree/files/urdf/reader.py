@@ -25,6 +25,7 @@ from slipfree.files.vehicle_draft import (
 )
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.records import Array
+from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -401,13 +402,11 @@ class _Reading:
             name,
             part_of[joint.parent],
             _sum(joint.at, rotation_of(joint.turned) @ at),
-            tube,
-            radius - tube,
+            section_of_radii(tube, radius - tube, rollers=role.rollers),
             driven,
             role.grip,
             mass,
             self._axle(joint),
-            role.rollers,
         )
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:

@@ -10,6 +10,8 @@ from math import inf
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Vector
+from slipfree.vehicle.sections.base import Section
+from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -51,13 +53,12 @@ def differential_drive(
         If a length that must be positive is not.
     """
     _positive("differential_drive", half_track=half_track, caster_ahead=caster_ahead)
-    drop = -(r1 + r2) * (1 - caster_scale)
+    section, drop = section_of_radii(r1, r2), -(r1 + r2) * (1 - caster_scale)
     caster = Wheel(
         "caster",
         "fork",
         (0.0, -trail, drop),
-        r1 * caster_scale,
-        r2 * caster_scale,
+        section_of_radii(r1 * caster_scale, r2 * caster_scale),
         driven=False,
         mass=wheel_mass,
         grip=grip,
@@ -66,7 +67,7 @@ def differential_drive(
         "differential_drive",
         (Coordinate("caster_angle", "passive", "angle of the caster, left positive"),),
         (Joint("fork", "platform", "z", (0.0, caster_ahead, 0.0), "caster_angle"),),
-        (*_pair("", "platform", half_track, 0.0, r1, r2, mass=wheel_mass, grip=grip), caster),
+        (*_pair("", "platform", half_track, 0.0, section, mass=wheel_mass, grip=grip), caster),
         Body(mass, center_of_mass),
     )
 
@@ -117,6 +118,7 @@ def ackermann(
         )
         for side, way in SIDES.items()
     )
+    section = section_of_radii(r1, r2)
     return Vehicle(
         "ackermann",
         (
@@ -131,14 +133,13 @@ def ackermann(
         ),
         (Joint("axle", "platform", "y", (0.0, wheelbase, 0.0), "rock"), *knuckles),
         (
-            *_pair("rear_", "platform", half_track, 0.0, r1, r2, mass=wheel_mass, grip=grip),
+            *_pair("rear_", "platform", half_track, 0.0, section, mass=wheel_mass, grip=grip),
             *(
                 Wheel(
                     f"front_{side}",
                     f"{side}_knuckle",
                     ORIGIN,
-                    r1,
-                    r2,
+                    section,
                     driven=False,
                     mass=wheel_mass,
                     grip=grip,
@@ -186,8 +187,7 @@ def skid_steer(
                 if side == "right"
                 else ("platform", (-half_track, y, 0.0))
             ),
-            r1,
-            r2,
+            section_of_radii(r1, r2),
             driven=True,
             mass=wheel_mass,
             grip=grip,
@@ -241,7 +241,7 @@ def articulated(
         If a length that must be positive is not.
     """
     _positive("articulated", half_track=half_track, front=front, rear=rear)
-    x, y, z = center_of_mass
+    section, (x, y, z) = section_of_radii(r1, r2), center_of_mass
     return Vehicle(
         "articulated",
         (
@@ -255,8 +255,8 @@ def articulated(
             Joint("rear_half", "hinge", "y", ORIGIN, "twist", body=Body(mass, (x, y - rear, z))),
         ),
         (
-            *_pair("front_", "platform", half_track, 0.0, r1, r2, mass=wheel_mass, grip=grip),
-            *_pair("rear_", "rear_half", half_track, -rear, r1, r2, mass=wheel_mass, grip=grip),
+            *_pair("front_", "platform", half_track, 0.0, section, mass=wheel_mass, grip=grip),
+            *_pair("rear_", "rear_half", half_track, -rear, section, mass=wheel_mass, grip=grip),
         ),
         Body(mass, center_of_mass),
     )
@@ -267,8 +267,7 @@ def _pair(
     part: str,
     half_track: float,
     ahead: float,
-    r1: float,
-    r2: float,
+    section: Section,
     *,
     mass: float,
     grip: float,
@@ -279,8 +278,7 @@ def _pair(
             f"{prefix}{side}",
             part,
             (way * half_track, ahead, 0.0),
-            r1,
-            r2,
+            section,
             driven=True,
             mass=mass,
             grip=grip,

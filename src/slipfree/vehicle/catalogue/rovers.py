@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.catalogue.carts import SIDES
+from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -112,8 +113,7 @@ def rocker_bogie(
                     f"{end}_{side}",
                     part,
                     at,
-                    r1,
-                    radius - r1,
+                    section_of_radii(r1, radius - r1),
                     driven=True,
                     mass=wheel_mass,
                     grip=grip,

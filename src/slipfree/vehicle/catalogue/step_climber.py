@@ -7,6 +7,8 @@ from math import inf
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Vector
 from slipfree.vehicle.catalogue.carts import SIDES, _positive
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -73,7 +75,7 @@ def seven_wheels(
     middles = (-behind - radius + lengths[0] / 2, ahead - joint + radius - lengths[1] / 2)
 
     def wheel(name: str, part: str, at: Vector, axle: Axis = "x") -> Wheel:
-        return Wheel(name, part, at, 0.0, radius, driven=True, grip=grip, axle=axle, rollers=True)
+        return Wheel(name, part, at, Omni(Disc(radius)), driven=True, grip=grip, axle=axle)
 
     pairs = [
         wheel(f"{end}_{side}", part, (way * half_track, y, 0.0))

@@ -8,6 +8,7 @@ from math import inf
 from typing import Literal, get_args
 
 from slipfree.errors import ModelError
+from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -84,7 +85,7 @@ def three_wheeler(
         raise ModelError(
             f"three_wheeler: axle must be one of {', '.join(get_args(Axle))}, found {axle!r}"
         )
-    rear, front = -wheelbase / 3, 2 * wheelbase / 3
+    rear, front, section = -wheelbase / 3, 2 * wheelbase / 3, section_of_radii(r1, r2)
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
     coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
     coordinates = _loaded(axle, coordinates, stiffness, damping, bump)
@@ -94,7 +95,7 @@ def three_wheeler(
         coordinates=(*coordinates, steer),
         joints=(*joints, Joint("fork", "platform", "z", (0.0, front, 0.0), "steer")),
         wheels=tuple(
-            Wheel(name, parent, at, r1, r2, driven=drives, grip=grip, mass=wheel_mass)
+            Wheel(name, parent, at, section, driven=drives, grip=grip, mass=wheel_mass)
             for name, parent, at, drives in _wheels(axle, ends, joints)
         ),
         body=Body(mass, center_of_mass),

@@ -1,0 +1,48 @@
+"""Surfaces of triangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from slipfree.records import Array
+
+Faces = npt.NDArray[np.uint32]
+
+
+class Mesh(NamedTuple):
+    """A surface of triangles.
+
+    Attributes
+    ----------
+    vertices : ndarray, shape (n, 3)
+        Its corners. [m]
+    faces : ndarray, shape (m, 3)
+        Three corners each, counter-clockwise as seen from outside.
+    """
+
+    vertices: Array
+    faces: Faces
+
+
+def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
+    """Return the surface through a grid of points.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, m, 3)
+        The grid. [m]
+    closed : tuple of 2 bools
+        Whether its last line joins the first, in either direction.
+    """
+    n, m, _ = points.shape
+    i, j = (
+        np.arange(size if each else size - 1) for size, each in zip((n, m), closed, strict=True)
+    )
+    first, right = i[:, None] * m, ((i + 1) % n)[:, None] * m
+    here, up = j[None, :], ((j + 1) % m)[None, :]
+    a, b, c, d = first + here, right + here, right + up, first + up
+    faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=2)
+    return Mesh(points.reshape(-1, 3), faces.reshape(-1, 3).astype(np.uint32))

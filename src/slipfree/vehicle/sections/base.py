@@ -1,0 +1,190 @@
+"""Cross-section of a wheel: a convex curve that turns about the axle.
+
+The outward unit normal of a wheel has a component along the axle and one away from it. The section
+maps them to the point of the wheel with that normal. Contact, Montana's equations, the certificate
+of a single contact and drawings all follow from this map.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from math import inf
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.geometry.mesh import Mesh, sheet
+from slipfree.records import Array
+
+AXLE = ca.SX(ca.DM([1, 0, 0]))  # in the wheel's axes
+AROUND, ACROSS = 36, 6  # faces of a mesh around the wheel, and across its tread
+DRAWN_HALF_WIDTH = 0.04  # least half-width of a mesh, in rolling radii
+FINE = 721  # points of a table of arc lengths
+
+
+@dataclass(frozen=True)
+class Section(ABC):
+    """Cross-section of a wheel, a body of revolution about its axle.
+
+    A subclass is a frozen dataclass. It defines `profile`; its numbers are positive. The other
+    methods follow; a subclass overrides one where a closed form has fewer operations.
+
+    Attributes
+    ----------
+    rollers : bool
+        Whether free rollers let the wheel move along its axle: slip across it then costs nothing,
+        and no force acts across it.
+
+    Raises
+    ------
+    ModelError
+        If a number is not positive.
+    """
+
+    rollers: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, float | int) and not 0 < value < inf:
+                raise ModelError(
+                    f"{type(self).__name__.lower()}: {each.name} must be positive, found {value}"
+                )
+
+    def __str__(self) -> str:
+        """Return the kind of section and its dimensions."""
+        sizes = ", ".join(f"{each.name} {getattr(self, each.name):g}" for each in fields(self))
+        return f"{type(self).__name__.lower()} {sizes} m"
+
+    @abstractmethod
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the point of the section with a given outward normal.
+
+        Parameters
+        ----------
+        axial, radial : SX, shape (1, 1)
+            Components of the unit normal along the axle and away from it, ``radial >= 0``. [1]
+
+        Returns
+        -------
+        tuple of 2 SX, shape (1, 1)
+            Coordinates of the point along the axle and away from it, from the wheel's centre. [m]
+        """
+
+    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
+        """Return the point of the surface with a given outward normal, from the wheel's centre.
+
+        Parameters
+        ----------
+        normal : SX, shape (3, 1)
+            Outward unit normal, not along the axle. [1]
+        axle : SX, shape (3, 1)
+            Unit vector of the axle in the axes of the normal, by default the x axis. [1]
+
+        Returns
+        -------
+        SX, shape (3, 1)
+            In the axes of the normal. [m]
+        """
+        axial, radial, away = components(normal, axle)
+        x, rho = self.profile(axial, radial)
+        return x * axle + rho * away
+
+    def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
+        """Return the point of the surface at angles of its outward normal, shape (3, 1). [m].
+
+        Parameters
+        ----------
+        u : SX, shape (1, 1)
+            Angle from the axle to the normal; pi/2 is the middle of the tread. [rad]
+        v : SX, shape (1, 1)
+            Angle about the axle, 3 pi/2 at the lowest point of an upright wheel. [rad]
+
+        Notes
+        -----
+        In the wheel's axes; ``c_u x c_v`` points outward.
+        """
+        x, rho = self.profile(ca.cos(u), ca.sin(u))
+        return ca.vertcat(x, ca.cos(v) * rho, ca.sin(v) * rho)
+
+    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:
+        """Return the radius of curvature of the section at a normal; zero at an edge. [m].
+
+        Parameters are those of `profile`.
+        """
+        normal = ca.SX.sym("normal", 2)
+        turn = ca.vertcat(-normal[1], normal[0])
+        point = ca.vertcat(*self.profile(normal[0], normal[1]))
+        bend = ca.dot(turn, ca.jtimes(point, normal, turn))
+        return ca.substitute(bend, normal, ca.vertcat(axial, radial))
+
+    def outline(self, u: Array) -> tuple[Array, Array]:
+        """Return points of the section at angles from the axle to the normal, 0 to pi.
+
+        Parameters
+        ----------
+        u : ndarray, shape (n, ...)
+            The angles. [rad]
+
+        Returns
+        -------
+        x, rho : ndarray, shape (n, ...)
+            Coordinates along the axle and away from it. [m]
+        """
+        x, rho = (np.array(each).reshape(np.shape(u)) for each in _curve(self)(np.ravel(u)[None]))
+        return x, rho
+
+    def mesh(self) -> Mesh:
+        """Return the tread as a ring about the x axis, for drawings.
+
+        Inside, the ring mirrors the tread at its edge, as a tube does. A section narrower than
+        0.04 rolling radii is drawn as wide as that, inside its rolling radius.
+        """
+        x, rho = self.outline(np.array([0, np.pi / 2, np.pi]))
+        more = max(0.0, DRAWN_HALF_WIDTH * rho[1] - np.abs(x).max())
+
+        def drawn(u: Array) -> tuple[Array, Array]:
+            x, rho = self.outline(u)
+            return x + more * np.cos(u), rho + more * (np.sin(u) - 1)
+
+        fine = np.linspace(0, np.pi, FINE)
+        arc = _lengths(*drawn(fine))
+        x, rho = drawn(np.interp(np.linspace(arc[-1], 0, ACROSS + 1), arc, fine))
+        x = np.append(x, x[-2:0:-1])
+        rho = np.append(rho, np.maximum(2 * min(rho[0], rho[-1]) - rho[-2:0:-1], 0))
+        v = 2 * np.pi * np.arange(AROUND)[:, None] / AROUND
+        ring = np.broadcast_arrays(x, np.cos(v) * rho, np.sin(v) * rho)
+        return sheet(np.stack(ring, axis=-1), closed=(True, True))
+
+
+def components(normal: ca.SX, axle: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the components of a unit normal along and away from the axle, and the latter's axis.
+
+    Parameters are those of `Section.support`.
+    """
+    axial, radial = ca.dot(normal, axle), ca.norm_2(ca.cross(-normal, axle))
+    return axial, radial, (normal - axial * axle) / radial
+
+
+@lru_cache(maxsize=64)
+def arc_lengths(section: Section) -> tuple[Array, Array]:
+    """Return angles of the normal, 0 to pi, and the length of the section up to them. [rad, m]."""
+    u = np.linspace(0, np.pi, FINE)
+    return u, _lengths(*section.outline(u))
+
+
+def _lengths(x: Array, rho: Array) -> Array:
+    """Return the length of a line up to each of its points. [m]."""
+    return np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(rho))))
+
+
+@lru_cache(maxsize=64)
+def _curve(section: Section) -> ca.Function:
+    """Return the points of a section as a function of the angle of the normal."""
+    u = ca.SX.sym("u")
+    point = (ca.densify(ca.SX(each)) for each in section.profile(ca.cos(u), ca.sin(u)))
+    return ca.Function("profile", [u], [*point])

@@ -1,0 +1,26 @@
+"""Disc: a wheel that touches on its edge."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from slipfree.vehicle.sections.base import Section
+
+
+@dataclass(frozen=True)
+class Disc(Section):
+    """A thin disc.
+
+    Attributes
+    ----------
+    radius : float
+        Of its edge. [m]
+    """
+
+    radius: float
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
+        """Return the edge, whatever the normal."""
+        return ca.SX(0), ca.SX(self.radius)

@@ -1,0 +1,40 @@
+"""Omni wheel: free rollers on the rim of a wheel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+
+from slipfree.vehicle.sections.base import AXLE, Section
+
+
+@dataclass(frozen=True)
+class Omni(Section):
+    """Free rollers that together have the shape of a wheel.
+
+    Attributes
+    ----------
+    rim : Section
+        The shape.
+    """
+
+    rollers: ClassVar[bool] = True
+    rim: Section
+
+    def __str__(self) -> str:
+        """Return the rim's kind and dimensions."""
+        return f"{self.rim} on rollers"
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the point of the rim with a given outward normal."""
+        return self.rim.profile(axial, radial)
+
+    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
+        """Return the point of the rim's surface with a given outward normal."""
+        return self.rim.support(normal, axle)
+
+    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:
+        """Return the radius of curvature of the rim's section."""
+        return self.rim.tread_radius(axial, radial)

@@ -1,0 +1,42 @@
+"""Sections by the name that a vehicle file has for them."""
+
+from __future__ import annotations
+
+from math import inf
+
+from slipfree.errors import ModelError
+from slipfree.vehicle.sections.base import Section
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
+
+SECTIONS: dict[str, type[Section]] = {
+    "torus": Torus,
+    "disc": Disc,
+    "sphere": Sphere,
+}
+
+
+def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
+    """Return the torus of two radii, or its limit: a disc for ``r1 = 0``, a sphere for ``r2 = 0``.
+
+    Parameters
+    ----------
+    r1, r2 : float
+        Radii of the tube and of the circle of tube centres. [m]
+    rollers : bool
+        Whether it consists of free rollers.
+
+    Raises
+    ------
+    ModelError
+        If a radius is negative, or both are zero.
+    """
+    for key, radius in (("r1", r1), ("r2", r2)):
+        if not 0 <= radius < inf:
+            raise ModelError(f"{key} must be a radius of zero or more metres, found {radius}")
+    if r1 + r2 <= 0:
+        raise ModelError(f"r1 + r2 must be positive, found {r1 + r2}")
+    section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)
+    return Omni(section) if rollers else section

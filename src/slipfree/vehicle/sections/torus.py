@@ -1,0 +1,37 @@
+"""Torus: a circle beside the axle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from slipfree.vehicle.sections.base import AXLE, Section, components
+
+
+@dataclass(frozen=True)
+class Torus(Section):
+    """A tube around a circle.
+
+    Attributes
+    ----------
+    r1 : float
+        Radius of the tube. [m]
+    r2 : float
+        Radius of the circle of tube centres; the rolling radius is ``r1 + r2``. [m]
+    """
+
+    r1: float
+    r2: float
+
+    def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the point of the section with a given outward normal."""
+        return self.r1 * axial, self.r2 + self.r1 * radial
+
+    def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
+        """Return ``r1 n + r2 e``, ``e`` the direction of the normal away from the axle."""
+        return self.r1 * normal + self.r2 * components(normal, axle)[2]
+
+    def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
+        """Return the radius of the tube."""
+        return ca.SX(self.r1)

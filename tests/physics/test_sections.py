@@ -1,0 +1,175 @@
+"""Cross-sections of wheels: normals, curvature and drawings against closed forms."""
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from helpers.cases import hills
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree.geometry.surface import patch
+from slipfree.models.montana import montana_kinematics
+from slipfree.vehicle.sections.base import Section, arc_lengths
+from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.registry import section_of_radii
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
+
+
+@dataclass(frozen=True)
+class OffsetTorus(Section):
+    """A torus whose tread lies beside the wheel's centre."""
+
+    tube: float
+    circle: float
+    offset: float
+
+    def profile(self, axial, radial):
+        return self.offset + self.tube * axial, self.circle + self.tube * radial
+
+
+@dataclass(frozen=True)
+class Ellipsoid(Section):
+    """An ellipsoid of revolution about the axle."""
+
+    half_width: float
+    equator: float
+
+    def profile(self, axial, radial):
+        x, rho = self.half_width**2 * axial, self.equator**2 * radial
+        scale = ca.sqrt(axial * x + radial * rho)
+        return x / scale, rho / scale
+
+
+SMOOTH = {
+    "torus": Torus(0.05, 0.25),
+    "sphere": Sphere(0.3),
+    "omni": Omni(Torus(0.02, 0.08)),
+    "offset": OffsetTorus(0.05, 0.25, 0.02),
+    "ellipsoid": Ellipsoid(0.1, 0.3),
+}
+SECTIONS = SMOOTH | {"disc": Disc(0.3)}
+U, V = ca.SX.sym("u"), ca.SX.sym("v")
+
+
+def angles(rng, count=50):
+    """Return random angles of normals, and the normals, shapes (count,) and (count, 3)."""
+    u, v = rng.uniform(0.1, np.pi - 0.1, count), rng.uniform(0, 2 * np.pi, count)
+    return u, v, np.stack([np.cos(u), np.cos(v) * np.sin(u), np.sin(v) * np.sin(u)], axis=-1)
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_support_and_point_are_one_surface_in_any_axes(rng, name):
+    section, (n, a) = SECTIONS[name], (ca.SX.sym("n", 3), ca.SX.sym("a", 3))
+    support = ca.Function("support", [n, a], [section.support(n, a)])
+    general = ca.Function("general", [n, a], [Section.support(section, n, a)])
+    own = ca.Function("own", [n], [section.support(n)])
+    point = ca.Function("point", [U, V], [section.point(U, V)])
+    for u, v, normal in zip(*angles(rng), strict=True):
+        expected = np.array(point(u, v)).ravel()
+        assert_allclose(np.array(own(normal)).ravel(), expected, atol=1e-15)
+        turn = Rotation.random(random_state=rng).as_matrix()
+        for found in (support, general):
+            world = np.array(found(turn @ normal, turn[:, 0])).ravel()
+            assert_allclose(world, turn @ expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_normals_and_curvatures_are_those_of_the_surface(rng, name):
+    """The radius of the section is its principal one; rho over the radial component the other."""
+    section, uv = SMOOTH[name], ca.vertcat(U, V)
+    _, frame, forms = patch(section.point(U, V), uv)
+    c, s = ca.SX.sym("c"), ca.SX.sym("s")
+    radii = [found.tread_radius(section, c, s) for found in (type(section), Section)]
+    surface = ca.Function("surface", [uv], [frame[:, 2], forms.curvature])
+    radius = ca.Function("radius", [c, s], radii)
+    for u, v, normal in zip(*angles(rng), strict=True):
+        found, curvature = (np.array(each) for each in surface([u, v]))
+        assert_allclose(found.ravel(), normal, atol=1e-14)
+        _, rho = section.outline(np.array(u))
+        for each in radius(np.cos(u), np.sin(u)):
+            expected = np.diag([1 / float(each), np.sin(u) / rho])
+            assert_allclose(curvature, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_supports_of_an_ellipsoid_have_a_closed_form(rng):
+    """The support function is ``sqrt(b^2 n_x^2 + R^2 (n_y^2 + n_z^2))``."""
+    u, _, n = angles(rng)
+    x, rho = SMOOTH["ellipsoid"].outline(u)
+    expected = np.sqrt((0.1 * n[:, 0]) ** 2 + (0.3 * np.sin(u)) ** 2)
+    assert_allclose(np.cos(u) * x + np.sin(u) * rho, expected, rtol=1e-14)
+    assert_allclose((x / 0.1) ** 2 + (rho / 0.3) ** 2, 1, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("name", "volume"),
+    [
+        ("torus", 2 * np.pi**2 * 0.25 * 0.05**2),
+        ("sphere", 4 / 3 * np.pi * 0.3**3),
+        ("ellipsoid", 4 / 3 * np.pi * 0.1 * 0.3**2),
+    ],
+)
+def test_meshes_are_closed_and_on_the_surface(name, volume):
+    mesh = SECTIONS[name].mesh()
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces.astype(int)], 1, 0)
+    assert_allclose((a * np.cross(b, c)).sum() / 6, volume, rtol=0.15)
+    assert_allclose(np.hypot(*mesh.vertices[:, 1:].T).max(), 0.3)
+
+
+def test_the_mesh_of_a_torus_is_its_whole_tube():
+    x, y, z = SECTIONS["torus"].mesh().vertices.T
+    assert_allclose(np.hypot(np.hypot(y, z) - 0.25, x), 0.05, rtol=1e-12)
+
+
+def test_narrow_sections_are_drawn_a_little_wide():
+    for section in (Disc(0.3), Torus(0.004, 0.296)):
+        x, y, z = section.mesh().vertices.T
+        assert_allclose(np.hypot(np.hypot(y, z) - 0.288, x), 0.012, rtol=1e-12)
+
+
+def test_arc_lengths():
+    u, length = arc_lengths(Torus(0.05, 0.25))
+    assert_allclose(length, 0.05 * u, rtol=1e-5)
+    assert arc_lengths(Disc(0.3))[1].max() == 0
+
+
+def test_radii_name_the_torus_or_its_limits():
+    assert section_of_radii(0.05, 0.25) == Torus(0.05, 0.25)
+    assert section_of_radii(0.0, 0.3) == Disc(0.3)
+    assert section_of_radii(0.3, 0.0) == Sphere(0.3)
+    assert section_of_radii(0.0, 0.3, rollers=True) == Omni(Disc(0.3))
+    assert [str(section) for section in (Torus(0.05, 0.25), Omni(Disc(0.3)))] == [
+        "torus r1 0.05, r2 0.25 m",
+        "disc radius 0.3 m on rollers",
+    ]
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
+def test_dimensions_that_are_not_positive_are_refused(value):
+    with pytest.raises(ModelError, match="torus: r1 must be positive, found"):
+        Torus(value, 0.25)
+
+
+@pytest.mark.parametrize("model", [direct_kinematics, montana_kinematics])
+def test_an_offset_tread_is_a_wheel_beside_its_place(model):
+    """A section need not be symmetric: the same motion as of wheels that are moved instead."""
+    vehicle, ground = three_wheeler(), Analytic(hills)
+    runs = []
+    for moved in (False, True):
+        wheels = []
+        for wheel in vehicle.wheels:
+            x, y, z = wheel.at
+            at = (x + 0.02, y, z) if moved else wheel.at
+            section = Torus(0.05, 0.25) if moved else SECTIONS["offset"]
+            wheels.append(replace(wheel, at=at, section=section))
+        twin = replace(vehicle, wheels=tuple(wheels))
+        start, dae = settle(direct_kinematics(twin, ground), heading=0.3), model(twin, ground)
+        rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.1)
+        runs.append(simulate(dae, start, rates, np.linspace(0, 1, 5)))
+    for name in ("x", "y", "z", "heading", "contact_x", "contact_z", "relative_curvature"):
+        assert_allclose(runs[0][name], runs[1][name], atol=1e-6, err_msg=name)
+    assert_allclose(runs[0]["clearance"], runs[1]["clearance"], atol=1e-6)
