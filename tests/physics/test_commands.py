@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -179,6 +180,19 @@ def test_a_wheel_points_backward_if_that_alone_is_within_its_stops():
     assert_allclose(angles, np.pi - np.arctan2(0.3, 0.1), rtol=0, atol=1e-9)
     assert_allclose(start["wheel_rate"], -np.hypot(0.3, 0.1) / 0.15, rtol=0, atol=1e-9)
     assert_allclose(announced(start), 0, rtol=0, atol=1e-9)
+
+
+def test_a_wheel_turns_back_where_its_target_passes_the_stop():
+    vehicle, t = four_wheel_steered(lower=-1.9, upper=1.9), np.linspace(0, 6, 61)
+    direct, dae, _, start = poised(vehicle, HILLS, (0.2, 0.0, 0.0))
+    inputs = dae.inputs(forward=0.2 * ca.cos(dae.t / 2), right=0.2 * ca.sin(dae.t / 2), yaw_rate=0)
+    run = simulate(dae, start, inputs, t, tolerance=1e-6)
+    assert run.stop is None
+    for name in steered(vehicle, direct):
+        assert run[name].min() < -1.7
+        assert run[name][-1] > 0
+        assert np.abs(run[name]).max() < 1.9
+    assert np.abs(announced(run)[:, t > 5.8]).max() < 0.03  # of the lag of 0.2 s
 
 
 def test_commands_may_jump_and_reverse():

@@ -197,8 +197,8 @@ def subset_kinematics(
     )
     dae = _driven(dae, direct.u.joints, tuple(joints))
     checks = rearranged_checks(direct, dae)
-    if not exact:
-        return replace(dae, checks=checks)
+    if not exact:  # rates jump where a wheel turns back, which no error test would pass
+        return replace(dae, checks=checks, suppress_algebraic=True)
     response = response_of(vehicle, direct, given)
     matrices = response_matrices(direct, given)
     states = direct.function("matrices", [pack(dae.x), pack(dae.z)], matrices)
