@@ -383,6 +383,7 @@ def test_a_path_in_a_problem() -> None:
         ),
         (["given.forward=0.1"], "given.v_x: expected rates in the platform's heading frame "),
         (["given={file='none.csv'}"], "none.csv"),
+        (["given={file=3}"], "given.file: expected the name of a CSV file in quotes, found values"),
         (["given={file='p.toml'}"], "expected a first line of names, t and some of forward, righ"),
         (["given={file='late.csv'}"], "late.csv: expected times that ascend from 0"),
         (["given={file='cmd.csv', v_x=0.1}"], "expected a rate that the file does not have, fou"),

@@ -37,7 +37,9 @@ def read_commands(problem: Problem[S], spec: schema.Inverse) -> tuple[dict[str, 
     given, columns, words = dict(spec.given or {}), dict[str, Any](), []
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
-            columns = _read_file(problem.folder / str(file))
+            if not isinstance(file, str):
+                raise DataError("expected the name of a CSV file in quotes, found values")
+            columns = _read_file(problem.folder / file)
         words = [f"{', '.join(columns)} of {file}"]
     if faults := [*_faults(spec, given, columns)]:
         raise problem_error(problem.source, faults)
