@@ -13,7 +13,16 @@ import numpy as np
 from reference import heading
 from scipy.interpolate import NdBSpline, RectBivariateSpline
 
-from slipfree import Analytic, Bicubic, Grid, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    SolverOptions,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 
 DATA = Path(__file__).parent.parent / "tests" / "data"
 NAMES = ("x", "y", "heading", "tilt_right", "tilt_left", "z")
@@ -30,7 +39,13 @@ def reference_motion() -> None:
     start, tolerances = settle(dae), 10.0 ** -np.arange(5, 13)
     errors = []
     for tolerance in tolerances:
-        run = simulate(dae, start, dae.inputs(**RATES), np.array(case["t"]), tolerance=tolerance)
+        run = simulate(
+            dae,
+            start,
+            dae.inputs(**RATES),
+            np.array(case["t"]),
+            options=SolverOptions(tolerance=tolerance),
+        )
         errors.append(max(np.abs(run[name] - expected[name]).max() for name in NAMES))
         print(
             f"reference motion, tolerance {tolerance:.0e}: error {errors[-1]:.1e}, "

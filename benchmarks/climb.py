@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from reference import heading
 
+from slipfree import SolverOptions
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
@@ -421,7 +422,9 @@ def speed() -> None:
             dae, start = begin(seven_wheels(torque=AMPLE), profile, CONTROLS[control], contact)
             t = np.linspace(0, 3, 1501)
             seconds = least_time(
-                lambda d=dae, s=start, t=t: simulate(d, s, d.inputs(speed=SPEED), t, tolerance=1e-6)
+                lambda d=dae, s=start, t=t: simulate(
+                    d, s, d.inputs(speed=SPEED), t, options=SolverOptions(tolerance=1e-6)
+                )
             )
             row(
                 f"{name} {control}: times real time, CVODES at 1e-6",
@@ -438,8 +441,7 @@ def speed() -> None:
                     start,
                     dae.inputs(speed=SPEED),
                     np.linspace(0, 3, 1501),
-                    tolerance=tolerance,
-                    method="idas",
+                    options=SolverOptions(tolerance=tolerance, method="idas"),
                 )
                 words = (
                     f"{3 / (time.process_time() - begun):.1f}, {run.statistics['steps']:.0f} steps"
@@ -453,7 +455,7 @@ def speed() -> None:
         t = np.arange(round(3 / period) + 1) * period
         seconds = least_time(
             lambda d=dae, s=start, h=held, t=t: simulate_sampled(
-                d, s, d.inputs(speed=SPEED, **h), t, tolerance=1e-6
+                d, s, d.inputs(speed=SPEED, **h), t, options=SolverOptions(tolerance=1e-6)
             )
         )
         row(

@@ -21,6 +21,7 @@ from slipfree import (
     Analytic,
     Coulomb,
     ModelError,
+    SolverOptions,
     best_utilisation,
     direct_kinematics,
     quasi_statics,
@@ -108,7 +109,9 @@ def energy() -> None:
     dae = direct_kinematics(three_wheeler(), ground)
     begin, t = settle(dae, **PLACE), np.linspace(0, 20, 201)
     for tolerance in (1e-6, 1e-8, 1e-10):
-        run = simulate(dae, begin, dae.inputs(**RATES), t, tolerance=tolerance)
+        run = simulate(
+            dae, begin, dae.inputs(**RATES), t, options=SolverOptions(tolerance=tolerance)
+        )
         gained = run["potential_energy"] - run["potential_energy"][0]
         missed = np.abs(run["work"] - gained).max()
         print(

@@ -23,6 +23,7 @@ from slipfree import (
     ModelError,
     Rolling,
     SolverError,
+    SolverOptions,
     Trajectory,
     direct_kinematics,
     settle,
@@ -171,7 +172,7 @@ def direct_run(t: Any, tolerance: float, **start: float) -> tuple[Any, Trajector
     left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
     rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))
     begin = settle(dae, **start)
-    return dae, begin, simulate(dae, begin, rates, t, tolerance=tolerance)
+    return dae, begin, simulate(dae, begin, rates, t, options=SolverOptions(tolerance=tolerance))
 
 
 def pointwise() -> None:
@@ -214,7 +215,7 @@ def in_time() -> None:
             again = replay(direct, back, spline_inputs(direct, found.t, found.unknowns))
             repeated = f", replay within {max(again.difference.values()):.1e} m, rad"
         else:
-            back = simulate(dae, begin, inputs, t, tolerance=1e-10)
+            back = simulate(dae, begin, inputs, t, options=SolverOptions(tolerance=1e-10))
         error = max(float(np.abs(back[name] - run[name]).max()) for name in WHEEL_RATES)
         growth = back["steering_growth"]
         print(

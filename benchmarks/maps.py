@@ -25,6 +25,7 @@ import numpy as np
 from slipfree import (
     Bicubic,
     SlipfreeError,
+    SolverOptions,
     direct_kinematics,
     follow,
     settle,
@@ -189,7 +190,7 @@ def replayed(setup: Setup, course: PolynomialMotion, rms: float, seed: int) -> T
     grid = disturbed(setup.ground.grid, rms, CORRELATION, seed) if rms else setup.ground.grid
     dae = direct_kinematics(setup.vehicle, Bicubic(grid, (x, y), setup.ground.mu))
     start = settle(dae, **{name: setup.start[name][0] for name in ("x", "y", "heading")})
-    return simulate_plan(dae, start, course, step=0.5, tolerance=1e-8)
+    return simulate_plan(dae, start, course, step=0.5, options=SolverOptions(tolerance=1e-8))
 
 
 def keeps(found: Trajectory, limits: dict[str, tuple[float, float]]) -> bool:

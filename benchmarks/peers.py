@@ -32,7 +32,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,16 @@ from reference import heading
 from scipy.integrate import solve_ivp
 from work_precision import cvodes
 
-from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, straight, three_wheeler
+from slipfree import (
+    Bicubic,
+    Grid,
+    SolverOptions,
+    direct_kinematics,
+    settle,
+    simulate,
+    straight,
+    three_wheeler,
+)
 from slipfree.codegen_cache import FOLDER
 from slipfree.models.montana import montana_kinematics
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -78,11 +86,12 @@ def prepared(
     grid = ground(rough)
     vehicle = three_wheeler(axle=axle, mass=0.0, wheel_mass=0.0)
     model = montana_kinematics if naive else direct_kinematics
-    dae = replace(model(vehicle, Stock(grid) if naive else Bicubic(grid)), compiled=compiled)
+    dae = model(vehicle, Stock(grid) if naive else Bicubic(grid))
     standing = direct_kinematics(vehicle, Bicubic(grid)) if naive else dae
     start = settle(standing, **START)
     law = straight(dae, vehicle, start, speed=SPEED)
-    return dae, start, with_inputs(dae, law, SAMPLES - 1), law
+    options = SolverOptions(compiled=compiled)
+    return dae, start, with_inputs(dae, law, SAMPLES - 1, options), law
 
 
 def least(task: Callable[[], Any]) -> tuple[float, Any]:
@@ -295,7 +304,7 @@ def mujoco(rough: float) -> dict[str, Any]:
     dae, start, *_ = prepared(rough, "fixed")
     vehicle = three_wheeler(axle="fixed", mass=0.0, wheel_mass=0.0)
     law = straight(dae, vehicle, start, speed=SPEED)
-    run = simulate(dae, start, law, T, tolerance=1e-8)
+    run = simulate(dae, start, law, T, options=SolverOptions(tolerance=1e-8))
     grid = ground(rough)
     low, relief = float(grid.z.min()), float(np.ptp(grid.z))
     turn = np.array(run["heading"][0])

@@ -30,7 +30,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path as File
 from typing import Any, NamedTuple
 
@@ -46,6 +45,7 @@ from slipfree import (
     Grid,
     Path,
     SlipfreeError,
+    SolverOptions,
     direct_kinematics,
     follow,
     quasi_statics,
@@ -116,10 +116,10 @@ def planned(
     Inputs are constant on every interval, as the prototype's are, if not asked otherwise.
     """
     dae = direct_kinematics(vehicle or three_wheeler(axle="fixed"), terrain)
-    dae = replace(dae, compiled=compiled)
-    start = settle(dae)
+    solver = SolverOptions(compiled=compiled)
+    start = settle(dae, options=solver)
     inputs = dae.inputs(right_rate=rates[0], left_rate=rates[1], steer_rate=0.0)
-    guess = simulate(dae, start, inputs, np.linspace(0, DURATION, 61))
+    guess = simulate(dae, start, inputs, np.linspace(0, DURATION, 61), options=solver)
     given = {"costs": WEIGHTS, "smooth": SMOOTH, "intervals": INTERVALS, "continuous": False}
     begin = time.perf_counter()
     found = plan(
@@ -131,6 +131,7 @@ def planned(
         inputs=RATES,
         limits=STEER,
         degree=DEGREE,
+        options=solver,
         **(given | options),
     )
     return found, time.perf_counter() - begin
@@ -170,7 +171,7 @@ def by_plan(found: Plan) -> Drive:
     """Return the way to drive that replays a plan."""
     step = DURATION / INTERVALS / SAMPLES
     return lambda dae, start, tolerance: simulate_plan(
-        dae, start, found.motion, step=step, tolerance=tolerance
+        dae, start, found.motion, step=step, options=SolverOptions(tolerance=tolerance)
     )
 
 
@@ -179,7 +180,7 @@ def followed(dae: Any, start: Trajectory, tolerance: float) -> Trajectory:
     vehicle, line = three_wheeler(axle="fixed"), Path(np.array([(0.0, 0.0), GOAL]))
     law = follow(dae, vehicle, line, speed=line.length / DURATION)
     t = np.linspace(0, DURATION, INTERVALS * SAMPLES + 1)
-    return simulate(dae, start, law, t, tolerance=tolerance)
+    return simulate(dae, start, law, t, options=SolverOptions(tolerance=tolerance))
 
 
 def frictional(creep: float) -> Any:
@@ -332,7 +333,7 @@ def called(ground: str, intervals: int, *, compiled: bool) -> dict[str, Any]:
         part: sum(stage.seconds[part] for stage in found.stages) for part in ("functions", "total")
     }
     begin = time.perf_counter()
-    transcribe(found.program.task, found.program.mesh)
+    transcribe(found.program.task, found.program.mesh, found.program.options)
     return {
         "iterations": "+".join(str(stage.iterations) for stage in found.stages),
         **parts,

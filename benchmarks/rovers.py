@@ -20,7 +20,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -29,7 +28,15 @@ import casadi as ca
 import numpy as np
 from reference import heading
 
-from slipfree import Bicubic, Grid, SlipfreeError, direct_kinematics, settle, simulate
+from slipfree import (
+    Bicubic,
+    Grid,
+    SlipfreeError,
+    SolverOptions,
+    direct_kinematics,
+    settle,
+    simulate,
+)
 from slipfree.plan.plan import plan
 from slipfree.plan.stage import Cost
 from slipfree.problem.vehicle_report import conditioning
@@ -102,8 +109,8 @@ def rocky() -> None:
         print(f"  discs, steering {steer:g} rad: ends at {end} m")
         dae, start, inputs = rocky_case(rover_ground(), 0.0, steer)
         for tolerance, compiled in product(TOLERANCES, (False, True)):
-            model = replace(dae, compiled=compiled)
-            drive = partial(simulate, model, start, inputs, tolerance=tolerance)
+            options = SolverOptions(tolerance=tolerance, compiled=compiled)
+            drive = partial(simulate, dae, start, inputs, options=options)
             run, short = quickest(
                 *(partial(drive, np.linspace(0, each, 101)) for each in (10.0, 1.0))
             )
@@ -147,7 +154,13 @@ def planned(continuous: bool) -> None:
     steering = [c.name for c in vehicle.of("commanded")]
     given = dict.fromkeys(wheels, 2.3 / DURATION / 0.065)
     given |= {f"{name}_rate": 0.0 for name in steering}
-    guess = simulate(dae, start, dae.inputs(**given), np.linspace(0, DURATION, 41), tolerance=1e-6)
+    guess = simulate(
+        dae,
+        start,
+        dae.inputs(**given),
+        np.linspace(0, DURATION, 41),
+        options=SolverOptions(tolerance=1e-6),
+    )
     slip = sum(ca.sumsqr(ca.vertcat(*part)) for part in (dae.y.slip_along, dae.y.slip_across))
     effort = ca.sumsqr(ca.vertcat(*dae.u.joints)) + 0.02 * ca.sumsqr(ca.vertcat(*dae.u.wheels))
     costs = [

@@ -72,6 +72,8 @@ from slipfree.terrain import kernel
 
 name = sys.argv[1]
 compiled = name.endswith(" compiled")
+new = hasattr(sf, "SolverOptions")  # version 0.1.0 has it in the model
+options = {"options": sf.SolverOptions(compiled=compiled)} if new else {}
 if name.endswith("without kernel"):
     kernel.library = lambda: None
 x, y = np.linspace(-6, 6, 241), np.linspace(-3, 9, 241)
@@ -87,7 +89,7 @@ def vehicle():
 
 def model():
     dae = sf.direct_kinematics(vehicle(), sf.Bicubic(sf.Grid(x, y, hills)))
-    return replace(dae, compiled=compiled)
+    return dae if options else replace(dae, compiled=compiled)
 
 
 def best(function, number=200):
@@ -104,12 +106,13 @@ if name.startswith("model"):
     def call():
         dae = model()
         begin = time.process_time()
-        with_inputs(dae, dae.inputs(**{each.full: 0.0 for each in leaves(dae.labels.u)}), 0)
+        rest = {each.full: 0.0 for each in leaves(dae.labels.u)}
+        with_inputs(dae, dae.inputs(**rest), 0, **options)
         return time.process_time() - begin
 elif name.startswith(("residual", "jacobian")):
     dae = model()
     law = {each.full: 0.4 for each in leaves(dae.labels.u)}
-    system, start = with_inputs(dae, dae.inputs(**law), 0), sf.settle(dae)
+    system, start = with_inputs(dae, dae.inputs(**law), 0, **options), sf.settle(dae, **options)
     point = [0.0, dae.rows("x", start, 0), dae.rows("z", start, 0)[: system.moving], system.u[:, 0]]
     function = system.core
     if name.startswith("jacobian"):
@@ -127,14 +130,14 @@ elif name.startswith(("residual", "jacobian")):
         return best(memory, 2000)
 elif name.startswith(("plan", "hessian")):
     dae = model()
-    start = sf.settle(dae, x=0.0, y=0.0, heading=0.0)
+    start = sf.settle(dae, x=0.0, y=0.0, heading=0.0, **options)
     law = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
-    guess = sf.simulate(dae, start, law, np.linspace(0, 20, 201))
+    guess = sf.simulate(dae, start, law, np.linspace(0, 20, 201), **options)
     rates = {f"{each}_rate": (-2.0, 2.0) for each in ("right", "left", "steer")}
     def found():
         return plan(dae, start, guess, goal={"x": 0.6, "y": 2.6}, duration=20.0, inputs=rates,
                     costs={"slip": 7e4, "effort": 0.01}, limits={"steer": (-1.0, 1.0)},
-                    smooth=0.002, intervals=int(name.split()[1]))
+                    smooth=0.002, intervals=int(name.split()[1]), **options)
     if name.startswith("plan"):
         def call():
             begin = time.process_time()
@@ -158,9 +161,9 @@ else:
     v = vehicle()
     def call():
         begin = time.process_time()
-        start = sf.settle(dae, x=0.0, y=0.0, heading=0.0)
+        start = sf.settle(dae, x=0.0, y=0.0, heading=0.0, **options)
         law = sf.straight(dae, v, start, speed=0.5)
-        sf.simulate(dae, start, law, np.linspace(0, 10, 101))
+        sf.simulate(dae, start, law, np.linspace(0, 10, 101), **options)
         return time.process_time() - begin
 
 call()

@@ -31,6 +31,7 @@ from slipfree import (
     Bicubic,
     Grid,
     Rolling,
+    SolverOptions,
     direct_kinematics,
     settle,
     simulate,
@@ -194,7 +195,7 @@ def measure(name: str, drive: Drive) -> tuple[dict[tuple[str, str], list[Point]]
     closure, vehicle = models["closure least"], VEHICLE
     stand = settle(closure, **drive.start)
     laws = drive.inputs(closure, vehicle, stand)
-    exact = simulate(closure, stand, laws, drive.t, tolerance=EXACT)
+    exact = simulate(closure, stand, laws, drive.t, options=SolverOptions(tolerance=EXACT))
     metres = path_length(exact)
     print(f"\n{name}: {metres:.2f} m in {drive.t[-1]:g} s")
     print("formulation      integrator     tol  steps  ms CPU/m    error")

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 import slipfree
-from slipfree import quasi_statics, settle
+from slipfree import SolverOptions, quasi_statics, settle
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import read
@@ -70,7 +70,7 @@ def by_friction(outcome):
     setup, plan = outcome.setup, from_arrays(outcome.arrays, "the plan")
     model = quasi_statics(setup.vehicle, setup.terrain)
     start = settle(model, **{name: setup.start[name][0] for name in ("x", "y", "heading")})
-    return simulate_plan(model, start, plan.motion, step=0.1, tolerance=1e-6)
+    return simulate_plan(model, start, plan.motion, step=0.1, options=SolverOptions(tolerance=1e-6))
 
 
 driven = {words: by_friction(outcome) for words, outcome in outcomes.items()}

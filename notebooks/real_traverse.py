@@ -26,6 +26,7 @@ import numpy as np
 from slipfree import (
     Bicubic,
     Path,
+    SolverOptions,
     direct_kinematics,
     follow,
     settle,
@@ -92,7 +93,9 @@ model = direct_kinematics(vehicle, ground)
 ahead = path.points[1] - path.points[0]
 stand = settle(model, x=start[0], y=start[1], heading=np.arctan2(-ahead[0], ahead[1]))
 law = follow(model, vehicle, path, speed=1.0)
-run = simulate(model, stand, law, np.arange(0, found[0].length, 0.5), tolerance=1e-7)
+run = simulate(
+    model, stand, law, np.arange(0, found[0].length, 0.5), options=SolverOptions(tolerance=1e-7)
+)
 print(run.stop.words if run.stop else f"{path_length(run):.0f} m in {run.t[-1]:.0f} s")
 off = np.hypot(*(run[axis][-1] - at for axis, at in zip("xy", path.points[-1], strict=True)))
 print(f"climbed {np.ptp(run['z']):.1f} m, ends {off:.2f} m from the goal")

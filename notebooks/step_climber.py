@@ -37,6 +37,7 @@ from pathlib import Path
 import numpy as np
 
 import slipfree
+from slipfree import SolverOptions
 from slipfree.climb.friction_demand import highest, least_friction
 from slipfree.climb.outcome import outcome
 from slipfree.climb.vehicle import seven_wheels
@@ -244,7 +245,9 @@ def gets_up(mu, *settings):
         [f"friction.static={mu}", f"friction.kinetic={mu}", "time.step=0.01", *settings],
     )
     setup = build_climb(problem)
-    motion = simulate(setup.dae, setup.start, setup.inputs, setup.t, tolerance=1e-6)
+    motion = simulate(
+        setup.dae, setup.start, setup.inputs, setup.t, options=SolverOptions(tolerance=1e-6)
+    )
     return outcome(motion, setup.climber, setup.profile).name == "climbs"
 
 

@@ -24,7 +24,15 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipfree import Bicubic, SlipfreeError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Bicubic,
+    SlipfreeError,
+    SolverOptions,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.models.determinacy import conditions
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.models.montana import cross_check, montana_kinematics
@@ -64,7 +72,7 @@ for wheel in start.wheels:
 
 # %%
 rates = model.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
-run = simulate(model, start, rates, np.linspace(0, 6, 301), tolerance=1e-10)
+run = simulate(model, start, rates, np.linspace(0, 6, 301), options=SolverOptions(tolerance=1e-10))
 figures = motion_figures.figures(run, ground)
 figures["terrain"]
 
@@ -92,7 +100,11 @@ for wheel, size in zip(run.wheels, slip, strict=True):
 
 # %%
 montana = simulate(
-    montana_kinematics(vehicle, terrain), start, rates, np.linspace(0, 6, 301), tolerance=1e-10
+    montana_kinematics(vehicle, terrain),
+    start,
+    rates,
+    np.linspace(0, 6, 301),
+    options=SolverOptions(tolerance=1e-10),
 )
 worst = max(cross_check(run, montana), key=lambda each: each.size)
 print(f"largest difference: {worst.size:.1e} {worst.label.unit} in {worst.label.full}")

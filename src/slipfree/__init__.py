@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from slipfree.models.friction_feasibility import best_utilisation
     from slipfree.models.kinematics import direct_kinematics
     from slipfree.models.quasi_statics import quasi_statics
+    from slipfree.solve.options import SolverOptions
     from slipfree.solve.settle import settle
     from slipfree.solve.simulate import simulate
     from slipfree.terrain.analytic import Analytic
@@ -46,6 +47,7 @@ __all__ = [
     "Rolling",
     "SlipfreeError",
     "SolverError",
+    "SolverOptions",
     "Terrain",
     "Trajectory",
     "Vehicle",
@@ -79,6 +81,7 @@ _HOMES = {
     "models.friction_feasibility": ("best_utilisation",),
     "models.kinematics": ("direct_kinematics",),
     "models.quasi_statics": ("quasi_statics",),
+    "solve.options": ("SolverOptions",),
     "solve.settle": ("settle",),
     "solve.simulate": ("simulate",),
     "terrain.analytic": ("Analytic",),

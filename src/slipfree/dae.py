@@ -155,9 +155,6 @@ class Dae:
         stabilising terms that are noise to that test.
     continuation : Continuation or None
         How a start is found where Newton's method alone would not.
-    compiled : bool
-        Whether to compile its equations, and those of plans for it, with the system's C compiler;
-        they are kept for the next time. Without a compiler they are interpreted.
     lookups : tuple of Lookup
         Numbers of the ground that the expressions contain as symbols; `function` looks them up.
     """
@@ -180,7 +177,6 @@ class Dae:
     size: float = 1.0
     suppress_algebraic: bool = False
     continuation: Continuation | None = None
-    compiled: bool = False
     lookups: tuple[Lookup, ...] = ()
 
     def __post_init__(self) -> None:

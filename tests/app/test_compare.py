@@ -13,6 +13,7 @@ from slipfree import (
     Analytic,
     ModelError,
     Rolling,
+    SolverOptions,
     direct_kinematics,
     settle,
     simulate,
@@ -169,7 +170,9 @@ def test_rates_hold_for_every_sample_of_a_run():
     vehicle = three_wheeler(axle="fixed")
     dae = direct_kinematics(vehicle, Analytic(hills))
     rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
-    run = simulate(dae, settle(dae), rates, np.linspace(0, 2, 101), tolerance=1e-11)
+    run = simulate(
+        dae, settle(dae), rates, np.linspace(0, 2, 101), options=SolverOptions(tolerance=1e-11)
+    )
     size = np.linalg.norm(measured_slip(vehicle, run), axis=2)
     expected = np.hypot(run["slip_along"], run["slip_across"])[2:-2]
     assert_allclose(size, expected, rtol=0, atol=1e-7)

@@ -137,7 +137,7 @@ def test_lines_of_keys() -> None:
         (
             "step = 0.25",
             "step = 1\n[solver]\ntolerance = 0",
-            "p.toml:26: solver.tolerance: expected a number greater than 0, found 0",
+            "p.toml:26: solver.tolerance: expected a number of at least 1e-14, found 0",
         ),
         (
             "step = 0.25",

@@ -9,7 +9,15 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Bicubic,
+    Grid,
+    SolverOptions,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parents[1] / "data"
@@ -47,4 +55,6 @@ def drive(terrain, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
     """Drive a vehicle, the paper's by default, at constant rates, the paper's by default."""
     dae = closure_model(vehicle or three_wheeler(), terrain)
     inputs = dae.inputs(**(rates or PAPER_RATES))
-    return simulate(dae, settle(dae, **start), inputs, t, tolerance=tolerance)
+    return simulate(
+        dae, settle(dae, **start), inputs, t, options=SolverOptions(tolerance=tolerance)
+    )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slipfree import SolverOptions
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
 from slipfree.climb.control import Control
@@ -88,7 +89,9 @@ def climb(
     climber = climber or seven_wheels(torque=torque)
     dae, start = begin(climber, profile, control, contact, speed)
     t = np.arange(round(until / every) + 1) * every
-    run = simulate(dae, start, dae.inputs(speed=speed), t, tolerance=tolerance)
+    run = simulate(
+        dae, start, dae.inputs(speed=speed), t, options=SolverOptions(tolerance=tolerance)
+    )
     return Climb(climber, profile, run)
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
+from slipfree import SolverOptions
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control, largest_period
 from slipfree.climb.dynamics import climbing, standing
@@ -54,11 +55,17 @@ def drive(case: Drawn) -> Trajectory:
     until = WAY / case.speed + EXTRA
     if case.period is None:
         t = np.linspace(0, until, round(until / EVERY) + 1)
-        return simulate(dae, start, dae.inputs(speed=case.speed), t, tolerance=TOLERANCE)
+        return simulate(
+            dae, start, dae.inputs(speed=case.speed), t, options=SolverOptions(tolerance=TOLERANCE)
+        )
     t = np.arange(round(until / case.period) + 1) * case.period
     held = {f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)}
     return simulate_sampled(
-        dae, start, dae.inputs(speed=case.speed, **held), t, tolerance=TOLERANCE
+        dae,
+        start,
+        dae.inputs(speed=case.speed, **held),
+        t,
+        options=SolverOptions(tolerance=TOLERANCE),
     )
 
 

@@ -14,6 +14,7 @@ from slipfree import (
     Coulomb,
     ModelError,
     Rolling,
+    SolverOptions,
     direct_kinematics,
     quasi_statics,
     settle,
@@ -48,7 +49,9 @@ def moved(vehicle, ground, law, t, rates=None, tolerance=1e-8, **start):
     """Drive a vehicle with friction at constant rates."""
     dae = quasi_statics(vehicle, ground, law=law)
     begin = settle(dae, **start)
-    return simulate(dae, begin, dae.inputs(**(rates or RATES)), t, tolerance=tolerance)
+    return simulate(
+        dae, begin, dae.inputs(**(rates or RATES)), t, options=SolverOptions(tolerance=tolerance)
+    )
 
 
 def order(sizes, errors):
@@ -60,7 +63,13 @@ def from_rolling(axle, creep) -> Iterator[tuple[float, int]]:
     """Yield how far the motion over hills is from rolling, and its steps at tolerance 1e-8."""
     vehicle, ground = three_wheeler(axle=axle), Analytic(hills, mu=MU)
     rolling = direct_kinematics(vehicle, ground, slip=Rolling())
-    run = simulate(rolling, settle(rolling, **PLACE), rolling.inputs(**RATES), T, tolerance=1e-12)
+    run = simulate(
+        rolling,
+        settle(rolling, **PLACE),
+        rolling.inputs(**RATES),
+        T,
+        options=SolverOptions(tolerance=1e-12),
+    )
     for eps in creep:
         same = moved(vehicle, ground, Coulomb(eps), T, tolerance=1e-11, **PLACE)
         usual = moved(vehicle, ground, Coulomb(eps), T, **PLACE)

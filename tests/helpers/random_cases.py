@@ -27,6 +27,7 @@ from slipfree import (
     ModelError,
     Path,
     SolverError,
+    SolverOptions,
     direct_kinematics,
     follow,
     settle,
@@ -371,7 +372,10 @@ FAULTS = {
     "short input": Fault(_first_input(np.ones(2)), r"input \w+: expected .* found shape \(2,\)"),
     "missing input": Fault(lambda r: r["inputs"].pop(next(iter(r["inputs"]))), r"missing: \w+"),
     "unknown input": Fault(_set("inputs", thrust=1.0), r"inputs: expected .* not known: thrust"),
-    "tolerance": Fault(_set("call", tolerance=0.0), r"tolerance: expected a number .*, found 0.0"),
+    "tolerance": Fault(
+        lambda r: r["call"].update(options=SolverOptions(tolerance=0.0)),
+        r"tolerance: expected a number .*, found 0.0",
+    ),
     "times": Fault(_set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected .* ascending times"),
     "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be a radius"),
     "track": Fault(_set("build", half_track=np.nan), r"half_track must be a positive length"),
@@ -392,7 +396,7 @@ CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"start is not valid: the stop of \w+ \(.*\) is reached: .*, allowed": "at a stop",
     r"model is singular here: nothing determines \S+ \(": "singular",
     r"cannot roll without slip: expected \d+ passive .*, found \d": "cannot roll",
-    r"wheel \w+: Montana's equations need a tube": "no tube",
+    r"wheel \w+: Montana's equations need a tread": "no tread radius",
     r"wheel \w+ is not in its place on the vehicle": "not assembled",
 }
 
@@ -446,7 +450,7 @@ def build(case: Case) -> tuple[Any, ...]:
     count = int(rng.choice([10, 50, 100]))
     begin = rng.choice([0.0, 100.0]) if case.inputs not in ("straight", "follow") else 0.0
     t = begin + np.linspace(0, rng.uniform(1, 8), count + 1)
-    call = {"t": t, "tolerance": case.tolerance}
+    call = {"t": t, "options": SolverOptions(tolerance=case.tolerance)}
     request = {"build": {}, "map": {}, "start": {}, "inputs": {"": 0.0}, "call": call}
     if fault:
         fault.plant(request)
@@ -612,7 +616,9 @@ def _check_slip(case: Case, problem: tuple[Any, ...], run: Any, found: Outcome) 
         now = dae.inputs(**_at(dae, inputs, interval))
         t = run.t[k] + 1e-3 / pace * np.arange(5.0)
         try:
-            fine = simulate(dae, run.part(slice(k, k + 1)), now, t, tolerance=1e-11)
+            fine = simulate(
+                dae, run.part(slice(k, k + 1)), now, t, options=SolverOptions(tolerance=1e-11)
+            )
         except (SolverError, ModelError):
             continue
         if fine.stop is None:

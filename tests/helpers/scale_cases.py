@@ -16,6 +16,7 @@ from slipfree import (
     Grid,
     LeastSlip,
     Rolling,
+    SolverOptions,
     Trajectory,
     Vehicle,
     direct_kinematics,
@@ -90,7 +91,9 @@ def direct(
     dae = direct_kinematics(scaled(three_wheeler(), scale), ground(scale), slip=slip)
     start = settle(dae, x=0.3 * scale, heading=0.2)
     t = np.linspace(0, end, 121)
-    return simulate(dae, start, dae.inputs(**PAPER_RATES), t, tolerance=TOLERANCE)
+    return simulate(
+        dae, start, dae.inputs(**PAPER_RATES), t, options=SolverOptions(tolerance=TOLERANCE)
+    )
 
 
 def to_the_edge(scale: float) -> Trajectory:
@@ -98,7 +101,9 @@ def to_the_edge(scale: float) -> Trajectory:
     dae = direct_kinematics(scaled(three_wheeler(), scale), bicubic(scale))
     start = settle(dae, x=0.3 * scale, y=3.5 * scale)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
-    return simulate(dae, start, inputs, np.linspace(0, 6, 121), tolerance=TOLERANCE)
+    return simulate(
+        dae, start, inputs, np.linspace(0, 6, 121), options=SolverOptions(tolerance=TOLERANCE)
+    )
 
 
 def montana(scale: float) -> Trajectory:
@@ -106,7 +111,9 @@ def montana(scale: float) -> Trajectory:
     start = settle(direct_kinematics(vehicle, ground), x=0.3 * scale, heading=0.2)
     dae = montana_kinematics(vehicle, ground)
     inputs = dae.inputs(**PAPER_RATES)
-    return simulate(dae, start, inputs, np.linspace(0, 6, 121), tolerance=TOLERANCE)
+    return simulate(
+        dae, start, inputs, np.linspace(0, 6, 121), options=SolverOptions(tolerance=TOLERANCE)
+    )
 
 
 def inverse(scale: float, solve_for: str) -> Trajectory:
@@ -117,7 +124,9 @@ def inverse(scale: float, solve_for: str) -> Trajectory:
     start = simulate(dae, settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
     back = inverse_kinematics(vehicle, ground, solve_for=solve_for)
     given = back.inputs(velocity_x=0.01255 * scale, velocity_y=0.12865 * scale, heading_rate=0.0159)
-    return simulate(back, start, given, np.linspace(0, 4, 41), tolerance=TOLERANCE)
+    return simulate(
+        back, start, given, np.linspace(0, 4, 41), options=SolverOptions(tolerance=TOLERANCE)
+    )
 
 
 def path(scale: float, ground: Ground) -> Trajectory:
@@ -131,7 +140,9 @@ def path(scale: float, ground: Ground) -> Trajectory:
     y = radius * (ca.sin(heading) - np.sin(1.0))
     t = np.linspace(0, 6, 61)
     inputs = along(back, start, x, y, heading)
-    return drive(back, start, inputs, t, sought=["steer"], tolerance=TOLERANCE).run
+    return drive(
+        back, start, inputs, t, sought=["steer"], options=SolverOptions(tolerance=TOLERANCE)
+    ).run
 
 
 def rover(scale: float) -> Trajectory:
@@ -139,7 +150,9 @@ def rover(scale: float) -> Trajectory:
     dae = subset_kinematics(scaled(open_source_rover(), scale), bicubic(scale))
     start = settle(dae, heading=0.1)
     inputs = dae.inputs(forward=0.1 * scale, yaw_rate=0.05)
-    return simulate(dae, start, inputs, np.linspace(0, 3, 31), tolerance=TOLERANCE)
+    return simulate(
+        dae, start, inputs, np.linspace(0, 3, 31), options=SolverOptions(tolerance=TOLERANCE)
+    )
 
 
 def from_a_contact(scale: float) -> Trajectory:

@@ -20,6 +20,7 @@ from numpy.testing import assert_allclose
 from slipfree import (
     Analytic,
     ModelError,
+    SolverOptions,
     direct_kinematics,
     quasi_statics,
     settle,
@@ -190,7 +191,9 @@ def test_friction_holds_the_vehicle_at_every_node_of_the_plan():
 def test_friction_carries_the_vehicle_to_the_goal():
     """Under its inputs; a rigid axle slips by far more than the creep on its way."""
     dae = model(quasi_statics)
-    run = simulate_plan(dae, settle(dae, **START), climbed().motion, step=0.5, tolerance=1e-7)
+    run = simulate_plan(
+        dae, settle(dae, **START), climbed().motion, step=0.5, options=SolverOptions(tolerance=1e-7)
+    )
     assert run.stop is None
     assert np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"]) < 0.2
 

@@ -29,6 +29,7 @@ from helpers.climb_cases import (
     begin,
     climb,
 )
+from slipfree import SolverOptions
 from slipfree.climb.contact import CompliantContact, direction, pressed
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
@@ -113,7 +114,13 @@ def test_both_integrators_agree():
     dae, start = begin(seven_wheels(), STEP, EXACT, TWICE)
     t = np.linspace(0, 0.4, 41)
     runs = [
-        simulate(dae, start, dae.inputs(speed=SPEED), t, tolerance=1e-8, method=method)
+        simulate(
+            dae,
+            start,
+            dae.inputs(speed=SPEED),
+            t,
+            options=SolverOptions(tolerance=1e-8, method=method),
+        )
         for method in (None, "idas")
     ]
     for name in ("x", "z", "tilt_front", "wheel_rate"):
@@ -262,7 +269,9 @@ def sampled(period, control, start=None, until=3.4, torque=AMPLE):
     held = dict(zip(HELD, dae.y.torques, strict=True))
     t = np.arange(round(until / period) + 1) * period
     start = rolling if start is None else settle(dae, **start)
-    return simulate_sampled(dae, start, dae.inputs(speed=SPEED, **held), t, tolerance=1e-6)
+    return simulate_sampled(
+        dae, start, dae.inputs(speed=SPEED, **held), t, options=SolverOptions(tolerance=1e-6)
+    )
 
 
 def test_a_sampled_controller_does_as_the_continuous_one():
@@ -369,7 +378,13 @@ def test_falling_over_is_named():
     climber = seven_wheels()
     dae = climbing(climber, flat(), FIXED, TABLE_I)
     start = settle(dae, z=0.4, tilt_rear=0.3, tilt_rear_rate=-9.0)
-    run = simulate(dae, start, dae.inputs(speed=0.0), np.linspace(0, 1, 101), tolerance=1e-6)
+    run = simulate(
+        dae,
+        start,
+        dae.inputs(speed=0.0),
+        np.linspace(0, 1, 101),
+        options=SolverOptions(tolerance=1e-6),
+    )
     assert run.stop.name == "rear_overturned"
     assert "the rear body is overturned: its tilt: -1.4" in run.stop.words
     assert run.stop.t < 0.3

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from helpers.cases import hills
 from helpers.vehicles import four_wheel_steered, six_wheel_steered
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
+from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.control.path_tracking import GAIN, track_path
 from slipfree.files import netcdf
@@ -104,7 +104,7 @@ def test_level_ground_against_closed_forms(name, command):
 def test_on_hills_the_platform_follows_within_the_announced_error(name, command):
     vehicle = VEHICLES[name]
     direct, dae, inputs, start = poised(vehicle, HILLS, command)
-    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), tolerance=1e-8)
+    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=SolverOptions(tolerance=1e-8))
     assert run.stop is None
     assert (
         max(round_trip(direct, run, ("velocity_x", "velocity_y", "heading_rate")).values()) < 1e-11
@@ -186,7 +186,7 @@ def test_a_wheel_turns_back_where_its_target_passes_the_stop():
     vehicle, t = four_wheel_steered(lower=-1.9, upper=1.9), np.linspace(0, 6, 61)
     direct, dae, _, start = poised(vehicle, HILLS, (0.2, 0.0, 0.0))
     inputs = dae.inputs(forward=0.2 * ca.cos(dae.t / 2), right=0.2 * ca.sin(dae.t / 2), yaw_rate=0)
-    run = simulate(dae, start, inputs, t, tolerance=1e-6)
+    run = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
     assert run.stop is None
     for name in steered(vehicle, direct):
         assert run[name].min() < -1.7

@@ -6,7 +6,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
-from slipfree import Analytic, Bicubic, Grid, Rolling, settle, simulate, three_wheeler
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    Rolling,
+    SolverOptions,
+    settle,
+    simulate,
+    three_wheeler,
+)
 
 MOTION = ("x", "y", "heading", "tilt_right", "tilt_left", "z", "roll", "pitch")
 PLACES = ("contact_x", "contact_y")
@@ -82,7 +91,13 @@ def test_rolling_equals_least_slip_where_the_vehicle_can_roll():
     least = closure_model(vehicle, ground)
     rolling = closure_model(vehicle, ground, slip=Rolling())
     runs = [
-        simulate(dae, settle(dae, heading=0.3), dae.inputs(**PAPER_RATES), T, tolerance=TOLERANCE)
+        simulate(
+            dae,
+            settle(dae, heading=0.3),
+            dae.inputs(**PAPER_RATES),
+            T,
+            options=SolverOptions(tolerance=TOLERANCE),
+        )
         for dae in (least, rolling)
     ]
     same_motion(runs[1], runs[0])

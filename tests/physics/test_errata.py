@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import PAPER_RATES, hills
-from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import Analytic, SolverOptions, direct_kinematics, settle, simulate, three_wheeler
 from slipfree.geometry.frame import platform, turn
 
 FLAT = Analytic(lambda x, _: 0 * x)
@@ -47,7 +47,11 @@ def test_equation_5_has_the_wrong_sign():
     """The velocity of the centre is V_w + Omega x (P - C), and P - C = -R_ci."""
     dae = direct_kinematics(three_wheeler(), Analytic(hills))
     run = simulate(
-        dae, settle(dae), dae.inputs(**PAPER_RATES), np.linspace(0, 0.02, 5), tolerance=1e-11
+        dae,
+        settle(dae),
+        dae.inputs(**PAPER_RATES),
+        np.linspace(0, 0.02, 5),
+        options=SolverOptions(tolerance=1e-11),
     )
     h, k = run.t[1], 2
     rates = [run[f"{name}_rate"][k] for name in ("heading", "roll", "pitch")]

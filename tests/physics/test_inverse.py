@@ -16,6 +16,7 @@ from slipfree import (
     ModelError,
     Rolling,
     SolverError,
+    SolverOptions,
     Vehicle,
     settle,
     simulate,
@@ -65,7 +66,7 @@ def direct_run(terrain, t, *, tolerance=1e-10, **start):
     left = 0.45 - 0.05 * ca.sin(0.5 * dae.t + 0.3)
     rates = dae.inputs(right_rate=right, left_rate=left, steer_rate=0.05 * ca.cos(0.6 * dae.t))
     begin = settle(dae, **start)
-    return dae, begin, simulate(dae, begin, rates, t, tolerance=tolerance)
+    return dae, begin, simulate(dae, begin, rates, t, options=SolverOptions(tolerance=tolerance))
 
 
 def repeated(direct, found):
@@ -124,7 +125,7 @@ def test_integrated_rates_come_back_where_the_steering_is_stable():
     _, begin, run = direct_run(HILLS, t, tolerance=1e-11, x=0.3, heading=0.2)
     dae = inverse_kinematics(three_wheeler(), HILLS)
     inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
-    back = simulate(dae, begin, inputs, t, tolerance=1e-10)
+    back = simulate(dae, begin, inputs, t, options=SolverOptions(tolerance=1e-10))
     assert back["steering_growth"].max() < 0  # lever times forward speed stays positive
     assert back.stop is None
     assert steering_note(back) == ""
@@ -219,7 +220,7 @@ def test_path_on_a_map_crosses_too():
     direct = closure_model(three_wheeler(), terrain, slip=Rolling())
     begin = settle(direct, heading=0.2)
     law = straight(direct, three_wheeler(), begin, speed=0.135)
-    run = simulate(direct, begin, law, t, tolerance=1e-12)
+    run = simulate(direct, begin, law, t, options=SolverOptions(tolerance=1e-12))
     dae = inverse_kinematics(three_wheeler(), terrain, least_margin=0.0)
     found = drive(
         dae,

@@ -16,7 +16,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from helpers.cases import function_of
-from slipfree import Bicubic, Grid, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Bicubic,
+    Grid,
+    SolverOptions,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.terrain import bicubic, kernel
 
 
@@ -200,7 +208,7 @@ def _drive(ground):
         settle(dae),
         dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0),
         np.linspace(0, 1, 5),
-        tolerance=1e-8,
+        options=SolverOptions(tolerance=1e-8),
     )
     return np.array([run[name][-1] for name in ("x", "y", "z", "heading")])
 

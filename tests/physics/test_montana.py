@@ -21,6 +21,7 @@ from slipfree import (
     Grid,
     ModelError,
     Rolling,
+    SolverOptions,
     settle,
     simulate,
     straight,
@@ -67,7 +68,13 @@ def both(ground, t, *, vehicle=None, rates=None, tolerance=1e-8, **start):
     closure, montana = closure_model(vehicle, ground), montana_model(vehicle, ground)
     stand = settle(closure, **start)
     return [
-        simulate(dae, stand, dae.inputs(**(rates or PAPER_RATES)), t, tolerance=tolerance)
+        simulate(
+            dae,
+            stand,
+            dae.inputs(**(rates or PAPER_RATES)),
+            t,
+            options=SolverOptions(tolerance=tolerance),
+        )
         for dae in (closure, montana)
     ]
 
@@ -113,7 +120,7 @@ def test_error_follows_the_tolerance():
     stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]), **START)
     tolerances = 10.0 ** -np.arange(5, 11)
     fine, *runs = (
-        simulate(dae, stand, dae.inputs(**PAPER_RATES), T, tolerance=each)
+        simulate(dae, stand, dae.inputs(**PAPER_RATES), T, options=SolverOptions(tolerance=each))
         for each in (1e-12, *tolerances)
     )
     errors = [gap(run, fine) for run in runs]
@@ -160,7 +167,9 @@ def minute(kappa=10.0, tolerance=1e-8, suppress=True):
     closure = closure_model(three_wheeler(), GROUNDS["hills"])
     dae = montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
     dae = replace(dae, suppress_algebraic=suppress)
-    return simulate(dae, settle(closure), dae.inputs(**EVEN), MINUTE, tolerance=tolerance)
+    return simulate(
+        dae, settle(closure), dae.inputs(**EVEN), MINUTE, options=SolverOptions(tolerance=tolerance)
+    )
 
 
 @pytest.mark.parametrize(("tolerance", "allowed"), [(1e-8, 1e-6), (1e-10, 1e-8)], ids=str)
@@ -191,7 +200,7 @@ def test_drift_decays_at_kappa(kappa):
     dae = montana_model(vehicle, ground, kappa=kappa)
     stand = displaced(settle(closure_model(vehicle, ground), **START), x=3e-6, psi=1e-5)
     t = np.linspace(0, 1, 11)
-    run = simulate(dae, stand, dae.inputs(**PAPER_RATES), t, tolerance=1e-11)
+    run = simulate(dae, stand, dae.inputs(**PAPER_RATES), t, options=SolverOptions(tolerance=1e-11))
     for name, size in (("drift_position", 1e-6), ("drift_rotation", 1e-5)):
         assert run[name][0].min() > size / 2
         decayed = run[name][0] * np.exp(-kappa * t[:, None])

@@ -11,7 +11,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import DATA, closure_model, hills
-from slipfree import Analytic, Bicubic, Grid, ModelError, quasi_statics, settle, simulate, straight
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    ModelError,
+    SolverOptions,
+    quasi_statics,
+    settle,
+    simulate,
+    straight,
+)
 from slipfree.control.path_following import follow
 from slipfree.geometry.path import Path
 from slipfree.models.platform_rates import subset_kinematics
@@ -200,7 +210,9 @@ def rocky_case(ground, r1=0.02, steer=0.0):
 
 def rocky_run(ground, r1=0.02, steer=0.0, tolerance=1e-8, duration=10.0):
     case = rocky_case(ground, r1, steer)
-    return simulate(*case, np.linspace(0, duration, 101), tolerance=tolerance)
+    return simulate(
+        *case, np.linspace(0, duration, 101), options=SolverOptions(tolerance=tolerance)
+    )
 
 
 @pytest.mark.parametrize("case", ENDS)
@@ -307,7 +319,11 @@ def hill_run(case, tolerance, duration=20.0):
     given = {label.full: 0.0 for label in leaves(dae.labels.u)} | rates
     begin = settle(dae, heading=0.3, **start)
     return simulate(
-        dae, begin, dae.inputs(**given), np.linspace(0, duration, 101), tolerance=tolerance
+        dae,
+        begin,
+        dae.inputs(**given),
+        np.linspace(0, duration, 101),
+        options=SolverOptions(tolerance=tolerance),
     )
 
 
@@ -332,7 +348,11 @@ def test_rovers_follow_paths(name):
     dae = closure_model(vehicle, HILLS)
     start = settle(dae, heading=-0.245)
     run = simulate(
-        dae, start, follow(dae, vehicle, way, speed=0.2), np.linspace(0, 36, 73), tolerance=1e-6
+        dae,
+        start,
+        follow(dae, vehicle, way, speed=0.2),
+        np.linspace(0, 36, 73),
+        options=SolverOptions(tolerance=1e-6),
     )
     assert run.stop is None
     places = np.stack([run["x"], run["y"]], 1)
@@ -378,7 +398,13 @@ def test_every_vehicle_stands_drives_and_creeps(make):
     for dae in (closure_model(vehicle, GENTLE), quasi_statics(vehicle, GENTLE)):
         start = settle(dae, x=0.3, heading=0.2)
         runs.append(
-            simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6), tolerance=1e-6)
+            simulate(
+                dae,
+                start,
+                ahead(dae, vehicle, start),
+                np.linspace(0, 5, 6),
+                options=SolverOptions(tolerance=1e-6),
+            )
         )
         assert runs[-1].stop is None
         assert runs[-1]["force_normal"].min() > 0
@@ -395,7 +421,13 @@ def test_every_vehicle_is_planned_for(make):
     vehicle = make(mass=0.0, wheel_mass=0.0)
     dae = closure_model(vehicle, HILLS)
     start = settle(dae, heading=0.2)
-    guess = simulate(dae, start, ahead(dae, vehicle, start), np.linspace(0, 5, 6), tolerance=1e-6)
+    guess = simulate(
+        dae,
+        start,
+        ahead(dae, vehicle, start),
+        np.linspace(0, 5, 6),
+        options=SolverOptions(tolerance=1e-6),
+    )
     goal = {"x": float(guess["x"][-1]) + 0.05, "y": float(guess["y"][-1])}
     found = plan(
         dae,
@@ -448,7 +480,13 @@ def test_seven_wheels_on_ground_that_varies_ahead_alone_are_as_in_the_plane():
     rates = {
         f"{wheel.name}_rate": 0.0 if "across" in wheel.name else 2.0 for wheel in vehicle.wheels
     }
-    run = simulate(dae, settle(dae), dae.inputs(**rates), np.linspace(0, 5, 26), tolerance=1e-6)
+    run = simulate(
+        dae,
+        settle(dae),
+        dae.inputs(**rates),
+        np.linspace(0, 5, 26),
+        options=SolverOptions(tolerance=1e-6),
+    )
     assert run.stop is None
     assert np.abs(run["pitch_joint"]).max() > 0.02
     assert_allclose([run["roll"], run["roll_joint"]], 0, atol=1e-12)
@@ -460,7 +498,7 @@ def test_seven_wheels_follow_and_are_given_three_rates():
     dae = closure_model(vehicle, FLAT)
     start = settle(dae)
     law = straight(dae, vehicle, start, speed=0.2)
-    run = simulate(dae, start, law, np.linspace(0, 5, 6), tolerance=1e-6)
+    run = simulate(dae, start, law, np.linspace(0, 5, 6), options=SolverOptions(tolerance=1e-6))
     assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
     with pytest.raises(ModelError, match="seven_wheels also moves across its heading"):
         subset_kinematics(vehicle, FLAT)

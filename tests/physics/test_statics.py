@@ -25,6 +25,7 @@ from slipfree import (
     LeastSlip,
     ModelError,
     Rolling,
+    SolverOptions,
     settle,
     simulate,
     three_wheeler,
@@ -959,7 +960,7 @@ def test_montanas_form_bears_the_same():
     closure, other = closure_model(vehicle, HILLS), montana_kinematics(vehicle, HILLS)
     start = settle(closure, heading=0.3, tilt_right=0.1, tilt_left=-0.05, steer=0.2)
     runs = [
-        simulate(dae, start, dae.inputs(**PAPER_RATES), t, tolerance=1e-10)
+        simulate(dae, start, dae.inputs(**PAPER_RATES), t, options=SolverOptions(tolerance=1e-10))
         for dae in (closure, other)
     ]
     for name in (*OF_FORCES, "steer_torque"):
@@ -977,7 +978,7 @@ def test_the_inverse_model_bears_the_same(solve_for):
         settle(direct, heading=0.3),
         direct.inputs(**rates),
         np.linspace(0, 4, 5),
-        tolerance=1e-10,
+        options=SolverOptions(tolerance=1e-10),
     )
     dae = inverse_kinematics(VEHICLE, HILLS, solve_for=solve_for)
     given = ("velocity_x", "velocity_y", "heading_rate")

@@ -19,6 +19,7 @@ from slipfree import (
     Grid,
     ModelError,
     SolverError,
+    SolverOptions,
     direct_kinematics,
     settle,
     simulate,
@@ -100,7 +101,9 @@ def found_rates(direct, run):
 def test_every_vehicle_moves_over_hills_as_given(name):
     given = {"forward": 0.2, "yaw_rate": 0.1}
     direct, dae, start = poised(CATALOG[name], HILLS, given, x=0.3, y=-0.4, heading=0.7)
-    run = simulate(dae, start, dae.inputs(**given), np.linspace(0, 1, 6), tolerance=1e-8)
+    run = simulate(
+        dae, start, dae.inputs(**given), np.linspace(0, 1, 6), options=SolverOptions(tolerance=1e-8)
+    )
     assert run.stop is None
     assert max(round_trip(direct, run, MOTION).values()) <= 1e-12
     for k in (0, -1):  # and without any of the code that did this at once
@@ -246,7 +249,7 @@ def test_given_rates_are_checked(vehicle, given, words):
 def test_sought_names_are_checked():
     _, dae, start = poised(CATALOG["ackermann"], FLAT, {"forward": 0.1})
     for states, least in ((["steering"], []), (["steer"], ["slip"])):
-        with pytest.raises(ModelError, match="seek: the model has no 's"):
+        with pytest.raises(ModelError, match="trim_states: the model has no 's"):
             trim_states(dae, start, dae.inputs(forward=0.1), states=states, least=least)
 
 

@@ -32,6 +32,7 @@ from slipfree import (
     Grid,
     LeastSlip,
     ModelError,
+    SolverOptions,
     actuated,
     best_utilisation,
     direct_kinematics,
@@ -142,7 +143,9 @@ def test_no_equilibrium_is_a_stop_by_name():
     rates = {"right_rate": 1.0, "left_rate": 1.0, "steer_rate": 0.0}
     t = np.linspace(0, 12, 121)
     rolling = direct_kinematics(three_wheeler(), ground)
-    held = simulate(rolling, settle(rolling), rolling.inputs(**rates), t, tolerance=1e-11)
+    held = simulate(
+        rolling, settle(rolling), rolling.inputs(**rates), t, options=SolverOptions(tolerance=1e-11)
+    )
     needed = held["friction_needed"].max(axis=1)
     k = int(np.argmax(needed > 0.35))
     expected = held.t[k - 1] + 0.1 * (0.35 - needed[k - 1]) / (needed[k] - needed[k - 1])

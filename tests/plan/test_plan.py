@@ -10,7 +10,15 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from helpers.cases import hills
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import (
+    Analytic,
+    ModelError,
+    SolverOptions,
+    direct_kinematics,
+    settle,
+    simulate,
+    three_wheeler,
+)
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
@@ -87,7 +95,13 @@ def test_tilting_wheels_keep_to_their_limit_without_slip():
     for name in ("tilt_right", "tilt_left"):
         assert np.abs(found.replay[name]).max() < 0.35 + 1e-5
     even = np.linspace(0, duration, count * parts + 1)
-    run = simulate(dae, start, inputs_along(dae, found.motion, even), even, tolerance=1e-11)
+    run = simulate(
+        dae,
+        start,
+        inputs_along(dae, found.motion, even),
+        even,
+        options=SolverOptions(tolerance=1e-11),
+    )
     slip = np.linalg.norm(measured_slip(vehicle, run), axis=2)
     inside = np.array([2 <= k % parts <= parts - 2 for k in range(2, run.t.size - 2)])
     assert slip[inside].max() < 1e-7  # at a kink of the inputs difference quotients are less exact

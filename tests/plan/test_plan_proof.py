@@ -10,6 +10,7 @@ from helpers.cases import hills
 from slipfree import (
     Analytic,
     ModelError,
+    SolverOptions,
     direct_kinematics,
     quasi_statics,
     settle,
@@ -83,7 +84,7 @@ def test_inputs_are_constant_or_linear_on_every_interval_and_so_simulated(model,
 
 def test_a_mesh_is_refined_until_the_simulation_agrees(model):
     """The simulation is so exact that the difference is the collocation's error."""
-    options = {"intervals": 4, "degree": 2, "tolerance": 1e-11}
+    options = {"intervals": 4, "degree": 2, "options": SolverOptions(tolerance=1e-11)}
     coarse = asked(model, **options)
     wanted = max(coarse.difference.values()) / 10
     found = asked(model, **options, accuracy=wanted)
@@ -103,7 +104,7 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
         "intervals": 3,
         "degree": 2,
         "costs": {"effort": 1.0},
-        "tolerance": 1e-6,
+        "options": SolverOptions(tolerance=1e-6),
     }
     found = asked(model, **options, accuracy=1.0)
     assert found.success
@@ -195,7 +196,9 @@ def test_unknowns_are_carried_to_a_finer_mesh(coarse):
 
 def test_another_model_runs_under_the_inputs_of_a_plan(coarse):
     dae = quasi_statics(three_wheeler(axle="fixed"), Analytic(hills, mu=0.6))
-    run = simulate_plan(dae, settle(dae), coarse.motion, step=0.25, tolerance=1e-6)
+    run = simulate_plan(
+        dae, settle(dae), coarse.motion, step=0.25, options=SolverOptions(tolerance=1e-6)
+    )
     assert run.stop is None
     assert abs(run["y"][-1] - coarse.replay["y"][-1]) < 5e-3
 

@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from warnings import catch_warnings
 
@@ -18,6 +17,7 @@ from slipfree import (
     Bicubic,
     Grid,
     ModelError,
+    SolverOptions,
     codegen_cache,
     direct_kinematics,
     settle,
@@ -53,22 +53,22 @@ def hilly(seed):
 
 def program(seed, *, build=False):
     dae = direct_kinematics(three_wheeler(axle="fixed"), hilly(seed))
-    dae = replace(dae, compiled=build)
+    options = SolverOptions(compiled=build)
     task = task_of(
         dae,
-        settle(dae),
+        settle(dae, options=options),
         goal={"y": 1.0},
         costs={"slip": 1.0, "effort": 0.01},
         duration=(4.0, 6.0),
         limits={"steer": (-1.0, 1.0)},
     )
-    return transcribe(task, CollocationMesh(np.linspace(0, 1, 3), 2))
+    return transcribe(task, CollocationMesh(np.linspace(0, 1, 3), 2), options)
 
 
-def driven(seed, *, build=False):
+def driven(seed):
     """Return a model on a map, its start, and a law that feeds the state back."""
     vehicle = three_wheeler()
-    dae = replace(direct_kinematics(vehicle, hilly(seed)), compiled=build)
+    dae = direct_kinematics(vehicle, hilly(seed))
     start = settle(dae)
     return dae, start, straight(dae, vehicle, start, speed=0.3)
 
@@ -190,13 +190,12 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
     """Equations and Jacobian with a law that feeds back, and the motion; one library for all."""
     t = np.linspace(0, 2, 5)
     for seed in (1, 2):
-        runs = [simulate(*driven(seed, build=build), t, tolerance=1e-9) for build in (False, True)]
-        plain, found = (
-            with_inputs(dae, law, 4)
-            for dae, _, law in (driven(seed, build=build) for build in (False, True))
-        )
+        options = [SolverOptions(tolerance=1e-9, compiled=build) for build in (False, True)]
+        dae, start, law = driven(seed)
+        runs = [simulate(dae, start, law, t, options=each) for each in options]
+        plain, found = (with_inputs(dae, law, 4, each) for each in options)
         assert found.core.jacobian().n_instructions() < 100  # of calls
-        dae, last = driven(seed)[0], runs[0]
+        last = runs[0]
         x, z = dae.rows("x", last, -1), dae.rows("z", last, -1)[: plain.moving]
         for one, other in (
             (plain.core, found.core),

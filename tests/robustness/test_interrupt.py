@@ -20,7 +20,14 @@ from typer.testing import CliRunner
 
 from helpers.cases import hills
 from helpers.toy_models import model
-from slipfree import Analytic, codegen_cache, direct_kinematics, settle, three_wheeler
+from slipfree import (
+    Analytic,
+    SolverOptions,
+    codegen_cache,
+    direct_kinematics,
+    settle,
+    three_wheeler,
+)
 from slipfree.cli import app
 from slipfree.cli.common import interruptible
 from slipfree.files import netcdf
@@ -205,7 +212,9 @@ def test_another_thread_leaves_the_handler_alone():
 def moved(method="cvodes", progress=None):
     dae = model(lambda _t, x, u: u - x)
     start, inputs = settle(dae, x=0.0), dae.inputs(push=1.0)
-    return simulate.simulate(dae, start, inputs, T, method=method, progress=progress)
+    return simulate.simulate(
+        dae, start, inputs, T, options=SolverOptions(method=method), progress=progress
+    )
 
 
 @pytest.mark.parametrize("method", ["idas", "cvodes"])

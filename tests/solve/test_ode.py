@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.toy_models import model
-from slipfree import Analytic, direct_kinematics, three_wheeler
+from slipfree import Analytic, SolverOptions, direct_kinematics, three_wheeler
 from slipfree.dae import PiecewiseLinear
 from slipfree.errors import ModelError
 from slipfree.solve.settle import settle
@@ -22,14 +22,18 @@ def test_a_stiff_equation_has_its_solution():
     start = settle(dae, x=0.0)
     exact = (k**2 * (np.cos(t) - np.exp(-k * t)) + k * np.sin(t)) / (k**2 + 1)
     for tolerance in (1e-6, 1e-8):
-        run = simulate(dae, start, dae.inputs(push=0.0), t, tolerance=tolerance)
+        run = simulate(
+            dae, start, dae.inputs(push=0.0), t, options=SolverOptions(tolerance=tolerance)
+        )
         assert run.stop is None
         assert_allclose(run["x"], exact, atol=10 * tolerance)
         assert_allclose(run["twice"], 2 * run["x"])
         steps = run.statistics["steps"]
         assert_allclose(run["sum"], np.sin(t) - exact / k, atol=steps * tolerance)
         assert steps < 500
-    other = simulate(dae, start, dae.inputs(push=0.0), t, tolerance=1e-8, method="idas")
+    other = simulate(
+        dae, start, dae.inputs(push=0.0), t, options=SolverOptions(tolerance=1e-8, method="idas")
+    )
     assert_allclose(other["x"], exact, atol=1e-6)
 
 
@@ -106,12 +110,16 @@ def test_what_a_method_cannot_do_is_refused():
     dae, t = direct_kinematics(three_wheeler(), Analytic(lambda x, _y: 0 * x)), np.arange(3) * 0.1
     start, given = settle(dae), dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
     with pytest.raises(ModelError, match=r"'cvodes' cannot solve for the \d+ algebraic unknowns"):
-        simulate(dae, start, given, t, method="cvodes")
+        simulate(dae, start, given, t, options=SolverOptions(method="cvodes"))
     with pytest.raises(ModelError, match=r"without algebraic unknowns, found \d+"):
         simulate_sampled(dae, start, given, t)
     plain = model(lambda _t, _x, u: u)
     start, slope = settle(plain, x=0.0), PiecewiseLinear(np.zeros(2), np.ones(2))
     with pytest.raises(ModelError, match="expected one of idas, cvodes, found 'rk'"):
-        simulate(plain, start, plain.inputs(push=0.0), t, method="rk")
+        SolverOptions(method="rk")
+    with pytest.raises(ModelError, match="expected 'cvodes' for a sampled controller"):
+        simulate_sampled(
+            plain, start, plain.inputs(push=0.0), t, options=SolverOptions(method="idas")
+        )
     with pytest.raises(ModelError, match="linear ones are not possible"):
         simulate_sampled(plain, start, plain.inputs(push=slope), t)

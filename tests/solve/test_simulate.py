@@ -13,6 +13,7 @@ from slipfree import (
     Dae,
     ModelError,
     SolverError,
+    SolverOptions,
     direct_kinematics,
     settle,
     simulate,
@@ -169,9 +170,8 @@ def test_times_are_checked(t, words):
 
 @pytest.mark.parametrize("tolerance", [0.0, -1e-8, 1.0, np.nan])
 def test_tolerance_is_checked(tolerance):
-    dae = follows_input()
     with pytest.raises(ModelError, match="tolerance: expected a number from 1e-14 to below 1"):
-        simulate(dae, settle(dae), dae.inputs(speed=0.0), T, tolerance=tolerance)
+        SolverOptions(tolerance=tolerance)
 
 
 def test_inputs_are_checked():
@@ -274,7 +274,7 @@ def test_every_crossing_of_an_oscillation_is_found():
     dae = follows_input()
     t, law = np.linspace(0, 10, 101), dae.inputs(speed=ca.cos(3 * dae.t))
     event = Event(dae.x.value, name="zero")
-    run = simulate(dae, settle(dae), law, t, tolerance=1e-10, events=[event])
+    run = simulate(dae, settle(dae), law, t, options=SolverOptions(tolerance=1e-10), events=[event])
     assert_allclose(run.events["zero"], np.arange(1, 10) * np.pi / 3, atol=1e-8)
     part = run.part(slice(20, 61))
     assert_allclose(part.events["zero"], np.arange(2, 6) * np.pi / 3, atol=1e-8)
@@ -417,7 +417,7 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     dae = direct_kinematics(three_wheeler(mass=0.0, wheel_mass=0.0), Analytic(hills))
     start, t = settle(dae), np.linspace(0, 1, 6)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
-    plain = simulate(dae, start, inputs, t, tolerance=1e-6)
+    plain = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
     integrator, first = module._integrator, []
 
     def rejecting(solver, observer, t, given):
@@ -431,7 +431,7 @@ def test_a_start_that_the_integrator_rejects_is_made_consistent_and_taken(monkey
     shifted = module._initial_sample(module.with_inputs(dae, inputs, 5), start, 0.0)
     shifted = shifted._replace(z=shifted.z + 1e-3)
     monkeypatch.setattr(module, "_initial_sample", lambda *_: shifted)
-    run = simulate(dae, start, inputs, t, tolerance=1e-6)
+    run = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
     assert first
     for name in ("x", "y", "heading"):
         assert_allclose(run[name], plain[name], atol=1e-5)
@@ -509,9 +509,10 @@ def test_new_starts_after_failures_pass_kinks(monkeypatch):
     rate, way = zigzag(t, np.random.default_rng(2).uniform(-1, 1, t.size))
     given = dae, settle(dae), dae.inputs(speed=rate), t
     levels = [Event(dae.x.value - at, name=f"way {at}") for at in (way[1:8] + way[:7]) / 2]
-    expected = simulate(*given, tolerance=1e-10, events=levels).events
+    options = SolverOptions(tolerance=1e-10)
+    expected = simulate(*given, options=options, events=levels).events
     monkeypatch.setattr(module, "_call_integrator", failing)
-    run = simulate(*given, tolerance=1e-10, events=levels)
+    run = simulate(*given, options=options, events=levels)
     assert_array_equal(run.t, t)
     assert_allclose(run["value"], way, rtol=0, atol=1e-7)
     for name, times in expected.items():

@@ -100,7 +100,8 @@ def horizon(
     Parameters
     ----------
     plan : Plan
-        Its costs, limits and goal hold in the window, its way-points only by the plan itself.
+        Its costs, limits, goal and solver options hold in the window, its way-points only by the
+        plan itself.
     span : float
         Length of the window. [s]
     intervals, degree : int
@@ -122,7 +123,8 @@ def horizon(
             f"{span} s"
         )
     own = replace(task, conditions=task.conditions[-1:], duration=(span, span))
-    program = transcribe(own, CollocationMesh(np.linspace(0, 1, intervals + 1), degree))
+    mesh = CollocationMesh(np.linspace(0, 1, intervals + 1), degree)
+    program = transcribe(own, mesh, plan.program.options)
     x, z, u = task.dae.columns()
     n_z = plan.motion.layout.unknowns.shape[2]
     asked = ca.vertcat(*(limit.expression for limit in own.conditions[0].limits))

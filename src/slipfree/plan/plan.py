@@ -42,6 +42,7 @@ from slipfree.plan.transcription import CollocationMesh, Cost, PlanTask, Program
 from slipfree.plan.verification import Verification, inputs_along, refine_mesh, verify_plan
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
 from slipfree.records import Array
+from slipfree.solve.options import SolverOptions
 from slipfree.trajectory import Stop, Trajectory
 
 SLIP_STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
@@ -160,7 +161,7 @@ def plan(
     intervals: int = 40,
     degree: int = 3,
     accuracy: float = 1e-3,
-    tolerance: float = 1e-8,
+    options: SolverOptions = SolverOptions(),
     step: float = SAMPLE_STEP,
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
@@ -171,7 +172,7 @@ def plan(
     ----------
     dae : Dae
         The model; its own limits hold as well: those that a plan would violate are added until none
-        is. If it is to be compiled, the functions of the program are, too.
+        is.
     start : Trajectory
         Its last sample is where the plan begins.
     guess : Trajectory or sequence of Trajectory
@@ -202,8 +203,10 @@ def plan(
     accuracy : float
         By how much the simulation may miss states of the plan and its limits, in their units; the
         mesh is refined where it misses them by more.
-    tolerance, step : float
-        Of the integrator that simulates the plan, and between its samples at most. [s]
+    options : SolverOptions
+        Options of the simulation of the plan; whether to compile the functions of the program.
+    step : float
+        Of the simulation, between its samples at most. [s]
     resume : Saved, optional
         A plan from which to start instead, on another mesh, ground or goal as well; from another
         place, what comes after the nearest one on its way counts.
@@ -235,19 +238,13 @@ def plan(
     mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
     guesses = [guess] if isinstance(guess, Trajectory) else list(guess)
     if resume is None:
-        search = _solve_guesses(transcribe(task, mesh), guesses, progress)
+        search = _solve_guesses(transcribe(task, mesh, options), guesses, progress)
     else:
-        search = _solve_resumed(task, mesh, resume, progress)
+        search = _solve_resumed(task, mesh, resume, options, progress)
 
     def verify(search: _SearchState) -> Verification:
-        return verify_plan(
-            search.program,
-            search.found.unknowns,
-            start,
-            accuracy=accuracy,
-            step=step,
-            tolerance=tolerance,
-        )
+        program, unknowns = search.program, search.found.unknowns
+        return verify_plan(program, unknowns, start, accuracy=accuracy, step=step)
 
     search, verification = _refine(_add_limits(search, progress), verify, progress)
     result = _to_plan(search, verification)
@@ -312,19 +309,23 @@ def _solve_in_stages(
 
 
 def _solve_resumed(
-    task: PlanTask, mesh: CollocationMesh, resume: SavedPlan, progress: PlanProgress | None
+    task: PlanTask,
+    mesh: CollocationMesh,
+    resume: SavedPlan,
+    options: SolverOptions,
+    progress: PlanProgress | None,
 ) -> _SearchState:
     """Solve from another plan, with its multipliers if their numbers agree."""
     former = local_motion(resume, task.dae)
     after = nearest_fraction(former, task.start)
     if former.mesh.degree == mesh.degree and set(mesh.ends) <= set(former.mesh.ends):
         mesh = former.mesh
-    program = transcribe(task, mesh)
+    program = transcribe(task, mesh, options)
     first = transfer_motion(former, program, after)
     if reached := _violated_limits(
         task, sample_plan(program, first), -2 * LIMIT_CLEARANCE
     ):  # that plan may rest on them
-        program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh)
+        program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh, options)
         first = transfer_motion(former, program, after)
     alike = (first.size, program.g_lower.size, after) == (
         former.unknowns.size,
@@ -399,7 +400,8 @@ def _solve_anew(
     progress: PlanProgress | None,
 ) -> _SearchState:
     """Solve another task or mesh, from the solution of the search."""
-    former, program = motion_of(search.program, search.found.unknowns), transcribe(task, mesh)
+    former = motion_of(search.program, search.found.unknowns)
+    program = transcribe(task, mesh, search.program.options)
     first = transfer_motion(former, program)
     more = _solve_stage(program, first, words, 1.0, progress, _warm_guess(program, first))
     return more._replace(stages=search.stages + more.stages)

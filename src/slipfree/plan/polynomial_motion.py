@@ -145,7 +145,8 @@ def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
 def numeric_system(program: Program) -> Any:
     """Return the model with its inputs as numbers."""
     dae = program.task.dae
-    return with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
+    rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
+    return with_inputs(dae, rest, 0, program.options)
 
 
 def guess_unknowns(program: Program, guess: Trajectory) -> Array:

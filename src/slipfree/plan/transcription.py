@@ -23,6 +23,7 @@ from slipfree.plan.sparse_assembly import ProgramFunctions, assemble
 from slipfree.plan.stage import Cost as Cost
 from slipfree.plan.stage import StageFunctions, stage_functions
 from slipfree.records import Array, Label, leaves
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import System, with_inputs
 
 ALLOWED_DEGREES = (1, 2, 3, 4, 5)
@@ -161,10 +162,12 @@ class Program:
 
     Attributes
     ----------
-    task, mesh, layout : Task, Mesh, Layout
-        What it came from.
+    task, mesh, layout : PlanTask, CollocationMesh, VariableLayout
+        The problem, the intervals, and the indices of the unknowns.
+    options : SolverOptions
+        Options under which its functions were made and its solution is simulated.
     row_blocks : tuple of RowBlock
-        What its rows are made of, in their order.
+        Its rows, in their order.
     problem : dict
         ``x, p, f, g`` for CasADi.
     gradient, jacobian, hessian : casadi Function
@@ -174,7 +177,7 @@ class Program:
     g_lower, g_upper : ndarray, shape (n_g,)
         Bounds of the rows.
     roots : casadi Function
-        ``x ->`` what is squared in the costs, from the other unknowns, in the order of the layout.
+        ``x ->`` roots of the squares in the costs, from the other unknowns, as in the layout.
     compiled : bool
         Whether its functions are compiled, not interpreted.
     """
@@ -182,6 +185,7 @@ class Program:
     task: PlanTask
     mesh: CollocationMesh
     layout: VariableLayout
+    options: SolverOptions
     row_blocks: tuple[RowBlock, ...]
     problem: dict[str, Any]
     gradient: ca.Function
@@ -196,7 +200,9 @@ class Program:
     compiled: bool
 
 
-def transcribe(task: PlanTask, mesh: CollocationMesh) -> Program:
+def transcribe(
+    task: PlanTask, mesh: CollocationMesh, options: SolverOptions = SolverOptions()
+) -> Program:
     """Return the nonlinear program of a task on a mesh.
 
     Raises
@@ -206,9 +212,8 @@ def transcribe(task: PlanTask, mesh: CollocationMesh) -> Program:
     """
     if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(f"plan: expected a degree of 1 to 5, found {mesh.degree}")
-    system = with_inputs(
-        task.dae, task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)}), 0
-    )
+    rest = task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)})
+    system = with_inputs(task.dae, rest, 0, options)
     bounds, limits = _split(task, system)
     conditions = [
         *task.limits,
@@ -222,7 +227,7 @@ def transcribe(task: PlanTask, mesh: CollocationMesh) -> Program:
     )
     begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in row_blocks)]).tolist()
     blocks = [
-        _stage_block(task, point, mesh, layout),
+        _stage_block(task, point, mesh, layout, compiled=options.compiled),
         _rate_block(task, mesh, layout, len(row_blocks[0].labels)),
         *(
             _condition_block(task, condition, mesh, row_block, begin)
@@ -238,6 +243,7 @@ def transcribe(task: PlanTask, mesh: CollocationMesh) -> Program:
         task,
         mesh,
         layout,
+        options,
         row_blocks,
         {"x": made.w, "p": made.p, "f": made.f, "g": made.g},
         made.gradient,
@@ -357,7 +363,12 @@ def _ends(layout: VariableLayout, mesh: CollocationMesh) -> tuple[Index, Index]:
 
 
 def _stage_block(
-    task: PlanTask, point: StageFunctions, mesh: CollocationMesh, layout: VariableLayout
+    task: PlanTask,
+    point: StageFunctions,
+    mesh: CollocationMesh,
+    layout: VariableLayout,
+    *,
+    compiled: bool,
 ) -> NlpBlock:
     """Return the block of collocation points: motion, equations, limits and costs."""
     n_x, n_z, n_u = point.sizes
@@ -393,7 +404,7 @@ def _stage_block(
         lookups,
         (where, row_indices),
         _point_constants(mesh),
-        compiled=task.dae.compiled,
+        compiled=compiled,
     )
 
 

@@ -12,6 +12,7 @@ from slipfree.dae import Dae, Limit, PiecewiseLinear
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, Program
 from slipfree.records import Array, Mask, leaves
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
@@ -56,7 +57,6 @@ def verify_plan(
     *,
     accuracy: float,
     step: float,
-    tolerance: float,
 ) -> Verification:
     """Simulate a plan and compare it with the simulation.
 
@@ -72,12 +72,10 @@ def verify_plan(
         What differences and violations may be, each in its unit.
     step : float
         Between samples at most. [s]
-    tolerance : float
-        Of the integrator.
     """
     found = motion_of(program, unknowns)
     dae, limits = program.task.dae, program.task.limits
-    replay = simulate_plan(dae, start, found, step=step, tolerance=tolerance)
+    replay = simulate_plan(dae, start, found, step=step, options=program.options)
     parts = np.minimum(replay.t / found.duration, 1.0)
     x, z, u = (_local_rows(dae, record, replay) for record in "xzu")
     samples = replay.t, x, z, u
@@ -209,7 +207,12 @@ def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Any:
 
 
 def simulate_plan(
-    dae: Dae, start: Trajectory, found: PolynomialMotion, *, step: float, tolerance: float
+    dae: Dae,
+    start: Trajectory,
+    found: PolynomialMotion,
+    *,
+    step: float,
+    options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
     """Return the motion of a model under the inputs of a plan, up to a failure."""
     # Limits are crossed just behind the kinks of the inputs: samples of Chebyshev's.
@@ -221,7 +224,7 @@ def simulate_plan(
     times = [a + h * part for a, h, part in zip(found.ends[:-1], lengths, inside, strict=True)]
     t = np.append(np.concatenate(times), found.ends[-1])
     try:
-        return simulate(dae, start, inputs_along(dae, found, t), t, tolerance=tolerance)
+        return simulate(dae, start, inputs_along(dae, found, t), t, options=options)
     except SolverError as error:
         if error.trajectory is None:
             raise

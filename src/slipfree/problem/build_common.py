@@ -77,7 +77,7 @@ def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
     if "heading" in values:
         values["heading"] += turned(problem)
     with at(problem, ("start",)):
-        return settle(dae, **values)
+        return settle(dae, options=problem.spec.solver.options, **values)
 
 
 def read_columns(

@@ -116,7 +116,6 @@ def build_climb(problem: Problem[schema.Climb]) -> Climbing:
         _check_tracking(problem)
     times = _times(problem, control, climber)
     dae = climbing(climber, profile, control, contact, period=spec.control.period)
-    dae = replace(dae, compiled=spec.solver.compiled)
     start = _start(problem, dae, climber, profile, contact)
     held = {}
     if spec.control.period is not None:
@@ -237,7 +236,12 @@ def _start(
         front = _first_contact(climber, profile) - spec.distance
     speed = problem.spec.control.speed if spec.speed is None else spec.speed
     with at(problem, ("start",)):
-        start = settle(dae, guess=None, **standing(climber, contact, front, speed))
+        start = settle(
+            dae,
+            guess=None,
+            options=problem.spec.solver.options,
+            **standing(climber, contact, front, speed),
+        )
     faults = [
         fault
         for k in range(len(profile.solids))
@@ -371,7 +375,6 @@ def _tracking(problem: Problem[schema.Climb], setup: Climbing, plan: Planned) ->
     with at(problem, ("plan",)):
         control = Tracking(course(plan.parts), **given)
     dae = climbing(setup.climber, setup.profile, control, setup.contact)
-    dae = replace(dae, compiled=setup.dae.compiled)
     start = _start(problem, dae, setup.climber, setup.profile, setup.contact)
     inputs = dae.inputs(speed=problem.spec.control.speed)
     return replace(setup, control=control, dae=dae, start=start, inputs=inputs, plan=plan.run)
@@ -390,19 +393,16 @@ def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
 
 
 def _simulated(spec: schema.Climb, setup: Climbing, progress: Progress | None) -> Trajectory:
-    solver = spec.solver
+    options = spec.solver.options
     try:
         if setup.every:
-            return simulate_sampled(
-                setup.dae, setup.start, setup.inputs, setup.t, tolerance=solver.tolerance
-            )
+            return simulate_sampled(setup.dae, setup.start, setup.inputs, setup.t, options=options)
         return simulate(
             setup.dae,
             setup.start,
             setup.inputs,
             setup.t,
-            tolerance=solver.tolerance,
-            method=solver.method,
+            options=options,
             progress=progress,
         )
     except SolverError as error:

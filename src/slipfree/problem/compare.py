@@ -22,6 +22,7 @@ from slipfree.problem.build_ground import Ground, at, build_ground
 from slipfree.problem.direct import build_law
 from slipfree.problem.load import Problem
 from slipfree.records import Array, leaves
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
@@ -115,10 +116,10 @@ def _row(
     t, _ = samples(spec.time, {})
     same = dae.inputs(**{key: given.get(key, 0.0) for key in known})
     law = build_law(problem, spec.driver, dae, vehicle, start)
-    drives = [
-        _drive(vehicle, dae, start, inputs, t, spec.solver.tolerance) for inputs in (same, law)
-    ]
-    return Row(name, start.wheels, _rank(dae, start), 3 * len(vehicle.wheels), *drives)
+    drives = [_drive(vehicle, dae, start, inputs, t, spec.solver.options) for inputs in (same, law)]
+    return Row(
+        name, start.wheels, _rank(dae, start, spec.solver.options), 3 * len(vehicle.wheels), *drives
+    )
 
 
 def _drive(
@@ -127,10 +128,10 @@ def _drive(
     start: Trajectory,
     inputs: Any,
     t: Array,
-    tolerance: float,
+    options: SolverOptions,
 ) -> Drive:
     try:
-        run = simulate(dae, start, inputs, t, tolerance=tolerance)
+        run = simulate(dae, start, inputs, t, options=options)
     except SolverError as error:
         if error.trajectory is None:
             raise
@@ -151,9 +152,10 @@ def _drive(
     )
 
 
-def _rank(dae: Dae, start: Trajectory) -> int:
+def _rank(dae: Dae, start: Trajectory, options: SolverOptions) -> int:
     """Return the rank of the slip in the unknown rates: of ``A`` in ``A'A``, the model's block."""
-    system = with_inputs(dae, dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)}), 0)
+    rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
+    system = with_inputs(dae, rest, 0, options)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
     span, jacobian = system.blocks[1].span, system.blocks[1].jacobian
     block = np.array(jacobian(0.0, x, z, system.u[:, 0], 0.0)) * dae.sizes.z[span]

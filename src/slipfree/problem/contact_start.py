@@ -5,6 +5,7 @@ from __future__ import annotations
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.records import leaves
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.starts import settle_exchanged
 from slipfree.trajectory import Trajectory
 
@@ -15,6 +16,7 @@ def settle_contact(
     *,
     contact_x: float,
     contact_y: float,
+    options: SolverOptions = SolverOptions(),
     **start: float,
 ) -> Trajectory:
     """Return the vehicle standing with one wheel's contact at a given place.
@@ -31,6 +33,8 @@ def settle_contact(
         Name of the wheel.
     contact_x, contact_y : float
         Contact point on the map. [m]
+    options : SolverOptions
+        Options of the solvers.
     **start : float
         Heading and joints by name; others are zero. [rad, m]
 
@@ -51,4 +55,5 @@ def settle_contact(
             f"settle_contact: {' and '.join(fixed)} follow from the contact; leave them out"
         )
     place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
-    return settle_exchanged(dae, dict(zip(("x", "y"), place, strict=True)), **place, **start)
+    exchange = dict(zip(("x", "y"), place, strict=True))
+    return settle_exchanged(dae, exchange, options=options, **place, **start)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +50,6 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
             if spec.slip == "traction":
                 raise ModelError("expected slip = 'least' or 'rolling', found 'traction'")
             dae = montana_kinematics(vehicle, terrain, slip=SLIP_LAWS[spec.slip]())
-        dae = replace(dae, compiled=spec.solver.compiled)
     if spec.driver is None:
         driven = "inputs " + ", ".join(spec.inputs or {})
         with at(problem, ("inputs",)):
@@ -72,10 +70,8 @@ def build_model(
     with at(problem, ("slip",)):
         if spec.slip == "traction":
             law = Coulomb(**dict(spec.traction or schema.Traction()))
-            model = quasi_statics(vehicle, terrain, law=law)
-        else:
-            model = direct_kinematics(vehicle, terrain, slip=SLIP_LAWS[spec.slip]())
-    return replace(model, compiled=spec.solver.compiled)
+            return quasi_statics(vehicle, terrain, law=law)
+        return direct_kinematics(vehicle, terrain, slip=SLIP_LAWS[spec.slip]())
 
 
 def build_law(

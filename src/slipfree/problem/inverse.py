@@ -41,6 +41,7 @@ from slipfree.problem.load import Problem, S
 from slipfree.problem.subset import build_subset, drive_subset, is_subset
 from slipfree.records import Array
 from slipfree.solve.collocation import drive
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import replay, spline_inputs
 from slipfree.solve.trim import apply_inputs
 from slipfree.trajectory import Trajectory
@@ -90,19 +91,18 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
             least_margin=0.0 if sought else LEAST_MARGIN,
         )
         direct = direct_kinematics(vehicle, terrain, slip=Rolling())
-    direct = replace(direct, compiled=spec.solver.compiled)
-    dae = replace(dae, compiled=spec.solver.compiled)
     check_names(problem, direct, None)
     start = build_start(problem, direct)
     with at(problem, ("given",) if points is None else ("path",)):
         if points is None:
             inputs = dae.inputs(**given)
-            start = apply_inputs(direct, start, _ahead(direct, vehicle, start, given))
+            ahead = _ahead(direct, vehicle, start, given)
+            start = apply_inputs(direct, start, ahead, options=spec.solver.options)
         else:
             t, x, y, heading = points
             inputs = along(dae, start, x, y, heading, t=t)
         if not sought:
-            start = apply_inputs(dae, start, inputs)
+            start = apply_inputs(dae, start, inputs, options=spec.solver.options)
     driven = _words(spec, points)
     return Setup(
         ground, terrain, vehicle, direct, dae, start, inputs, samples(spec.time, {})[0], driven
@@ -204,22 +204,22 @@ def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: dict[str, fl
 
 
 def drive_along(
-    setup: Setup, tolerance: float, progress: Callable[[float], None] | None
+    setup: Setup, options: SolverOptions, progress: Callable[[float], None] | None
 ) -> Trajectory:
     """Return the motion along a path, with how far the direct model's replay is from it.
 
     Or under given rates in the platform's heading frame.
     """
     if isinstance(setup.dae.u, Wanted):
-        return drive_subset(setup, tolerance, progress)
+        return drive_subset(setup, options, progress)
     sought = [c.name for c in setup.vehicle.of("commanded")]
-    found = drive(setup.dae, setup.start, setup.inputs, setup.t, sought=sought, tolerance=tolerance)
+    found = drive(setup.dae, setup.start, setup.inputs, setup.t, sought=sought, options=options)
     run, words, gaps = found.run, "", dict[str, float]()
     if progress is not None:
         progress(float(run.t[-1]))
     try:
         inputs = spline_inputs(setup.model, found.t, found.unknowns)
-        again = replay(setup.model, run, inputs, tolerance=tolerance)
+        again = replay(setup.model, run, inputs, options=options)
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         words = f"the replay by the direct model failed: {error}"
     else:
@@ -228,7 +228,7 @@ def drive_along(
             words = f"at {stop.t:.6g} s: {stop.words}"
     return replace(
         run,
-        statistics={**run.statistics, "tolerance": tolerance, **gaps},
+        statistics={**run.statistics, "tolerance": options.tolerance, **gaps},
         attributes={"replay_stopped": words} if words else {},
     )
 

@@ -177,7 +177,7 @@ def planned(
             intervals=spec.plan.intervals,
             degree=spec.plan.degree,
             accuracy=spec.plan.accuracy,
-            tolerance=spec.solver.tolerance,
+            options=spec.solver.options,
             step=spec.time.step,
             resume=resume,
             progress=_telling(tell),
@@ -269,7 +269,8 @@ def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
     law, lasts = start
     t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # behind its end a path leads nowhere
     try:
-        run = simulate(setup.dae, setup.start, law, t, tolerance=ROUGH)
+        rough = replace(setup.spec.solver.options, tolerance=ROUGH)
+        run = simulate(setup.dae, setup.start, law, t, options=rough)
     except SolverError as error:
         if error.trajectory is None:
             raise
@@ -313,16 +314,17 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     if not (found.success and able and setup.spec.slip != "traction"):
         return {}
     model: Dae = quasi_statics(setup.vehicle, setup.terrain)
-    model = replace(model, compiled=setup.dae.compiled)
+    options = setup.spec.solver.options
+    options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
     values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
     try:
-        start = settle(model, **values)
+        start = settle(model, options=options, **values)
         run = simulate_plan(
             model,
             start,
             found.motion,
             step=setup.spec.time.step,
-            tolerance=max(setup.spec.solver.tolerance, FRICTION_TOLERANCE),
+            options=options,
         )
     except (SlipfreeError, np.linalg.LinAlgError) as error:  # a plan stands without it
         return {"by_friction": f"not simulated: {error}"}

@@ -23,6 +23,7 @@ from slipfree.problem.schema_climb import Legs as Legs
 from slipfree.problem.schema_climb import Profile as Profile
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import Terrain as Terrain
+from slipfree.solve.options import MIN_TOLERANCE, Method, SolverOptions
 
 VERB = "what is asked for"
 TOLERANCE = "of the integrator, absolute and relative [1]"
@@ -83,8 +84,15 @@ class Time(Record):
 class Solver(Record):
     """What is asked of the integrator."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(default=1e-8, description=SIZED)
+    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
+        default=1e-8, description=SIZED
+    )
     compiled: bool = Field(default=False, description=COMPILED)
+
+    @property
+    def options(self) -> SolverOptions:
+        """Options of the solvers."""
+        return SolverOptions(**dict(self))
 
 
 class Output(Record):
@@ -280,8 +288,10 @@ class Compare(Task):
 class Stiff(Solver):
     """What is asked of the integrator of a stiff motion."""
 
-    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(default=1e-6, description=TOLERANCE)
-    method: Literal["cvodes", "idas"] | None = Field(default=None, description="which integrator")
+    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
+        default=1e-6, description=TOLERANCE
+    )
+    method: Method | None = Field(default=None, description="which integrator")
 
 
 class Climb(Asked):

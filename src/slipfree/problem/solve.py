@@ -25,6 +25,7 @@ from slipfree.problem.plan import Planning, build_plan, planned
 from slipfree.problem.summary import Facts
 from slipfree.records import Array, leaves
 from slipfree.regular_files import escape_name
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.base import Grid
 from slipfree.trajectory import SolverError, Trajectory
@@ -100,15 +101,15 @@ def run(
     """
     if climbs(problem):
         return _climbed(problem, progress)
-    setup, tolerance = build(problem), problem.spec.solver.tolerance
+    setup, options = build(problem), problem.spec.solver.options
     arrays = NOTHING
     with at(problem, ("start",)):
         if isinstance(problem.spec, schema.Plan) and isinstance(setup, Planning):
             found, arrays = planned(problem, problem.spec, setup, tell, resume)
         elif is_sought(problem.spec):
-            found = drive_along(setup, tolerance, progress)
+            found = drive_along(setup, options, progress)
         else:
-            found = _integrated(setup, tolerance, progress)
+            found = _integrated(setup, options, progress)
     found = _diagnosed(setup, found)
     attributes = {**found.attributes, **_attributes(problem, setup)}
     return Outcome(replace(found, attributes=attributes), setup, arrays)
@@ -147,11 +148,11 @@ def _climbed(problem: Problem[schema.Climb], progress: Progress | None) -> Outco
     return Outcome(replace(run, attributes=attributes), setup, arrays)
 
 
-def _integrated(setup: Setup, tolerance: float, progress: Progress | None) -> Trajectory:
+def _integrated(setup: Setup, options: SolverOptions, progress: Progress | None) -> Trajectory:
     """Return the motion, or what the integrator reached of it."""
     try:
         return simulate(
-            setup.dae, setup.start, setup.inputs, setup.t, tolerance=tolerance, progress=progress
+            setup.dae, setup.start, setup.inputs, setup.t, options=options, progress=progress
         )
     except SolverError as error:
         if error.trajectory is None:

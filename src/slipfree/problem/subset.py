@@ -28,6 +28,7 @@ from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.commands import are_commands, read_commands
 from slipfree.problem.load import Problem, S
 from slipfree.records import Array, leaves
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.simulate import simulate
 from slipfree.solve.trim import trim_states
@@ -59,8 +60,6 @@ def build_subset(problem: Problem[S], spec: schema.Inverse, points: Array | None
         direct = direct_kinematics(vehicle, terrain)
     with at(problem, place):
         dae = subset_kinematics(vehicle, terrain, given=tuple(given), exact=exact)
-    direct = replace(direct, compiled=spec.solver.compiled)
-    dae = replace(dae, compiled=spec.solver.compiled)
     check_names(problem, direct, None)
     stand = build_start(problem, direct)
     t, inputs, first = _inputs(problem, spec, dae, given)
@@ -72,7 +71,9 @@ def build_subset(problem: Problem[S], spec: schema.Inverse, points: Array | None
     with at(problem, place):
         try:
             errors = [f"{name}_error" for name in sought]
-            start = trim_states(dae, stand, first, states=sought, least=errors)
+            start = trim_states(
+                dae, stand, first, states=sought, least=errors, options=spec.solver.options
+            )
         except ModelError:
             if exact:
                 check_reach(vehicle, direct, stand, tuple(given))
@@ -106,12 +107,12 @@ def _formula(name: str, text: str, time: ca.SX) -> ca.SX:
 
 
 def drive_subset(
-    setup: Setup, tolerance: float, progress: Callable[[float], None] | None
+    setup: Setup, options: SolverOptions, progress: Callable[[float], None] | None
 ) -> Trajectory:
     """Return the motion, with how far the direct model under its wheel rates is from it."""
     dae, direct, start = setup.dae, setup.model, setup.start
     try:
-        run = simulate(dae, start, setup.inputs, setup.t, tolerance=tolerance, progress=progress)
+        run = simulate(dae, start, setup.inputs, setup.t, options=options, progress=progress)
     except SolverError as error:
         if error.trajectory is None:
             raise
@@ -119,13 +120,13 @@ def drive_subset(
     early: dict[str, str] = {}
     gaps: dict[str, float] = {}
     try:
-        trip = round_trip(direct, run, MOTION)
+        trip = round_trip(direct, run, MOTION, options=options)
         gaps = {f"round_trip_{name}": gap for name, gap in trip.items()}
         if run.t.size < 2:
             return replace(run, statistics={**run.statistics, **gaps})
         jumps = _jumps(setup, run)
         _check_samples(run.t, jumps)
-        again = replay(direct, run, jumps=jumps, tolerance=tolerance).motion
+        again = replay(direct, run, jumps=jumps, options=options).motion
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         early["replay_stopped"] = str(error)
     else:

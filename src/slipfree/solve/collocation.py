@@ -22,6 +22,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.records import Array, Mask, leaves
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.settle import first_violation
@@ -214,7 +215,7 @@ def drive(
     t: Array,
     *,
     sought: Sequence[str],
-    tolerance: float = 1e-8,
+    options: SolverOptions = SolverOptions(),
 ) -> Drive:
     """Return the motion of a model some of whose states have no initial value.
 
@@ -234,8 +235,8 @@ def drive(
         Ascending times of the samples. [s]
     sought : sequence of str
         States without an initial value.
-    tolerance : float
-        Of the sought states; lengths in sizes of the vehicle. [size, rad]
+    options : SolverOptions
+        Options of the solvers; the tolerance is that of the sought states.
 
     Raises
     ------
@@ -247,9 +248,9 @@ def drive(
     t, names = check_times(t), [label.full for label in leaves(dae.labels.x)]
     if not set(sought) <= set(names):
         raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
-    clock, system = time.process_time(), with_inputs(dae, inputs, 0)
+    clock, system = time.process_time(), with_inputs(dae, inputs, 0, options)
     mask = np.array([name in sought for name in names])
-    best, elements, error = _refine_elements(system, mask, start, t, tolerance)
+    best, elements, error = _refine_elements(system, mask, start, t, options.tolerance)
     samples, report = _correct_pose(system, best.samples(elements, t))
     run = to_trajectory(system, samples, report)
     fault = first_violation(system, run, samples)

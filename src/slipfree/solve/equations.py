@@ -50,7 +50,9 @@ class _ModelEquations(NamedTuple):
     slopes: ca.Function
 
 
-def motion_equations(dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX) -> MotionEquations:
+def motion_equations(
+    dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX, *, compiled: bool
+) -> MotionEquations:
     """Return the equations of a motion.
 
     Parameters
@@ -63,9 +65,11 @@ def motion_equations(dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX) -> Mo
         Expressions of its inputs, in its symbols and ``u``.
     u : SX
         Symbols of numbers that the law contains.
+    compiled : bool
+        Whether to compile them.
     """
     x, z, _ = dae.columns()
-    model, m = _model_equations(dae, count), z[:count]
+    model, m = _model_equations(dae, count, compiled=compiled), z[:count]
     # Laws of other inputs may contain unknowns that are none of the motion's.
     used = (each if own else ca.SX(0) for each, own in zip(law, model.inputs, strict=True))
     driven = ca.vertcat(ca.SX(0, 1), *used)
@@ -130,7 +134,7 @@ def _core_jacobian(
 
 
 @lru_cache(maxsize=8)
-def _model_equations(dae: Dae, count: int) -> _ModelEquations:
+def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations:
     """Return the equations of a model, whatever its inputs."""
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]
@@ -147,6 +151,6 @@ def _model_equations(dae: Dae, count: int) -> _ModelEquations:
         slopes = ca.jacobian(rows, ca.vertcat(*given[1:4]))
         return [values, ca.Function("slopes", given, [slopes])]
 
-    functions = compiled_functions(values, ("values", "slopes"), make, compiled=dae.compiled)
+    functions = compiled_functions(values, ("values", "slopes"), make, compiled=compiled)
     inputs = ca.vertsplit(v) if v.numel() else []
     return _ModelEquations(tuple(ca.depends_on(rows, each) for each in inputs), lookups, *functions)

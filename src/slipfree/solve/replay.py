@@ -11,6 +11,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.records import Array, leaves, unpack
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
@@ -35,7 +36,13 @@ class Replay(NamedTuple):
     difference: dict[str, float]
 
 
-def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, float]:
+def round_trip(
+    dae: Dae,
+    run: Trajectory,
+    names: Sequence[str],
+    *,
+    options: SolverOptions = SolverOptions(),
+) -> dict[str, float]:
     """Return the difference of the rates of a model under the inputs of a motion from its own.
 
     At every sample by itself, with the states of the motion.
@@ -48,13 +55,15 @@ def round_trip(dae: Dae, run: Trajectory, names: Sequence[str]) -> dict[str, flo
         The motion.
     names : sequence of str
         Unknowns of the model to compare.
+    options : SolverOptions
+        Options of the solvers.
 
     Returns
     -------
     dict of str to float
         Largest differences by name.
     """
-    system = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0)
+    system = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0, options)
     x, u, pose = (
         np.array([run.of(label) for label in leaves(record)])
         for record in (dae.labels.x, dae.labels.u, dae.labels.z[0])
@@ -73,7 +82,7 @@ def replay(
     inputs: Any = None,
     *,
     jumps: Sequence[float] = (),
-    tolerance: float = 1e-8,
+    options: SolverOptions = SolverOptions(),
 ) -> Replay:
     """Return the motion of a model under the inputs of another motion, from its start.
 
@@ -88,8 +97,8 @@ def replay(
         motion, from each jump to the next.
     jumps : sequence of float
         Times at which inputs may jump; samples there hold their values behind the jump. [s]
-    tolerance : float
-        Of the integrator. [m, rad]
+    options : SolverOptions
+        Options of the solvers.
 
     Raises
     ------
@@ -99,9 +108,8 @@ def replay(
         If the integrator fails.
     """
     t = run.t
-    start = settle(
-        dae, guess=_first_values(run, dae.labels.z[0]), **_first_values(run, dae.labels.x)
-    )
+    states, pose = (_first_values(run, record) for record in (dae.labels.x, dae.labels.z[0]))
+    start = settle(dae, guess=pose, options=options, **states)
     cuts = [k for k in range(1, t.size - 1) if inputs is None and np.isin(t[k], jumps)]
     parts: list[Trajectory] = []
     for left, right in zip([0, *cuts], [*cuts, t.size - 1], strict=True):
@@ -110,7 +118,7 @@ def replay(
         if law is None:
             values = {each.full: run.of(each)[left:last] for each in leaves(dae.labels.u)}
             law = spline_inputs(dae, t[left:last], values, end=float(t[right]))
-        start = simulate(dae, start, law, t[left : right + 1], tolerance=tolerance)
+        start = simulate(dae, start, law, t[left : right + 1], options=options)
         parts.append(start)
         if start.stop is not None:
             break

@@ -12,13 +12,20 @@ from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.records import Array, Mask, leaves, unpack
 from slipfree.solve.initial_conditions import limit_message, solve_initial_conditions
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.system import System, with_inputs
 from slipfree.trajectory import Stop, Trajectory
 
 
 @computing
-def settle(dae: Dae, *, guess: Mapping[str, float] | None = None, **start: float) -> Trajectory:
+def settle(
+    dae: Dae,
+    *,
+    guess: Mapping[str, float] | None = None,
+    options: SolverOptions = SolverOptions(),
+    **start: float,
+) -> Trajectory:
     """Return the vehicle standing at rest at a place, as a trajectory of one sample.
 
     Parameters
@@ -28,6 +35,8 @@ def settle(dae: Dae, *, guess: Mapping[str, float] | None = None, **start: float
     guess : mapping of str to float, optional
         Initial guesses of unknowns, by name, such as ``{"z": 2.0}``; the model has its own for the
         others. [m, rad]
+    options : SolverOptions
+        Options of the solvers.
     **start : float
         Differential states by name, such as ``x``, ``y``, ``heading``; others are zero. [m, rad]
 
@@ -38,7 +47,7 @@ def settle(dae: Dae, *, guess: Mapping[str, float] | None = None, **start: float
         determines one of the unknowns.
     """
     x = dae.start(**start)
-    system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0)
+    system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0, options)
     z = solve_initial_conditions(system, 0.0, x, first_guess(dae, x, guess or {}), system.u[:, 0])
     samples = Samples(
         np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), system.u

@@ -16,11 +16,18 @@ from slipfree.interrupt import heeded
 from slipfree.lookups import check_order, needed_lookups
 from slipfree.rearrange import blocks, rearrange, variables
 from slipfree.records import Array, leaves, unpack
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
 from slipfree.trajectory import Trajectory
 
 
-def settle_exchanged(dae: Dae, exchange: Mapping[str, str], **start: float) -> Trajectory:
+def settle_exchanged(
+    dae: Dae,
+    exchange: Mapping[str, str],
+    *,
+    options: SolverOptions = SolverOptions(),
+    **start: float,
+) -> Trajectory:
     """Return the vehicle standing at rest where some unknowns of its pose have given values.
 
     As many states are solved for in their place.
@@ -32,6 +39,8 @@ def settle_exchanged(dae: Dae, exchange: Mapping[str, str], **start: float) -> T
     exchange : mapping of str to str
         Names of the states to solve for, and of the unknown of the pose, the first field of ``z``,
         that is given instead of each; both have the same unit.
+    options : SolverOptions
+        Options of the solvers.
     **start : float
         Values of these unknowns and of the other states by name; others are zero. [rad, m]
 
@@ -57,7 +66,9 @@ def settle_exchanged(dae: Dae, exchange: Mapping[str, str], **start: float) -> T
     i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
     model = _exchanged_model(dae, i, j)
     guess = _guess_exchanged(dae, i, j, model.start(**start))
-    return _settle_at(dae, settle(replace(model, guess=ca.SX(guess)), guess=None, **start))
+    once = replace(options, compiled=False)
+    found = settle(replace(model, guess=ca.SX(guess)), guess=None, options=once, **start)
+    return _settle_at(dae, found, options)
 
 
 def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
@@ -75,7 +86,7 @@ def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
                 f"{state.full}, found {unknown.full} in {unknown.unit}"
             )
         states[a], unknowns[b] = unknowns[b], states[a]
-    used_once = replace(dae, checks=(), compiled=False)
+    used_once = replace(dae, checks=())
     return rearrange(used_once, unpack(x, states), unpack(z, unknowns), u, blocks(dae))
 
 
@@ -97,19 +108,23 @@ def _guess_exchanged(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array)
     return z
 
 
-def _settle_at(dae: Dae, found: Trajectory) -> Trajectory:
+def _settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajectory:
     """Return the start of a model at the states and pose of a sample."""
     states, pose = (
         {label.full: float(found.of(label)[0]) for label in leaves(record)}
         for record in (dae.labels.x, dae.labels.z[0])
     )
-    return settle(dae, guess=pose, **states)
+    return settle(dae, guess=pose, options=options, **states)
 
 
 @computing
 @heeded
 def settle_nearest(
-    dae: Dae, *, weights: Mapping[str, float] | None = None, **pose: float
+    dae: Dae,
+    *,
+    weights: Mapping[str, float] | None = None,
+    options: SolverOptions = SolverOptions(),
+    **pose: float,
 ) -> Trajectory:
     """Return the vehicle standing in the pose nearest to a given one.
 
@@ -123,6 +138,8 @@ def settle_nearest(
     weights : mapping of str to float, optional
         Weight of the change of a coordinate; one by default, so that a metre counts as a radian;
         infinite to keep it. [1/m2, 1/rad2]
+    options : SolverOptions
+        Options of the solvers.
     **pose : float
         States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
         ``pitch`` and joints. States that are not named count as zero; what else is not named is
@@ -156,6 +173,7 @@ def settle_nearest(
     run = settle(
         dae,
         guess={name: values[name] for name in names[n_x:]},
+        options=options,
         **{name: values[name] for name in names[:n_x]},
     )
     change = {

@@ -13,6 +13,7 @@ from slipfree.errors import ModelError
 from slipfree.lookups import found_column
 from slipfree.records import Array, Label, leaves, pack
 from slipfree.solve.equations import motion_equations
+from slipfree.solve.options import SolverOptions
 
 MAX_NEWTON_STEPS = 25  # for blocks that depend on the motion
 
@@ -89,7 +90,12 @@ class System(NamedTuple):
         return self.blocks[-1].span.stop if self.blocks else 0
 
 
-def with_inputs(dae: Dae, inputs: Any, intervals: int) -> System:
+def with_inputs(
+    dae: Dae,
+    inputs: Any,
+    intervals: int,
+    options: SolverOptions = SolverOptions(),
+) -> System:
     """Return the DAE under inputs.
 
     Parameters
@@ -100,6 +106,8 @@ def with_inputs(dae: Dae, inputs: Any, intervals: int) -> System:
         Numbers, arrays of shape (intervals,) or expressions in the symbols of the model.
     intervals : int
         Number of intervals between samples.
+    options : SolverOptions
+        Options, of which only `compiled` is used.
 
     Raises
     ------
@@ -121,27 +129,28 @@ def with_inputs(dae: Dae, inputs: Any, intervals: int) -> System:
     linear = any(isinstance(value, PiecewiseLinear) for value in leaves(inputs))
     numbers = np.concatenate([values, slopes]) if linear else values
     if any(isinstance(value, ca.SX) for value in leaves(inputs)):
-        system = _compile(dae, law, ca.vertcat(u, slope) if linear else u)
+        system = _build(dae, law, ca.vertcat(u, slope) if linear else u, compiled=options.compiled)
     else:
-        system = _with_numbers(dae, linear=linear)
+        system = _with_numbers(dae, linear=linear, compiled=options.compiled)
     return system._replace(u=numbers)
 
 
 @lru_cache(maxsize=8)
-def _with_numbers(dae: Dae, *, linear: bool) -> System:
-    """Compile a model whose inputs are numbers; kept, since it serves any start and any numbers.
+def _with_numbers(dae: Dae, *, linear: bool, compiled: bool) -> System:
+    """Return a model whose inputs are numbers; cached, since it serves any start and any numbers.
 
     If they are linear in time, they are given by values at zero and slopes.
     """
     u = dae.columns()[2]
     if not linear:
-        return _compile(dae, list(leaves(dae.u)), u)
+        return _build(dae, list(leaves(dae.u)), u, compiled=compiled)
     slopes = ca.SX.sym("slope", u.numel())
-    return _compile(dae, ca.vertsplit(u + slopes * dae.t), ca.vertcat(u, slopes))
+    law = ca.vertsplit(u + slopes * dae.t)
+    return _build(dae, law, ca.vertcat(u, slopes), compiled=compiled)
 
 
-def _compile(dae: Dae, law: list[ca.SX], u: ca.SX) -> System:
-    """Compile a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
+def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
+    """Return a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
     x, z, inputs = dae.columns()
     limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
     continuation = (
@@ -157,7 +166,7 @@ def _compile(dae: Dae, law: list[ca.SX], u: ca.SX) -> System:
     first = _first_dependent_block(ode, parts, z, blocks)
     motion, after = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
-    equations = motion_equations(dae, m.numel(), law, u)
+    equations = motion_equations(dae, m.numel(), law, u, compiled=compiled)
     return System(
         dae,
         np.zeros((u.numel(), 0)),

@@ -12,6 +12,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.settle import first_violation
 from slipfree.solve.system import Block, System, with_inputs
@@ -21,7 +22,9 @@ MAX_EVALUATIONS = 50  # per sought state
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
 
 
-def apply_inputs(dae: Dae, start: Trajectory, inputs: Any) -> Trajectory:
+def apply_inputs(
+    dae: Dae, start: Trajectory, inputs: Any, *, options: SolverOptions = SolverOptions()
+) -> Trajectory:
     """Return a start whose unknowns satisfy the equations under given inputs.
 
     Raises
@@ -30,12 +33,18 @@ def apply_inputs(dae: Dae, start: Trajectory, inputs: Any) -> Trajectory:
         If they do not determine them, or a limit is violated.
     """
     return _consistent_start(
-        with_inputs(dae, inputs, 0), dae.rows("x", start, -1), _known_unknowns(dae, start)
+        with_inputs(dae, inputs, 0, options), dae.rows("x", start, -1), _known_unknowns(dae, start)
     )
 
 
 def trim_states(
-    dae: Dae, start: Trajectory, inputs: Any, *, states: Sequence[str], least: Sequence[str]
+    dae: Dae,
+    start: Trajectory,
+    inputs: Any,
+    *,
+    states: Sequence[str],
+    least: Sequence[str],
+    options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
     """Return a start at the states that minimize the mean square of outputs.
 
@@ -52,6 +61,8 @@ def trim_states(
         States that are sought, by name.
     least : sequence of str
         Outputs that are to be least, by name; of those of wheels, all wheels'.
+    options : SolverOptions
+        Options of the solvers.
 
     Returns
     -------
@@ -69,9 +80,9 @@ def trim_states(
     rows = [k for k, label in enumerate(leaves(dae.labels.y)) if label.name in least]
     found = {label.name for label in leaves(dae.labels.y)}
     for name in (*(each for each in states if each not in x_names), *(set(least) - found)):
-        raise ModelError(f"seek: the model has no {name!r}; states are {', '.join(x_names)}")
+        raise ModelError(f"trim_states: the model has no {name!r}; states are {', '.join(x_names)}")
     where = [x_names.index(name) for name in states]
-    system = with_inputs(dae, inputs, 0)
+    system = with_inputs(dae, inputs, 0, options)
     part = system._replace(blocks=_needed_blocks(system, [list(leaves(dae.y))[k] for k in rows]))
     x, first = dae.rows("x", start, -1), _known_unknowns(dae, start)
 

@@ -14,6 +14,7 @@ from slipfree.errors import ModelError
 from slipfree.interrupt import InterruptGuard
 from slipfree.lookups import found_column
 from slipfree.records import Array, leaves, unpack
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
 from slipfree.solve.settle import first_violation
 from slipfree.solve.simulate import (
@@ -35,7 +36,7 @@ def simulate_sampled(
     inputs: Any,
     t: Array,
     *,
-    tolerance: float = 1e-8,
+    options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
     """Return the motion under inputs that are held from sample to sample.
 
@@ -53,13 +54,13 @@ def simulate_sampled(
         evaluated at every sample and held.
     t : ndarray, shape (n,)
         Times at which the controller samples, evenly spaced. [s]
-    tolerance : float
-        Relative and absolute tolerance of CVODES. [m, rad]
+    options : SolverOptions
+        Options of the solvers; the method is CVODES.
 
     Raises
     ------
     ModelError
-        If the model has algebraic unknowns, or times or inputs are not usable.
+        If the model has algebraic unknowns, or times, inputs or the method are not usable.
     SolverError
         If CVODES fails; ``trajectory`` holds what was reached.
     """
@@ -72,10 +73,12 @@ def simulate_sampled(
             f"a sampled controller takes a model without algebraic unknowns, found "
             f"{dae.guess.numel()}; use simulate with one value of the inputs for each interval"
         )
-    system, law = _split_inputs(dae, inputs, t.size - 1)
+    if options.method == "idas":
+        raise ModelError("method: expected 'cvodes' for a sampled controller, found 'idas'")
+    system, law = _split_inputs(dae, inputs, t.size - 1, options)
     clock = time.process_time()
     with InterruptGuard() as heed:
-        samples, cost, failure = _integrate_periods(system, law, start, t, tolerance, heed)
+        samples, cost, failure = _integrate_periods(system, law, start, t, options.tolerance, heed)
     run = to_trajectory(system, samples, {})
     fault = first_violation(system, run, samples)
     if fault is not None:
@@ -84,11 +87,13 @@ def simulate_sampled(
         words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {failure}"
         run = replace(run, stop=Stop("solver", float(run.t[-1]), words))
         raise SolverError(words, run)
-    cost |= {"tolerance": tolerance, "cpu_seconds": time.process_time() - clock}
+    cost |= {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
     return replace(run, statistics=cost)
 
 
-def _split_inputs(dae: Dae, inputs: Any, intervals: int) -> tuple[System, ca.Function]:
+def _split_inputs(
+    dae: Dae, inputs: Any, intervals: int, options: SolverOptions
+) -> tuple[System, ca.Function]:
     """Return the model under its numeric inputs, and a function of all inputs at a sample.
 
     The latter is a function of ``t, x`` and the former.
@@ -96,7 +101,7 @@ def _split_inputs(dae: Dae, inputs: Any, intervals: int) -> tuple[System, ca.Fun
     given = list(leaves(inputs))
     laws = [isinstance(value, ca.SX) for value in given]
     numbers = [0.0 if is_law else value for value, is_law in zip(given, laws, strict=True)]
-    system = with_inputs(dae, unpack(dae.u, numbers), intervals)
+    system = with_inputs(dae, unpack(dae.u, numbers), intervals, options)
     x, _, u = dae.columns()
     if system.u.shape[0] != u.numel():
         raise ModelError("a sampled controller holds its inputs: linear ones are not possible")

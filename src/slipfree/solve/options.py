@@ -1,0 +1,52 @@
+"""Options of the solvers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from slipfree.errors import ModelError
+
+MIN_TOLERANCE = 1e-14  # below which rounding dominates
+Method = Literal["idas", "cvodes"]
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Options of starts, simulations and plans.
+
+    Every function that solves a model takes all of them and uses those that apply: a start only
+    uses `compiled`.
+
+    Attributes
+    ----------
+    tolerance : float
+        Relative and absolute tolerance of the integrator; the absolute one of lengths is in sizes
+        of the vehicle (``dae.size``). [size, rad]
+    method : {"idas", "cvodes"} or None
+        The integrator. By default CVODES for motions without algebraic unknowns, which it cannot
+        solve for, and IDAS for others. The error test of CVODES includes the quadratures.
+    compiled : bool
+        Whether to compile the equations with the system's C compiler; the libraries are cached.
+        Without a compiler the equations are interpreted, and a warning gives the reason.
+
+    Raises
+    ------
+    ModelError
+        If the tolerance is not in the interval from 1e-14 to 1, or the method is not known.
+    """
+
+    tolerance: float = 1e-8
+    method: Method | None = None
+    compiled: bool = False
+
+    def __post_init__(self) -> None:
+        if not MIN_TOLERANCE <= self.tolerance < 1:
+            raise ModelError(
+                f"tolerance: expected a number from {MIN_TOLERANCE:g} to below 1, found "
+                f"{self.tolerance}"
+            )
+        if self.method is not None and self.method not in get_args(Method):
+            raise ModelError(
+                f"method: expected one of {', '.join(get_args(Method))}, found {self.method!r}"
+            )
