@@ -89,22 +89,25 @@ class SecondTouch:
         return flat[rows, best] + touching, points.reshape(len(values), -1, 3)[rows, best]
 
     def _surface(self, x: Array, z: Array) -> Array:
-        """Return points on the tread in map coordinates, shape (n, rim, tube, 3)."""
-        center, rotation, normal = (np.array(out) for out in self.pose.map(x.shape[1])(x, z))
-        to_body = rotation.T.reshape(-1, 3, 3)  # column by column: the transposes
-        down = -(to_body @ normal.T[..., None])[..., 0]
-        v = np.arctan2(down[:, 2], down[:, 1])[:, None, None] + RIM[None, :, None]
+        """Return points on the tread in map coordinates, shape (n, rim, section, 3)."""
+        center, rotation, normal = (out.full() for out in self.pose.map(x.shape[1])(x, z))
+        axes = rotation.T.reshape(-1, 3, 3)  # axle, forward, up; column by column
+        down = -(axes @ normal.T[..., None])[..., 0]
+        v = np.arctan2(down[:, 2], down[:, 1])[:, None] + RIM
         u_0 = np.arctan2(np.hypot(down[:, 1], down[:, 2]), down[:, 0])
+        along, rho = self.wheel.section.outline(self._angles(u_0))
+        axle, forward, up = np.moveaxis(axes[:, None], 2, 0)
+        middles = center.T[:, None] + self.terrain.origin + along[..., None] * axle
+        spokes = np.cos(v)[..., None] * forward + np.sin(v)[..., None] * up
+        return np.asarray(middles[:, None] + rho[:, None, :, None] * spokes[:, :, None])
+
+    def _angles(self, u_0: Array) -> Array:
+        """Return angles of normals at equal distances around given ones, shape (n, section)."""
         angles, lengths = arc_lengths(self.wheel.section)
         half = int(np.ceil(lengths[-1] / 2 / (SPACING * self.wheel.radius)))
         steps = np.linspace(-0.5, 0.5, 2 * half + 1) * lengths[-1] if half else np.zeros(1)
         at = np.interp(u_0, angles, lengths)[:, None] + steps
-        u = np.interp(np.clip(at, 0.0, lengths[-1]), lengths, angles)
-        along, rho = (each[:, None] for each in self.wheel.section.outline(u))
-        body = np.stack(np.broadcast_arrays(along, np.cos(v) * rho, np.sin(v) * rho), -1)
-        shape, body = body.shape, body.reshape(len(down), -1, 3)
-        world = body @ to_body + (center.T + self.terrain.origin)[:, None, :]
-        return np.asarray(world.reshape(shape))
+        return np.asarray(np.interp(at, lengths, angles))
 
 
 def _second_minima(gap: Array) -> Mask:

@@ -23,6 +23,7 @@ from slipfree.records import Array
 AXLE = ca.SX(ca.DM([1, 0, 0]))  # in the wheel's axes
 AROUND, ACROSS = 36, 6  # faces of a mesh around the wheel, and across its tread
 DRAWN_HALF_WIDTH = 0.04  # least half-width of a mesh, in rolling radii
+CLOSED = 1e-9  # radius of the tread's edge that closes on the axle, in rolling radii
 FINE = 721  # points of a table of arc lengths
 
 
@@ -135,14 +136,16 @@ class Section(ABC):
         x, rho : ndarray, shape (n, ...)
             Coordinates along the axle and away from it. [m]
         """
-        x, rho = (np.array(each).reshape(np.shape(u)) for each in _curve(self)(np.ravel(u)[None]))
-        return x, rho
+        flat = np.ravel(u)[None]
+        x, rho = _curve(self, flat.size)(flat)
+        return x.full().reshape(np.shape(u)), rho.full().reshape(np.shape(u))
 
     def mesh(self) -> Mesh:
-        """Return the tread as a ring about the x axis, for drawings.
+        """Return the surface about the x axis, for drawings.
 
-        Inside, the ring mirrors the tread at its edge, as a tube does. A section narrower than
-        0.04 rolling radii is drawn as wide as that, inside its rolling radius.
+        If the tread ends above the axle, it is a ring, whose inside mirrors the tread at its edge,
+        as a tube does. A section narrower than 0.04 rolling radii is drawn as wide as that, inside
+        its rolling radius.
         """
         x, rho = self.outline(np.array([0, np.pi / 2, np.pi]))
         more = max(0.0, DRAWN_HALF_WIDTH * rho[1] - np.abs(x).max())
@@ -154,11 +157,14 @@ class Section(ABC):
         fine = np.linspace(0, np.pi, FINE)
         arc = _lengths(*drawn(fine))
         x, rho = drawn(np.interp(np.linspace(arc[-1], 0, ACROSS + 1), arc, fine))
-        x = np.append(x, x[-2:0:-1])
-        rho = np.append(rho, np.maximum(2 * min(rho[0], rho[-1]) - rho[-2:0:-1], 0))
+        edge = min(rho[0], rho[-1])
+        is_ring = edge > CLOSED * rho.max()
+        if is_ring:
+            x = np.append(x, x[-2:0:-1])
+            rho = np.append(rho, np.maximum(2 * edge - rho[-2:0:-1], 0))
         v = 2 * np.pi * np.arange(AROUND)[:, None] / AROUND
         ring = np.broadcast_arrays(x, np.cos(v) * rho, np.sin(v) * rho)
-        return sheet(np.stack(ring, axis=-1), closed=(True, True))
+        return sheet(np.stack(ring, axis=-1), closed=(True, is_ring))
 
 
 def components(normal: ca.SX, axle: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -183,8 +189,8 @@ def _lengths(x: Array, rho: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _curve(section: Section) -> ca.Function:
-    """Return the points of a section as a function of the angle of the normal."""
+def _curve(section: Section, count: int) -> ca.Function:
+    """Return the points of a section as a function of a number of angles of the normal."""
     u = ca.SX.sym("u")
     point = (ca.densify(ca.SX(each)) for each in section.profile(ca.cos(u), ca.sin(u)))
-    return ca.Function("profile", [u], [*point])
+    return ca.Function("profile", [u], [*point]).map(count)
