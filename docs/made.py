@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 import slipfree
+from slipfree.laws.registry import SLIP_LAWS
 from slipfree.problem import schema
+from slipfree.problem.schema_law import law_tables
 
 DOCS = Path(__file__).parent
 TAKES = {
+    "SlipName": ", ".join(f'`"{name}"`' for name in SLIP_LAWS),
     "Positive": "a number above 0",
     "NonNegative": "a number from 0 on",
     "Count": "a whole number from 0 on",
@@ -95,6 +98,8 @@ def _tables(
         takes = _titled(place, field) if found else _words(record, key, field.annotation)
         meaning, unit = _meaning(field)
         rows.append(f"| `{key}` | {meaning} | {unit} | {takes} | {_default(field)} |")
+        if found is schema.Law:
+            found = law_tables()
         if found and (*place, found.__name__) not in seen:
             seen.add((*place, found.__name__))
             inner.append((found, place))
@@ -136,6 +141,8 @@ def _words(record: type[schema.Record], key: str, annotation: Any) -> str:
     if names := _options(annotation):
         return ", ".join(f'`"{name}"`' for name in names)
     written = next(w for w in map(get_annotations, record.__mro__) if key in w)[key]
+    if not isinstance(written, str):  # of a law's dataclass
+        return TAKES[annotation.__name__]
     text = re.sub(r"Annotated\[(.+?), \w+\(.*", r"\1", written)
     return TAKES[text.removesuffix(" | None")]
 

@@ -299,7 +299,7 @@ figure
 # with rates that fit each other, from the driving law `straight`:
 
 # %%
-friction = ["slip=traction", "terrain.friction=0.6"]
+friction = ["model=quasi-static", "terrain.friction=0.6"]
 law = ["inputs=", 'driver={name="straight", speed=0.135}']
 cases = {
     "the paper's rates": [],
@@ -431,9 +431,9 @@ print(" " * 18, f"{'least':>11}", *(f"{f'{1000 * c:g} mm/s':>11}" for c in creep
 figure = style.figure(5.2, 3.4)
 ax = figure.subplots()
 for k, (name, settings) in enumerate(rear.items()):
-    bound = slid(run(read(hills, ["slip=least", "traction=", *often, *settings])).trajectory)
+    bound = slid(run(read(hills, ["model=kinematics", "law=", *often, *settings])).trajectory)
     found = [
-        slid(run(read(hills, [f"traction.creep={c}", *often, *settings])).trajectory)
+        slid(run(read(hills, [f"law.coulomb.creep={c}", *often, *settings])).trajectory)
         for c in creeps
     ]
     row = " ".join(f"{each.max():5.2f} {each.sum():5.2f}" for each in (bound, *found))
@@ -464,5 +464,5 @@ figure
 # 4. The tilt is an inverted pendulum. Rates that fit each other keep it upright, a spring stiffer than
 #    the load times `r2` rights it, and an actuator that leads it keeps the motion of the paper at a
 #    small part of the friction.
-# 5. `least` is a bound, `traction` a prediction that depends on its creep. Where there is no
+# 5. Least slip is a bound, `quasi_statics` a prediction that depends on its creep. Where there is no
 #    equilibrium the motion ends by that name.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,14 @@ from slipfree.models import friction_feasibility
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.problem import solve as runner
 from slipfree.problem.load import read
+from slipfree.problem.reload import problem_of, shown
 from slipfree.problem.solve import build, run
 from slipfree.trajectory import SolverError
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\
 verb = "direct"
-slip = "traction"
+model = "quasi-static"
 
 [terrain]
 friction = 0.6
@@ -84,9 +86,9 @@ def test_run_tells_what_the_motion_takes():
     told = {name: words.strip() for name, words in facts("run").items()}
     assert told["mass"] == "36 kg, weight 353.2 N"
     assert told["ground friction"] == "0.6"
-    assert told["slip"].startswith("a quasi-static prediction: Coulomb friction")
+    assert told["slip"] == "a quasi-static prediction by the wheel-ground law 'coulomb'"
     assert told["friction"].startswith("utilisation 0.")
-    assert told["friction"].endswith(" of a coefficient of 0.6 by the law of friction")
+    assert told["friction"].endswith(" of a coefficient of 0.6 by the law 'coulomb'")
     written = netcdf.read(Path("p.nc"))
     k, i = np.unravel_index(written["utilisation"].argmax(), written["utilisation"].shape)
     assert f"wheel {written.wheels[i]}, t = {written.t[k]:.4g} s" in told["friction"]
@@ -127,7 +129,7 @@ def test_a_diagnostic_that_fails_loses_no_motion(monkeypatch, error):
 
 @pytest.mark.usefixtures("file")
 def test_without_friction_the_coefficient_needed_is_told():
-    told = facts("run", "slip=least", "terrain.friction=")
+    told = facts("run", "model=kinematics", "terrain.friction=")
     assert told["friction"].strip().startswith("coefficient needed 0.")
     assert told["friction"].endswith("the ground's is not given")
     assert told["least slip"].strip().startswith("what kinematics allows")
@@ -135,14 +137,14 @@ def test_without_friction_the_coefficient_needed_is_told():
 
 @pytest.mark.usefixtures("file")
 def test_a_motion_that_friction_does_not_hold_is_said_not_to_be():
-    told = facts("run", "slip=least", "terrain.friction=0.001", "vehicle.axle=tilting")
+    told = facts("run", "model=kinematics", "terrain.friction=0.001", "vehicle.axle=tilting")
     assert told["friction"].endswith("; friction does not hold this motion")
     assert "distribution" not in told["friction"]  # equilibrium leaves nothing open
 
 
 @pytest.mark.usefixtures("file")
 def test_a_vehicle_without_mass_bears_nothing():
-    told = facts("run", "slip=least", "vehicle.mass=0", "vehicle.wheel_mass=0")
+    told = facts("run", "model=kinematics", "vehicle.mass=0", "vehicle.wheel_mass=0")
     assert not {"friction", "mass", "normal forces", "drives"} & set(told)
     assert "force_normal" not in netcdf.read(Path("p.nc")).columns
 
@@ -159,9 +161,40 @@ def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
 
 
 def test_a_motion_that_ends_where_the_model_is_singular_is_explained():
-    found = run(read(PROBLEMS / "paper_direct.toml", ["slip=traction", "terrain.friction=0.6"]))
+    found = run(
+        read(PROBLEMS / "paper_direct.toml", ["model=quasi-static", "terrain.friction=0.6"])
+    )
     assert found.trajectory.stop.name == "no_equilibrium"
     assert "coefficient of friction" in found.trajectory.stop.words
+
+
+OLD = (
+    PROBLEM.replace('model = "quasi-static"', 'slip = "traction"') + "\n[traction]\ncreep = 1e-3\n"
+)
+
+
+@pytest.mark.usefixtures("file")
+def test_old_keys_are_errors_that_name_the_new_ones():
+    Path("p.toml").write_text(OLD)
+    error = called("run", code=2).stderr
+    assert "p.toml:2: slip: expected model = 'quasi-static', which replaces slip = 'tr" in error
+    assert "p.toml:33: traction: expected [law.coulomb], which replaces [traction], with" in error
+
+
+@pytest.mark.usefixtures("file")
+def test_results_with_old_keys_are_read():
+    called("run", "law.coulomb.creep=2e-3")
+    new = netcdf.read(Path("p.nc"))
+    attributes = {**new.attributes, "problem": OLD, "settings": "traction.creep=2e-3"}
+    for name in ("model", "law"):
+        del attributes[name]
+    netcdf.write(Path("old.nc"), replace(new, attributes=attributes))
+    assert problem_of(Path("old.nc"), netcdf.read(Path("old.nc"))).spec.law.coulomb.creep == 2e-3
+    assert shown(Path("old.nc"), "old").vehicle == shown(Path("p.nc"), "new").vehicle
+    for name in ("old.nc", "p.nc"):
+        result = CliRunner().invoke(app, ["info", name])
+        assert result.exit_code == 0, result.stderr
+        assert "a quasi-static prediction by the wheel-ground law 'coulomb'" in result.stdout
 
 
 @pytest.mark.usefixtures("file")
@@ -187,16 +220,33 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
     ("settings", "words"),
     [
         (
-            ["slip=least", "traction={ creep = 1e-3 }"],
-            "traction: expected slip = 'traction', found 'least'",
+            ["model=kinematics", "law.coulomb={ creep = 1e-3 }"],
+            "law.coulomb: expected model = 'quasi-static', where this law applies, found model = "
+            "'kinematics', slip = 'least'",
         ),
-        (["terrain.friction="], "p.toml:2: slip: Coulomb friction: expected a ground with"),
+        (["terrain.friction="], "p.toml:2: model: Coulomb friction: expected a ground with"),
         (
             ["vehicle.mass=0", "vehicle.wheel_mass=0"],
             "a vehicle with mass, found none in 'three_wheeler with fixed axle'",
         ),
-        (["traction={ creep = 0.0 }"], "traction.creep: expected a number greater than 0"),
-        (["traction={ grip = 1.0 }"], "traction.grip: expected one of creep, reserve"),
+        (["law.coulomb.creep=0.0"], "law.coulomb.creep: expected a number greater than 0, found 0"),
+        (["law.coulomb.creep=0.4"], "law.coulomb.creep: expected a number of at most 0.3, found"),
+        (["law.coulomb={ grip = 1.0 }"], "law.coulomb.grip: expected one of creep, reserve, found"),
+        (
+            ["law.columb={}"],
+            "law.columb: expected one of coulomb, found the unknown key 'columb'; did",
+        ),
+        (["law=3"], "law: expected a table, found 3"),
+        (["slip=least"], "slip: expected no slip law with model = 'quasi-static', where"),
+        (["model=kinematics", "slip=lest"], "--set slip: expected one of least, rolling, found"),
+        (
+            ["slip=traction"],
+            "--set slip: expected model = 'quasi-static', which replaces slip = 'traction', found",
+        ),
+        (
+            ["model=", "traction.creep=1e-3"],
+            "--set traction: expected [law.coulomb], which replaces [traction], with model = ",
+        ),
         (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
         (
             ["vehicle.actuated=['tilt_right']"],
@@ -207,7 +257,7 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
             ["vehicle.center_of_mass=[0, 0]"],
             "vehicle.center_of_mass[2]: expected a number, found none",
         ),
-        (["formulation='montana'"], "expected slip = 'least' or 'rolling', found 'traction'"),
+        (["formulation='montana'"], "formulation: 'montana' expects model = 'kinematics', found"),
         (["terrain.synthetic.ramp.rise=20.0", "start.y=1.5"], "no quasi-static equilibrium"),
     ],
 )
@@ -286,11 +336,11 @@ def test_least_friction_on_which_the_axles_stand(axle, discs, expected):
 @pytest.mark.usefixtures("file")
 def test_vehicle_tells_masses_springs_and_forces():
     settings = ("vehicle.axle=tilting", "vehicle.stiffness=60", "vehicle.bump=100")
-    told = called("vehicle", *settings, "slip=least").stdout
+    told = called("vehicle", *settings, "model=kinematics").stdout
     assert "platform: 30 kg" in told
     assert "spring 60" in told
     assert "elastic stops 100" in told
     assert "contact forces" in told
     assert "equilibrium determines them" in told
-    assert "load-weighted" in called("vehicle", "slip=least").stdout
+    assert "load-weighted" in called("vehicle", "model=kinematics").stdout
     assert "wheel-ground law" in called("vehicle").stdout

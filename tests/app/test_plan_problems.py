@@ -92,7 +92,10 @@ def test_a_way_point_is_passed():
             ],
             "expected one of path, paths and file",
         ),
-        (["traction={ creep = 1e-3 }"], "traction: expected slip = 'traction', found 'least'"),
+        (
+            ["law.coulomb.creep=1e-3"],
+            "law.coulomb: expected model = 'quasi-static', where this law",
+        ),
         (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map reaches"),
         (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
         (["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"], "two; put them together"),
@@ -121,8 +124,8 @@ def test_the_law_of_friction_plans_a_gentle_ground():
     """The motion is a prediction then, so that nothing is left to drive by friction again."""
     hills = FIELD.with_name("plan_rigid_hills.toml")
     settings = [
-        'slip="traction"',
-        "traction.creep=1e-2",
+        "model='quasi-static'",
+        "law.coulomb.creep=1e-2",
         "terrain.friction=0.6",
         "costs.slip=1e3",
         "plan.intervals=8",

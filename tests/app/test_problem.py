@@ -301,7 +301,7 @@ def test_settings_that_do_not_fit(tmp_path: Path) -> None:
         "did you mean 'step'?",
         "--set vehicle.r1: expected a number of at least 0, found -1",
         "--set foo: expected one of verb, title, time, solver, terrain, start, frame, vehicle, "
-        "output, inputs, driver, formulation, slip, traction, found the unknown key 'foo'",
+        "output, model, slip, law, inputs, driver, formulation, found the unknown key 'foo'",
     ]
 
 

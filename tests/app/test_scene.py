@@ -42,7 +42,7 @@ from slipfree.vehicle.sections.torus import Torus
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PROBLEM = """\
 verb = "direct"
-slip = "traction"
+model = "quasi-static"
 
 [terrain]
 friction = 0.6
@@ -57,7 +57,7 @@ power_law = { rms = 0.1, hurst = 0.9, longest = 8.0, shortest = 2.0, seed = 11 }
 catalog = "three_wheeler"
 stiffness = 60.0
 
-[traction]
+[law.coulomb]
 creep = 1e-3
 
 [start]

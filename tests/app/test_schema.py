@@ -9,6 +9,7 @@ from typing import Any, get_args, get_origin
 import pytest
 
 from slipfree.problem import schema
+from slipfree.problem.schema_law import law_tables
 
 VERBS = schema.Direct, schema.Inverse, schema.Plan, schema.Compare, schema.Climb
 UNIT = re.compile(r" \[(?:1|(?:[mNs]|kg|rad|Hz)[\w/ ]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")
@@ -34,7 +35,7 @@ def is_numeric(annotation: Any) -> bool:
     return any(map(is_numeric, get_args(annotation)))
 
 
-TABLES = list(records(tuple[VERBS], set()))  # type: ignore[valid-type]
+TABLES = list(records(tuple[*VERBS, law_tables()], set()))  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)

@@ -727,8 +727,8 @@ def test_a_run_that_stops_is_told_by_name(file: Path) -> None:
 def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
     sets = [
         f"{SPEED}=1",
-        "traction.creep=1e-3",
-        "slip=traction",
+        "law.coulomb.creep=1e-3",
+        "model=quasi-static",
         "terrain.friction=0.6",
         "terrain.synthetic.ramp={start=0, end=1, rise=0.1, smooth=true}",
         "vehicle.stiffness=9.0",
@@ -741,7 +741,7 @@ def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
         f"{ramp}start": "m",
         f"{ramp}end": "m",
         f"{ramp}smooth": "",
-        "traction.creep": "m/s",
+        "law.coulomb.creep": "m/s",
         "time.duration": "s",
         "start.heading": "",
         "nothing.at.all": "",

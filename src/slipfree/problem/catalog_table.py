@@ -106,15 +106,18 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
     except ValidationError as error:
         keys = list(inspect.signature(CATALOG[catalog]).parameters)
         known = ["catalog", *keys, "actuated", *(["name"] if "name" in base.model_fields else [])]
-        faults = [_worded(dict(each), known) for each in error.errors(include_url=False)]
+        faults = [reworded(dict(each), known) for each in error.errors(include_url=False)]
         raise ValidationError.from_exception_data(base.__name__, faults) from error
 
 
-def _worded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
+def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
+    """Return an error of a table; one of an unknown key names the known keys."""
     if error["type"] == "extra_forbidden":
         name = str(error["loc"][-1])
         nearest = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        return fault(name, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
+        wrong = fault(name, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
+        wrong["loc"] = error["loc"]
+        return wrong
     details = InitErrorDetails(type=error["type"], loc=error["loc"], input=error["input"])
     return details | {"ctx": error["ctx"]} if "ctx" in error else details

@@ -9,13 +9,8 @@ import numpy as np
 from slipfree.control.path_following import follow, straight
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
-from slipfree.laws.coulomb import Coulomb
-from slipfree.laws.registry import SLIP_LAWS
-from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.montana import montana_kinematics
-from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_common import (
     Setup,
@@ -27,9 +22,9 @@ from slipfree.problem.build_common import (
     samples,
 )
 from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_model import build_model, slip_law
 from slipfree.problem.load import Problem, S
 from slipfree.records import Array
-from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
@@ -47,9 +42,9 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
     t, rates = samples(spec.time, spec.inputs or {})
     if spec.formulation == "montana":
         with at(problem, ("formulation",)):
-            if spec.slip == "traction":
-                raise ModelError("expected slip = 'least' or 'rolling', found 'traction'")
-            dae = montana_kinematics(vehicle, terrain, slip=SLIP_LAWS[spec.slip]())
+            if spec.model != "kinematics":
+                raise ModelError(f"'montana' expects model = 'kinematics', found {spec.model!r}")
+            dae = montana_kinematics(vehicle, terrain, slip=slip_law(problem, spec))
     if spec.driver is None:
         driven = "inputs " + ", ".join(spec.inputs or {})
         with at(problem, ("inputs",)):
@@ -58,20 +53,6 @@ def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
         driven = f"driver {spec.driver.name}"
         inputs = build_law(problem, spec.driver, dae, vehicle, start)
     return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven)
-
-
-def build_model(
-    problem: Problem[S], spec: schema.Direct | schema.Plan, vehicle: Vehicle, terrain: Terrain
-) -> Dae:
-    """Return the model of a vehicle on a ground by the law of slip that a problem asks for."""
-    if spec.traction is not None and spec.slip != "traction":
-        where = problem.source.where(("traction",))
-        raise ProblemError(f"{where}: traction: expected slip = 'traction', found {spec.slip!r}")
-    with at(problem, ("slip",)):
-        if spec.slip == "traction":
-            law = Coulomb(**dict(spec.traction or schema.Traction()))
-            return quasi_statics(vehicle, terrain, law=law)
-        return direct_kinematics(vehicle, terrain, slip=SLIP_LAWS[spec.slip]())
 
 
 def build_law(

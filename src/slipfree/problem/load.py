@@ -21,6 +21,7 @@ from slipfree.files.toml.errors import (
 )
 from slipfree.files.toml.reader import parse_toml, read_text
 from slipfree.files.toml.source_lines import Place, Source, key_lines, key_path
+from slipfree.problem.old_keys import upgrade_keys
 from slipfree.problem.schema import (
     ALTERNATIVES,
     Asked,
@@ -68,6 +69,14 @@ def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion] | Pr
     return cast("Problem[Motion] | Problem[Climb]", found)
 
 
+def read_earlier(
+    path: str | Path, settings: Sequence[str] = ()
+) -> Problem[Motion] | Problem[Climb]:
+    """Return a problem that this or an earlier version has run; see `read_as`."""
+    found = _read(COMMANDS["run"], path, settings, earlier=True)
+    return cast("Problem[Motion] | Problem[Climb]", found)
+
+
 def read_motion(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion]:
     """Return the problem of a motion over terrain: direct, inverse or a plan; see `read_as`."""
     return _read((Direct, Inverse, Plan), path, settings)
@@ -99,15 +108,25 @@ def read_as(schema: type[S], path: str | Path, settings: Sequence[str] = ()) -> 
     return _read((schema,), path, settings)
 
 
-def _read(schemas: Sequence[type[A]], path: str | Path, settings: Sequence[str]) -> Problem[A]:
-    """Return the problem in a TOML file, by the schema that its verb names."""
+def _read(
+    schemas: Sequence[type[A]],
+    path: str | Path,
+    settings: Sequence[str],
+    *,
+    earlier: bool = False,
+) -> Problem[A]:
+    """Return the problem in a TOML file, by the schema that its verb names.
+
+    Keys of earlier versions are errors, unless ``earlier`` accepts them.
+    """
     path = Path(path)
     text = read_text(path)
     data = parse_toml(path, text)
     places = _replaced(data, settings)
     source = Source(path, text, key_lines(text), places)
     schema = _by_verb(schemas, data, source)
-    faults = [*_alternatives(schema, data)]
+    data, replaced = upgrade_keys(data)
+    faults = [*_alternatives(schema, data), *([] if earlier else replaced)]
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:

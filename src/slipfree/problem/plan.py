@@ -30,7 +30,8 @@ from slipfree.problem.build_common import (
     samples,
 )
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.direct import build_law, build_model
+from slipfree.problem.build_model import build_model
+from slipfree.problem.direct import build_law
 from slipfree.problem.goals import (
     Place,
     Wanted,
@@ -311,7 +312,7 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
 def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     """Return what becomes of the plan's inputs where friction decides, in words."""
     able = setup.vehicle.mass and setup.terrain.has_friction
-    if not (found.success and able and setup.spec.slip != "traction"):
+    if not (found.success and able and setup.spec.model != "quasi-static"):
         return {}
     model: Dae = quasi_statics(setup.vehicle, setup.terrain)
     options = setup.spec.solver.options

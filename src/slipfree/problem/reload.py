@@ -24,7 +24,7 @@ from slipfree.problem.climb import build_climb
 from slipfree.problem.climb_plan import PROGRESS
 from slipfree.problem.goals import regions
 from slipfree.problem.input_files import DRAWN, input_names
-from slipfree.problem.load import Problem, climbs, read
+from slipfree.problem.load import Problem, climbs, read_earlier
 from slipfree.records import Array
 from slipfree.regular_files import resolve_links, unescape_name
 from slipfree.show.climb_scene import Climbed
@@ -92,7 +92,7 @@ def problem_of(
         copy = Path(scratch) / "problem.toml"  # a name out of a file may be anything
         copy.write_text(text, encoding="utf-8")
         try:
-            problem = read(copy, settings)
+            problem = read_earlier(copy, settings)
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(

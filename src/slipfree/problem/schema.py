@@ -23,14 +23,19 @@ from slipfree.problem.schema_climb import Legs as Legs
 from slipfree.problem.schema_climb import Profile as Profile
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import Terrain as Terrain
+from slipfree.problem.schema_law import Law as Law
+from slipfree.problem.schema_law import known_slip
 from slipfree.solve.options import MIN_TOLERANCE, Method, SolverOptions
+
+SlipName = Annotated[str, AfterValidator(known_slip)]
 
 VERB = "what is asked for"
 TOLERANCE = "of the integrator, absolute and relative [1]"
 SIZED = "of the integrator, absolute and relative; that of lengths in sizes of the vehicle [1]"
 COMPILED = "whether to compile the equations, seconds once a vehicle; they are kept"
-SLIP = "law of slip: the least that kinematics allows, none at all, or what friction makes of it"
-LAW = "the law of friction, for slip = 'traction'"
+MODEL = "kinematics: the slip law determines the rates; quasi-static: the wheel-ground law does"
+SLIP = "slip law, for model = 'kinematics': least slip, or rolling without slip"
+LAW = "parameters of the slip law or of the wheel-ground law, in a table of its name"
 INPUTS = "rates by name: of driven wheels, and of joints that are commanded [rad/s, m/s]"
 
 
@@ -133,19 +138,15 @@ class Motion(Task):
     output: Output | None = Field(default=None, description="where the result goes")
 
 
-class Traction(Record):
-    """The law of friction."""
+class Modelled(Motion):
+    """Keys of the problems whose model is chosen."""
 
-    creep: Positive = Field(
-        default=1e-4,
-        description="slip at which a wheel transmits 71 % of what friction gives [m/s]",
-    )
-    reserve: NonNegative = Field(
-        default=0.0, description="viscous friction for each newton of normal force [s/m]"
-    )
+    model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
+    slip: SlipName = Field(default="least", description=SLIP)
+    law: Law = Field(default=Law.model_construct(), description=LAW)
 
 
-class Direct(Motion):
+class Direct(Modelled):
     """Direct kinematics: given rates, or a driving law; the motion is asked for."""
 
     verb: Literal["direct"] = Field(description=VERB)
@@ -154,8 +155,6 @@ class Direct(Motion):
     formulation: Literal["closure", "montana"] = Field(
         default="closure", description="of contact: by positions, or by Montana's rates"
     )
-    slip: Literal["least", "rolling", "traction"] = Field(default="least", description=SLIP)
-    traction: Traction | None = Field(default=None, description=LAW)
 
 
 class Path(Record):
@@ -237,7 +236,7 @@ class Search(Record):
     )
 
 
-class Plan(Motion):
+class Plan(Modelled):
     """A plan: the inputs that reach a goal at the least cost; a driving law starts the search."""
 
     verb: Literal["plan"] = Field(description=VERB)
@@ -264,8 +263,6 @@ class Plan(Motion):
         default=None, description=f"of the motion that starts the search: {INPUTS}"
     )
     driver: Guide | None = Field(default=None, description="what starts the search instead")
-    slip: Literal["least", "rolling", "traction"] = Field(default="least", description=SLIP)
-    traction: Traction | None = Field(default=None, description=LAW)
 
 
 class Compared(Vehicle):

@@ -17,6 +17,7 @@ from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem import schema
 from slipfree.problem.build_common import Setup, vehicle_facts
 from slipfree.problem.build_ground import at, filled_words, ground_facts
+from slipfree.problem.build_model import law_name
 from slipfree.problem.climb import Climbing, build_climb, climbed
 from slipfree.problem.direct import build_direct
 from slipfree.problem.inverse import build_inverse, drive_along, finished, is_sought
@@ -196,9 +197,11 @@ def _attributes(
     """Return what a result must know about its problem."""
     source = problem.source
     settings = {"settings": "\n".join(dict.fromkeys(source.settings.values()))}
-    inputs = {}
+    inputs, spec = {}, problem.spec
     if isinstance(setup, Setup):
         inputs["inputs"] = " ".join(label.full for label in leaves(setup.model.labels.u))
+    if isinstance(spec, schema.Modelled):
+        inputs |= {"model": spec.model, "law": law_name(spec)}
     found = {
         "title": problem.spec.title or source.path.stem,
         "problem_file": source.path.name,

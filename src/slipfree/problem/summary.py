@@ -181,11 +181,25 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
         yield "driven by friction", run.attributes["by_friction"]
 
 
+def _is_quasi_static(run: Trajectory) -> bool:
+    """Return whether a wheel-ground law determined a motion."""
+    model = "quasi-static" if "friction_used_along" in run.columns else "kinematics"  # before 0.2
+    return run.attributes.get("model", model) == "quasi-static"
+
+
+def _law(run: Trajectory) -> str:
+    """Return the name of the law that determined a motion; results before 0.2 do not have it."""
+    return run.attributes.get("law", "coulomb" if _is_quasi_static(run) else "least")
+
+
 def _slip(run: Trajectory) -> Iterator[tuple[str, str]]:
-    if "friction_used_along" in run.columns:
-        yield "slip", "a quasi-static prediction: Coulomb friction, regularised by creep"
-    else:
+    law = _law(run)
+    if _is_quasi_static(run):
+        yield "slip", f"a quasi-static prediction by the wheel-ground law {law!r}"
+    elif law == "least":
         yield "least slip", "what kinematics allows: a lower bound, not a prediction"
+    else:
+        yield "slip", f"of the slip law {law!r}, not a prediction"
     for wheel in run.wheels:
         along, across = run["slip_along", wheel], run["slip_across", wheel]
         rms = np.sqrt(np.mean(along**2 + across**2))
@@ -238,7 +252,7 @@ def friction_words(run: Trajectory) -> str:
         return f"coefficient needed {value} {where}; the ground's is not given"
     words = f"utilisation {value} {where}, of a coefficient of {run.attributes['ground_friction']}"
     spread = " in the load-weighted distribution" if "utilisation_best" in run.columns else ""
-    spread = " by the law of friction" if "friction_used_along" in run.columns else spread
+    spread = f" by the law {_law(run)!r}" if _is_quasi_static(run) else spread
     return f"{words}{spread}" + ("" if used[k, i] <= 1 else "; friction does not hold this motion")
 
 

@@ -1,0 +1,65 @@
+"""Model and law of a problem."""
+
+from __future__ import annotations
+
+from slipfree.dae import Dae
+from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.laws.protocols import GroundLaw, SlipLaw
+from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.models.quasi_statics import quasi_statics
+from slipfree.problem import schema
+from slipfree.problem.build_ground import at
+from slipfree.problem.load import Problem, S
+from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import Vehicle
+
+DEFAULT_LAW = "coulomb"
+
+
+def build_model(
+    problem: Problem[S], spec: schema.Modelled, vehicle: Vehicle, terrain: Terrain
+) -> Dae:
+    """Return the model of a vehicle on a ground that a problem names, with its law."""
+    if spec.model == "kinematics":
+        slip = slip_law(problem, spec)
+        with at(problem, ("slip",)):
+            return direct_kinematics(vehicle, terrain, slip=slip)
+    law = ground_law(problem, spec)
+    with at(problem, ("model",)):
+        return quasi_statics(vehicle, terrain, law=law)
+
+
+def slip_law(problem: Problem[S], spec: schema.Modelled) -> SlipLaw:
+    """Return the slip law of a problem of kinematics."""
+    for name in spec.law.model_fields_set - {spec.slip}:
+        expected = (
+            "model = 'quasi-static', where this law applies"
+            if name in GROUND_LAWS
+            else f"slip = {name!r}, where this law applies"
+        )
+        found = f"model = 'kinematics', slip = {spec.slip!r}"
+        raise problem_error(problem.source, [Fault(("law", name), expected, found)])
+    with at(problem, ("law", spec.slip)):
+        return SLIP_LAWS[spec.slip](**spec.law.parameters(spec.slip))
+
+
+def law_name(spec: schema.Modelled) -> str:
+    """Return the name of the law of a problem."""
+    if spec.model == "kinematics":
+        return spec.slip
+    return next(iter(sorted(spec.law.model_fields_set)), DEFAULT_LAW)
+
+
+def ground_law(problem: Problem[S], spec: schema.Modelled) -> GroundLaw:
+    """Return the wheel-ground law of a quasi-static problem: the one with a table, or Coulomb's."""
+    name = law_name(spec)
+    if "slip" in spec.model_fields_set:
+        expected = "no slip law with model = 'quasi-static', where forces determine the slip"
+        raise problem_error(problem.source, [Fault(("slip",), expected, repr(spec.slip))])
+    for other in spec.law.model_fields_set - ({name} & set(GROUND_LAWS)):
+        expected = f"one wheel-ground law with model = 'quasi-static', of {', '.join(GROUND_LAWS)}"
+        found = ", ".join(sorted(spec.law.model_fields_set))
+        raise problem_error(problem.source, [Fault(("law", other), expected, found)])
+    with at(problem, ("law", name)):
+        return GROUND_LAWS[name](**spec.law.parameters(name))

@@ -1,0 +1,101 @@
+"""Tables ``[law.NAME]`` of problem files, from the dataclasses of the registered laws."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+from functools import cache
+from typing import Any, cast, get_type_hints
+
+from annotated_types import DocInfo, Unit
+from pydantic import (
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    create_model,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from slipfree.files.toml.types import Record
+from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
+from slipfree.problem.catalog_table import reworded
+
+
+def known_slip(name: str) -> str:
+    """Return the name of a slip law; raise if it is not registered."""
+    if name not in SLIP_LAWS:
+        raise PydanticCustomError("expected", "one of {names}", {"names": ", ".join(SLIP_LAWS)})
+    return name
+
+
+def registered_laws() -> dict[str, Any]:
+    """Return the laws that a table may name: wheel-ground laws, and slip laws with parameters."""
+    slip_laws: dict[str, Any] = dict(SLIP_LAWS)
+    return {name: law for name, law in slip_laws.items() if fields(law)} | GROUND_LAWS
+
+
+@cache
+def law_record(law: type) -> type[Record]:
+    """Return the record of a law's parameters, from the annotations of its dataclass."""
+    hints = get_type_hints(law, include_extras=True)
+    keys: dict[str, Any] = {
+        each.name: (
+            hints[each.name],
+            Field(
+                default=... if each.default is MISSING else each.default,
+                description=_description(hints[each.name]),
+            ),
+        )
+        for each in fields(law)
+    }
+    words = (law.__doc__ or "").partition("\n")[0]
+    return create_model(law.__name__, __base__=Record, __doc__=words, **keys)
+
+
+def _description(hint: Any) -> str:
+    """Return meaning and unit of a parameter."""
+    metadata = getattr(hint, "__metadata__", ())
+    words = [each.documentation for each in metadata if isinstance(each, DocInfo)]
+    return " ".join([*words, *(f"[{each.unit}]" for each in metadata if isinstance(each, Unit))])
+
+
+class Law(Record):
+    """Parameters of a law, in a table of its name."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _by_name(cls, data: Any, handler: ModelWrapValidatorHandler[Law]) -> Law:
+        """Read the tables of the laws that are registered."""
+        if cls is not Law or not isinstance(data, dict):
+            return handler(data)
+        try:
+            return law_tables().model_validate(data)
+        except ValidationError as error:
+            laws = registered_laws()
+            known: dict[Any, list[str]] = {(): list(laws)} | {
+                (name,): [each.name for each in fields(law)] for name, law in laws.items()
+            }
+            raise ValidationError.from_exception_data(
+                cls.__name__,
+                [
+                    reworded(dict(each), known.get(each["loc"][:-1], []))
+                    for each in error.errors(include_url=False)
+                ],
+            ) from error
+
+    def parameters(self, name: str) -> dict[str, Any]:
+        """Return the parameters given for a law."""
+        table = getattr(self, name, None)
+        return {} if table is None else dict(table)
+
+
+def law_tables() -> type[Law]:
+    """Return the record of the tables of all registered laws."""
+    keys: dict[str, Any] = {
+        name: (
+            law_record(law) | None,
+            Field(default=None, description=f"parameters of {name}"),
+        )
+        for name, law in registered_laws().items()
+    }
+    return cast("type[Law]", create_model("Laws", __base__=Law, __doc__=Law.__doc__, **keys))
