@@ -30,9 +30,10 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
+from slipfree.control.path_tracking import path_inputs
 from slipfree.models.determinacy import conditions
-from slipfree.models.given_rates import EULER, VELOCITY
-from slipfree.models.inverse import PLANAR, along, inverse_kinematics, steering_note
+from slipfree.models.given_rates import EULER, PLANAR, VELOCITY
+from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.replay import replay, spline_inputs
@@ -136,7 +137,7 @@ def until_the_tilt(height: Height, solve_for: Any) -> str:
     """Return when, or why not, the paper's inverse input tilts a wheel by that much."""
     vehicle = three_wheeler(tilt_stop=TILT, mass=0.0, wheel_mass=0.0)
     terrain = Analytic(height)
-    dae = inverse_kinematics(vehicle, terrain, solve_for=solve_for)
+    dae = inverse_kinematics(vehicle, terrain, given=PLANAR, solve_for=solve_for)
     begin = settle(direct_kinematics(vehicle, terrain))
     note = ""
     try:
@@ -179,8 +180,9 @@ def pointwise() -> None:
     """Print how well rates come back from recorded states, for every choice of Euler rates."""
     _, _, run = direct_run(np.linspace(0, 6, 7), 1e-10, x=0.3, heading=0.2)
     worst, returned, left_out = 0.0, 0, 0
+    free: Any = {"solve_for": "rates", "least_margin": 0.0}
     for given in combinations((*VELOCITY, *EULER), 3):
-        dae = inverse_kinematics(VEHICLE, Analytic(hills), given=given, least_margin=0.0)
+        dae = inverse_kinematics(VEHICLE, Analytic(hills), given=given, **free)
         for k in range(run.t.size):
             system = with_inputs(dae, dae.inputs(**{name: run[name][k] for name in given}), 0)
             x, z = dae.rows("x", run, k), dae.rows("z", run, k)
@@ -206,8 +208,8 @@ def in_time() -> None:
         t = np.linspace(0, 8, 161)
         direct, begin, run = direct_run(t, 1e-13 if sought else 1e-11, **start)
         least = {"least_margin": 0.0} if sought else {}
-        dae = inverse_kinematics(VEHICLE, Analytic(hills), given=PLANAR, **least)
-        inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
+        dae = inverse_kinematics(VEHICLE, Analytic(hills), given=PLANAR, solve_for="rates", **least)
+        inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
         repeated = ""
         if sought:
             found = drive(dae, begin, inputs, t, sought=["steer"])

@@ -29,8 +29,10 @@ from slipfree import (
     settle,
     simulate,
 )
-from slipfree.models.platform_rates import steered, subset_kinematics
-from slipfree.models.reach import planar_rates, wheel_rates
+from slipfree.models.given_rates import derived_rates
+from slipfree.models.inverse import inverse_kinematics
+from slipfree.models.steering_guide import steered
+from slipfree.models.wheel_authority import wheel_rates
 from slipfree.records import leaves, pack
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
@@ -64,8 +66,10 @@ def slip(run: Trajectory) -> float:
 def driven(direct: Any, stand: Trajectory, rates: dict[str, float], given: dict[str, float]) -> str:
     """Return slip and round trip of the direct model under inputs."""
     run = apply_inputs(direct, stand, direct.inputs(**rates))
-    plane = planar_rates(direct)
-    found = ca.Function("plane", list(direct.columns()[:2]), [plane[name] for name in given])
+    plane = derived_rates(direct)
+    found = ca.Function(
+        "plane", list(direct.columns()[:2]), [plane[name].expression for name in given]
+    )
     values = found(direct.rows("x", run, -1), direct.rows("z", run, -1))
     gap = max(abs(float(v) - g) for v, g in zip(values, given.values(), strict=True))
     return f"{slip(run):8.1e} / {gap:7.1e}"
@@ -78,8 +82,8 @@ def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, 
     """
     count, driving = len(direct.z.rates.law.multipliers), len(direct.u.wheels)
     unknown = ca.vertcat(*leaves(direct.z.rates.motion), *direct.u.wheels)
-    plane = planar_rates(direct)
-    kept = ca.vertcat(direct.alg[1][-count:], *(plane[name] for name in given))
+    plane = derived_rates(direct)
+    kept = ca.vertcat(direct.alg[1][-count:], *(plane[name].expression for name in given))
     slips = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
     # They are linear, whatever rates their Jacobian is asked for at.
     rates = [pack(direct.z.rates.motion), pack(direct.u)]
@@ -100,7 +104,7 @@ def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, 
 def row(terrain: Terrain, given: dict[str, float]) -> str:
     """Return slip and round trip at all steering angles."""
     direct = direct_kinematics(ROVER, terrain)
-    dae = subset_kinematics(ROVER, terrain, given=tuple(given))
+    dae = inverse_kinematics(ROVER, terrain, given=tuple(given))
     inputs, joints = dae.inputs(**given), list(steered(ROVER, direct))
     stand = settle(direct, **START)
     guide = trim_states(
@@ -119,7 +123,8 @@ def row(terrain: Terrain, given: dict[str, float]) -> str:
 
 def in_time(terrain: Terrain) -> None:
     """Print a motion over the ground: what it slips, misses and costs."""
-    direct, dae = direct_kinematics(ROVER, terrain), subset_kinematics(ROVER, terrain)
+    direct = direct_kinematics(ROVER, terrain)
+    dae = inverse_kinematics(ROVER, terrain, given=("forward", "yaw_rate"))
     inputs, joints = dae.inputs(forward=0.1, yaw_rate=0.05), list(steered(ROVER, direct))
     errors = [f"{name}_error" for name in joints]
     start = trim_states(dae, settle(direct, **START), inputs, states=joints, least=errors)

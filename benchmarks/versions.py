@@ -183,7 +183,6 @@ try:
     from slipfree.models.inverse import inverse_kinematics
     from slipfree.models.kinematics import direct_kinematics
     from slipfree.models.montana import montana_kinematics
-    from slipfree.models.platform_rates import subset_kinematics
     from slipfree.plan.problem import task_of
     from slipfree.plan.transcription import CollocationMesh as Mesh, transcribe
     from slipfree.records import leaves
@@ -207,6 +206,13 @@ except ModuleNotFoundError:  # version 0.1.0
         return "rolling"
     def quasi_statics(vehicle, ground):
         return direct_kinematics(vehicle, ground, slip="traction")
+def inverse(vehicle, ground, solve_for, given=("velocity_x", "velocity_y", "heading_rate")):
+    try:
+        return inverse_kinematics(vehicle, ground, given=given, solve_for=solve_for)
+    except TypeError:  # version 0.1.0
+        if "forward" in given:
+            return subset_kinematics(vehicle, ground, given=given)
+        return inverse_kinematics(vehicle, ground, given=given, steering=solve_for[:-1])
 
 x = np.linspace(-6, 6, 121)
 z = 0.1 * np.sin(1.3 * x)[:, None] * np.cos(0.9 * x) + 0.02 * np.sin(4 * x)[:, None]
@@ -231,9 +237,9 @@ MODELS = {
     "rolling": lambda g: direct_kinematics(three, g, slip=Rolling()),
     "traction": lambda g: quasi_statics(sf.three_wheeler(axle="fixed"), g),
     "Montana": lambda g: montana_kinematics(three, g),
-    "inverse, steering rate": lambda g: inverse_kinematics(three, g),
-    "inverse, steering angle": lambda g: inverse_kinematics(three, g, solve_for="angles"),
-    "platform rates, rover": lambda g: subset_kinematics(rover, g),
+    "inverse, steering rate": lambda g: inverse(three, g, "rates"),
+    "inverse, steering angle": lambda g: inverse(three, g, "angles"),
+    "platform rates, rover": lambda g: inverse(rover, g, "angles", ("forward", "yaw_rate")),
 }
 found = {}
 for ground_name, make in GROUNDS.items():

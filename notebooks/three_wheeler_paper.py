@@ -34,6 +34,7 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.models.determinacy import conditions
+from slipfree.models.given_rates import PLANAR
 from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.models.slip import measured_slip
@@ -132,7 +133,7 @@ for given in (
 # its rate as the unknown, the condition is near 6, at the price of a small slip while it turns.
 
 # %%
-inverse = inverse_kinematics(vehicle, terrain, solve_for="angles")
+inverse = inverse_kinematics(vehicle, terrain, given=PLANAR)
 moving = simulate(model, start, rates, np.array([0.0, 0.01]))
 given = inverse.inputs(velocity_x=0.01255, velocity_y=0.12865, heading_rate=0.0159)
 back = simulate(inverse, moving.part(slice(1)), given, np.linspace(0, 6, 301))
@@ -156,7 +157,7 @@ figure
 # or grows with the sign of a lever, the distance of the front contact behind the steering axis:
 
 # %%
-literal = inverse_kinematics(vehicle, terrain)
+literal = inverse_kinematics(vehicle, terrain, given=PLANAR, solve_for="rates")
 try:
     told = simulate(literal, start, given, np.linspace(0, 6, 61))
     print(steering_note(told) or "the steering is stable on this ground")

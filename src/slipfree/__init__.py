@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from slipfree.laws.least_slip import LeastSlip
     from slipfree.laws.rolling import Rolling
     from slipfree.models.friction_feasibility import best_utilisation
+    from slipfree.models.inverse import inverse_kinematics
     from slipfree.models.kinematics import direct_kinematics
     from slipfree.models.quasi_statics import quasi_statics
     from slipfree.solve.options import SolverOptions
@@ -59,6 +60,7 @@ __all__ = [
     "differential_drive",
     "direct_kinematics",
     "follow",
+    "inverse_kinematics",
     "open_source_rover",
     "quasi_statics",
     "rocky7",
@@ -79,6 +81,7 @@ _HOMES = {
     "laws.least_slip": ("LeastSlip",),
     "laws.rolling": ("Rolling",),
     "models.friction_feasibility": ("best_utilisation",),
+    "models.inverse": ("inverse_kinematics",),
     "models.kinematics": ("direct_kinematics",),
     "models.quasi_statics": ("quasi_statics",),
     "solve.options": ("SolverOptions",),

@@ -16,7 +16,6 @@ from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem import inverse
-from slipfree.problem import solve as runner
 from slipfree.problem.load import read
 from slipfree.problem.solve import build, run
 from slipfree.trajectory import SolverError, Stop
@@ -214,7 +213,7 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("gave up", reached)
 
-    monkeypatch.setattr(runner, "simulate", fail)
+    monkeypatch.setattr(inverse, "simulate", fail)
     file = str(PROBLEMS / "paper_inverse.toml")
     result = _invoke("run", file, "--no-draw", "-o", "q.nc", *_set("steering=rate"))
     assert result.exit_code == 1
@@ -233,7 +232,7 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inverse, "replay", fail)
     result = _invoke("run", "path.toml", "--no-draw", *_set(LOOSE))
     assert (result.exit_code, result.stderr) == (0, "")
-    assert re.search("replay stopped early +the replay by the direct .* gave up\n", result.stdout)
+    assert re.search("replay stopped early +it gave up\n", result.stdout)
     assert_allclose(netcdf.read("path.nc")["y"][-1], 0.135 * 0.5, atol=1e-6)
     monkeypatch.setattr(inverse, "drive", fail)
     result = _invoke("run", "path.toml", "--no-draw")

@@ -24,11 +24,12 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
+from slipfree.control.path_tracking import path_inputs
 from slipfree.dae import power_of_length
 from slipfree.laws.protocols import SlipLaw
-from slipfree.models.inverse import along, inverse_kinematics
+from slipfree.models.given_rates import PLANAR
+from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics
-from slipfree.models.platform_rates import subset_kinematics
 from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.collocation import drive
 from slipfree.vehicle.catalogue.rovers import open_source_rover
@@ -122,7 +123,7 @@ def inverse(scale: float, solve_for: str) -> Trajectory:
     dae = direct_kinematics(vehicle, ground, slip=Rolling())
     inputs = dae.inputs(right_rate=0.45, left_rate=0.42, steer_rate=0.0)
     start = simulate(dae, settle(dae, heading=0.1), inputs, np.linspace(0, 0.1, 3))
-    back = inverse_kinematics(vehicle, ground, solve_for=solve_for)
+    back = inverse_kinematics(vehicle, ground, given=PLANAR, solve_for=solve_for)
     given = back.inputs(velocity_x=0.01255 * scale, velocity_y=0.12865 * scale, heading_rate=0.0159)
     return simulate(
         back, start, given, np.linspace(0, 4, 41), options=SolverOptions(tolerance=TOLERANCE)
@@ -133,13 +134,13 @@ def path(scale: float, ground: Ground) -> Trajectory:
     """Follow a circle by collocation."""
     vehicle, place = scaled(three_wheeler(), scale), ground(scale)
     dae = direct_kinematics(vehicle, place)
-    back = inverse_kinematics(vehicle, place, least_margin=0.0)
+    back = inverse_kinematics(vehicle, place, given=PLANAR, solve_for="rates", least_margin=0.0)
     start = settle(dae, x=-scale, heading=1.0)
     heading, radius = 1.0 + 0.02 * back.t, 6.75 * scale
     x = -scale + radius * (ca.cos(heading) - np.cos(1.0))
     y = radius * (ca.sin(heading) - np.sin(1.0))
     t = np.linspace(0, 6, 61)
-    inputs = along(back, start, x, y, heading)
+    inputs = path_inputs(back, start, x, y, heading)
     return drive(
         back, start, inputs, t, sought=["steer"], options=SolverOptions(tolerance=TOLERANCE)
     ).run
@@ -147,7 +148,9 @@ def path(scale: float, ground: Ground) -> Trajectory:
 
 def rover(scale: float) -> Trajectory:
     """Drive a rover with six wheels, four steered, at given forward speed and yaw rate."""
-    dae = subset_kinematics(scaled(open_source_rover(), scale), bicubic(scale))
+    dae = inverse_kinematics(
+        scaled(open_source_rover(), scale), bicubic(scale), given=("forward", "yaw_rate")
+    )
     start = settle(dae, heading=0.1)
     inputs = dae.inputs(forward=0.1 * scale, yaw_rate=0.05)
     return simulate(

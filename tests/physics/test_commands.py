@@ -19,8 +19,9 @@ from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, set
 from slipfree.cli import app
 from slipfree.control.path_tracking import GAIN, track_path
 from slipfree.files import netcdf
-from slipfree.models.platform_rates import FASTEST, STOP_CLEARANCE, steered, subset_kinematics
-from slipfree.models.reach import SUBSET
+from slipfree.models.given_rates import COMMANDS
+from slipfree.models.inverse import inverse_kinematics
+from slipfree.models.steering_guide import FASTEST, STOP_CLEARANCE, steered
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import read
 from slipfree.solve.replay import replay, round_trip
@@ -37,7 +38,7 @@ VEHICLES = {
     "open_source_rover": open_source_rover(**LIGHT),
 }
 ANY = [(0.3, 0.0, 0.0), (0.3, 0.1, 0.0), (0.0, -0.2, 0.0), (0.0, 0.0, 0.4), (-0.2, 0.1, -0.3)]
-COMMANDS = {  # forward, right, yaw rate
+GIVEN = {  # forward, right, yaw rate
     "four_wheel_steered": ANY,
     "six_wheel_steered": ANY,
     "ackermann": [(0.3, 0, 0), (0.3, 0, 0.2), (0.3, 0, -0.2), (-0.3, 0, 0), (-0.2, 0, 0.1)],
@@ -50,13 +51,13 @@ START = {"x": 0.3, "y": -0.4, "heading": 0.7}
 def models(vehicle, terrain):
     """The direct model, and the model of all three commands."""
     direct = direct_kinematics(vehicle, terrain)
-    return direct, subset_kinematics(vehicle, terrain, given=tuple(SUBSET), exact=False)
+    return direct, inverse_kinematics(vehicle, terrain, given=tuple(COMMANDS), exact=False)
 
 
 def poised(vehicle, terrain, command, **start):
     """Both models, the inputs, and the start with the steering that the command leads to."""
     direct, dae = models(vehicle, terrain)
-    inputs = dae.inputs(**dict(zip(SUBSET, command, strict=True)))
+    inputs = dae.inputs(**dict(zip(COMMANDS, command, strict=True)))
     sought = [name for name in steered(vehicle, direct) if name not in start]
     errors = [f"{name}_error" for name in sought]
     stand = settle(direct, **(START | start))
@@ -72,10 +73,10 @@ def planar(run):
 
 def announced(run):
     """The errors of the given rates, shape (3, n)."""
-    return np.array([run[f"{name}_error"] for name in SUBSET])
+    return np.array([run[f"{name}_error"] for name in COMMANDS])
 
 
-CASES = [(name, command) for name, commands in COMMANDS.items() for command in commands]
+CASES = [(name, command) for name, commands in GIVEN.items() for command in commands]
 
 
 @pytest.mark.parametrize(("name", "command"), CASES)
@@ -166,7 +167,9 @@ def test_rates_and_stops_of_the_steering_are_kept_and_do_not_end_the_motion():
     assert np.abs(announced(run)[:, -1]).max() > 0.01  # the stop costs the command
     _, _, _, start = poised(vehicle, HILLS, (0.1, 0.0, 0.4))
     assert_allclose(start["steer"], 0.7 - STOP_CLEARANCE, atol=1e-7)
-    dae = subset_kinematics(vehicle, HILLS)  # exact: the wheels slip more
+    dae = inverse_kinematics(
+        vehicle, HILLS, given=("forward", "yaw_rate")
+    )  # exact: the wheels slip more
     inputs = dae.inputs(forward=0.1, yaw_rate=0.4)
     run = simulate(dae, apply_inputs(dae, start, inputs), inputs, [0.0, 1.0])
     assert run.stop is None
@@ -245,8 +248,8 @@ def test_a_path_is_checked():
 def test_exactness_is_refused_in_words_that_name_the_remedy():
     vehicle = VEHICLES["four_wheel_steered"]
     with pytest.raises(ModelError, match=r"has 2 driven wheels.*or set exact = false"):
-        subset_kinematics(VEHICLES["ackermann"], FLAT, given=tuple(SUBSET))
-    dae = subset_kinematics(vehicle, FLAT, given=("right",))
+        inverse_kinematics(VEHICLES["ackermann"], FLAT, given=tuple(COMMANDS))
+    dae = inverse_kinematics(vehicle, FLAT, given=("right",))
     stand = settle(direct_kinematics(vehicle, FLAT))
     with pytest.raises(ModelError, match="nothing determines multiplier_right"):
         trim_states(dae, stand, dae.inputs(right=0.0), states=[], least=[])
@@ -325,7 +328,7 @@ def _run(*settings: str, code: int = 0) -> Any:
 def test_a_robots_command_counts_left_positive() -> None:
     words, run = _run()
     assert "v_x 0.2 m/s, v_y 0.1 m/s, omega_z 0 rad/s" in words
-    for name in SUBSET:
+    for name in COMMANDS:
         assert f"error of {name} " in words
     assert "margin" not in words.split("closure residual")[0].replace("tip-over margin", "")
     assert_allclose(run["right"], -0.1)

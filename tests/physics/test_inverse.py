@@ -23,15 +23,10 @@ from slipfree import (
     straight,
     three_wheeler,
 )
+from slipfree.control.path_tracking import path_inputs
 from slipfree.models.determinacy import conditions
-from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, omega
-from slipfree.models.inverse import (
-    PLANAR,
-    along,
-    inverse_kinematics,
-    steering_note,
-    steering_slip,
-)
+from slipfree.models.given_rates import EULER, OMEGA, PLANAR, VELOCITY, omega
+from slipfree.models.inverse import inverse_kinematics, steering_note, steering_slip
 from slipfree.solve.collocation import drive
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.replay import replay, spline_inputs
@@ -40,6 +35,7 @@ from slipfree.solve.system import with_inputs
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.wheel import Wheel
 
+CROSSING = {"given": PLANAR, "solve_for": "rates", "least_margin": 0.0}
 WHEEL_RATES = ("right_rate", "left_rate", "steer_rate")
 PAPER_MOTION = {"velocity_x": 0.01255, "velocity_y": 0.12865, "heading_rate": 0.0159}
 PAPER_STOP = 0.35  # tilt at which the paper's figures end [rad]
@@ -94,7 +90,9 @@ def test_rates_come_back_at_recorded_states(family):
     _, _, run = direct_run(HILLS, np.linspace(0, 6, 4), x=0.3, heading=0.2)
     value, returned = with_omega(run), 0
     for given in combinations((*VELOCITY, *family), 3):
-        dae = inverse_kinematics(three_wheeler(), HILLS, given=given, least_margin=0.0)
+        dae = inverse_kinematics(
+            three_wheeler(), HILLS, given=given, least_margin=0.0, solve_for="rates"
+        )
         for k in range(run.t.size):
             system = with_inputs(dae, dae.inputs(**{name: value(name, k) for name in given}), 0)
             x, z = dae.rows("x", run, k), dae.rows("z", run, k)
@@ -113,7 +111,7 @@ def test_given_omega_is_that_of_the_platform():
     given = ("velocity_x", "velocity_y", "omega_z")
     _, begin, run = direct_run(HILLS, np.linspace(0, 1, 3))
     value = with_omega(run)
-    dae = inverse_kinematics(three_wheeler(), HILLS, given=given)
+    dae = inverse_kinematics(three_wheeler(), HILLS, given=given, solve_for="rates")
     inputs = dae.inputs(**{name: value(name, 0) for name in given})
     back = simulate(dae, begin, inputs, np.array([0.0, 1e-3]))
     assert_allclose(back["omega_x"][0], value("omega_x", 0), atol=1e-12)
@@ -123,8 +121,8 @@ def test_given_omega_is_that_of_the_platform():
 def test_integrated_rates_come_back_where_the_steering_is_stable():
     t = np.linspace(0, 8, 161)
     _, begin, run = direct_run(HILLS, t, tolerance=1e-11, x=0.3, heading=0.2)
-    dae = inverse_kinematics(three_wheeler(), HILLS)
-    inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
+    dae = inverse_kinematics(three_wheeler(), HILLS, given=PLANAR, solve_for="rates")
+    inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
     back = simulate(dae, begin, inputs, t, options=SolverOptions(tolerance=1e-10))
     assert back["steering_growth"].max() < 0  # lever times forward speed stays positive
     assert back.stop is None
@@ -135,7 +133,7 @@ def test_integrated_rates_come_back_where_the_steering_is_stable():
 
 
 def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
-    dae = inverse_kinematics(three_wheeler(), HILLS)
+    dae = inverse_kinematics(three_wheeler(), HILLS, given=PLANAR, solve_for="rates")
     _, _, run = direct_run(HILLS, np.linspace(0, 2, 3), x=0.3)
     inputs = dae.inputs(**{name: run[name][-1] for name in PLANAR})
     system, rates = with_inputs(dae, inputs, 0), []
@@ -154,7 +152,7 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
 def test_unstable_steering_is_told():
     """Where the contact leads the steering axis the steering runs away, and it is said so."""
     vehicle = three_wheeler(mass=0.0, wheel_mass=0.0)  # else the front wheel lifts off before
-    dae = inverse_kinematics(vehicle, MIRRORED)
+    dae = inverse_kinematics(vehicle, MIRRORED, given=PLANAR, solve_for="rates")
     begin = settle(closure_model(vehicle, MIRRORED))
     reached = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 4, 81))
     assert reached.stop.name == "inverse_margin"
@@ -170,7 +168,7 @@ def test_crossing_stops_the_rate_form_by_name():
     """The contact crosses the steering axis from behind."""
     t = np.linspace(0, 8, 161)
     _, begin, run = direct_run(HILLS, t, tolerance=1e-11, x=1.0, y=0.5)
-    dae = inverse_kinematics(three_wheeler(), HILLS)
+    dae = inverse_kinematics(three_wheeler(), HILLS, given=PLANAR, solve_for="rates")
     margin = dae.checks[-1].margin(
         *(np.column_stack([dae.rows(r, run, k) for k in range(t.size)]) for r in "xz")
     )
@@ -178,11 +176,11 @@ def test_crossing_stops_the_rate_form_by_name():
     k = int(np.argmin(margin))
     words = dae.checks[-1].describe(dae.rows("x", run, k), dae.rows("z", run, k))
     assert words.startswith(
-        "platform rates heading_rate and velocity_x cannot be imposed independently: steer_rate is "
-        "not determined, since the contact of wheel front lies on the axis of steer; solve for its "
-        "angle (smallest singular value "
+        "platform rates 'heading_rate' and 'velocity_x' cannot be imposed independently: "
+        "'steer_rate' is not determined, since the contact of wheel 'front' lies on the axis of "
+        "'steer' (smallest singular value "
     )
-    inputs = along(dae, begin, run["x"], run["y"], run["heading"], t=t)
+    inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
     with pytest.raises(
         ModelError, match=r"start is not valid: .* is not determined, since the con"
     ):
@@ -192,11 +190,11 @@ def test_crossing_stops_the_rate_form_by_name():
 def test_path_passes_where_the_contact_crosses_the_steering_axis():
     t = np.linspace(0, 8, 161)
     direct, begin, run = direct_run(HILLS, t, tolerance=1e-13, x=1.0, y=0.5)
-    dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
+    dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
     found = drive(
         dae,
         begin,
-        along(dae, begin, run["x"], run["y"], run["heading"], t=t),
+        path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t),
         t,
         sought=["steer"],
     )
@@ -221,11 +219,11 @@ def test_path_on_a_map_crosses_too():
     begin = settle(direct, heading=0.2)
     law = straight(direct, three_wheeler(), begin, speed=0.135)
     run = simulate(direct, begin, law, t, options=SolverOptions(tolerance=1e-12))
-    dae = inverse_kinematics(three_wheeler(), terrain, least_margin=0.0)
+    dae = inverse_kinematics(three_wheeler(), terrain, **CROSSING)
     found = drive(
         dae,
         begin,
-        along(dae, begin, run["x"], run["y"], run["heading"], t=t),
+        path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t),
         t,
         sought=["steer"],
     )
@@ -240,7 +238,7 @@ def test_path_on_a_map_crosses_too():
 def test_path_by_expressions_of_time():
     """A curve of constant speed on hills; the steering at the start is part of the answer."""
     direct = closure_model(three_wheeler(), HILLS)
-    dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
+    dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
     begin = settle(direct, x=-1.0, heading=1.0)
     heading = 1.0 + 0.02 * dae.t
     x = -1.0 + 0.135 / 0.02 * (ca.cos(heading) - np.cos(1.0))
@@ -248,7 +246,7 @@ def test_path_by_expressions_of_time():
     found = drive(
         dae,
         begin,
-        along(dae, begin, x, y, heading),
+        path_inputs(dae, begin, x, y, heading),
         np.linspace(0, 6, 61),
         sought=["steer"],
     )
@@ -263,7 +261,7 @@ def test_path_by_expressions_of_time():
 def test_collocation_of_a_system_with_a_known_slow_solution():
     """On flat ground the lever is zero and the steering is that of the plane: no slope, no tilt."""
     direct = closure_model(three_wheeler(), FLAT)
-    dae = inverse_kinematics(three_wheeler(), FLAT, least_margin=0.0)
+    dae = inverse_kinematics(three_wheeler(), FLAT, **CROSSING)
     begin = settle(direct)
     rate = 0.02
     heading = rate * dae.t  # the middle of the rear axle moves along its own heading
@@ -272,7 +270,7 @@ def test_collocation_of_a_system_with_a_known_slow_solution():
     found = drive(
         dae,
         begin,
-        along(dae, begin, x, y, heading),
+        path_inputs(dae, begin, x, y, heading),
         np.linspace(0, 4, 41),
         sought=["steer"],
     )
@@ -343,14 +341,12 @@ def test_conditions_on_hills(rng):
 
 
 def test_rate_form_has_no_start_on_flat_ground():
-    dae = inverse_kinematics(three_wheeler(), FLAT)
+    dae = inverse_kinematics(three_wheeler(), FLAT, given=PLANAR, solve_for="rates")
     begin = settle(closure_model(three_wheeler(), FLAT))
     with pytest.raises(ModelError, match="singular here: nothing determines steer_rate"):
         simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
     x, z = dae.rows("x", begin, 0), dae.rows("z", begin, 0)
-    words = (
-        "steer_rate is not determined, since the contact of wheel front lies on the axis of steer"
-    )
+    words = "'steer_rate' is not determined, since the contact of wheel 'front' lies on the axis"
     assert words in dae.checks[-1].describe(x, z)
 
 
@@ -367,7 +363,7 @@ def test_rate_form_has_no_start_on_flat_ground():
 def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, solve_for, when):
     """The paper draws tilts up to its end and mentions no stop; here 0.35 rad come at 4.1 s."""
     vehicle = three_wheeler(tilt_stop=PAPER_STOP)
-    dae = inverse_kinematics(vehicle, ground, solve_for=solve_for)
+    dae = inverse_kinematics(vehicle, ground, solve_for=solve_for, given=PLANAR)
     begin = settle(closure_model(vehicle, ground))
     run = simulate(dae, begin, dae.inputs(**PAPER_MOTION), np.linspace(0, 6, 61))
     assert run.stop.name in ("tilt_left_stop", "tilt_right_stop")
@@ -376,10 +372,10 @@ def test_inverse_input_of_the_paper_runs_until_a_tilt_stop(ground, solve_for, wh
 
 def test_steering_angle_on_flat_ground_is_that_of_the_plane():
     """The slip of the steering is lever times rate; the rate follows from the samples."""
-    dae = inverse_kinematics(three_wheeler(), FLAT, solve_for="angles")
+    dae = inverse_kinematics(three_wheeler(), FLAT, solve_for="angles", given=PLANAR)
     begin = settle(closure_model(three_wheeler(), FLAT))
     t = np.linspace(0, 2, 41)
-    run = steering_slip(simulate(dae, begin, dae.inputs(**PAPER_MOTION), t))
+    run = steering_slip(three_wheeler(), simulate(dae, begin, dae.inputs(**PAPER_MOTION), t))
     heading = run["heading"]
     forward = -PAPER_MOTION["velocity_x"] * np.sin(heading)
     forward += PAPER_MOTION["velocity_y"] * np.cos(heading)
@@ -393,7 +389,7 @@ def test_steering_angle_on_flat_ground_is_that_of_the_plane():
 
 
 def test_steering_angle_needs_motion():
-    dae = inverse_kinematics(three_wheeler(), HILLS, solve_for="angles")
+    dae = inverse_kinematics(three_wheeler(), HILLS, solve_for="angles", given=PLANAR)
     begin = settle(closure_model(three_wheeler(), HILLS))
     with pytest.raises(ModelError, match="nothing determines steer"):
         simulate(dae, begin, dae.inputs(**dict.fromkeys(PLANAR, 0.0)), np.array([0.0, 1.0]))
@@ -405,8 +401,8 @@ def test_steering_angle_needs_motion():
         ({"given": ("velocity_x", "velocity_y")}, "expected three different rates"),
         ({"given": ("velocity_x", "velocity_y", "velocity_x")}, "expected three different rates"),
         (
-            {"given": ("velocity_x", "velocity_y", "yaw_rate")},
-            "'yaw_rate' is not known; known: vel",
+            {"given": ("velocity_x", "velocity_y", "turn_rate")},
+            "'turn_rate' is not known; known: vel",
         ),
         ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
         ({"solve_for": "torques"}, "expected 'rates' or 'angles', found 'torques'"),
@@ -415,7 +411,7 @@ def test_steering_angle_needs_motion():
 )
 def test_choices_are_checked(options, words):
     with pytest.raises(ModelError, match=words):
-        inverse_kinematics(three_wheeler(), HILLS, **options)
+        inverse_kinematics(three_wheeler(), HILLS, **({"given": PLANAR} | options))
 
 
 def test_vehicles_that_do_not_suit_are_refused():
@@ -426,42 +422,42 @@ def test_vehicles_that_do_not_suit_are_refused():
     )
     rigid = Vehicle("rigid", whole.coordinates[2:], whole.joints[2:], (*rear, whole.wheels[2]))
     with pytest.raises(ModelError, match=r"rigid cannot roll without slip.*: 3 .*, found 1"):
-        inverse_kinematics(rigid, HILLS)
+        inverse_kinematics(rigid, HILLS, given=PLANAR, solve_for="rates")
     wheels = tuple(replace(wheel, driven=True) for wheel in whole.wheels)
     loose = tuple(replace(c, kind="passive") for c in whole.coordinates)
     castor = Vehicle("castor", loose, whole.joints, wheels)
-    inverse_kinematics(castor, HILLS)
+    inverse_kinematics(castor, HILLS, given=PLANAR, solve_for="rates")
     braced = Vehicle("braced", whole.coordinates, whole.joints, (*wheels[:2], wheels[2]))
     with pytest.raises(ModelError, match="braced cannot roll"):
-        inverse_kinematics(braced, HILLS)
+        inverse_kinematics(braced, HILLS, given=PLANAR, solve_for="rates")
     with pytest.raises(ModelError, match="castor has no commanded coordinate"):
-        inverse_kinematics(castor, HILLS, solve_for="angles")
+        inverse_kinematics(castor, HILLS, solve_for="angles", given=PLANAR)
 
 
 def test_paths_are_checked():
-    dae = inverse_kinematics(three_wheeler(), HILLS)
+    dae = inverse_kinematics(three_wheeler(), HILLS, given=PLANAR, solve_for="rates")
     begin = settle(closure_model(three_wheeler(), HILLS))
     t = np.linspace(0, 1, 11)
     still = np.zeros(11)
     with pytest.raises(ModelError, match=r"starts elsewhere than the start: y = 1, .* stands at 0"):
-        along(dae, begin, still, 1 + t, still, t=t)
-    along(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
-    with pytest.raises(ModelError, match="x may depend on the model's time alone"):
-        along(dae, begin, dae.x.y, dae.t, 0 * dae.t)
-    with pytest.raises(ModelError, match=r"y needs six or more values.*found shape \(5,\)"):
-        along(dae, begin, 0 * dae.t, t[:5], 0 * dae.t, t=t[:5])
-    with pytest.raises(ModelError, match=r"heading needs six or more values.* for 0 times"):
-        along(dae, begin, 0 * dae.t, dae.t, still)
-    with pytest.raises(ModelError, match="values of x must be finite and their times ascend"):
-        along(dae, begin, still * np.nan, t, still, t=t)
-    other = inverse_kinematics(three_wheeler(), HILLS, given=VELOCITY)
+        path_inputs(dae, begin, still, 1 + t, still, t=t)
+    path_inputs(dae, begin, still, t, still + 2 * np.pi, t=t)  # a whole turn is none
+    with pytest.raises(ModelError, match="it may depend on the model's time alone"):
+        path_inputs(dae, begin, dae.x.y, dae.t, 0 * dae.t)
+    with pytest.raises(ModelError, match=r"expected 6 or more times.*, found 5 times and values"):
+        path_inputs(dae, begin, still[:5], t[:5], still[:5], t=t[:5])
+    with pytest.raises(ModelError, match=r"as many values of x, y and heading, found 11 .*\(5,\)"):
+        path_inputs(dae, begin, still, t, still[:5], t=t)
+    with pytest.raises(ModelError, match="expected finite values at times that ascend"):
+        path_inputs(dae, begin, still * np.nan, t, still, t=t)
+    other = inverse_kinematics(three_wheeler(), HILLS, given=VELOCITY, solve_for="rates")
     with pytest.raises(ModelError, match="the model must be given velocity_x, velocity_y, heading"):
-        along(other, begin, still, t, still, t=t)
+        path_inputs(other, begin, still, t, still, t=t)
 
 
 def test_drives_are_checked():
     direct = closure_model(three_wheeler(), HILLS)
-    dae = inverse_kinematics(three_wheeler(), HILLS, least_margin=0.0)
+    dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
     begin, t = settle(direct), np.linspace(0, 1, 11)
     inputs = dae.inputs(**PAPER_MOTION)
     with pytest.raises(ModelError, match=r"sought: expected some of x, y, .*, found sail"):
@@ -476,7 +472,7 @@ def test_drives_are_checked():
 
 def test_path_ends_at_a_limit():
     direct = closure_model(three_wheeler(tilt_stop=0.1), HILLS)
-    dae = inverse_kinematics(three_wheeler(tilt_stop=0.1), HILLS, least_margin=0.0)
+    dae = inverse_kinematics(three_wheeler(tilt_stop=0.1), HILLS, **CROSSING)
     begin, t = settle(direct), np.linspace(0, 4, 41)
     found = drive(dae, begin, dae.inputs(**PAPER_MOTION), t, sought=["steer"])
     assert found.run.stop.name in ("tilt_left_stop", "tilt_right_stop")
@@ -501,7 +497,7 @@ def test_a_steered_wheel_beside_its_axis_has_a_guess_on_a_map(solve_for):
         Bicubic(Grid(axis, axis, heights)),
         Analytic(lambda x, y: 0.05 * ca.sin(x) * ca.cos(y)),
     ):
-        dae = inverse_kinematics(vehicle, ground, solve_for=solve_for)
+        dae = inverse_kinematics(vehicle, ground, solve_for=solve_for, given=PLANAR)
         function = dae.function("guess", [dae.columns()[0]], [dae.guess])
         guesses.append(np.array(function(np.full(function.size1_in(0), 0.1))))
     assert_allclose(guesses[0][0] + heights.mean(), guesses[1][0], atol=1e-4)

@@ -24,8 +24,8 @@ from slipfree import (
 )
 from slipfree.control.path_following import follow
 from slipfree.geometry.path import Path
-from slipfree.models.platform_rates import subset_kinematics
-from slipfree.models.reach import wheel_rates
+from slipfree.models.inverse import inverse_kinematics
+from slipfree.models.wheel_authority import wheel_rates
 from slipfree.plan.plan import plan
 from slipfree.records import leaves, pack
 from slipfree.solve import initial_conditions
@@ -501,7 +501,7 @@ def test_seven_wheels_follow_and_are_given_three_rates():
     run = simulate(dae, start, law, np.linspace(0, 5, 6), options=SolverOptions(tolerance=1e-6))
     assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
     with pytest.raises(ModelError, match="seven_wheels also moves across its heading"):
-        subset_kinematics(vehicle, FLAT)
+        inverse_kinematics(vehicle, FLAT, given=("forward", "yaw_rate"))
     given = {"forward": 0.1, "yaw_rate": 0.2, "right": 0.05}
     rates = wheel_rates(vehicle, dae, start, **given)
     found = rates_at(vehicle, FLAT, {f"{name}": rate for name, rate in rates.items()})

@@ -980,8 +980,8 @@ def test_the_inverse_model_bears_the_same(solve_for):
         np.linspace(0, 4, 5),
         options=SolverOptions(tolerance=1e-10),
     )
-    dae = inverse_kinematics(VEHICLE, HILLS, solve_for=solve_for)
     given = ("velocity_x", "velocity_y", "heading_rate")
+    dae = inverse_kinematics(VEHICLE, HILLS, given=given, solve_for=solve_for)
     for k in range(run.t.size):
         inputs = dae.inputs(**{name: run[name][k] for name in given})
         again = simulate(dae, run.part(slice(k, k + 1)), inputs, np.array([0.0, 0.01]))

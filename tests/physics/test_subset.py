@@ -27,9 +27,10 @@ from slipfree import (
 )
 from slipfree.cli import app
 from slipfree.files import netcdf
-from slipfree.models.platform_rates import FASTEST, GAIN, steered, subset_kinematics
-from slipfree.models.reach import check_reach, wheel_rates
-from slipfree.problem import subset as problem
+from slipfree.models.inverse import inverse_kinematics
+from slipfree.models.steering_guide import FASTEST, GAIN, steered
+from slipfree.models.wheel_authority import check_authority, wheel_rates
+from slipfree.problem import inverse as problem
 from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
@@ -82,7 +83,7 @@ def slip(run):
 def poised(vehicle, terrain, given, **start):
     """The direct and the inverse model, and the latter at the angles that the given rates want."""
     direct = direct_kinematics(vehicle, terrain)
-    dae = subset_kinematics(vehicle, terrain, given=tuple(given))
+    dae = inverse_kinematics(vehicle, terrain, given=tuple(given))
     joints = list(steered(vehicle, direct))
     errors = [f"{name}_error" for name in joints]
     stand = settle(direct, **(start or START))
@@ -191,9 +192,9 @@ def test_straight_ahead_three_rates_are_one_too_many_but_fit():
     with pytest.raises(ModelError, match=r"cannot reach right here: .* misses it by 0\.1 m/s"):
         wheel_rates(vehicle, direct, stand, forward=0.13, right=0.1, yaw_rate=0.0)
     with pytest.raises(ModelError, match="'right' cannot be imposed: the wheels cannot move"):
-        check_reach(vehicle, direct, stand, ("forward", "right", "yaw_rate"))
+        check_authority(vehicle, direct, stand, ("forward", "right", "yaw_rate"))
     with pytest.raises(ModelError, match="nothing determines multiplier_right"):
-        settle(subset_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate")))
+        settle(inverse_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate")))
 
 
 def test_what_wheels_hardly_reach_ends_at_the_start():
@@ -203,7 +204,7 @@ def test_what_wheels_hardly_reach_ends_at_the_start():
 
 def test_steering_that_is_off_costs_slip_and_decays_while_the_motion_is_exact():
     given, vehicle = {"forward": 0.1, "yaw_rate": 0.06}, CATALOG["ackermann"]
-    dae, t = subset_kinematics(vehicle, FLAT), np.linspace(0, 4, 81)
+    dae, t = inverse_kinematics(vehicle, FLAT, given=tuple(given)), np.linspace(0, 4, 81)
     start = apply_inputs(dae, settle(dae), dae.inputs(**given))  # with the wheels straight ahead
     run = simulate(dae, start, dae.inputs(**given), t)
     for name, value in given.items():
@@ -243,7 +244,7 @@ def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
 )
 def test_given_rates_are_checked(vehicle, given, words):
     with pytest.raises(ModelError, match=words):
-        subset_kinematics(CATALOG[vehicle], FLAT, given=given)
+        inverse_kinematics(CATALOG[vehicle], FLAT, given=given)
 
 
 def test_sought_names_are_checked():

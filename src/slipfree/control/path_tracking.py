@@ -1,4 +1,4 @@
-"""Commands that lead a platform along a path in time, with feedback on its place and heading."""
+"""Rates of the platform that lead it along a path in time, with or without feedback."""
 
 from __future__ import annotations
 
@@ -9,11 +9,78 @@ import numpy as np
 
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
+from slipfree.models.given_rates import PLANAR
 from slipfree.rearrange import with_outputs
-from slipfree.records import Array, Label
+from slipfree.records import Array, Label, leaves
+from slipfree.trajectory import Trajectory
 
 GAIN = 1.0  # at which errors of place and heading decay [1/s]
 DEGREE = 5  # of the splines through the way-points
+ELSEWHERE = 1e-6  # distance of path and start that counts [size, rad]
+
+
+def path_inputs(
+    dae: Dae,
+    start: Trajectory,
+    x: Any,
+    y: Any,
+    heading: Any,
+    *,
+    t: Array | None = None,
+    begin: float = 0.0,
+) -> Any:
+    """Return the inputs of an inverse model that lead along a path in time.
+
+    Parameters
+    ----------
+    dae : Dae
+        The inverse model, with the given rates velocity_x, velocity_y and heading_rate.
+    start : Trajectory
+        Its last sample is where the path must start.
+    x, y, heading : SX, or ndarray of shape (n,)
+        Place and heading of the platform's centre as expressions of ``dae.t``, or their values at
+        the times ``t``, through which a spline of degree five goes. [m, rad]
+    t : ndarray, shape (n,), optional
+        Six or more ascending times of the values; beyond them the rates keep their last values. [s]
+    begin : float
+        Time at which the path starts, if it is not given by values. [s]
+
+    Returns
+    -------
+    record
+        Inputs of the model, functions of time.
+
+    Raises
+    ------
+    ModelError
+        If the model has other inputs, the path depends on more than time or has too few or
+        unsuitable values, or it starts elsewhere than the start.
+    """
+    names = tuple(label.full for label in leaves(dae.labels.u))
+    if set(names) != set(PLANAR):
+        raise ModelError(
+            f"path: the model must be given {', '.join(PLANAR)}, found {', '.join(names)}"
+        )
+    if t is None:
+        path = ca.vertcat(x, y, heading)
+        if not all(ca.is_equal(symbol, dae.t) for symbol in ca.symvar(path)):
+            raise ModelError(f"path: it may depend on the model's time alone, found {path}")
+        first = np.array(ca.Function("first", [dae.t], [path])(begin)).ravel()
+        velocity = ca.jacobian(path, dae.t)
+    else:
+        t, points = _checked_points(t, x, y, heading)
+        first, velocity = points[:, 0], _splines(t, points.T, dae.t)[1]
+    there = np.array([start[name][-1] for name in ("x", "y", "heading")])
+    gaps = (first - there) / [dae.size, dae.size, 1.0]
+    gaps[2] = (gaps[2] + np.pi) % (2 * np.pi) - np.pi
+    wrong = [
+        f"{name} = {value:.6g}, the vehicle stands at {at:.6g}"
+        for name, value, at, gap in zip(("x", "y", "heading"), first, there, gaps, strict=True)
+        if not abs(gap) < ELSEWHERE
+    ]
+    if wrong:
+        raise ModelError(f"path: it starts elsewhere than the start: {'; '.join(wrong)}")
+    return dae.inputs(**dict(zip(PLANAR, ca.vertsplit(velocity), strict=True)))
 
 
 def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[Dae, Any]:
@@ -25,7 +92,7 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     Parameters
     ----------
     dae : Dae
-        From `slipfree.models.platform_rates.subset_kinematics`, given ``forward``, ``right`` and
+        From `slipfree.models.inverse.inverse_kinematics`, given ``forward``, ``right`` and
         ``yaw_rate``.
     t : ndarray, shape (n,)
         Six or more ascending times of the way-points. [s]
@@ -45,14 +112,7 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     ModelError
         If there are fewer than six way-points, a value is not finite or times do not ascend.
     """
-    t, points = np.asarray(t, dtype=float), np.array([x, y, heading], dtype=float)
-    if t.size <= DEGREE or points.shape != (3, t.size):
-        raise ModelError(
-            f"path: expected {DEGREE + 1} or more times and as many values of x, y and heading, "
-            f"found {t.size} times and values of shape {points.shape}"
-        )
-    if not (np.isfinite(points).all() and np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise ModelError("path: expected finite values at times that ascend")
+    t, points = _checked_points(t, x, y, heading)
     place, velocity = _splines(t, points.T, dae.t)
     east, north = (place[k] - dae.shift[0][k] - each for k, each in enumerate((dae.x.x, dae.x.y)))
     turn = place[2] - dae.x.heading
@@ -65,6 +125,20 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     apart = Label("path_error", "m", "distance of the platform's centre to its place on the path")
     turned = Label("heading_error", "rad", "heading of the path minus that of the platform")
     return with_outputs(dae, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
+
+
+def _checked_points(t: Any, x: Any, y: Any, heading: Any) -> tuple[Array, Array]:
+    """Return times and values of way-points, shapes (n,) and (3, n)."""
+    t = np.asarray(t, dtype=float)
+    values = [np.asarray(each, dtype=float) for each in (x, y, heading)]
+    if t.size <= DEGREE or any(each.shape != (t.size,) for each in values):
+        raise ModelError(
+            f"path: expected {DEGREE + 1} or more times and as many values of x, y and heading, "
+            f"found {t.size} times and values of shapes {', '.join(str(v.shape) for v in values)}"
+        )
+    if not (np.isfinite(values).all() and np.isfinite(t).all() and (np.diff(t) > 0).all()):
+        raise ModelError("path: expected finite values at times that ascend")
+    return t, np.array(values)
 
 
 def _splines(t: Array, values: Array, time: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -9,6 +9,9 @@ derivative of the slip in the angle.
 Columns are slip velocities, so that they compare: angular rates of the platform count by its
 extent, rates of wheels and joints by the rolling radius, and a steering angle by the speed of the
 platform for every 0.3 rad.
+
+Under commands, vehicles slip, and rates of the driven wheels act through the direct model of least
+slip. The matrix is then their effect on the given rates, all as velocities.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.laws.rolling import Rolling
 from slipfree.models.base import extent
-from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, omega
+from slipfree.models.given_rates import EULER, OMEGA, VELOCITY, derived_rates, omega
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.records import Array, Label, leaves, pack
 from slipfree.terrain.base import Terrain
@@ -33,6 +36,12 @@ from slipfree.vehicle.tree import Vehicle
 TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
 SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
 NO_LEVER = 0.02  # lever of a contact on the steering axis, relative to the rolling radius
+LEAST_AUTHORITY = 5e-3  # smallest singular value at which wheels still impose given commands
+MOVES = {
+    "forward": "move the platform forward",
+    "right": "move the platform sideways",
+    "yaw_rate": "turn the platform",
+}
 ROUNDING = 1e-14  # relative singular value that counts as zero
 
 
@@ -113,7 +122,9 @@ class Determinacy:
     given, unknown : tuple of str
         Names of the given rates, and of the columns of the matrix.
     reasons : mapping of str to str
-        Reasons why one unknown alone is not determined, by its name.
+        Reasons why a given rate cannot be imposed, or an unknown alone is not determined.
+    remedy : str
+        What to do; ``{}`` stands for the given rate.
     matrices : casadi Function
         ``(x, z) -> (matrix, columns)``.
     """
@@ -122,6 +133,7 @@ class Determinacy:
     given: tuple[str, ...]
     unknown: tuple[str, ...]
     reasons: Mapping[str, str]
+    remedy: str
     matrices: ca.Function
 
     @property
@@ -140,15 +152,19 @@ class Determinacy:
         matrix, columns = (np.array(part) for part in self.matrices(x, z))
         left, values, right = np.linalg.svd(matrix)
         bound = _named(left[:, -1] @ columns, self.given)
-        words = f"platform rate {bound[0]} cannot be imposed"
+        words = f"platform rate {_listed(bound)} cannot be imposed"
         if len(bound) > 1:
             words = f"platform rates {_listed(bound)} cannot be imposed independently"
-        if len(matrix) == len(right):
+        reason = self.reasons.get(bound[0], "")
+        if not reason:
             lost = _named(right[-1], self.unknown)
             alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < NO_LEVER
             why = self.reasons.get(lost[0], "") if alone else ""
-            words += f": {_listed(lost)} {'is' if len(lost) == 1 else 'are'} not determined{why}"
-        return f"{words} (smallest singular value {values[-1]:.1e}, largest {values[0]:.1e})"
+            reason = f"{_listed(lost)} {'is' if len(lost) == 1 else 'are'} not determined{why}"
+        return (
+            f"{words}: {reason} (smallest singular value {values[-1]:.1e}, largest "
+            f"{values[0]:.1e}). {self.remedy.format(bound[0])}"
+        )
 
 
 def stacked(part: ca.DM, count: int) -> Array:
@@ -164,7 +180,8 @@ def _named(vector: Array, names: Sequence[str]) -> list[str]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+    quoted = [f"'{name}'" for name in names]
+    return " and ".join(filter(None, [", ".join(quoted[:-1]), quoted[-1]]))
 
 
 def rolling_determinacy(
@@ -201,7 +218,10 @@ def rolling_determinacy(
         rates = -ca.solve(effect.T @ effect, effect.T @ rest)  # it rolls, so that all rows hold
         expressions = ca.substitute(expressions, [u], [rates])
     function = direct.function("matrices", [x, z], expressions)
-    return Determinacy(least, tuple(given), unknown, _reasons(vehicle), function)
+    remedy = "Give other rates"
+    if solve_for == "rates":
+        remedy = "Solve for the steering angles, or give a path or other rates"
+    return Determinacy(least, tuple(given), unknown, _reasons(vehicle), remedy, function)
 
 
 def _reasons(vehicle: Vehicle) -> dict[str, str]:
@@ -217,9 +237,77 @@ def _reasons(vehicle: Vehicle) -> dict[str, str]:
             "the contact of wheel {} lies" if len(wheels) == 1 else "the contacts of wheels {} lie"
         )
         reasons[f"{c.name}_rate"] = (
-            f", since {lie.format(_listed(wheels))} on the axis of {c.name}; solve for its angle"
+            f", since {lie.format(_listed(wheels))} on the axis of '{c.name}'"
         )
     return reasons
+
+
+def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
+    """Return the effects of the inputs of a direct model on given rates and on slip.
+
+    Parameters
+    ----------
+    direct : Dae
+        The direct model; it is linear in its inputs.
+    model : Dae
+        A model with the symbols of the direct model.
+    given : sequence of str
+        Names of the given rates.
+
+    Returns
+    -------
+    casadi Function
+        From ``x`` and ``z`` of the model to the derivatives of the given rates and of the slip of
+        all wheels in the inputs of the direct model.
+    """
+    law, rates, u = direct.alg[1], pack(direct.z.rates), pack(direct.u)
+    slip, derived = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across), derived_rates(direct)
+    asked = ca.vertcat(*(derived[name].expression for name in given))
+    pairs = [(law, rates), (law, u), (asked, rates), (slip, rates), (slip, u)]
+    parts = [ca.densify(ca.jacobian(rows, by)) for rows, by in pairs]
+    function = direct.function("parts", list(model.columns()[:2]), parts)
+    at = [ca.MX.sym(name, function.size1_in(k)) for k, name in enumerate("xz")]
+    of_law, by_inputs, of_given, of_slip, slipping = function(*at)
+    answer = -ca.solve(of_law, by_inputs)
+    return ca.Function("effects", at, [of_given @ answer, of_slip @ answer + slipping])
+
+
+def command_sizes(vehicle: Vehicle, given: Sequence[str]) -> list[float]:
+    """Return factors that turn commands into velocities. [1 or m]."""
+    return [extent(vehicle) if name == "yaw_rate" else 1.0 for name in given]
+
+
+def command_determinacy(
+    vehicle: Vehicle, direct: Dae, model: Dae, given: Sequence[str]
+) -> Determinacy:
+    """Return the check that the driven wheels can impose given commands.
+
+    Its matrix is the effect of the driven wheels on the given rates, where the direct model moves
+    by least slip.
+
+    Parameters
+    ----------
+    vehicle, direct : Vehicle, Dae
+        The vehicle, and its direct model of least slip.
+    model : Dae
+        The model that is checked, with the symbols of the direct model.
+    given : sequence of str
+        Names of the given rates.
+    """
+    effects, wheels = input_effects(direct, model, given), direct.labels.u.wheels
+    radii = [wheel.radius for wheel in vehicle.wheels if wheel.driven]
+    at = [ca.MX.sym(name, effects.size1_in(k)) for k, name in enumerate("xz")]
+    matrix = ca.diag(ca.DM(command_sizes(vehicle, given))) @ effects(*at)[0][:, : len(wheels)]
+    function = ca.Function(
+        "matrices", at, [matrix @ ca.diag(1 / ca.DM(radii)), -ca.MX.eye(len(given))]
+    )
+    steered = bool(direct.u.joints)
+    where = "with the current steering angles " if steered else ""
+    reasons = {name: f"{where}the wheels cannot {MOVES[name]}" for name in given}
+    remedy = "Steer the wheels first, remove" if steered else "Remove"
+    remedy += " '{}' from the given rates, or set exact = false for the nearest motion"
+    names = tuple(label.full for label in wheels)
+    return Determinacy(LEAST_AUTHORITY, tuple(given), names, reasons, remedy, function)
 
 
 def conditions(

@@ -1,4 +1,4 @@
-"""Rates of the platform that an inverse model may be given."""
+"""Rates of the platform that inverse models are given, and the equations that impose them."""
 
 from __future__ import annotations
 
@@ -9,12 +9,21 @@ from typing import NamedTuple
 import casadi as ca
 
 from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.laws.least_slip import slip_unit
 from slipfree.rearrange import Variable, new_variable, variables
-from slipfree.records import Label, leaves
+from slipfree.records import Label, leaves, pack
+from slipfree.vehicle.tree import Vehicle
 
 VELOCITY = ("velocity_x", "velocity_y", "velocity_z")
 EULER = ("heading_rate", "roll_rate", "pitch_rate")
 OMEGA = ("omega_x", "omega_y", "omega_z")
+PLANAR = ("velocity_x", "velocity_y", "heading_rate")
+COMMANDS = {
+    "forward": Label("forward", "m s-1", "velocity of the platform's centre along its heading"),
+    "right": Label("right", "m s-1", "velocity of the platform's centre across its heading"),
+    "yaw_rate": Label("yaw_rate", "rad s-1", "rate of the heading, counter-clockwise"),
+}
 
 
 class Derived(NamedTuple):
@@ -62,16 +71,18 @@ def impose(direct: Dae, given: Sequence[str]) -> Imposed:
 
 
 def derived_rates(direct: Dae) -> dict[str, Derived]:
-    """Return the rates of the platform that are no unknowns of a direct model, by name."""
-    rates = direct.z.rates
+    """Return the rates of the platform that are no unknowns of a direct model, by name.
+
+    The angular velocity, and the velocity in the heading frame with the rate of the heading.
+    """
+    rates, c, s = direct.z.rates, ca.cos(direct.x.heading), ca.sin(direct.x.heading)
     euler = ca.vertcat(rates.heading, rates.roll, rates.pitch)
     turning = omega(direct.x.heading, direct.z.position.roll) @ euler
-    return {
-        name: Derived(
-            Label(name, "rad s-1", f"angular velocity of the platform about {name[-1]}"), turning[k]
-        )
-        for k, name in enumerate(OMEGA)
-    }
+    words = "angular velocity of the platform about"
+    labels = {name: Label(name, "rad s-1", f"{words} {name[-1]}") for name in OMEGA}
+    planar = [c * rates.y - s * rates.x, c * rates.x + s * rates.y, rates.heading]
+    both = zip((labels | COMMANDS).items(), (*ca.vertsplit(turning), *planar), strict=True)
+    return {name: Derived(label, expression) for (name, label), expression in both}
 
 
 def omega(heading: ca.SX, roll: ca.SX) -> ca.SX:
@@ -84,3 +95,97 @@ def omega(heading: ca.SX, roll: ca.SX) -> ca.SX:
         ca.horzcat(0, ca.cos(heading), ca.cos(roll) * ca.sin(heading)),
         ca.horzcat(1, 0, -ca.sin(roll)),
     )
+
+
+class Minimum(NamedTuple):
+    """Conditions for a minimum under constraints.
+
+    Attributes
+    ----------
+    unknowns : tuple of Variable
+        Those that are sought, and the multipliers of the constraints.
+    rows : SX, shape (n, 1)
+        The conditions, one for each unknown.
+    labels : tuple of Label
+        Their labels.
+    """
+
+    unknowns: tuple[Variable, ...]
+    rows: ca.SX
+    labels: tuple[Label, ...]
+
+
+def minimum(
+    direct: Dae,
+    goal: ca.SX,
+    constraints: ca.SX,
+    unknowns: Sequence[Variable],
+    multipliers: Sequence[Label],
+    label: Label,
+) -> Minimum:
+    """Return the conditions for the least squared slip, or another goal, under constraints.
+
+    Parameters
+    ----------
+    direct : Dae
+        The model whose symbols are used.
+    goal : SX, shape (1, 1)
+        What is to be least. [m2/s2]
+    constraints : SX, shape (n, 1)
+        Expressions that vanish at the minimum.
+    unknowns : sequence of Variable
+        Variables that are sought.
+    multipliers : sequence of n Label
+        Labels of the multipliers of the constraints.
+    label : Label
+        Name and words of the conditions.
+    """
+    new = tuple(new_variable(direct, each) for each in multipliers)
+    found = (*unknowns, *new)
+    prices, column = (pack(tuple(each.symbol for each in part)) for part in (new, found))
+    labels = tuple(
+        replace(
+            label,
+            unit=slip_unit(each.label.unit),
+            words=f"{label.words} with respect to {each.label.full}",
+        )
+        for each in found
+    )
+    return Minimum(found, ca.gradient(goal + ca.dot(prices, constraints), column), labels)
+
+
+def check_rates(given: Sequence[str]) -> None:
+    """Raise ModelError for given rates that are not three different known ones in map axes."""
+    known = (*VELOCITY, *OMEGA, *EULER)
+    if isinstance(given, str) or len(given) != 3 or len(set(given)) != 3:
+        raise ModelError(f"given: expected three different rates, found {given!r}")
+    for name in given:
+        if name not in known:
+            raise ModelError(f"given: {name!r} is not known; known: {', '.join(known)}")
+    if set(given) & set(OMEGA) and set(given) & set(EULER):
+        raise ModelError(
+            f"given: expected components of the angular velocity ({', '.join(OMEGA)}) or Euler "
+            f"rates ({', '.join(EULER)}), not both, found {', '.join(given)}"
+        )
+
+
+def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = True) -> None:
+    """Raise ModelError for given rates that are not known, or more than driven wheels."""
+    for name in given:
+        if name not in COMMANDS:
+            raise ModelError(f"given: {name!r} is not known; known: {', '.join(COMMANDS)}")
+    if not given or len(set(given)) != len(given):
+        raise ModelError(f"given: expected different rates, found {', '.join(given) or 'none'}")
+    if "right" not in given and all(wheel.rollers for wheel in vehicle.wheels if wheel.driven):
+        raise ModelError(
+            f"{vehicle.name} also moves across its heading, since all its driven wheels have "
+            "rollers: give right as well, right = 0 to go straight"
+        )
+    driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
+    if exact and len(given) > len(driven):
+        raise ModelError(
+            f"{vehicle.name} has {len(driven)} driven wheels, which determine as many rates of the "
+            f"platform at most, found {', '.join(given)}; leave out "
+            f"{'right' if 'right' in given else given[-1]}, or set exact = false for the nearest "
+            "motion"
+        )

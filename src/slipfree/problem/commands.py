@@ -9,7 +9,7 @@ from typing import Any
 
 from slipfree.errors import DataError
 from slipfree.files.toml.errors import Fault, problem_error
-from slipfree.models.reach import SUBSET
+from slipfree.models.given_rates import COMMANDS
 from slipfree.problem import schema
 from slipfree.problem.build_common import read_columns
 from slipfree.problem.build_ground import at
@@ -23,11 +23,11 @@ ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_
 def are_commands(given: Collection[str]) -> bool:
     """Return whether given rates, or those of their file, are in the platform's heading frame."""
     names = set(given)
-    return FILE in names or (bool(names) and (names <= set(SUBSET) or names <= set(ROBOT)))
+    return FILE in names or (bool(names) and (names <= set(COMMANDS) or names <= set(ROBOT)))
 
 
 def read_commands(problem: Problem[S], spec: schema.Inverse) -> tuple[dict[str, Any], str]:
-    """Return the commands of a problem by the names of `SUBSET`, and in words.
+    """Return the commands of a problem by the names of `COMMANDS`, and in words.
 
     Raises
     ------
@@ -58,8 +58,8 @@ def _read_file(file: Path) -> dict[str, schema.Piecewise]:
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
         raise DataError(
-            f"{file}: expected a first line of names, t and some of {', '.join(SUBSET)} or some of "
-            f"{', '.join(ROBOT)}, found {header.strip()!r}"
+            f"{file}: expected a first line of names, t and some of {', '.join(COMMANDS)} or some "
+            f"of {', '.join(ROBOT)}, found {header.strip()!r}"
         )
     t, *columns = zip(*read_columns(file, ["t", *rates], "commands"), strict=True)
     if t[0] != 0 or any(b <= a for a, b in pairwise(t)):
@@ -74,7 +74,7 @@ def _faults(
 ) -> Iterator[Fault]:
     """Yield what keeps rates from being commands."""
     if spec.steering != "angle":
-        expected = f"'angle', which the steering follows with {', '.join(SUBSET)}"
+        expected = f"'angle', which the steering follows with {', '.join(COMMANDS)}"
         yield Fault(("steering",), expected, repr(spec.steering))
     for name in given:
         if not are_commands({name, *columns}):
@@ -83,7 +83,7 @@ def _faults(
             yield Fault(("given", name), "a rate that the file does not have", repr(name))
     if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
         place = ("given", robot[0] if robot[0] in given else FILE)
-        expected = f"{', '.join(SUBSET)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
+        expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
         yield Fault(place, expected, f"{robot[0]} in the frame {spec.frame!r}")
 
 
@@ -100,4 +100,4 @@ def _words(value: float | schema.Piecewise | str) -> str:
 
 
 def _unit(name: str) -> str:
-    return SUBSET[ROBOT.get(name, name)].unit.replace(" s-1", "/s")
+    return COMMANDS[ROBOT.get(name, name)].unit.replace(" s-1", "/s")

@@ -1,29 +1,30 @@
-"""From a problem of inverse kinematics to a model, a start and inputs, and along a path."""
+"""From a problem of inverse kinematics to a model, a start and inputs, and to a motion."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
+from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.files.toml.errors import Fault, names, problem_error
+from slipfree.laws.least_slip import LeastSlip
 from slipfree.laws.rolling import Rolling
-from slipfree.models.given_rates import EULER, OMEGA, VELOCITY
+from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
 from slipfree.models.inverse import (
     LEAST_MARGIN,
-    PLANAR,
-    along,
     inverse_kinematics,
     steering_note,
     steering_slip,
 )
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.platform_rates import Wanted
-from slipfree.models.reach import SUBSET
+from slipfree.models.steering_guide import steered
+from slipfree.models.wheel_authority import check_authority
 from slipfree.problem import schema
 from slipfree.problem.build_common import (
     Setup,
@@ -36,87 +37,99 @@ from slipfree.problem.build_common import (
     turned,
 )
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.commands import ROBOT
+from slipfree.problem.commands import ROBOT, are_commands, read_commands
 from slipfree.problem.load import Problem, S
-from slipfree.problem.subset import build_subset, drive_subset, is_subset
-from slipfree.records import Array
+from slipfree.records import Array, leaves
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.replay import replay, spline_inputs
-from slipfree.solve.trim import apply_inputs
-from slipfree.trajectory import Trajectory
+from slipfree.solve.replay import replay, round_trip, spline_inputs
+from slipfree.solve.simulate import simulate
+from slipfree.solve.trim import apply_inputs, trim_states
+from slipfree.trajectory import SolverError, Trajectory
+from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Vehicle
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
 LEAST_POINTS = 6  # way-points of a spline of degree five
+LEAST_SAMPLES = 4  # between jumps of the given rates, for a replay
 SLOW = 0.1  # speed from which a motion is sought whose velocity is not given [m/s]
-
-
-def is_sought(spec: schema.Motion) -> bool:
-    """Return whether `drive_along` solves the problem, so that more is done than to integrate."""
-    return isinstance(spec, schema.Inverse) and (_is_path(spec) or is_subset(spec))
-
-
-def _is_path(spec: schema.Inverse) -> bool:
-    """Return whether the steering is sought along a path, so that nothing is integrated."""
-    return spec.path is not None and spec.steering == "angle"
 
 
 def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
     """Return the models, the start and the inputs of a problem."""
-    if is_subset(spec):
-        return build_subset(problem, spec)
-    given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
-    faults = [*_given(given)]
-    if spec.exact is not None and not _is_path(spec):
-        expected = f"no key 'exact' but with {', '.join(SUBSET)} or a path"
-        faults.append(Fault(("exact",), expected, str(spec.exact).lower()))
-    if faults:
-        raise problem_error(problem.source, faults)
-    points, sought = _points(problem, spec), _is_path(spec)
+    points = _points(problem, spec)
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
-        if sought and not _rolls(vehicle):
-            return build_subset(problem, spec, points)
-        _check_rolls(vehicle)
+    given, words = _given(problem, spec, vehicle, points)
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
         terrain = build_terrain(problem, ground)
+        slip = LeastSlip() if are_commands(given) else Rolling()
+        direct = direct_kinematics(vehicle, terrain, slip=slip)
+    place = ("given",) if points is None else ("path",)
+    is_rolling_path = points is not None and not are_commands(given)
+    exact = len(given) < len(COMMANDS) if spec.exact is None else spec.exact
+    with at(problem, place):
         dae = inverse_kinematics(
             vehicle,
             terrain,
             given=tuple(given),
-            solve_for="rates" if points is not None or spec.steering == "rate" else "angles",
-            least_margin=0.0 if sought else LEAST_MARGIN,
+            solve_for="rates" if is_rolling_path or spec.steering == "rate" else "angles",
+            exact=exact,
+            least_margin=0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN,
         )
-        direct = direct_kinematics(vehicle, terrain, slip=Rolling())
     check_names(problem, direct, None)
-    start = build_start(problem, direct)
-    with at(problem, ("given",) if points is None else ("path",)):
-        if points is None:
-            inputs = dae.inputs(**given)
-            ahead = _ahead(direct, vehicle, start, given)
-            start = apply_inputs(direct, start, ahead, options=spec.solver.options)
-        else:
-            t, x, y, heading = points
-            inputs = along(dae, start, x, y, heading, t=t)
-        if not sought:
-            start = apply_inputs(dae, start, inputs, options=spec.solver.options)
-    driven = _words(spec, points)
-    return Setup(
-        ground, terrain, vehicle, direct, dae, start, inputs, samples(spec.time, {})[0], driven
+    stand = build_start(problem, direct)
+    t, inputs, first = _inputs(problem, spec, dae, given)
+    with at(problem, place):
+        if is_rolling_path and points is not None:
+            inputs = first = path_inputs(dae, stand, *points[1:], t=points[0])
+        elif points is not None:
+            dae, inputs = track_path(dae, *points)
+            first = inputs
+        setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, words)
+        return replace(setup, start=_start(spec, setup, first, exact=exact))
+
+
+def _given(
+    problem: Problem[S], spec: schema.Inverse, vehicle: Vehicle, points: Array | None
+) -> tuple[dict[str, Any], str]:
+    """Return the given rates, zero for those of a path, and the words for them.
+
+    Vehicles that cannot roll without slip follow a path by commands.
+    """
+    if points is None and are_commands(spec.given or ()):
+        return read_commands(problem, spec)
+    given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
+    faults = [*_rate_faults(given)]
+    is_sought = points is not None and spec.steering == "angle"
+    if spec.exact is not None and not is_sought:
+        expected = f"no key 'exact' but with {', '.join(COMMANDS)} or a path"
+        faults.append(Fault(("exact",), expected, str(spec.exact).lower()))
+    if faults:
+        raise problem_error(problem.source, faults)
+    words = ", ".join(
+        f"{name} {value:g} {'m/s' if name in VELOCITY else 'rad/s'}"
+        for name, value in given.items()
     )
+    if points is not None:
+        words = f"path of {points.shape[1]} way-points in {points[0, -1]:g} s"
+    if is_sought and not _rolls(vehicle):
+        return dict.fromkeys(COMMANDS, 0.0), words
+    with at(problem, ("vehicle",)):
+        _check_rolls(vehicle)
+    return given, f"{words}; the steering {spec.steering} is unknown"
 
 
-def _given(given: dict[str, float]) -> Iterator[Fault]:
+def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
     """Yield what keeps rates from being three that may be given together."""
-    known = list(dict.fromkeys((*KNOWN, *SUBSET, *ROBOT)))
+    known = list(dict.fromkeys((*KNOWN, *COMMANDS, *ROBOT)))
     unknown = [*names(("given",), given, known)]
     yield from unknown
-    if ours := [name for name in given if name in {*SUBSET, *ROBOT} - {*KNOWN}]:
+    if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*KNOWN}]:
         expected = (
-            f"rates in the platform's heading frame ({', '.join(SUBSET)}; with frame = 'rep103' "
+            f"rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = 'rep103' "
             f"also {', '.join(ROBOT)}) or others alone"
         )
         yield Fault(("given", ours[0]), expected, ", ".join(given))
@@ -125,7 +138,7 @@ def _given(given: dict[str, float]) -> Iterator[Fault]:
             yield Fault(
                 ("given", name),
                 "a number",
-                f"values in time, which only {', '.join(SUBSET)} may have",
+                f"values in time, which only {', '.join(COMMANDS)} may have",
             )
     if len(given) != 3:
         listed = f": {', '.join(given)}" if given else ""
@@ -147,21 +160,9 @@ def _check_rolls(vehicle: Vehicle) -> None:
     if not _rolls(vehicle):
         raise ModelError(
             f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates "
-            f"requires, or does not have three inputs; give some of {', '.join(SUBSET)} in "
+            f"requires, or does not have three inputs; give some of {', '.join(COMMANDS)} in "
             "[given], or a path with steering = 'angle'"
         )
-
-
-def _words(spec: schema.Inverse, points: Array | None) -> str:
-    """Return what drives the vehicle."""
-    steering = f"the steering {spec.steering} is unknown"
-    if points is not None:
-        return f"path of {points.shape[1]} way-points in {points[0, -1]:g} s; {steering}"
-    rates = ", ".join(
-        f"{name} {value:g} {'m/s' if name in VELOCITY else 'rad/s'}"
-        for name, value in (spec.given or {}).items()
-    )
-    return f"{rates}; {steering}"
 
 
 def _points(problem: Problem[S], spec: schema.Inverse) -> Array | None:
@@ -193,8 +194,72 @@ def _times(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]
         yield Fault(("time", "duration"), expected, f"{duration:g}")
 
 
-def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: dict[str, float]) -> Any:
-    """Return inputs of the direct model that move the vehicle about as it is given."""
+def _inputs(
+    problem: Problem[S], spec: schema.Inverse, dae: Dae, given: Mapping[str, Any]
+) -> tuple[Array, Any, Any]:
+    """Return the times of the samples, the inputs, and those at the start."""
+    formulas = {}
+    for name, value in given.items():
+        if isinstance(value, str):
+            with at(problem, ("given", name)):
+                formulas[name] = _formula(name, value, dae.t)
+    numbers = {name: value for name, value in given.items() if name not in formulas}
+    t, rates = samples(spec.time, numbers)
+    first = {
+        name: value[0] if isinstance(value, np.ndarray) else value for name, value in rates.items()
+    }
+    return t, dae.inputs(**rates, **formulas), dae.inputs(**first, **formulas)
+
+
+def _formula(name: str, text: str, time: ca.SX) -> ca.SX:
+    """Return a rate as a formula of the time."""
+    try:
+        return evaluate(text, {"t": time})
+    except ModelError as error:
+        raise ModelError(f"{name}: {error}; a rate may be a formula of t, in seconds") from error
+
+
+def _start(spec: schema.Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
+    """Return the start as the first rates move it.
+
+    The steering is at the angles that the first commands lead to, but for those in `[start]`; along
+    a path it is found with the motion.
+    """
+    vehicle, direct, dae, stand = setup.vehicle, setup.model, setup.dae, setup.start
+    options = spec.solver.options
+    if _is_collocated(spec, setup):
+        return stand
+    if not _is_commanded(setup):
+        if spec.given is not None:
+            ahead = _ahead(direct, vehicle, stand, spec.given)
+            stand = apply_inputs(direct, stand, ahead, options=options)
+        return apply_inputs(dae, stand, first, options=options)
+    sought = [name for name in steered(vehicle, direct) if name not in spec.start]
+    try:
+        errors = [f"{name}_error" for name in sought]
+        return trim_states(dae, stand, first, states=sought, least=errors, options=options)
+    except ModelError:
+        if exact:
+            check_authority(vehicle, direct, stand, _input_names(dae))
+        raise
+
+
+def _input_names(dae: Dae) -> list[str]:
+    return [label.full for label in leaves(dae.labels.u)]
+
+
+def _is_commanded(setup: Setup) -> bool:
+    """Return whether the inputs are commands."""
+    return are_commands(_input_names(setup.dae))
+
+
+def _is_collocated(spec: schema.Inverse, setup: Setup) -> bool:
+    """Return whether the steering is found along a whole path by collocation."""
+    return spec.path is not None and spec.steering == "angle" and not _is_commanded(setup)
+
+
+def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: Mapping[str, Any]) -> Any:
+    """Return inputs of the direct model that approximate the given motion of the platform."""
     heading, speed = float(start["heading"][-1]), SLOW
     if "velocity_x" in given and "velocity_y" in given:
         speed = given["velocity_y"] * np.cos(heading) - given["velocity_x"] * np.sin(heading)
@@ -203,41 +268,77 @@ def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: dict[str, fl
     return direct.inputs(**rates, **commanded)
 
 
-def drive_along(
-    setup: Setup, options: SolverOptions, progress: Callable[[float], None] | None
+def solve_inverse(
+    spec: schema.Inverse,
+    setup: Setup,
+    options: SolverOptions,
+    progress: Callable[[float], None] | None,
 ) -> Trajectory:
-    """Return the motion along a path, with how far the direct model's replay is from it.
-
-    Or under given rates in the platform's heading frame.
-    """
-    if isinstance(setup.dae.u, Wanted):
-        return drive_subset(setup, options, progress)
-    sought = [c.name for c in setup.vehicle.of("commanded")]
-    found = drive(setup.dae, setup.start, setup.inputs, setup.t, sought=sought, options=options)
-    run, words, gaps = found.run, "", dict[str, float]()
-    if progress is not None:
-        progress(float(run.t[-1]))
-    try:
+    """Return the motion, or the part that the integrator reached, with its replay."""
+    dae, start, inputs = setup.dae, setup.start, None
+    if _is_collocated(spec, setup):
+        sought = [c.name for c in setup.vehicle.of("commanded")]
+        found = drive(dae, start, setup.inputs, setup.t, sought=sought, options=options)
+        run = replace(
+            found.run, statistics={**found.run.statistics, "tolerance": options.tolerance}
+        )
         inputs = spline_inputs(setup.model, found.t, found.unknowns)
-        again = replay(setup.model, run, inputs, options=options)
-    except (SlipfreeError, np.linalg.LinAlgError) as error:
-        words = f"the replay by the direct model failed: {error}"
+        if progress is not None:
+            progress(float(run.t[-1]))
     else:
-        gaps = {f"replay_{name}": size for name, size in again.difference.items()}
-        if (stop := again.motion.stop) is not None:
-            words = f"at {stop.t:.6g} s: {stop.words}"
-    return replace(
-        run,
-        statistics={**run.statistics, "tolerance": options.tolerance, **gaps},
-        attributes={"replay_stopped": words} if words else {},
-    )
+        try:
+            run = simulate(dae, start, setup.inputs, setup.t, options=options, progress=progress)
+        except SolverError as error:
+            if error.trajectory is None:
+                raise
+            run = error.trajectory
+    return _with_replay(setup, _with_steering(setup.vehicle, run), inputs, options)
 
 
-def finished(run: Trajectory) -> Trajectory:
+def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
     """Return a motion with the slip of its steering, or the reason why the steering failed."""
     if "steering_lever" in run.columns:
-        return steering_slip(run)
+        return steering_slip(vehicle, run)
     if run.stop is None or run.stop.name != "solver" or "steering_growth" not in run.columns:
         return run
     words = "; ".join(filter(None, [run.stop.words, steering_note(run)]))
     return replace(run, stop=run.stop._replace(words=words))
+
+
+def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOptions) -> Trajectory:
+    """Return a motion with its differences from that of the direct model under its inputs.
+
+    Unless inputs are given as functions of time, the samples of the motion are interpolated.
+    """
+    direct, gaps, words = setup.model, dict[str, float](), ""
+    try:
+        trip = round_trip(direct, run, PLANAR, options=options)
+        gaps = {f"round_trip_{name}": gap for name, gap in trip.items()}
+        if run.t.size > 1:
+            jumps = _jumps(setup, run)
+            _check_samples(run.t, jumps)
+            again = replay(direct, run, inputs, jumps=jumps, options=options)
+            gaps |= {f"replay_{name}": gap for name, gap in again.difference.items()}
+            if (stop := again.motion.stop) is not None and run.stop is None:
+                words = f"at {stop.t:.6g} s: {stop.words}"
+    except (SlipfreeError, np.linalg.LinAlgError) as error:
+        words = str(error)
+    attributes = {"replay_stopped": words} if words else {}
+    return replace(run, statistics={**run.statistics, **gaps}, attributes=attributes)
+
+
+def _check_samples(t: Array, jumps: Sequence[float]) -> None:
+    """Raise ModelError if samples between jumps are too few for splines through the inputs."""
+    places = np.searchsorted(t, [t[0], *jumps])
+    if jumps and np.diff(places).min() < LEAST_SAMPLES:
+        raise ModelError(
+            f"not done: it needs {LEAST_SAMPLES} or more samples between changes of the commands, "
+            f"found {np.diff(places).min()}; reduce 'step' in [time]"
+        )
+
+
+def _jumps(setup: Setup, run: Trajectory) -> list[float]:
+    """Return the times at which given rates jump."""
+    values: list[Any] = [v for v in leaves(setup.inputs) if isinstance(v, np.ndarray)]
+    where = {k + 1 for each in values for k in np.flatnonzero(np.diff(each))}
+    return [float(setup.t[k]) for k in sorted(where) if setup.t[k] < run.t[-1]]

@@ -20,7 +20,7 @@ from slipfree.problem.build_ground import at, filled_words, ground_facts
 from slipfree.problem.build_model import law_name
 from slipfree.problem.climb import Climbing, build_climb, climbed
 from slipfree.problem.direct import build_direct
-from slipfree.problem.inverse import build_inverse, drive_along, finished, is_sought
+from slipfree.problem.inverse import build_inverse, solve_inverse
 from slipfree.problem.load import Problem, climbs
 from slipfree.problem.plan import Planning, build_plan, planned
 from slipfree.problem.summary import Facts
@@ -107,8 +107,8 @@ def run(
     with at(problem, ("start",)):
         if isinstance(problem.spec, schema.Plan) and isinstance(setup, Planning):
             found, arrays = planned(problem, problem.spec, setup, tell, resume)
-        elif is_sought(problem.spec):
-            found = drive_along(setup, options, progress)
+        elif isinstance(problem.spec, schema.Inverse):
+            found = solve_inverse(problem.spec, setup, options, progress)
         else:
             found = _integrated(setup, options, progress)
     found = _diagnosed(setup, found)
@@ -120,7 +120,6 @@ def _diagnosed(setup: Setup, run: Trajectory) -> Trajectory:
     """Return a motion with its diagnostics; those that fail are named in its attributes."""
     diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
         "filled_ground": partial(_filled, setup.ground.grid),
-        "steering": finished,
     }
     if setup.vehicle.mass and not is_determinate(setup.vehicle):
         diagnostics[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from slipfree.contact.certify import NONE
+from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import steering_note
-from slipfree.models.reach import SUBSET
 from slipfree.problem.climb_summary import climb_facts, is_climb
 from slipfree.records import Mask
 from slipfree.trajectory import Trajectory, path_length
@@ -80,7 +80,7 @@ def steering_warning(run: Trajectory) -> str:
 
 def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
     """Yield what an inverse motion was sought for, and how well it is determined."""
-    commanded = [name for name in SUBSET if f"{name}_error" in run.columns]
+    commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
     if "inverse_margin" not in run.columns and not commanded:
         return
     for wheel in run.wheels:
@@ -97,7 +97,7 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
         worst = int(margin.argmin())
         words = run.columns["inverse_margin"].label.words
         yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
-    known = {*SUBSET, "path", "heading"}
+    known = {*COMMANDS, "path", "heading"}
     steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
     for name in steered:
         low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()

@@ -1,0 +1,168 @@
+"""Steering of vehicles under commands: a guiding motion of the platform, which wheels turn towards.
+
+Of all motions of the platform that have the given rates and that the ground admits, the guiding
+motion is the one at which wheels that are not steered slip least across themselves. Each steered
+wheel is turned until the point of its carrier at the contact moves along it, which on level ground
+is the rule of the instantaneous centre. As rates of the steering are inputs, they follow these
+angles with a lag (`GAIN`, `FASTEST`): the rates of the angles themselves would need third
+derivatives of the ground. Targets and rates keep to the joints' stops and `max_rate`. Where all
+three rates are given, and not all wheels steered, other angles may slip less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.geometry.frame import Pose
+from slipfree.laws.least_slip import slip_unit
+from slipfree.models.base import values_of
+from slipfree.models.given_rates import COMMANDS, Minimum, derived_rates, minimum
+from slipfree.rearrange import Variable, new_variable
+from slipfree.records import Label, pack
+from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
+
+GAIN = 5.0  # at which the error of a steering angle decays [1/s]
+FASTEST = 1.0  # rate of a steered joint without max_rate that the law asks for at most [rad/s, m/s]
+STOP_CLEARANCE = 1e-4  # between a stop and the target of a steered coordinate [rad, m]
+STILL = 1e-4  # speed of a wheel below which it is not steered [size/s]
+LOOSE = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # weights of rates not given [1]
+BRANCH = 0.05  # beyond a right angle, of the largest steering error to the right [rad]
+NEAR = 1e-9  # effect of a joint on a wheel's direction that is none [1, 1/m]
+
+
+class Guide(NamedTuple):
+    """The guiding motion: its conditions, and the rates of pose and suspension among its unknowns.
+
+    Passive joints are held, and wheels that they swivel do not count.
+    """
+
+    conditions: Minimum
+    motion: tuple[Variable, ...]
+
+
+def steered(vehicle: Vehicle, direct: Dae, kind: Kind = "commanded") -> dict[str, dict[int, ca.SX]]:
+    """Return how much coordinates of a kind turn wheels, by the wheels' numbers.
+
+    About the platform's up axis, left positive; only coordinates that turn some. [rad/rad, rad/m]
+    """
+    values = values_of(vehicle, direct.x, direct.z.position)
+    poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
+    angles = ca.vertcat(*(ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0]) for pose in poses))
+    column, found = ca.vertcat(*values.values()), dict[str, dict[int, ca.SX]]()
+    for c in vehicle.of(kind):
+        effect = ca.jacobian(angles, values[c.name])
+        level = ca.evalf(ca.substitute(effect, column, ca.SX.zeros(column.shape)))
+        turned = np.flatnonzero(np.abs(np.array(level)) > NEAR)
+        if turned.size:
+            found[c.name] = {k: effect[k] for k in map(int, turned)}
+    return found
+
+
+def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> Guide:
+    """Return the guiding motion under given rates: least slip across wheels that nothing turns."""
+    kinds: tuple[Kind, ...] = ("commanded", "passive")
+    turned = {k for kind in kinds for each in steered(vehicle, direct, kind).values() for k in each}
+    names, plane, given = direct.labels.z.rates, derived_rates(direct), _names(inputs)
+    motion = tuple(
+        new_variable(direct, replace(label, name=f"guide_{label.name}"))
+        for label in _pose_rates(names)
+    )
+    multipliers = [replace(label, name="guide_multiplier") for label in names.law.multipliers]
+    multipliers += [
+        Label(f"guide_multiplier_{name}", slip_unit(COMMANDS[name].unit), COMMANDS[name].words)
+        for name in given
+    ]
+    across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
+    sizes = {"yaw_rate": direct.size}
+    loose = [
+        LOOSE[name] * (sizes.get(name, 1.0) * plane[name].expression) ** 2 for name in COMMANDS
+    ]
+    goal = 0.5 * ca.sum1(ca.vertcat(*loose, *(slip**2 for slip in across)))
+    touching = direct.alg[1][-len(names.law.multipliers) :]
+    missed = [
+        plane[name].expression - each.symbol for name, each in zip(given, inputs, strict=True)
+    ]
+    goal, *rows = guided(direct, motion, [goal, touching, *missed])
+    label = Label("guide", "", "least slip across wheels that are not steered")
+    conditions = minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label)
+    return Guide(conditions, motion)
+
+
+def _names(inputs: Sequence[Variable]) -> list[str]:
+    return [each.label.name for each in inputs]
+
+
+def _pose_rates(rates: Any) -> tuple[Any, ...]:
+    """Return rates of pose and suspension, or their labels."""
+    return (*rates[:6], *rates.suspension)
+
+
+def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]) -> list[ca.SX]:
+    """Return expressions of the guiding motion, with wheels and joints at rest."""
+    rates = direct.z.rates
+    still = pack((direct.u, rates.free, rates.passive))
+    found = ca.substitute([*expressions], [still], [ca.SX.zeros(still.shape)])
+    symbols = ca.vertcat(*(each.symbol for each in motion))
+    return list(ca.substitute(found, [ca.vertcat(*_pose_rates(rates))], [symbols]))
+
+
+def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
+    """Return the errors of steered coordinates beside the guiding motion. [rad, m].
+
+    Carriers move with ``along`` and ``across`` at the contacts of the wheels that a coordinate
+    turns; near the end this is the step that makes ``across`` least. Angles are doubled, since
+    forward or backward is the same, so that wheels that disagree by more than a right angle do not
+    cancel. Errors lie within a right angle either way, shifted by `BRANCH`, so that all wheels turn
+    the same way for a motion straight across them.
+    """
+    errors = {}
+    values = values_of(vehicle, direct.x, direct.z.position)
+    coordinates = {c.name: c for c in vehicle.coordinates}
+    for name, effects in steered(vehicle, direct).items():
+        wheels = [(direct.y.slip_along[k], direct.y.slip_across[k]) for k in effects]
+        moving = iter(guided(direct, motion, [part for wheel in wheels for part in wheel]))
+        sine, cosine = ca.SX(0), ca.SX((STILL * direct.size) ** 2)
+        for effect, along, across in zip(effects.values(), moving, moving, strict=True):
+            sine -= 2 * effect * along * across
+            cosine += effect**2 * (along**2 - across**2)
+        c, s = np.cos(2 * BRANCH), np.sin(2 * BRANCH)
+        error = ca.atan2(c * sine + s * cosine, c * cosine - s * sine) / 2 - BRANCH
+        errors[name] = _within_stops(coordinates[name], values[name], error)
+    return errors
+
+
+def _within_stops(c: Coordinate, value: ca.SX, error: ca.SX) -> ca.SX:
+    """Return the error of a steered coordinate whose target is moved to within its stops.
+
+    A wheel may as well point backward, half a turn away; if that is beyond the stops too, the
+    target is the nearer stop.
+    """
+    if not (np.isfinite(c.lower) or np.isfinite(c.upper)):
+        return error
+    clearance = min(STOP_CLEARANCE, (c.upper - c.lower) / 4)
+    low, high = c.lower + clearance - value, c.upper - clearance - value
+    reverse = error - ca.pi * ca.sign(error)
+    is_reversed = ca.logic_and(
+        _outside(error, low, high), ca.logic_not(_outside(reverse, low, high))
+    )
+    return ca.fmin(ca.fmax(ca.if_else(is_reversed, reverse, error), low), high)
+
+
+def _outside(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    return ca.logic_or(value < low, value > high)
+
+
+def steering_laws(vehicle: Vehicle, errors: Mapping[str, ca.SX]) -> tuple[ca.SX, ...]:
+    """Return the rates of all commanded coordinates. [rad/s, m/s]."""
+    fastest = {
+        c.name: c.max_rate if np.isfinite(c.max_rate) else FASTEST for c in vehicle.of("commanded")
+    }
+    return tuple(
+        rate * ca.tanh(GAIN / rate * errors.get(name, ca.SX(0))) for name, rate in fastest.items()
+    )

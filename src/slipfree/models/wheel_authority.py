@@ -1,0 +1,108 @@
+"""Rates of driven wheels that move the platform as it is commanded, at one configuration.
+
+The direct model is linear in its inputs, so that the rates of least slip among those that bring
+about given rates of the platform follow from linear algebra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.models.determinacy import (
+    command_determinacy,
+    command_sizes,
+    input_effects,
+)
+from slipfree.models.given_rates import check_commands
+from slipfree.records import Array, leaves
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+
+RANK = 1e-9  # relative singular value below which wheels have no effect on a given rate
+MISSED = 1e-9  # part of the given rates that may be missed
+
+
+def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
+    """Raise ModelError, with its name, for a given rate that wheels cannot impose.
+
+    Parameters
+    ----------
+    vehicle, direct, stand
+        As in `wheel_rates`.
+    given : sequence of str
+        Names of the given rates.
+    """
+    check = command_determinacy(vehicle, direct, direct, given)
+    x, z = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
+    if check.margin(x[:, None], z[:, None])[0] < 0:
+        raise ModelError(f"{vehicle.name}: {check.describe(x, z)}")
+
+
+def wheel_rates(
+    vehicle: Vehicle,
+    direct: Dae,
+    stand: Trajectory,
+    *,
+    joints: Mapping[str, float] | None = None,
+    **given: float,
+) -> dict[str, float]:
+    """Return the inputs of least slip that move a vehicle as it is commanded, at one configuration.
+
+    Rates that neither the given rates nor the slip depend on are the least ones. Singular values
+    below `RANK` of the largest count as zero.
+
+    Parameters
+    ----------
+    vehicle, direct : Vehicle, Dae
+        The vehicle, and its direct model of least slip.
+    stand : Trajectory
+        Its last sample is the configuration.
+    joints : mapping of str to float, optional
+        Rates of commanded coordinates, by the names of the inputs; others are zero. [rad/s]
+    **given : float
+        Some of ``forward``, ``right`` and ``yaw_rate``. [m/s, rad/s]
+
+    Returns
+    -------
+    dict of str to float
+        For ``direct.inputs(**...)``. [rad/s, m/s]
+
+    Raises
+    ------
+    ModelError
+        If a rate cannot be reached; it is named.
+    """
+    check_commands(vehicle, tuple(given))
+    at = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
+    effect, slip = (np.array(part) for part in input_effects(direct, direct, tuple(given))(*at))
+    names = [label.full for label in leaves(direct.labels.u)]
+    count, moving = len(direct.u.wheels), joints or {}
+    turning = np.array([moving.get(name, 0.0) for name in names[count:]])
+    asked = np.array(list(given.values())) - effect[:, count:] @ turning
+    wheels = _least(effect[:, :count], slip[:, :count], asked, slip[:, count:] @ turning)
+    sizes = np.array(command_sizes(vehicle, tuple(given)))
+    miss = sizes * (asked - effect[:, :count] @ wheels)
+    worst = int(np.abs(miss).argmax())
+    if not abs(miss[worst]) <= MISSED * float(np.abs(sizes * asked).max()):
+        name = [*given][worst]
+        raise ModelError(
+            f"{vehicle.name} cannot reach {name} here: the nearest its wheels bring about, beside "
+            f"the other given rates, misses it by {abs(miss[worst]):.2g} m/s; leave {name} out of "
+            "the given rates"
+        )
+    return dict(zip(names, (float(each) for each in (*wheels, *turning)), strict=True))
+
+
+def _least(effect: Array, slip: Array, asked: Array, rest: Array) -> Array:
+    """Return what brings ``effect`` to ``asked`` with the least ``slip`` beside ``rest``."""
+    left, values, right = np.linalg.svd(effect)
+    rank = int((values > RANK * max(values[0], np.finfo(float).tiny)).sum())
+    inverse = right[:rank].T @ np.diag(1 / values[:rank]) @ left[:, :rank].T
+    free = right[rank:].T
+    base = inverse @ asked
+    rates = base + free @ np.linalg.lstsq(slip @ free, -(rest + slip @ base), rcond=RANK)[0]
+    return np.asarray(rates + inverse @ (asked - effect @ rates))
