@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from inspect import signature
+from typing import TypeVar
+
 from slipfree.dae import Dae
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.laws.protocols import GroundLaw, SlipLaw
@@ -15,6 +19,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
 DEFAULT_LAW = "coulomb"
+L = TypeVar("L")
 
 
 def build_model(
@@ -40,8 +45,7 @@ def slip_law(problem: Problem[S], spec: schema.Modelled) -> SlipLaw:
         )
         found = f"model = 'kinematics', slip = {spec.slip!r}"
         raise problem_error(problem.source, [Fault(("law", name), expected, found)])
-    with at(problem, ("law", spec.slip)):
-        return SLIP_LAWS[spec.slip](**spec.law.parameters(spec.slip))
+    return _with_parameters(problem, spec, SLIP_LAWS[spec.slip])
 
 
 def law_name(spec: schema.Modelled) -> str:
@@ -61,5 +65,15 @@ def ground_law(problem: Problem[S], spec: schema.Modelled) -> GroundLaw:
         expected = f"one wheel-ground law with model = 'quasi-static', of {', '.join(GROUND_LAWS)}"
         found = ", ".join(sorted(spec.law.model_fields_set))
         raise problem_error(problem.source, [Fault(("law", other), expected, found)])
+    return _with_parameters(problem, spec, GROUND_LAWS[name])
+
+
+def _with_parameters(problem: Problem[S], spec: schema.Modelled, law: Callable[..., L]) -> L:
+    """Return a law with the parameters that a problem gives; the others have their defaults."""
+    name = law_name(spec)
+    given = spec.law.parameters(name)
+    for key, parameter in signature(law).parameters.items():
+        if parameter.default is parameter.empty and key not in given:
+            raise problem_error(problem.source, [Fault(("law", name, key), "a value", "none")])
     with at(problem, ("law", name)):
-        return GROUND_LAWS[name](**spec.law.parameters(name))
+        return law(**given)

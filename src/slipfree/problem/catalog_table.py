@@ -116,8 +116,13 @@ def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
         name = str(error["loc"][-1])
         nearest = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        wrong = fault(name, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
-        wrong["loc"] = error["loc"]
-        return wrong
-    details = InitErrorDetails(type=error["type"], loc=error["loc"], input=error["input"])
-    return details | {"ctx": error["ctx"]} if "ctx" in error else details
+        details = fault(name, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
+    elif error["type"] == "missing":
+        expected = "a number" if isinstance(error["loc"][-1], int) else "a value"
+        details = fault(None, expected, "none")
+    else:
+        details = InitErrorDetails(type=error["type"], loc=(), input=error["input"])
+        if "ctx" in error:
+            details["ctx"] = error["ctx"]
+    details["loc"] = error["loc"]
+    return details
