@@ -81,10 +81,10 @@ def written_out(system: System, law: Any) -> dict[str, Any]:
     """Return the DAE as one SX graph, which CasADi differentiates."""
     dae = system.dae
     x, z, u = dae.columns()
-    rows = [dae.ode, ca.vertcat(*dae.alg)[: system.moving]]
+    rows = [dae.ode, ca.vertcat(*dae.alg)[: system.motion_size]]
     ode, alg = ca.substitute(rows, [u], [ca.vertcat(*leaves(law))])
     given = ca.SX.sym("given", u.numel())
-    return {"t": dae.t, "x": x, "z": z[: system.moving], "u": given, "ode": ode, "alg": alg}
+    return {"t": dae.t, "x": x, "z": z[: system.motion_size], "u": given, "ode": ode, "alg": alg}
 
 
 def row(kind: str, nodes: int) -> dict[str, Any]:

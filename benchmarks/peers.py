@@ -244,7 +244,7 @@ def ours(rough: float) -> dict[str, Line]:
     dae, start, system, _ = prepared(rough)
     x = dae.rows("x", start, -1)
     u = system.u[:, 0]
-    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.motion_size]
     at = {"x0": x, "z0": z, "u": u}
     metres = SPEED * DURATION
     rates = explicit(system, at)
@@ -270,7 +270,7 @@ def naive(rough: float) -> dict[str, Line]:
     dae, start, system, law = prepared(rough, naive=True)
     x = dae.rows("x", start, -1)
     u = system.u[:, 0]
-    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.moving]
+    z = solve_initial_conditions(system, 0.0, x, dae.rows("z", start, -1), u)[: system.motion_size]
     at = {"x0": x, "z0": z, "u": u}
     return {"naive": points(by_idas(written_out(system, law), {}, at), SPEED * DURATION)}
 

@@ -113,7 +113,8 @@ elif name.startswith(("residual", "jacobian")):
     dae = model()
     law = {each.full: 0.4 for each in leaves(dae.labels.u)}
     system, start = with_inputs(dae, dae.inputs(**law), 0, **options), sf.settle(dae, **options)
-    point = [0.0, dae.rows("x", start, 0), dae.rows("z", start, 0)[: system.moving], system.u[:, 0]]
+    point = [0.0, dae.rows("x", start, 0), dae.rows("z", start, 0)[: system.core.size1_in(2)],
+             system.u[:, 0]]
     function = system.core
     if name.startswith("jacobian"):
         function = function.jacobian()
@@ -250,7 +251,7 @@ for ground_name, make in GROUNDS.items():
         dae, rng = of(ground), np.random.default_rng(7)
         law = dae.inputs(**{each.full: 0.0 for each in leaves(dae.labels.u)})
         system = with_inputs(dae, law, 0)
-        n_x, n_z = dae.ode.numel(), system.moving
+        n_x, n_z = dae.ode.numel(), system.core.size1_in(2)
         start = 0.3 * rng.normal(size=n_x), 0.3 * rng.normal(size=n_z)
         if model_name == "Montana":  # contacts of wheels that stand
             start = np.array([stand.of(each)[0] if each.full in stand.columns or each.name in

@@ -146,7 +146,7 @@ def test_a_plan_that_must_go_straight_is_refused_by_name():
     assert not found.success
     assert found.run.stop.name == "plan"
     words = found.run.stop.words
-    given = words.partition("a motion was found that gives up")[2]
+    given = words.partition("a motion was found with relaxed bounds")[2]
     assert "utilisation of wheel left: 1.1" in given
     assert "instead of 0.95 at t = " in given
     assert "x of the vehicle: at least -0.2 m" in given

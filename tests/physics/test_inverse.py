@@ -101,7 +101,7 @@ def test_rates_come_back_at_recorded_states(family):
             z = solve_initial_conditions(
                 system, 0.0, x, np.where(np.arange(z.size) < 9, z, 0.0), system.u[:, 0]
             )
-            expected, n = dae.rows("z", run, k), system.moving
+            expected, n = dae.rows("z", run, k), system.motion_size
             assert_allclose(z[:n], expected[:n], rtol=0, atol=1e-10, err_msg=str(given))
             returned += 1
     assert returned > 40
@@ -143,7 +143,7 @@ def test_growth_is_the_derivative_of_the_steering_rate_in_the_steering_angle():
             [label.name == "steer" for label in (*dae.labels.x[:3], *dae.labels.x.joints)]
         )
         rates.append(
-            solve_initial_conditions(system, 0.0, moved, z, system.u[:, 0])[system.moving - 1]
+            solve_initial_conditions(system, 0.0, moved, z, system.u[:, 0])[system.motion_size - 1]
         )
     growth = ca.Function("growth", list(dae.columns()), dae.named("steering_growth"))
     assert_allclose(float(growth(x, z, system.u[:, 0])), (rates[2] - rates[0]) / 2e-5, rtol=1e-6)

@@ -73,9 +73,10 @@ def test_a_goal_beyond_the_reach_of_the_input_names_what_must_give():
     assert told.startswith("the constraints contradict each other where the search ended (Infea")
     assert "x0 at the goal is 3 m below 4 m at t = 1 s" in told
     assert (
-        "gives up (one set that suffices; others may):\n  input drive: 4 m instead of 1 m" in told
+        "relaxed bounds (one sufficient set; others may exist):\n  input drive: 4 m instead of 1 m"
+        in told
     )
-    assert "because these hold; if one of them gives" in told
+    assert "these bounds were kept; relaxing one of them" in told
     assert "  x0 at the goal: 4 m" in told
     assert "  duration: at most 1 s" in told
 
@@ -199,7 +200,7 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     stuck = solve_program(program, np.array([1.0, 0.0]), first, iterations=0)
     told = explanation(program, stuck, first)
     assert told.startswith("the search did not end within its iterations (Maximum_Iterations")
-    assert "nothing has to give" in told
+    assert "no bound must be relaxed" in told
 
 
 def test_equations_without_a_solution_are_said_to_be_so():
@@ -207,7 +208,7 @@ def test_equations_without_a_solution_are_said_to_be_so():
     dae = toy(1, lambda _t, _x, z, u: [u + ca.sqrt(-1 - z)])
     asked = task(dae, [0.0], places=[at_end(dae.x.values[0], 0.5)], inputs=(-1, 1))
     program, found, first = attempted(asked)
-    assert "what had to give was not found" in explanation(program, found, first)
+    assert "no relaxation of the bounds was found" in explanation(program, found, first)
 
 
 def test_who_stops_a_search_does_not_wait_for_another():

@@ -210,7 +210,7 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
     assert result.exit_code == 1, result.output
     assert "the plan is not solved; this is its last iterate" in result.stderr
     assert "y at the goal" in result.stderr
-    assert "one set that suffices; others may" in result.stderr
+    assert "one sufficient set; others may exist" in result.stderr
     assert "p.nc holds the motion to there" in result.stderr
     assert netcdf.read(Path("p.nc")).stop.name == "plan"
 

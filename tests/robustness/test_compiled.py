@@ -196,7 +196,7 @@ def test_a_compiled_motion_is_the_interpreted_one_on_every_ground(folder, monkey
         plain, found = (with_inputs(dae, law, 4, each) for each in options)
         assert found.core.jacobian().n_instructions() < 100  # of calls
         last = runs[0]
-        x, z = dae.rows("x", last, -1), dae.rows("z", last, -1)[: plain.moving]
+        x, z = dae.rows("x", last, -1), dae.rows("z", last, -1)[: plain.motion_size]
         for one, other in (
             (plain.core, found.core),
             (plain.core.jacobian(), found.core.jacobian()),
@@ -215,11 +215,11 @@ def test_the_jacobian_of_a_motion_under_a_law_is_that_of_its_expressions():
     dae, start, law = driven(1)
     system = with_inputs(dae, law, 4)
     x, z, u = dae.columns()
-    m = z[: system.moving]
-    rows = ca.vertcat(dae.ode, ca.vertcat(*dae.alg)[: system.moving])
+    m = z[: system.motion_size]
+    rows = ca.vertcat(dae.ode, ca.vertcat(*dae.alg)[: system.motion_size])
     rows = ca.substitute(rows, u, ca.vertcat(*leaves(law)))
     exact = dae.function("exact", [dae.t, x, m], [ca.jacobian(rows, ca.vertcat(x, m))])
-    at = [0.4, dae.rows("x", start, -1), dae.rows("z", start, -1)[: system.moving]]
+    at = [0.4, dae.rows("x", start, -1), dae.rows("z", start, -1)[: system.motion_size]]
     t, x, m, u = system.core.mx_in()
     found = ca.Function(
         "found",

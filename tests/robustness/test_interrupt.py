@@ -511,8 +511,8 @@ def run(*words):
 
 
 def test_a_run_behind_its_last_step_writes_nothing(folder, monkeypatch):
-    pressed, _ = pressing(runner.finished)
-    monkeypatch.setattr(runner, "finished", pressed)
+    pressed, _ = pressing(runner._filled)
+    monkeypatch.setattr(runner, "_filled", pressed)
     found = run("p.toml", "-o", "p.nc")
     assert (found.exit_code, found.stderr) == (130, "interrupted\n")
     assert (folder / "p.nc").read_bytes() == OLD

@@ -456,7 +456,7 @@ def test_the_integrator_takes_the_jacobian_that_it_is_given(monkeypatch):
     assert hash(other) != hash(own)
     assert (other.name_in(), other.name_out()) == (own.name_in(), own.name_out())
     system = module.with_inputs(dae, inputs, 2)
-    z = dae.rows("z", start, -1)[: system.moving]
+    z = dae.rows("z", start, -1)[: system.motion_size]
     at = [0.0, dae.rows("x", start, -1), z, [], system.u[:, 0]]
     for one, two in zip(own.call(at), other.call(at), strict=True):
         assert_allclose(np.array(ca.DM(one)), np.array(ca.DM(two)), rtol=1e-12, atol=1e-12)

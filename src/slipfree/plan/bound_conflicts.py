@@ -61,8 +61,8 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
     task : Task
         The problem.
     start : Trajectory or None
-        Its last sample is where the plan begins; without it only what depends on nothing but states
-        is compared to the start.
+        Its last sample is where the plan begins; without it only bounds on states alone are
+        compared with the start.
     """
     asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
@@ -156,15 +156,15 @@ def _value_conflicts(
     for bounds in along:
         if ca.depends_on(bounds.expression, unknown):
             continue
-        # What is not known is not in the expression either, but must be a number.
+        # Unknown values are not in the expression, but arguments must be numbers.
         here = task.dae.function("here", [xz, u, task.dae.t], [bounds.expression])
         value = float(here(np.nan_to_num(known), 0.0, 0.0))
         if max(bounds.lower - value, value - bounds.upper) > VIOLATION_TOLERANCE:
             plain = variable_of(task, bounds.expression) is not None
-            what = "" if plain else f" ({bounds.label.words.removesuffix(LIMITED_SUFFIX)})"
+            details = "" if plain else f" ({bounds.label.words.removesuffix(LIMITED_SUFFIX)})"
             yield (
                 f"{_bound_words(bounds)}, but the {role} has "
-                f"{number(bounds.label, value + bounds.shift)}{what}: {_remedy_words(role)} or "
+                f"{number(bounds.label, value + bounds.shift)}{details}: {_remedy_words(role)} or "
                 f"{_remedy_words(bounds.role)}"
             )
 

@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.plan.transcription import Index, PlanTask, Program, RowBlock
 from slipfree.records import Array, Label, leaves
 
-VIOLATION_TOLERANCE = 1e-6  # violation that is rounding, in the unit of what is violated
+VIOLATION_TOLERANCE = 1e-6  # violation up to which it is rounding, in the unit of the quantity
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
 
 
@@ -22,7 +22,7 @@ class Violation(NamedTuple):
     Attributes
     ----------
     label : Label
-        What is constrained, with its wheel.
+        The constrained quantity, with its wheel.
     t : float
         When. [s]
     interval : int
@@ -30,7 +30,7 @@ class Violation(NamedTuple):
     size : float
         By how much, in the label's unit.
     bound, value : float
-        The bound, and what was found, in the label's unit and in map coordinates.
+        The bound and the value, in the label's unit and in map coordinates.
     role : str
         ``"equation"``, ``"limit"``, ``"input"``, ``"goal"``, or ``"way-point at 0.5"``.
     """
@@ -58,7 +58,7 @@ class ConstraintGroup(NamedTuple):
     lower, upper : float
         Bounds.
     shift : float
-        What leads to map coordinates.
+        Offset to map coordinates.
     typical : float
         Size of an equation's terms; zero elsewhere.
     """

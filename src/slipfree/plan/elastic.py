@@ -26,8 +26,8 @@ from slipfree.plan.transcription import Index, Program, completed
 from slipfree.records import Array, Label
 
 MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
-MIN_SHARE = 0.05  # of what gives, by which a bound matters: relaxing it by one would save as much
-SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # by the sign of what is missing
+MIN_SHARE = 0.05  # of the relaxation that a bound saves per unit of its own, to be named
+SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # by the sign of the missing amount
 
 
 class OpposingBound(NamedTuple):
@@ -40,7 +40,7 @@ class OpposingBound(NamedTuple):
     bound : float
         In the label's unit and in map coordinates.
     side : str
-        ``"at least"`` or ``"at most"``; empty for what is to be equal.
+        ``"at least"`` or ``"at most"``; empty for an equation.
     share : float
         By how much less the others would give, relative to their sizes, for each unit of its own
         size by which it were moved.
@@ -83,7 +83,7 @@ def relax(
     """Return a motion that violates the bounds as little as possible.
 
     Equations, start and duration hold. Every other bound may move by a slack of its own, the same
-    at all times, and the sum of the slacks, relative to the sizes of what they move, is least; this
+    at all times, and the sum of the slacks, relative to the sizes of the bounds, is least; this
     leaves few that are not zero. It is a minimum near the first guess: others may be lower. Of the
     motions with these slacks, one of least cost is returned, if the search for it succeeds.
 
@@ -163,7 +163,7 @@ def _opposing_bounds(
         if equal and sign < 0:
             continue
         if equal:
-            # The two bounds of an equation push against each other: what is left counts.
+            # The two bounds of an equation push against each other: the difference counts.
             price, side = price + parts[k + 1], ""
         share = float(np.abs(price).sum())
         yield OpposingBound(

@@ -12,7 +12,7 @@ from slipfree.plan.transcription import Program
 from slipfree.records import Array
 
 MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
-STATUS_WORDS = {  # what IPOPT's words mean for a plan
+STATUS_WORDS = {  # meaning of IPOPT's status for a plan
     "Solve_Succeeded": "the plan is solved",
     "Solved_To_Acceptable_Level": "the plan is solved, to a lesser accuracy",
     "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
@@ -34,8 +34,7 @@ def violations(
 ) -> list[Violation]:
     """Return the largest violation of each violated constraint, the worst constraint first.
 
-    They are in the order of their size relative to the range of their bounds or to what else is
-    typical.
+    They are in the order of their size relative to the range of their bounds or to a typical size.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ def violations(
     solution : Solution
         Where its iteration ended.
     tolerance : float
-        Violation that counts as none, in the unit of what is violated.
+        Violation up to which a constraint holds, in the unit of the quantity.
     """
     worst: dict[tuple[str, str], tuple[float, Violation]] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
@@ -93,22 +92,22 @@ def _relaxation_lines(relaxation: Relaxation) -> list[str]:
     if not relaxation.success:
         meant = STATUS_WORDS.get(relaxation.status, "it ended")
         return [
-            f"what had to give was not found: {meant} ({relaxation.status}) even with all "
-            "bounds but the start and the duration given up; try another guess"
+            f"no relaxation of the bounds was found: {meant} ({relaxation.status}), even with all "
+            "bounds but the start and the duration free; try another guess"
         ]
     if not relaxation.relaxed:
         return [
-            "nothing has to give: a motion that keeps to all constraints was found without the "
+            "no bound must be relaxed: a motion within all constraints was found without the "
             "costs; try it as a guess, or more iterations"
         ]
-    lines = ["a motion was found that gives up (one set that suffices; others may):"]
+    lines = ["a motion was found with relaxed bounds (one sufficient set; others may exist):"]
     for each in relaxation.relaxed:
         given, needed = (number(each.label, value) for value in (each.bound, each.value))
         lines.append(
             f"  {subject(each.label, each.role)}: {needed} instead of {given} at t = {each.t:.4g} s"
         )
     if relaxation.held:
-        lines.append("because these hold; if one of them gives, less of the above must:")
+        lines.append("these bounds were kept; relaxing one of them relaxes those above less:")
     for held in relaxation.held:
         bound = f"{held.side} {number(held.label, held.bound)}".lstrip()
         lines.append(f"  {subject(held.label, held.role)}: {bound}")

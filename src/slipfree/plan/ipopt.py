@@ -90,9 +90,9 @@ class Solution(NamedTuple):
 class _IterateWatcher(ca.Callback):
     """Sees every iterate, keeps the one that violates least, and stops IPOPT when asked to."""
 
-    def __init__(self, program: Program, look: IterateCallback, heed: InterruptGuard) -> None:
+    def __init__(self, program: Program, look: IterateCallback, guard: InterruptGuard) -> None:
         ca.Callback.__init__(self)
-        self.program, self.look, self.heed, self.count = program, look, heed, 0
+        self.program, self.look, self.guard, self.count = program, look, guard, 0
         self.best: tuple[Iterate, Array] | None = None
         self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
         self.construct("watch", {})
@@ -122,9 +122,9 @@ class _IterateWatcher(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Look at an iterate; a one stops the solver."""
         try:
-            return [0.0 if self.heed.call(self.look, self._record_iterate(arguments)) else 1.0]
+            return [0.0 if self.guard.call(self.look, self._record_iterate(arguments)) else 1.0]
         except BaseException as error:
-            self.heed.keep(error)
+            self.guard.keep(error)
             return [1.0]
 
     def _record_iterate(self, arguments: Sequence[ca.DM]) -> Iterate:
@@ -191,8 +191,8 @@ def solve_program(
         "max_iter": iterations,
         "theta_max_fact": growth,
     }
-    with InterruptGuard() as heed:
-        watch = _IterateWatcher(program, look or (lambda _: True), heed)
+    with InterruptGuard() as guard:
+        watch = _IterateWatcher(program, look or (lambda _: True), guard)
         solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})
         solution = _to_solution(program, solver(**given), solver.stats())
     if solution.success or solution.status == INFEASIBLE_STATUS or watch.best is None:

@@ -9,7 +9,7 @@ from slipfree.records import Label
 
 MODEL = "model"  # the role of the model's own limits, before they are in the program
 DURATION = "duration"
-LIMITED_SUFFIX = " is limited by the plan"  # ends the words of a limit that was asked for
+LIMITED_SUFFIX = " is limited by the plan"  # ends the words of a limit of the plan
 FIXED_POINT_FROM = 1000.0  # from which on four digits are too few
 
 

@@ -1,7 +1,7 @@
 """Model-predictive control: update a plan while the vehicle moves, one Newton step per cycle.
 
 A window of fixed length goes ahead of the vehicle along a plan, and ends where the plan is then, in
-what the goal asks for. From cycle to cycle its program stays the same but for bounds; its solution
+the quantities of the goal. From cycle to cycle only bounds of its program change; its solution
 is shifted, the measured state put in, and one iteration taken (Diehl, Bock, Schloeder, A real-time
 iteration scheme for nonlinear optimization in optimal feedback control, SIAM J. Control Optim. 43,
 2005). Behind the end of the plan the window shrinks.
@@ -81,7 +81,7 @@ class Cycle(NamedTuple):
     row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
         Of rows and bounds.
     violation : float
-        By how much the motion violates its equations and what is asked for.
+        Largest violation of the equations and bounds by the motion.
     """
 
     t: float
@@ -112,8 +112,8 @@ def horizon(
     Raises
     ------
     ModelError
-        If the window is longer than the plan, numbers are not positive, or the model or what is
-        asked of it depends on time, which a window would count from its own beginning.
+        If the window is longer than the plan, numbers are not positive, or the model or its
+        costs and limits depend on time, which a window would count from its own beginning.
     """
     length, task = plan.motion.duration, plan.program.task
     _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
@@ -190,7 +190,7 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     Returns
     -------
     Cycle
-        Near the end of the plan, what is left of the former one.
+        Near the end of the plan, the rest of the former one.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         lam_x0=bounds,
     )
     status = window.solver.stats()["return_status"]
-    # IPOPT's own rows are those of its last accepted iterate, which may not be what it returns.
+    # IPOPT's own rows are those of its last accepted iterate, which may differ from those returned.
     g = np.array(window.rows(found["x"], window.weights)).ravel()
     if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
@@ -311,7 +311,7 @@ def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
     """Return bounds of the rows for a window that ends at a time: there it meets the plan."""
     program, plan = window.program, window.plan
     lower, upper = program.g_lower.copy(), program.g_upper.copy()
-    if end < plan.duration - TIME_TOLERANCE:  # what is summed up may be off by rounding
+    if end < plan.duration - TIME_TOLERANCE:  # sums of times may be off by rounding
         at = np.array([end / plan.duration])
         values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
         count = len(program.row_blocks[-1].labels)

@@ -61,7 +61,7 @@ class SolvedStage(NamedTuple):
     Attributes
     ----------
     words : str
-        What was solved.
+        Description of the program.
     iterations : int
         How many it took.
     status : str
@@ -69,7 +69,7 @@ class SolvedStage(NamedTuple):
     seconds : dict of str to float
         Wall time in all, in functions, in the rest. [s]
     cost : float
-        What it reached, all terms weighted as in this stage.
+        Cost reached, all terms weighted as in this stage.
     """
 
     words: str
@@ -88,7 +88,7 @@ class Plan:
     run : Trajectory
         The plan, sampled at the beginning and at all points of collocation.
     inputs : record
-        What drives the model along it, for ``simulate`` at times ``motion.ends``.
+        Inputs that drive the model along it, for ``simulate`` at times ``motion.ends``.
     motion : PolynomialMotion
         The plan as polynomials of time.
     replay : Trajectory
@@ -96,18 +96,17 @@ class Plan:
     difference : dict of str to float
         Largest difference between plan and replay in every state. [m, rad]
     violation : dict of str to float
-        By how much the replay violates limits of the plan and what is asked for at goal and
-        way-points, by name, each in its unit.
+        Violations of limits, goal and way-points by the replay, by name, each in its unit.
     costs : dict of str to float
         Integrals of the terms of the cost, in their units; that of the squared rates of the
         inputs as ``"smoothness"``.
     success : bool
         Whether the program was solved; a plan that was not is the best iterate.
     accurate : bool
-        Whether differences and violations are within the accuracy asked for, and the replay
+        Whether differences and violations are within the given accuracy, and the replay
         reaches the end.
     program, solution : Program, Solution
-        What was solved last.
+        The last program and its solution.
     stages : tuple of Stage
         All that was solved.
     saved : Saved
@@ -183,7 +182,7 @@ def plan(
         conditions in the model's symbols. [m, rad]
     costs : mapping of str to float, or sequence of Cost
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
-        of the wheels' drives; what braking would give back is not counted), or the name of any
+        of the wheels' drives; energy from braking is not counted), or the name of any
         quantity of the model, whose square is integrated over time and summed over the wheels
         (places in local coordinates).
     duration : float or (least, largest)
@@ -207,9 +206,9 @@ def plan(
         Options of the simulation of the plan; whether to compile the functions of the program.
     step : float
         Of the simulation, between its samples at most. [s]
-    resume : Saved, optional
+    resume : SavedPlan, optional
         A plan from which to start instead, on another mesh, ground or goal as well; from another
-        place, what comes after the nearest one on its way counts.
+        state, the part after the nearest one counts.
     progress : callable, optional
         Called with words and every iterate; returning False ends the search, the best iterate kept.
 

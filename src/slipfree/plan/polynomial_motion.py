@@ -93,8 +93,8 @@ def motion_of(program: Program, unknowns: Array) -> PolynomialMotion:
 def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
     """Return unknowns of a program from a motion on another mesh, to another goal or ground.
 
-    Of the former motion what comes after a part of its duration counts. Unknowns that only the new
-    program has are taken from its model.
+    Of the former motion the part after a fraction of its duration counts. Unknowns that only the
+    new program has are taken from its model.
     """
     task, layout = program.task, program.layout
     nodes = after + (1 - after) * program.mesh.nodes
@@ -190,7 +190,7 @@ def sample_plan(program: Program, unknowns: Array) -> Trajectory:
     with suppress(ModelError):
         z[:, 0] = solve_initial_conditions(system, 0.0, x[:, 0], z[:, 1], u[:, 0])
     try:
-        rates = np.array(system.quad.map(t.size)(t[None], x, z[: system.moving], u))[:, 1:]
+        rates = np.array(system.quad.map(t.size)(t[None], x, z[: system.motion_size], u))[:, 1:]
     except RuntimeError:  # the forces of a failed iterate may not be found
         rates = np.full((program.task.dae.quad.numel(), t.size - 1), np.nan)
     q = _integrate(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))

@@ -181,7 +181,7 @@ def task_of(
     Raises
     ------
     ModelError
-        If a name is not known, nothing is asked for at the goal, or start, goal and limits
+        If a name is not known, the goal is empty, or start, goal and limits
         contradict each other.
     """
     if not goal:

@@ -29,7 +29,7 @@ class Cost(NamedTuple):
     expression : SX, shape (1, 1)
         In the symbols of the model.
     weight : float
-        What a unit of the integral costs.
+        Cost of a unit of the integral.
     """
 
     label: Label
@@ -116,9 +116,9 @@ def stage_functions(
 
 def _needed_blocks(system: System, asked: ca.SX) -> tuple[Block, ...]:
     """Return the blocks of the motion, and the dependent ones if expressions contain them."""
-    z = system.dae.columns()[1][system.moving :]
+    z = system.dae.columns()[1][system.motion_size :]
     follows = ca.depends_on(asked, z) if z.numel() else False
-    return (*system.blocks, *system.after) if follows else system.blocks
+    return (*system.blocks, *system.dependent_blocks) if follows else system.blocks
 
 
 def _split_costs(

@@ -143,7 +143,7 @@ class VariableLayout(NamedTuple):
     duration : int
         Behind all of them.
     roots : ndarray, shape (n, degree, n_r)
-        Behind the duration: what is squared in the costs, at all points.
+        Behind the duration: roots of the squares in the costs, at all points.
     """
 
     first: Index
@@ -357,7 +357,7 @@ def _nodes(layout: VariableLayout) -> Index:
 def _ends(layout: VariableLayout, mesh: CollocationMesh) -> tuple[Index, Index]:
     """Return the inputs of every interval and those that follow."""
     count = mesh.ends.size - 1
-    # Behind the last interval a constant input stays what it is.
+    # Behind the last interval a constant input keeps its value.
     after = np.vstack([layout.inputs[1:], layout.inputs[-1:]])
     return layout.inputs[:count], after[:count]
 

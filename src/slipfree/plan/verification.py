@@ -35,10 +35,9 @@ class Verification(NamedTuple):
     difference : dict of str to float
         Largest difference of every state from the plan. [m, rad]
     violation : dict of str to float
-        By how much the simulation violates the limits of the plan, and what is asked for at the
-        goal and at way-points, each in its unit; only what it violates.
+        Violations of limits, goal and way-points of the plan by the simulation, each in its unit.
     worse : ndarray of bool, shape (n,)
-        Intervals on which the accuracy asked for is missed, and that may be refined.
+        Intervals on which the accuracy is missed, to be refined.
     accurate : bool
         Whether the accuracy is reached: by states, limits and goal.
     """
@@ -63,13 +62,13 @@ def verify_plan(
     Parameters
     ----------
     program : Program
-        What was solved.
+        The program that was solved.
     unknowns : ndarray, shape (n_w,)
         Its solution.
     start : Trajectory
         Its last sample is where the plan begins.
     accuracy : float
-        What differences and violations may be, each in its unit.
+        Largest admissible differences and violations, each in its unit.
     step : float
         Between samples at most. [s]
     """
@@ -87,7 +86,7 @@ def verify_plan(
     ends = program.mesh.ends
     where = np.clip(np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
     worse = np.zeros(ends.size - 1, dtype=bool)
-    if (over > allowed).any():  # a finer mesh bulges elsewhere: what is near is refined as well
+    if (over > allowed).any():  # a finer mesh bulges elsewhere: neighbours are refined too
         worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
     worse |= _error_sources(gaps, where, accuracy, ends.size - 1)
     if replay.stop is not None:
@@ -174,7 +173,7 @@ def _limit_values(
 def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
     """Return on which intervals a difference that is too large arises.
 
-    What is off stays off, so that an interval counts by how much the difference changes on it; all
+    A difference persists, so that an interval counts by how much the difference changes on it; all
     of them together make no more than the accuracy if each makes its share.
     """
     if np.abs(gaps).max(initial=0.0) <= accuracy:

@@ -89,7 +89,7 @@ def run(
         Called with the time reached. [s]
     tell : callable, optional
         Called with one line about every iterate of a plan.
-    resume : Saved, optional
+    resume : SavedPlan, optional
         The plan from which to start.
 
     Raises

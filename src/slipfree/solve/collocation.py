@@ -220,8 +220,8 @@ def drive(
     """Return the motion of a model some of whose states have no initial value.
 
     Elements are shortened until two degrees agree on the sought states within the tolerance, or as
-    well as they ever do: on short elements of high degree, what changes fast counts as smooth, and
-    noise of the path is amplified.
+    well as they ever do: on short elements of high degree fast changes count as smooth, and noise
+    of the path is amplified.
 
     Parameters
     ----------
@@ -274,7 +274,9 @@ def _refine_elements(
 ) -> tuple[CollocationScheme, list[CollocationElement], float]:
     """Return the motion on the elements on which two degrees agree best, and how well."""
     x = system.dae.rows("x", start, -1)
-    z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[: system.moving]
+    z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
+        : system.motion_size
+    ]
     tried = collocation_schemes(system, sought)
     best: tuple[CollocationScheme, list[CollocationElement], float] | None = None
     failure, count, vain = SolverError("no motion was found"), 1, 0

@@ -51,9 +51,9 @@ def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str
     the first step is as large as that error. Further steps follow where one is not enough. The
     report includes that of `complete_samples`. A motion without algebraic unknowns needs no step.
     """
-    if not system.moving:
+    if not system.motion_size:
         return samples, {}
-    z, n = samples.z.copy(), system.moving
+    z, n = samples.z.copy(), system.motion_size
     alg, jac = _linearize(system, samples)
     step, size = _newton_steps(jac, alg), _max_abs(alg)
     first = _max_abs(step[system.blocks[0].span])
@@ -102,7 +102,7 @@ def _max_abs(rows: Array) -> Array:
 
 def _linearize(system: System, samples: Samples) -> tuple[Array, Array]:
     """Return the residuals of the motion's equations in columns, and their Jacobians."""
-    newton, n = system.newton.map(samples.t.size), system.moving
+    newton, n = system.newton.map(samples.t.size), system.motion_size
     found = newton(samples.t[None], samples.x, samples.z[:n], samples.u)
     alg, jac = (np.array(out) for out in found)
     return alg, _split_matrices(jac, n)
@@ -110,7 +110,7 @@ def _linearize(system: System, samples: Samples) -> tuple[Array, Array]:
 
 def _residuals(system: System, samples: Samples) -> Array:
     """Return the residuals of the motion's equations in columns."""
-    core, n = system.core.map(samples.t.size), system.moving
+    core, n = system.core.map(samples.t.size), system.motion_size
     return np.array(core(samples.t[None], samples.x, samples.z[:n], samples.u)[1])
 
 
@@ -124,7 +124,7 @@ def complete_samples(
     the equations are not finite. ``known`` are residuals and Jacobians of the samples, or of
     samples a last Newton step away, if they are at hand.
     """
-    count, n, z = samples.t.size, system.moving, samples.z.copy()
+    count, n, z = samples.t.size, system.motion_size, samples.z.copy()
     left, jac = known or _linearize(system, samples)
     jac = jac * system.dae.sizes.z[:n]
     finite = np.isfinite(jac).all(axis=(1, 2))
@@ -136,12 +136,12 @@ def complete_samples(
         report[f"{block.labels[0].name}_residual"] = _block_residual(
             system, block, left[block.span]
         )
-    if system.after:
+    if system.dependent_blocks:
         guess = system.dae.function("guess", [system.dae.columns()[0]], [system.dae.guess]).map(
             count
         )
         z[n:] = np.array(guess(samples.x))[n:]
-    for block in system.after:
+    for block in system.dependent_blocks:
         z, rest = _solve_block(block, samples._replace(z=z), system.dae.scale[block.span, None])
         report[f"{block.labels[0].name}_residual"] = _block_residual(system, block, rest)
     return samples._replace(z=z), report
@@ -260,7 +260,7 @@ def _common_words(members: list[tuple[Label, Array]]) -> str:
 
 
 def _report_label(system: System, name: str) -> Label:
-    blocks = (*system.blocks, *system.after)
+    blocks = (*system.blocks, *system.dependent_blocks)
     units = {f"{block.labels[0].name}_residual": block.labels[0].unit for block in blocks}
     words = {
         "newton_step": "largest change of a position by the Newton step on the sample",

@@ -105,10 +105,10 @@ def first_violation(
                 of, float(v[k]), samples.x[:, k], samples.z[:, k]
             ),
         )
-    for block in (*system.blocks, *system.after):
-        if not block.linear or block in system.after:
+    for block in (*system.blocks, *system.dependent_blocks):
+        if not block.linear or block in system.dependent_blocks:
             label = run.columns[f"{block.labels[0].name}_residual"].label
-            most = UNSOLVED_RESIDUAL if block in system.after else unsolved
+            most = UNSOLVED_RESIDUAL if block in system.dependent_blocks else unsolved
             values, most = run.of(label), most * system.dae.size_of(block.labels[0])
             consider(
                 ~(values <= most),

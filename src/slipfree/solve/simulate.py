@@ -136,11 +136,11 @@ def check_times(t: Array) -> Array:
 def _method(system: System, method: Method | None) -> Method:
     """Return the integration method; raise if the model does not allow the given one."""
     if method is None:
-        return "idas" if system.moving else "cvodes"
-    if method == "cvodes" and system.moving:
+        return "idas" if system.motion_size else "cvodes"
+    if method == "cvodes" and system.motion_size:
         raise ModelError(
-            f"method: 'cvodes' cannot solve for the {system.moving} algebraic unknowns of this "
-            "model; use 'idas'"
+            f"method: 'cvodes' cannot solve for the {system.motion_size} algebraic unknowns of "
+            "this model; use 'idas'"
         )
     return method
 
@@ -274,7 +274,7 @@ def _call_integrator(
     x_size, m_size = (size[:, None] for size in _sizes(system))
     while True:
         integrator = _integrator(solver, observer, t, given)
-        states = {"x0": at.x / x_size, "z0": at.z[: system.moving] / m_size}
+        states = {"x0": at.x / x_size, "z0": at.z[: system.motion_size] / m_size}
         try:
             # one column for each output time, that of the interval which it ends
             with suppress_messages():
@@ -301,7 +301,7 @@ def _call_integrator(
 
 def _scaled_rates(system: System, at: Samples) -> list[float]:
     """Return the rates of one sample's states, divided by the sizes of the states."""
-    m = at.z[: system.moving]
+    m = at.z[: system.motion_size]
     rates = np.array(system.core(at.t, at.x, m, at.u)[0]).ravel()
     return list[float]((rates / system.dae.sizes.x).tolist())
 
@@ -423,7 +423,7 @@ def _integrator(
 
 def _sizes(system: System) -> tuple[Array, Array]:
     """Return the sizes of the states and of the motion's unknowns."""
-    return system.dae.sizes.x, system.dae.sizes.z[: system.moving]
+    return system.dae.sizes.x, system.dae.sizes.z[: system.motion_size]
 
 
 @contextmanager

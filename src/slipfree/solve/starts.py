@@ -142,8 +142,8 @@ def settle_nearest(
         Options of the solvers.
     **pose : float
         States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
-        ``pitch`` and joints. States that are not named count as zero; what else is not named is
-        free. [m, rad]
+        ``pitch`` and joints. States that are not named count as zero; other quantities
+        that are not named are free. [m, rad]
 
     Returns
     -------

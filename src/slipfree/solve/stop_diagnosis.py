@@ -35,7 +35,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
     if violation is None:
         if not _is_solved(system, t, x, z, u):
             return None  # the integrator failed at its start after a jump of the inputs
-        x = x + PREDICTION_TIME * np.array(system.core(t, x, z[: system.moving], u)[0]).ravel()
+        x = x + PREDICTION_TIME * np.array(system.core(t, x, z[: system.motion_size], u)[0]).ravel()
     try:
         found = solve_initial_conditions(system, t, x, z, u)
     except ModelError as error:
@@ -45,7 +45,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
             if words:
                 return Stop(limit.label.full, t, words)
         return None
-    jump = np.abs((found - z) / system.dae.scale)[: system.moving]
+    jump = np.abs((found - z) / system.dae.scale)[: system.motion_size]
     k = int(jump.argmax())
     if jump[k] < MIN_JUMP:
         return None
@@ -65,4 +65,4 @@ def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
         found = solve_initial_conditions(system, t, x, z, u, continuation=False)
     except ModelError:
         return True  # nothing to compare with
-    return bool(np.abs((found - z) / system.dae.scale)[: system.moving].max() < MIN_JUMP)
+    return bool(np.abs((found - z) / system.dae.scale)[: system.motion_size].max() < MIN_JUMP)

@@ -60,8 +60,8 @@ class System(NamedTuple):
         ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit.
     quad : casadi Function
         ``(t, x, m, u) -> quad``.
-    blocks, after : tuple of Block
-        The algebraic equations of the motion, and those of what follows from it.
+    blocks, dependent_blocks : tuple of Block
+        The algebraic equations of the motion, and those that are solved after it.
     newton : casadi Function
         ``(t, x, m, u) -> (alg, its Jacobian in m)``.
     jacobian : casadi Function
@@ -78,14 +78,14 @@ class System(NamedTuple):
     core: ca.Function
     quad: ca.Function
     blocks: tuple[Block, ...]
-    after: tuple[Block, ...]
+    dependent_blocks: tuple[Block, ...]
     newton: ca.Function
     jacobian: ca.Function
     outputs: ca.Function
     margin: ca.Function
 
     @property
-    def moving(self) -> int:
+    def motion_size(self) -> int:
         """Number of the unknowns of the motion."""
         return self.blocks[-1].span.stop if self.blocks else 0
 
@@ -164,16 +164,16 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
     )
     blocks = _equation_blocks(dae, [dae.t, x, z, u, continuation], continued[5:])
     first = _first_dependent_block(ode, parts, z, blocks)
-    motion, after = blocks[:first], blocks[first:]
+    motion, dependent = blocks[:first], blocks[first:]
     m = z[: motion[-1].span.stop] if motion else z[:0]
     equations = motion_equations(dae, m.numel(), law, u, compiled=compiled)
     return System(
         dae,
         np.zeros((u.numel(), 0)),
         equations.core,
-        _quadrature_rates(dae, [dae.t, x, z, u], quad, after),
+        _quadrature_rates(dae, [dae.t, x, z, u], quad, dependent),
         motion,
-        after,
+        dependent,
         equations.newton,
         equations.jacobian,
         dae.function("outputs", [dae.t, x, z, u], [y, bounds, driven]),
@@ -199,18 +199,18 @@ def _quadrature_rates(
     dae: Dae,
     symbols: list[ca.SX],
     quad: ca.SX,
-    after: tuple[Block, ...],
+    dependent: tuple[Block, ...],
 ) -> ca.Function:
     """Return the rates of the quadratures from the motion, solving the dependent blocks."""
     t, x, z, u = symbols
-    count = after[0].span.start if after else z.numel()
-    if not after or not ca.depends_on(quad, z[count:]):
+    count = dependent[0].span.start if dependent else z.numel()
+    if not dependent or not ca.depends_on(quad, z[count:]):
         return dae.function("quad", [t, x, z[:count], u], [quad])
     sizes = [each.numel() for each in (t, x, z[:count], u)]
     given = [ca.MX.sym(name, size) for name, size in zip("txmu", sizes, strict=True)]
     guess = dae.function("guess", [x], [dae.guess[count:]])
     found = ca.vertcat(given[2], guess(given[1]))
-    for block in after:
+    for block in dependent:
         found = _solve_symbolically(block, [given[0], given[1], found, given[3]])
     rates = dae.function("rates", symbols, [quad])
     return ca.Function("quad", given, [rates(given[0], given[1], found, given[3])])

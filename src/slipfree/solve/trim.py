@@ -72,7 +72,7 @@ def trim_states(
     Raises
     ------
     ModelError
-        If a name is unknown, the vehicle cannot stand at what is tried, or a limit is violated.
+        If a name is unknown, the vehicle cannot stand at a tried state, or a limit is violated.
     """
     from scipy.optimize import least_squares  # imported where it is used: it takes 0.2 s
 

@@ -77,8 +77,8 @@ def simulate_sampled(
         raise ModelError("method: expected 'cvodes' for a sampled controller, found 'idas'")
     system, law = _split_inputs(dae, inputs, t.size - 1, options)
     clock = time.process_time()
-    with InterruptGuard() as heed:
-        samples, cost, failure = _integrate_periods(system, law, start, t, options.tolerance, heed)
+    with InterruptGuard() as guard:
+        samples, cost, failure = _integrate_periods(system, law, start, t, options.tolerance, guard)
     run = to_trajectory(system, samples, {})
     fault = first_violation(system, run, samples)
     if fault is not None:
@@ -123,7 +123,7 @@ def _integrate_periods(
     start: Trajectory,
     t: Array,
     tolerance: float,
-    heed: InterruptGuard,
+    guard: InterruptGuard,
 ) -> tuple[Samples, dict[str, float], str]:
     """Return the samples up to the first beyond a limit, statistics, and the failure if any."""
     dae, n = system.dae, t.size
@@ -142,7 +142,7 @@ def _integrate_periods(
         except RuntimeError as error:
             failure = failure_reason(str(error))
             break
-        heed.check()
+        guard.check()
         x[:, k + 1] = np.array(found["xf"]).ravel()
         q[:, k + 1] = q[:, k] + np.array(found["qf"]).ravel()
         statistics = integrator.stats()
