@@ -1,6 +1,7 @@
 """Vehicle files: what they hold is the vehicle that is meant; what is wrong is named by line."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import casadi as ca
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from helpers.cases import hills
-from slipfree import Analytic, direct_kinematics, settle, simulate
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.vehicle_draft import Draft, from_rep103, rotation_of
@@ -20,6 +21,10 @@ from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.problem.build_vehicle import VehicleError, read_vehicle
 from slipfree.problem.catalog_table import CATALOG
 from slipfree.vehicle.sections.disc import Disc
+from slipfree.vehicle.sections.omni import Omni
+from slipfree.vehicle.sections.registry import SECTIONS
+from slipfree.vehicle.sections.sphere import Sphere
+from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Coordinate, Joint
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -435,6 +440,35 @@ def test_a_wheels_axle_may_point_anywhere(tmp_path):
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     forward = ca.evalf(read(tmp_path, LONG).carriers(rest, {"swivel": ca.SX(0.1)})[2].rotation)
     assert_allclose(np.array(forward)[:2, 1], [-np.sin(0.1), np.cos(0.1)])
+
+
+@pytest.mark.parametrize(
+    ("keys", "section"),
+    [
+        ('section = "torus"\nr1 = 0.02\nr2 = 0.08', Torus(0.02, 0.08)),
+        ('section = "disc"\nradius = 0.1', Disc(0.1)),
+        ('section = "sphere"\nradius = 0.1\nrollers = true', Omni(Sphere(0.1))),
+        ("radius = 0.1\ntube = 0.1", Sphere(0.1)),
+        ("radius = 0.1\nrollers = true", Omni(Disc(0.1))),
+    ],
+)
+def test_sections_by_name_or_by_radius_and_tube(tmp_path, keys, section):
+    assert read(tmp_path, LONG.replace("radius = 0.1\n", f"{keys}\n")).wheels[2].section == section
+
+
+def test_what_a_section_refuses_has_its_line(tmp_path, monkeypatch):
+    @dataclass(frozen=True)
+    class Barrel(Disc):
+        def __post_init__(self):
+            raise ModelError("barrel: too thin")
+
+    monkeypatch.setitem(SECTIONS, "barrel", Barrel)
+    text = LONG.replace("radius = 0.1\n", 'radius = 0.1\nsection = "barrel"\n')
+    (found,), _ = faults(tmp_path, text)
+    assert found == (
+        "v.toml:34: wheels[2].section (wheel 'caster'): expected dimensions of a section, found "
+        "barrel: too thin"
+    )
 
 
 def test_a_ball_with_rollers_is_a_frictionless_caster(tmp_path):

@@ -21,11 +21,12 @@ from pydantic import BaseModel, PlainValidator
 from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuffled
 from helpers.fuzz_maps import archive, ascii_grid, beside, picture, points
 from slipfree.files import netcdf
-from slipfree.files.vehicle_toml import VehicleTable
+from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
 from slipfree.problem.build_vehicle import UrdfTable
 from slipfree.problem.schema import ALTERNATIVES, Asked, Climb, Direct, Inverse, Plan
 from slipfree.records import Label
 from slipfree.trajectory import Column, Stop, Trajectory
+from slipfree.vehicle.sections.registry import SECTIONS
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -164,6 +165,9 @@ def _made(hint: Any, facts: list[Any], rng: Random) -> Any:
     if any(isinstance(each, PlainValidator) for each in facts):
         return rng.choice([0.3, 1, [0.0, 1.0], [[0, 0.1], [1, 0.2]], "0.1*t", "ground.asc", "x"])
     origin, args = get_origin(hint), get_args(hint)
+    if hint is AnyWheelTable:
+        named = rng.choice([{}, *({"section": name} for name in SECTIONS)])
+        return made(wheel_table(named), rng) | named
     if origin is Annotated:
         return _made(args[0], [*args[1:]], rng)
     if origin in (Union, types.UnionType):
