@@ -31,8 +31,12 @@ from slipfree.plan.nlp_block import nlp_block
 from slipfree.plan.problem import task_of
 from slipfree.plan.sparse_assembly import assemble
 from slipfree.plan.transcription import CollocationMesh, transcribe
+from slipfree.problem.contact_start import settle_contact
 from slipfree.records import leaves
+from slipfree.solve.replay import replay
+from slipfree.solve.starts import settle_nearest
 from slipfree.solve.system import with_inputs
+from slipfree.solve.trim import apply_inputs, trim_states
 
 QUICK = ("-O0", *codegen_cache.FLAGS[1:])
 needs_compiler = pytest.mark.skipif(codegen_cache.compiler() is None, reason="no C compiler here")
@@ -394,6 +398,28 @@ def test_a_program_without_a_compiler_is_interpreted(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda _: None)
     with pytest.warns(UserWarning, match="no C compiler was found"):
         assert not program(1, build=True).compiled
+
+
+@pytest.mark.parametrize("kind", ["settle", "nearest", "contact", "inputs", "trim", "replay"])
+def test_every_solver_takes_the_options(kind, monkeypatch):
+    """Those that do not ask for compiled equations would not warn."""
+    monkeypatch.setenv(codegen_cache.FOLDER, "")
+    dae = direct_kinematics(three_wheeler(), hilly(1))
+    start, law = settle(dae), {"right_rate": 0.4, "left_rate": 0.4, "steer_rate": 0.0}
+    run = simulate(dae, start, dae.inputs(**law), np.linspace(0, 0.2, 3))
+    place = {"contact_x": 0.9, "contact_y": 0.1}
+    calls = {
+        "settle": lambda options: settle(dae, options=options),
+        "nearest": lambda options: settle_nearest(dae, options=options),
+        "contact": lambda options: settle_contact(dae, "right", **place, options=options),
+        "inputs": lambda options: apply_inputs(dae, start, dae.inputs(**law), options=options),
+        "trim": lambda options: trim_states(
+            dae, start, dae.inputs(**law), states=["steer"], least=["slip_across"], options=options
+        ),
+        "replay": lambda options: replay(dae, run, options=options),
+    }
+    with pytest.warns(UserWarning, match="interpreted, not compiled: SLIPFREE_CACHE is empty"):
+        calls[kind](SolverOptions(compiled=True))
 
 
 def test_elements_may_call_functions():
