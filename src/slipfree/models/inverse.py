@@ -43,7 +43,7 @@ import numpy as np
 
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
-from slipfree.laws.least_slip import slip_unit
+from slipfree.laws.least_slip import LeastSlip, slip_unit
 from slipfree.laws.rolling import Rolling
 from slipfree.models.determinacy import (
     angle_slopes,
@@ -139,40 +139,103 @@ def inverse_kinematics(
         If a rate is unknown or given twice, commands that are met exactly are more than the driven
         wheels, or three rates are given and the vehicle does not suit.
     """
+    check_inverse(vehicle, given, solve_for, exact=exact)
+    direct = direct_kinematics(vehicle, terrain, slip=slip_law(given))
+    return invert(
+        vehicle, direct, given=given, solve_for=solve_for, exact=exact, least_margin=least_margin
+    )
+
+
+def slip_law(given: Sequence[str]) -> LeastSlip | Rolling:
+    """Return the slip law of the direct model under given rates."""
+    return LeastSlip() if _are_commands(given) else Rolling()
+
+
+def _are_commands(given: Sequence[str]) -> bool:
+    return not given or bool(set(given) & set(COMMANDS))
+
+
+def check_inverse(
+    vehicle: Vehicle, given: Sequence[str], solve_for: str, *, exact: bool = True
+) -> None:
+    """Raise ModelError for given rates and unknowns that do not suit a vehicle.
+
+    Parameters
+    ----------
+    vehicle, given, solve_for, exact
+        As in `inverse_kinematics`.
+    """
     if solve_for not in ("rates", "angles"):
         raise ModelError(f"solve_for: expected 'rates' or 'angles', found {solve_for!r}")
+    if _are_commands(given):
+        check_commands(vehicle, tuple(given), exact=exact)
+        if solve_for != "angles":
+            raise ModelError(f"solve_for: expected 'angles' with {', '.join(given)}, found 'rates'")
+        return
+    check_rates(given)
+    count, need = _rolling_counts(vehicle)
+    if count != need:
+        raise ModelError(
+            f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates "
+            f"requires: {need} conditions need as many passive joints and free wheels, found "
+            f"{count}; give some of {', '.join(COMMANDS)} instead"
+        )
+    if len(inputs := _inputs(vehicle)) != 3:
+        raise ModelError(
+            f"{vehicle.name}: three rates of the platform determine three inputs, found "
+            f"{len(inputs)} ({', '.join(inputs)}); give some of {', '.join(COMMANDS)} instead"
+        )
+    if solve_for == "angles" and not vehicle.of("commanded"):
+        raise ModelError(f"{vehicle.name} has no commanded coordinate whose angle could be unknown")
+
+
+def is_determined(vehicle: Vehicle) -> bool:
+    """Return whether a vehicle can roll without slip and has three inputs."""
+    count, need = _rolling_counts(vehicle)
+    return count == need and len(_inputs(vehicle)) == 3
+
+
+def _rolling_counts(vehicle: Vehicle) -> tuple[int, int]:
+    """Return the numbers of passive joints and free wheels, and of conditions of rolling."""
+    free = sum(not wheel.driven for wheel in vehicle.wheels)
+    return len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3
+
+
+def _inputs(vehicle: Vehicle) -> list[str]:
+    driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
+    return driven + [c.name for c in vehicle.of("commanded")]
+
+
+def invert(
+    vehicle: Vehicle,
+    direct: Dae,
+    *,
+    given: Sequence[str],
+    solve_for: SolveFor = "angles",
+    exact: bool = True,
+    least_margin: float = LEAST_MARGIN,
+) -> Dae:
+    """Return the inverse of a direct model, with its symbols.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle; see `check_inverse`.
+    direct : Dae
+        Its direct model with the `slip_law` of the given rates.
+    given, solve_for, exact, least_margin
+        As in `inverse_kinematics`.
+    """
     if not least_margin >= 0:
         raise ModelError(f"least_margin: expected zero or more, found {least_margin}")
-    if not given or set(given) & set(COMMANDS):
-        return _commanded(vehicle, terrain, tuple(given), solve_for, exact=exact)
-    check_rates(given)
-    _check_rolls(vehicle, solve_for)
-    direct = direct_kinematics(vehicle, terrain, slip=Rolling())
+    if _are_commands(given):
+        return _commanded(vehicle, direct, tuple(given), exact=exact)
     build = _solved_for_angles if solve_for == "angles" else _solved_for_rates
     dae = build(vehicle, direct, given)
     derived = derived_rates(direct)
     rest = [derived[name] for name in OMEGA if name not in given]
     check = rolling_determinacy(vehicle, direct, dae, given, solve_for, least_margin)
     return with_outputs(replace(dae, checks=(*dae.checks, check)), rest)
-
-
-def _check_rolls(vehicle: Vehicle, solve_for: str) -> None:
-    free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
-    have, need = len(vehicle.of("passive")) + len(free), 2 * len(vehicle.wheels) - 3
-    if have != need:
-        raise ModelError(
-            f"{vehicle.name} cannot roll without slip, as inverse kinematics needs: {need} "
-            f"conditions ask for as many passive joints and free wheels, found {have}"
-        )
-    commanded = [c.name for c in vehicle.of("commanded")]
-    inputs = [wheel.name for wheel in vehicle.wheels if wheel.driven] + commanded
-    if len(inputs) != 3:
-        raise ModelError(
-            f"{vehicle.name}: three rates of the platform determine three inputs, found "
-            f"{len(inputs)} ({', '.join(inputs)})"
-        )
-    if solve_for == "angles" and not commanded:
-        raise ModelError(f"{vehicle.name} has no commanded coordinate whose angle could be unknown")
 
 
 def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
@@ -216,14 +279,8 @@ def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> D
     return with_outputs(dae, [(Label("steering_lever", "m", words), lever)])
 
 
-def _commanded(
-    vehicle: Vehicle, terrain: Terrain, given: tuple[str, ...], solve_for: str, *, exact: bool
-) -> Dae:
+def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
     """Return the motion of any vehicle under commands."""
-    check_commands(vehicle, given, exact=exact)
-    if solve_for != "angles":
-        raise ModelError(f"solve_for: expected 'angles' with {', '.join(given)}, found 'rates'")
-    direct = direct_kinematics(vehicle, terrain)
     (x, z, u), imposed = variables(direct), impose(direct, given)
     inputs, plane = imposed.inputs, derived_rates(direct)
     guide = guiding_motion(vehicle, direct, inputs)

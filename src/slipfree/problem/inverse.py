@@ -13,12 +13,13 @@ from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.files.toml.errors import Fault, names, problem_error
-from slipfree.laws.least_slip import LeastSlip
-from slipfree.laws.rolling import Rolling
 from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
 from slipfree.models.inverse import (
     LEAST_MARGIN,
-    inverse_kinematics,
+    check_inverse,
+    invert,
+    is_determined,
+    slip_law,
     steering_note,
     steering_slip,
 )
@@ -62,23 +63,21 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
     with at(problem, ("vehicle",)):
         vehicle = build_vehicle(spec.vehicle, problem.folder)
     given, words = _given(problem, spec, vehicle, points)
+    place = ("given",) if points is None else ("path",)
+    is_rolling_path = points is not None and not are_commands(given)
+    options: dict[str, Any] = {
+        "given": tuple(given),
+        "solve_for": "rates" if is_rolling_path or spec.steering == "rate" else "angles",
+        "exact": len(given) < len(COMMANDS) if spec.exact is None else spec.exact,
+    }
+    with at(problem, place):
+        check_inverse(vehicle, **options)
     ground = build_ground(problem)
     with at(problem, ("vehicle",)):
         terrain = build_terrain(problem, ground)
-        slip = LeastSlip() if are_commands(given) else Rolling()
-        direct = direct_kinematics(vehicle, terrain, slip=slip)
-    place = ("given",) if points is None else ("path",)
-    is_rolling_path = points is not None and not are_commands(given)
-    exact = len(given) < len(COMMANDS) if spec.exact is None else spec.exact
-    with at(problem, place):
-        dae = inverse_kinematics(
-            vehicle,
-            terrain,
-            given=tuple(given),
-            solve_for="rates" if is_rolling_path or spec.steering == "rate" else "angles",
-            exact=exact,
-            least_margin=0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN,
-        )
+        direct = direct_kinematics(vehicle, terrain, slip=slip_law(options["given"]))
+    least_margin = 0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN
+    dae = invert(vehicle, direct, **options, least_margin=least_margin)
     check_names(problem, direct, None)
     stand = build_start(problem, direct)
     t, inputs, first = _inputs(problem, spec, dae, given)
@@ -89,7 +88,7 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
             dae, inputs = track_path(dae, *points)
             first = inputs
         setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, words)
-        return replace(setup, start=_start(spec, setup, first, exact=exact))
+        return replace(setup, start=_start(spec, setup, first, exact=options["exact"]))
 
 
 def _given(
@@ -115,10 +114,8 @@ def _given(
     )
     if points is not None:
         words = f"path of {points.shape[1]} way-points in {points[0, -1]:g} s"
-    if is_sought and not _rolls(vehicle):
+    if is_sought and not is_determined(vehicle):
         return dict.fromkeys(COMMANDS, 0.0), words
-    with at(problem, ("vehicle",)):
-        _check_rolls(vehicle)
     return given, f"{words}; the steering {spec.steering} is unknown"
 
 
@@ -147,22 +144,6 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
     if set(angular) & set(OMEGA) and set(angular) & set(EULER):
         expected = f"some of {', '.join(OMEGA)} or some of {', '.join(EULER)}, not of both"
         yield Fault(("given",), expected, ", ".join(angular))
-
-
-def _rolls(vehicle: Vehicle) -> bool:
-    """Return whether a vehicle can roll without slip and has three inputs."""
-    free = sum(not wheel.driven for wheel in vehicle.wheels)
-    inputs = len(vehicle.wheels) - free + len(vehicle.of("commanded"))
-    return inputs == 3 and len(vehicle.of("passive")) + free == 2 * len(vehicle.wheels) - 3
-
-
-def _check_rolls(vehicle: Vehicle) -> None:
-    if not _rolls(vehicle):
-        raise ModelError(
-            f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates "
-            f"requires, or does not have three inputs; give some of {', '.join(COMMANDS)} in "
-            "[given], or a path with steering = 'angle'"
-        )
 
 
 def _points(problem: Problem[S], spec: schema.Inverse) -> Array | None:
