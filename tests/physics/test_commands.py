@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -339,6 +340,15 @@ def test_a_robots_command_counts_left_positive() -> None:
     assert_allclose(formula["x"], run["x"], rtol=0, atol=1e-9)
 
 
+def test_the_summary_names_the_steering_that_is_held_at_its_stop(folder: Path) -> None:
+    (folder / "crab.toml").write_text(
+        FOUR_WHEELS.replace("lower = -2, upper = 2", "lower = -0.3, upper = 0.3")
+    )
+    words, run = _run("given.v_x=-0.2", "given.v_y=-0.1")
+    assert re.findall(r"steering (\w+) .* held at its stop", words) == ["rl"]
+    assert_allclose(run["rl"], 0.3, rtol=0, atol=2 * STOP_CLEARANCE)
+
+
 def test_commands_in_time_from_a_file(folder: Path) -> None:
     words, run = _run("given={file='cmd.csv'}", "time.step=0.05")
     assert "omega_z, v_x, v_y of cmd.csv" in words
@@ -366,8 +376,8 @@ def test_a_path_in_a_problem() -> None:
     east = "[1.5707963267948966, 1.57, 1.56, 1.55, 1.54, 1.53]}"
     words, run = _run("given=", PATH + east)
     assert "path of 6 way-points in 5 s" in words
-    assert "path error  " in words
-    assert "heading error  " in words
+    assert re.search(r"path error  .* m at the end", words)
+    assert re.search(r"heading error  .* rad at the end", words)
     assert run["path_error"].max() < 3e-3
     assert np.abs(run["heading_error"]).max() < 3e-3
     assert_allclose([run["x"][-1], run["y"][-1]], [-0.1, 0.1], atol=3e-3)
@@ -387,8 +397,16 @@ def test_a_path_in_a_problem() -> None:
         (["given.forward=0.1"], "given.v_x: expected rates in the platform's heading frame "),
         (["given={file='none.csv'}"], "none.csv"),
         (["given={file=3}"], "given.file: expected the name of a CSV file in quotes, found values"),
-        (["given={file='p.toml'}"], "expected a first line of names, t and some of forward, righ"),
-        (["given={file='late.csv'}"], "late.csv: expected times that ascend from 0"),
+        (["given={file='p.toml'}"], "expected a first line of names with commas between, t and s"),
+        (["given={file='late.csv'}"], "late.csv: expected times that ascend from 0, found 1 first"),
+        (
+            ["given={file='back.csv'}"],
+            "back.csv: expected times that ascend from 0, found 1 after 2",
+        ),
+        (["given={file='names.csv'}"], "names.csv: expected one or more rows of numbers, found"),
+        (["given.v_y='0.1*cos(x)'"], "given.v_y: formula '0.1*cos(x)': 'x' is not known"),
+        (["given.v_y='1/t'"], "given.v_y: expected finite values, found inf of '1/t' at 0 s"),
+        (["given=", PATH + "[3.0, 3.1, -3.1, -3.0, -2.9, -2.8]}"], "found -3.1 after 3.1"),
         (["given={file='cmd.csv', v_x=0.1}"], "expected a rate that the file does not have, fou"),
         (["given={file='cmd.csv', forward=0.1}"], "expected more rates like omega_z, v_x, v_y, f"),
         (["given={velocity_x=0, velocity_y=0.1, heading_rate=0}", "exact=true"], "no key 'exact'"),
@@ -397,4 +415,6 @@ def test_a_path_in_a_problem() -> None:
 )
 def test_what_is_wrong_is_refused(settings: list[str], words: str) -> None:
     Path("late.csv").write_text("t,v_x\n1,0.2\n")
+    Path("back.csv").write_text("t,v_x\n0,0.2\n2,0.1\n1,0.2\n")
+    Path("names.csv").write_text("t,v_x\n")
     assert words in _run(*settings, code=2)

@@ -7,14 +7,18 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from slipfree.errors import DataError
+import casadi as ca
+import numpy as np
+
+from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.models.given_rates import COMMANDS
 from slipfree.problem import schema
-from slipfree.problem.build_common import read_columns
+from slipfree.problem.build_common import read_columns, samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.load import Problem, S
 from slipfree.regular_files import read_bytes
+from slipfree.vehicle.formula import evaluate
 
 FILE = "file"
 ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
@@ -43,6 +47,10 @@ def read_commands(problem: Problem[S], spec: schema.Inverse) -> tuple[dict[str, 
         words = [f"{', '.join(columns)} of {file}"]
     if faults := [*_faults(spec, given, columns)]:
         raise problem_error(problem.source, faults)
+    for name, value in given.items():
+        if isinstance(value, str):
+            with at(problem, ("given", name)):
+                _check_formula(value, spec.time)
     found = {
         ROBOT.get(name, name): _negative(value) if name == "v_y" else value
         for name, value in (columns | given).items()
@@ -58,12 +66,19 @@ def _read_file(file: Path) -> dict[str, schema.Piecewise]:
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
         raise DataError(
-            f"{file}: expected a first line of names, t and some of {', '.join(COMMANDS)} or some "
-            f"of {', '.join(ROBOT)}, found {header.strip()!r}"
+            f"{file}: expected a first line of names with commas between, t and some of "
+            f"{', '.join(COMMANDS)} or some of {', '.join(ROBOT)}, found {header.strip()!r}"
         )
-    t, *columns = zip(*read_columns(file, ["t", *rates], "commands"), strict=True)
-    if t[0] != 0 or any(b <= a for a, b in pairwise(t)):
-        raise DataError(f"{file}: expected times that ascend from 0")
+    rows = read_columns(file, ["t", *rates], "commands")
+    if not rows:
+        raise DataError(f"{file}: expected one or more rows of numbers, found names alone")
+    t, *columns = zip(*rows, strict=True)
+    if t[0] != 0:
+        raise DataError(f"{file}: expected times that ascend from 0, found {t[0]:g} first")
+    for before, after in pairwise(t):
+        if after <= before:
+            found = f"{after:g} after {before:g}"
+            raise DataError(f"{file}: expected times that ascend from 0, found {found}")
     return {
         name: tuple(zip(t, rate, strict=True)) for name, rate in zip(rates, columns, strict=True)
     }
@@ -85,6 +100,19 @@ def _faults(
         place = ("given", robot[0] if robot[0] in given else FILE)
         expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
         yield Fault(place, expected, f"{robot[0]} in the frame {spec.frame!r}")
+
+
+def _check_formula(text: str, time: schema.Time) -> None:
+    """Raise ModelError for a rate that is not a formula of the time, or not finite at a sample."""
+    t, symbol = samples(time, {})[0], ca.SX.sym("t")
+    try:
+        value = evaluate(text, {"t": symbol})
+    except ModelError as error:
+        raise ModelError(f"{error}; a rate may be a formula of t, in seconds") from error
+    rates = np.array(ca.Function("rate", [symbol], [value])(t[None])).ravel()
+    if not np.isfinite(rates).all():
+        k = int(np.flatnonzero(~np.isfinite(rates))[0])
+        raise ModelError(f"expected finite values, found {rates[k]:g} of {text!r} at {t[k]:g} s")
 
 
 def _negative(value: Any) -> Any:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from slipfree.control.path_tracking import path_inputs, track_path
@@ -24,7 +23,7 @@ from slipfree.models.inverse import (
     steering_slip,
 )
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.steering_guide import steered
+from slipfree.models.steering_guide import STOP_CLEARANCE, steered
 from slipfree.models.wheel_authority import check_authority
 from slipfree.problem import schema
 from slipfree.problem.build_common import (
@@ -48,7 +47,7 @@ from slipfree.solve.simulate import simulate
 from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.trajectory import SolverError, Trajectory
 from slipfree.vehicle.formula import evaluate
-from slipfree.vehicle.tree import Vehicle
+from slipfree.vehicle.tree import Coordinate, Vehicle
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
@@ -80,7 +79,7 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
     dae = invert(vehicle, direct, **options, least_margin=least_margin)
     check_names(problem, direct, None)
     stand = build_start(problem, direct)
-    t, inputs, first = _inputs(problem, spec, dae, given)
+    t, inputs, first = _inputs(spec, dae, given)
     with at(problem, place):
         if is_rolling_path and points is not None:
             inputs = first = path_inputs(dae, stand, *points[1:], t=points[0])
@@ -158,7 +157,9 @@ def _points(problem: Problem[S], spec: schema.Inverse) -> Array | None:
         with at(problem, place):
             rows = read_columns(problem.folder / path.file, COLUMNS)
         points = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
-    if faults := [*_times(points[0], place, spec.time.duration)]:
+    turning = ("path", "heading") if path.file is None else place
+    faults = [*_times(points[0], place, spec.time.duration), *_turns(points[3], turning)]
+    if faults:
         raise problem_error(problem.source, faults)
     points[3] += turned(problem)
     return points
@@ -175,29 +176,25 @@ def _times(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]
         yield Fault(("time", "duration"), expected, f"{duration:g}")
 
 
-def _inputs(
-    problem: Problem[S], spec: schema.Inverse, dae: Dae, given: Mapping[str, Any]
-) -> tuple[Array, Any, Any]:
+def _turns(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
+    """Yield an error for headings that wrap around."""
+    leaps = np.flatnonzero(np.abs(np.diff(heading)) > np.pi)
+    if leaps.size:
+        before, after = heading[leaps[0] : leaps[0] + 2]
+        expected = "headings less than half a turn apart; add 2 pi where they wrap, or way-points"
+        yield Fault(place, expected, f"{after:g} after {before:g}")
+
+
+def _inputs(spec: schema.Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
     """Return the times of the samples, the inputs, and those at the start."""
-    formulas = {}
-    for name, value in given.items():
-        if isinstance(value, str):
-            with at(problem, ("given", name)):
-                formulas[name] = _formula(name, value, dae.t)
+    texts = {name: value for name, value in given.items() if isinstance(value, str)}
+    formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
     numbers = {name: value for name, value in given.items() if name not in formulas}
     t, rates = samples(spec.time, numbers)
     first = {
         name: value[0] if isinstance(value, np.ndarray) else value for name, value in rates.items()
     }
     return t, dae.inputs(**rates, **formulas), dae.inputs(**first, **formulas)
-
-
-def _formula(name: str, text: str, time: ca.SX) -> ca.SX:
-    """Return a rate as a formula of the time."""
-    try:
-        return evaluate(text, {"t": time})
-    except ModelError as error:
-        raise ModelError(f"{name}: {error}; a rate may be a formula of t, in seconds") from error
 
 
 def _start(spec: schema.Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
@@ -304,8 +301,17 @@ def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOpti
                 words = f"at {stop.t:.6g} s: {stop.words}"
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         words = str(error)
-    attributes = {"replay_stopped": words} if words else {}
+    held = [c.name for c in setup.vehicle.of("commanded") if _is_held(c, run)]
+    attributes = {"replay_stopped": words, "held_at_stop": " ".join(held)}
+    attributes = {name: words for name, words in attributes.items() if words}
     return replace(run, statistics={**run.statistics, **gaps}, attributes=attributes)
+
+
+def _is_held(c: Coordinate, run: Trajectory) -> bool:
+    """Return whether the steering under commands reaches the last target within its stops."""
+    angle = run[c.name]
+    room = np.minimum(c.upper - angle, angle - c.lower).min()
+    return f"{c.name}_error" in run.columns and bool(room < 2 * STOP_CLEARANCE)
 
 
 def _check_samples(t: Array, jumps: Sequence[float]) -> None:

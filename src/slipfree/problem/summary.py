@@ -102,14 +102,18 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
     for name in steered:
         low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
         unit = run.columns[name].label.unit
-        yield f"steering {name}", f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most"
+        held = (
+            "; held at its stop" if name in run.attributes.get("held_at_stop", "").split() else ""
+        )
+        words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{held}"
+        yield f"steering {name}", words
     errors = [np.abs(run[f"{name}_error"]) for name in steered]
     is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
     for name in commanded:
         yield f"error of {name}", _largest_error(run, f"{name}_error", is_turning)
     for name in ("path_error", "heading_error"):
         if name in run.columns:
-            yield name.replace("_", " "), _largest_error(run, name, is_turning)
+            yield name.replace("_", " "), _largest_error(run, name)
     if "steering_slip" in run.columns:
         yield "steering slip", f"{run['steering_slip'].max():.2e} m/s at most: lever times rate"
     if warning := steering_warning(run):
@@ -123,11 +127,16 @@ def _inverse(run: Trajectory) -> Iterator[tuple[str, str]]:
         )
 
 
-def _largest_error(run: Trajectory, name: str, is_turning: Mask) -> str:
-    """Return the largest error and its time, and the largest with the steering at its target."""
+def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
+    """Return the largest error and its time, and the largest with the steering at its target.
+
+    Errors along a path accumulate: the last one instead.
+    """
     error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
     worst = int(error.argmax())
     words = f"{error[worst]:.1e} {unit} at most (t = {run.t[worst]:.4g} s)"
+    if is_turning is None:
+        return f"{words}, {error[-1]:.1e} {unit} at the end"
     if is_turning.all():
         return f"{words}; the steering is never within {STEERED:g} rad of its target"
     if is_turning.any():
