@@ -111,9 +111,9 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
 
 
 def extent(vehicle: Vehicle) -> float:
-    """Return the largest coordinate of a wheel's centre from the platform's; at least a radius.
+    """Return the size of a vehicle, the unit of length of its models. [m].
 
-    It is the size of the vehicle, in which its models count lengths. [m]
+    It is the largest coordinate of a wheel's centre from the platform's, at least a radius.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})

@@ -15,7 +15,7 @@ from slipfree.vehicle.tree import Vehicle
 
 
 class Mechanics(NamedTuple):
-    """What equilibrium of a vehicle is made of, as expressions of a model's symbols.
+    """Terms of the quasi-static equilibrium of a vehicle, in the symbols of a model.
 
     Rows and columns that belong to rates are in the order of ``Rates.motion``, those that belong
     to inputs in the order of ``Inputs``.
@@ -23,18 +23,18 @@ class Mechanics(NamedTuple):
     Attributes
     ----------
     free, driven : SX, shapes (3 n_wheels, n_rates) and (3 n_wheels, n_inputs)
-        Slip velocities along, across and normal to every wheel, by the rates and by the inputs:
-        ``A`` and ``B``. [1, m]
+        Derivatives of the slip velocities along, across and normal to every wheel with respect to
+        rates and inputs: ``A`` and ``B``. [1, m]
     load : SX, shape (n_rates, 1)
-        Generalised force of gravity, springs and dampers. [N, N m]
+        Generalised force of gravity, springs and dampers, for each rate. [N, N m]
     held : SX, shape (n_inputs, 1)
-        The same on what is commanded. [N, N m]
+        The same for each input. [N, N m]
     friction : tuple of SX
         Coefficient of friction at every wheel. [1]
     weight : float
-        Of the whole vehicle. [N]
+        Weight of the whole vehicle. [N]
     potential, damped : SX, shape (1, 1)
-        Potential energy [J] and power that the dampers take [W].
+        Potential energy [J] and power of the dampers [W].
     """
 
     free: ca.SX

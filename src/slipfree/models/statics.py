@@ -84,14 +84,14 @@ def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX
 
 
 def _damping(vehicle: Vehicle, rates: Rates) -> ca.SX:
-    """Return the power that the dampers take. [W]."""
+    """Return the power of the dampers. [W]."""
     pairs = zip(vehicle.of("passive"), rates.passive, strict=True)
     others = zip(vehicle.of("suspension"), rates.suspension, strict=True)
     return ca.SX(sum(c.damping * rate**2 for c, rate in (*pairs, *others)))
 
 
 def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
-    """Return what is left of ``A' lambda + Q``, over the weight, shape (n_rates, 1). [1, m]."""
+    """Return the residual ``A' lambda + Q`` over the weight, shape (n_rates, 1). [1, m]."""
     return (parts.free.T @ forces + parts.load) / parts.weight
 
 
@@ -161,6 +161,6 @@ def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutpu
 def _used(along: ca.SX, across: ca.SX, offered: ca.SX) -> ca.SX:
     """Return a tangential force over what is offered; infinite on a wheel that does not press.
 
-    The root is taken last: who limits it can do without, since it has no derivative at zero force.
+    The root is taken last: limits of its square avoid it, since it has no derivative at zero force.
     """
     return ca.sqrt(ca.if_else(offered > 0, (along**2 + across**2) / offered**2, ca.SX.inf()))
