@@ -509,6 +509,7 @@ KINDS: dict[str, Callable[[str, Random], Case]] = {
     "points": points,
     "tiff": picture,
     "png": picture,
+    "img": picture,
     "sidecar": beside,
     "result": _result,
     "name": _named,

@@ -133,12 +133,17 @@ def _lying(rng: Random) -> bytes:
     return stream.getvalue()
 
 
+PLACED = {"tiff": "GTiff", "img": "HFA"}
+
+
 @cache
 def pictures(kind: str) -> tuple[bytes, ...]:
     """Return rasters: with and without a place, of several samples."""
     from PIL import Image
 
-    found = []
+    found = _placed_pictures(kind) if kind in PLACED else []
+    if kind == "img":
+        return tuple(found)
     for mode, values in (("F", np.float32), ("I;16", np.uint16), ("L", np.uint8)):
         stream = io.BytesIO()
         if mode == "F" and kind == "png":
@@ -147,27 +152,26 @@ def pictures(kind: str) -> tuple[bytes, ...]:
             stream, kind
         )
         found.append(stream.getvalue())
-    if kind == "tiff":
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what rasterio is made of
-            found += _placed_pictures()
     return tuple(found)
 
 
-def _placed_pictures() -> list[bytes]:
-    """Return GeoTIFFs in metres, in degrees and sparse ones of a giant size."""
-    rasterio = __import__("rasterio")
-    from rasterio.transform import from_origin
+def _placed_pictures(kind: str) -> list[bytes]:
+    """Return rasters in metres, in degrees and, of GeoTIFF, a sparse one of a giant size."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what rasterio is made of
+        rasterio = __import__("rasterio")
 
     found = []
-    for crs, cell, size, sparse in (
-        ("EPSG:32633", 2.0, 8, False),
-        ("EPSG:4326", 1e-4, 8, False),
-        ("EPSG:32633", 1.0, 200_000, True),
+    for crs, west, north, cell, size, sparse in (
+        ("EPSG:32633", 500000, 5e6, 2.0, 8, False),
+        ("EPSG:4326", 15, 45, 1e-4, 8, False),
+        ("EPSG:32633", 500000, 5e6, 1.0, 200_000, True),
     ):
+        if sparse and kind != "tiff":
+            continue
         with rasterio.MemoryFile() as memory:
             with memory.open(
-                driver="GTiff",
+                driver=PLACED[kind],
                 width=size,
                 height=size,
                 count=1,
@@ -175,9 +179,7 @@ def _placed_pictures() -> list[bytes]:
                 crs=crs,
                 tiled=sparse,
                 sparse_ok=sparse,
-                transform=from_origin(
-                    500000 if cell > 0.1 else 15, 5e6 if cell > 0.1 else 45, cell, cell
-                ),
+                transform=rasterio.Affine(cell, 0, west, 0, -cell, north),
                 nodata=-9.0,
                 **({"blockxsize": 8192, "blockysize": 8192, "bigtiff": "YES"} if sparse else {}),
             ) as file:
@@ -189,7 +191,7 @@ def _placed_pictures() -> list[bytes]:
 
 def picture(kind: str, rng: Random) -> Case:
     raw = rng.choice(pictures(kind))
-    name = "ground.tif" if kind == "tiff" else "ground.png"
+    name = f"ground.{kind.replace('tiff', 'tif')}"
     return Case(kind, {name: damaged(raw, rng) if rng.random() < 0.9 else raw}, name)
 
 

@@ -99,7 +99,7 @@ def test_any_value_anywhere_is_read_or_refused(
 @given(
     raw=st.binary(max_size=300),
     ending=st.sampled_from(
-        ["p.toml", "v.urdf", "g.asc", "g.npz", "g.csv", "g.tif", "g.png", "r.nc"]
+        ["p.toml", "v.urdf", "g.asc", "g.npz", "g.csv", "g.tif", "g.png", "g.img", "r.nc"]
     ),
 )
 def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:

@@ -8,8 +8,6 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -17,13 +15,12 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.files.maps.points import read_points
-from slipfree.files.maps.raster import WORDS, Reading, Registration, read_png, read_tiff
+from slipfree.files.maps.raster import DRIVERS, Reading, Registration, read_raster
 from slipfree.records import Array
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import (
     MOST_NODES,
-    Axis,
     Heights,
     Window,
     axes_of,
@@ -54,9 +51,9 @@ UNREADABLE = (  # what reading a damaged numpy archive raises
     zlib.error,
     lzma.LZMAError,
 )
-TIFF, POINTS = (".tif", ".tiff"), (".xyz", ".txt", ".csv")
-ENDINGS = (".npz", ".asc", *TIFF, ".png", *POINTS)
-NEEDED_BY = {"cell": (*TIFF, ".png"), "registration": (*TIFF, ".png"), "spacing": POINTS}
+RASTERS, POINTS = tuple(DRIVERS), (".xyz", ".txt", ".csv")
+ENDINGS = (".npz", *RASTERS, *POINTS)
+NEEDED_BY = {"cell": RASTERS, "registration": RASTERS, "spacing": POINTS}
 Facts = tuple[tuple[str, str], ...]
 
 
@@ -128,14 +125,12 @@ def read_map(
     ----------
     path : str or Path
         ``.npz``: numpy arrays ``x`` of shape (n_x,), ``y`` of shape (n_y,) and ``z`` of shape
-        (n_x, n_y), all in metres, NaN in holes. ``.asc``: an ESRI ASCII grid, one line a row, the
-        northernmost first; with ``xllcorner`` and ``yllcorner`` the first node lies half a cell
-        inside the corner, with ``xllcenter`` and ``yllcenter`` on the given point; one
-        ``cellsize``, or ``dx`` and ``dy``. ``.tif``: see `read_tiff`. ``.png``: see `read_png`.
-        ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
+        (n_x, n_y), all in metres, NaN in holes. ``.tif``, ``.tiff`` (GeoTIFF), ``.asc`` (ESRI
+        ASCII grid), ``.hgt`` (SRTM), ``.dt0`` to ``.dt2`` (DTED), ``.img`` (ERDAS) and ``.png``
+        (grey values): see `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
     window : tuple of 4 floats, optional
         The part to read, x_min, x_max, y_min, y_max in the coordinates of the file; of a large
-        GeoTIFF or ESRI ASCII grid only that part is kept in memory. [m] or [deg]
+        raster only that part is kept in memory. [m] or [deg]
     cell, registration : float and {"area", "point"}, optional
         Needed for pictures that do not say where they lie, and refused for others: see `Reading`.
     spacing : float, optional
@@ -185,12 +180,11 @@ def _check_keys(
 
 
 def _found(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heights:
-    if ending in TIFF:
-        return read_tiff(path, ask)
+    if ending in DRIVERS:
+        return read_raster(path, ask)
     if ending in POINTS:
         return read_points(path, spacing, ask.window)
-    readers = {".npz": _read_npz, ".asc": _read_asc, ".png": read_png}
-    return readers[ending](path, ask)
+    return _read_npz(path, ask)
 
 
 def _check_degrees(found: Heights, *, local: bool) -> None:
@@ -380,116 +374,3 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             raise DataError(f"{path}: expected numbers in {name}, found {array.dtype}")
     x, y, z = (array.astype(np.float64) for array in arrays.values())
     return x, y, z
-
-
-class _Entry(NamedTuple):
-    """A value of a header, and the line it stands on."""
-
-    line: int
-    value: float
-
-
-class _Header(NamedTuple):
-    """What the first lines of an ESRI ASCII grid say."""
-
-    x: Axis
-    y: Axis
-    nodata: float | None
-    registration: Registration
-
-
-def _read_asc(path: Path, ask: Reading) -> Heights:
-    """Return the map in an ESRI ASCII grid; of rows outside the window nothing is kept."""
-    # Bytes that are no text become signs that are no numbers, and are reported as such.
-    with path.open(encoding="ascii", errors="replace") as file:
-        lines = ((n, line) for n, line in enumerate(file, start=1) if line.strip())
-        top, body = [], []
-        for n, line in lines:
-            if _is_number(line.split()[0]):
-                body = [(n, line)]
-                break
-            top.append((n, line))
-        header = _header(path, dict(_entries(path, top)))
-        i, j = parts(header.x, header.y, ask.window)
-        heights = np.empty((j.stop - j.start, i.stop - i.start))
-        north, last, count = header.y.size - j.stop, len(top), 0
-        for count, (last, line) in enumerate(chain(body, lines), start=1):
-            if 0 <= count - 1 - north < len(heights):
-                heights[count - 1 - north] = _row(path, last, line, header.x.size, i)
-    if count != header.y.size:
-        raise DataError(
-            f"{path}: line {last}: expected {header.y.size} rows as nrows says, found {count} "
-            "when the file ended; is it cut off, or not one row a line?"
-        )
-    if header.nodata is not None:
-        heights[heights == header.nodata] = np.nan
-    words = WORDS[header.registration]
-    told = (("ground map", f"ESRI ASCII grid, CRS not given, {words}"),)
-    z = np.ascontiguousarray(heights[::-1].T)
-    return Heights(header.x.nodes(i), header.y.nodes(j), z, told)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _entries(path: Path, lines: list[tuple[int, str]]) -> Iterator[tuple[str, _Entry]]:
-    """Yield the keys of a header, in lower case, and what stands there."""
-    for n, line in lines:
-        words = line.split()
-        if len(words) != 2 or not _is_number(words[1]):
-            raise DataError(
-                f"{path}: line {n}: expected a key and a number such as 'ncols 100', "
-                f"found {line.strip()[:60]!r}; is this an ESRI ASCII grid?"
-            )
-        yield words[0].lower(), _Entry(n, float(words[1]))
-
-
-def _header(path: Path, entries: dict[str, _Entry]) -> _Header:
-    """Return the header, its axes through the nodes."""
-
-    def entry(*keys: str) -> _Entry:
-        for key in keys:
-            if key in entries:
-                return entries[key]
-        raise DataError(
-            f"{path}: line 1: expected {' or '.join(keys)} in the header, found "
-            f"{list(entries) or 'no header'}; an ESRI ASCII grid begins with ncols, nrows, "
-            "xllcorner, yllcorner, cellsize"
-        )
-
-    sizes = ("dx", "dy") if {"dx", "dy"} & set(entries) else ("cellsize", "cellsize")
-    checked = {key: entry(key) for key in ("ncols", "nrows", *sizes)}
-    for key, (line, value) in checked.items():
-        whole = key in ("ncols", "nrows")
-        if not 0 < value < np.inf or (whole and value != int(value)):
-            raise DataError(
-                f"{path}: line {line}: expected {key} to be a positive "
-                f"{'whole number' if whole else 'number'}, found {value:g}; correct the header"
-            )
-    axes = []
-    for name, count, size in zip("xy", ("ncols", "nrows"), sizes, strict=True):
-        first, step = entry(f"{name}llcenter", f"{name}llcorner").value, checked[size].value
-        first += 0.5 * step * (f"{name}llcenter" not in entries)
-        axes.append(Axis(first, step, int(checked[count].value)))
-    nodata = entries["nodata_value"].value if "nodata_value" in entries else None
-    return _Header(axes[0], axes[1], nodata, "point" if "xllcenter" in entries else "area")
-
-
-def _row(path: Path, n: int, line: str, columns: int, part: slice) -> Array:
-    """Return some of the heights of one line."""
-    words = line.split()
-    if len(words) != columns:
-        raise DataError(
-            f"{path}: line {n}: expected {columns} heights as ncols says, found {len(words)}; "
-            "is the file cut off, or not one row a line?"
-        )
-    try:
-        return np.array(words[part], dtype=np.float64)
-    except ValueError:
-        word = next(word for word in words[part] if not _is_number(word))
-        raise DataError(f"{path}: line {n}: expected numbers, found {word!r}; correct it") from None
