@@ -25,6 +25,7 @@ from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.steering_guide import FASTEST, STOP_CLEARANCE, steered
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import read
+from slipfree.problem.solve import run
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.vehicle.catalogue.carts import ackermann, differential_drive
@@ -338,6 +339,15 @@ def test_a_robots_command_counts_left_positive() -> None:
     assert_allclose(same["x"], run["x"], rtol=0, atol=0)
     _, formula = _run("given.v_y='0.1*cos(0*t)'")
     assert_allclose(formula["x"], run["x"], rtol=0, atol=1e-9)
+
+
+def test_all_wheels_turn_the_same_way_to_a_crab_on_hills() -> None:
+    folder = Path(__file__).parents[2] / "problems"
+    problem = read(folder / "crab_inverse.toml", ["time.duration=4.5", "time.step=0.1"])
+    motion = run(problem).trajectory
+    angles = [motion[name][-1] for name in motion if re.fullmatch(r"steer_\w+_(left|right)", name)]
+    assert len(angles) == 4
+    assert_allclose(angles, -np.pi / 2, rtol=0, atol=0.1)
 
 
 def test_the_summary_names_the_steering_that_is_held_at_its_stop(folder: Path) -> None:

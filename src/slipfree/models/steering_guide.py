@@ -32,7 +32,7 @@ FASTEST = 1.0  # rate of a steered joint without max_rate that the law asks for 
 STOP_CLEARANCE = 1e-4  # between a stop and the target of a steered coordinate [rad, m]
 STILL = 1e-4  # speed of a wheel below which it is not steered [size/s]
 LOOSE = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # weights of rates not given [1]
-BRANCH = 0.05  # beyond a right angle, of the largest steering error to the right [rad]
+BRANCH = 0.2  # beyond a right angle, of the largest steering error to the right [rad]
 NEAR = 1e-9  # effect of a joint on a wheel's direction that is none [1, 1/m]
 
 
