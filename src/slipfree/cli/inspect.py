@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 def check(file: File, settings: Settings = None) -> None:
     """Check a problem and stand the vehicle on its start, without solving."""
     with reported():
+        from slipfree.frames import WANTED, to_problem_frame
         from slipfree.problem.load import climbs
         from slipfree.problem.solve import build, setup_facts
         from slipfree.problem.summary import certificate
@@ -43,11 +45,11 @@ def check(file: File, settings: Settings = None) -> None:
             _check_climb(problem)
             return
         setup = build(problem)
-        start, spec = setup.start, problem.spec
+        spec = problem.spec
+        start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
         detail("stood the vehicle on its start")
         put("start", lambda: quantities(start))
-        turned = ["yaw"] if spec.frame == "rep103" else []
-        names = [*spec.start, *turned, "z", "pitch", "roll"]
+        names = [*spec.start, "z", "pitch", "roll"]
         pose = ", ".join(f"{name} {start[name][0]:.10g}" for name in dict.fromkeys(names))
         facts = [
             *setup_facts(setup),

@@ -31,6 +31,8 @@ def quantities(run: Trajectory) -> dict[str, Any]:
 
     First and last values of what belongs to the wheels are arrays, one number a wheel.
     """
+    from slipfree.frames import to_problem_frame
+
     return {
         name: {
             "words": label.words,
@@ -40,7 +42,7 @@ def quantities(run: Trajectory) -> dict[str, Any]:
             "min": values.min(),
             "max": values.max(),
         }
-        for name, (label, values) in run.columns.items()
+        for name, (label, values) in to_problem_frame(run).columns.items()
     }
 
 

@@ -26,6 +26,7 @@ from scipy.io import netcdf_file
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.frames import to_problem_frame
 from slipfree.records import Label
 from slipfree.regular_files import escape_name, read_bytes
 from slipfree.trajectory import Column, Stop, Trajectory
@@ -92,7 +93,8 @@ def write(
 def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
     """Write a trajectory as a table of comma-separated values, one row a sample.
 
-    The first row names the columns with their units, as in ``slip_along[front] (m s-1)``.
+    The first row names the columns with their units, as in ``slip_along[front] (m s-1)``. Headings
+    are in the frame of the problem.
 
     Raises
     ------
@@ -102,6 +104,7 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
         If the file cannot be written.
     """
     _check(run)
+    run = to_problem_frame(run)
     names, columns = ["time (s)"], [run.t]
     for name, column in run.columns.items():
         wheels = [""] if column.values.ndim == 1 else [f"[{wheel}]" for wheel in run.wheels]

@@ -13,6 +13,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import DataError
 from slipfree.files.toml.errors import Fault, names, problem_error
+from slipfree.frames import OFFSET
 from slipfree.problem import schema
 from slipfree.problem.build_ground import Ground, at
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
@@ -68,14 +69,13 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
 
 def turned(problem: Problem[S]) -> float:
     """Return what leads from the frame's headings to those from the y axis. [rad]."""
-    return -np.pi / 2 if getattr(problem.spec, "frame", "paper") == "rep103" else 0.0
+    return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 
 def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
     """Return the vehicle at rest where the problem starts."""
     values: dict[str, Any] = dict(problem.spec.start)
-    if "heading" in values:
-        values["heading"] += turned(problem)
+    values["heading"] = values.get("heading", 0.0) + turned(problem)
     with at(problem, ("start",)):
         return settle(dae, options=problem.spec.solver.options, **values)
 

@@ -213,7 +213,7 @@ def _asked(
     between: Mapping[float, Wanted],
 ) -> dict[str, Any]:
     """Return what a plan is asked for, as arguments of `plan`."""
-    limits = (*limits_of(model[0], spec.limits), *_kept_out(keep_out, *model))
+    limits = (*limits_of(model[0], facing(problem, spec.limits)), *_kept_out(keep_out, *model))
     return {
         "goal": facing(problem, spec.goal),
         "costs": spec.costs,
@@ -317,7 +317,9 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     model: Dae = quasi_statics(setup.vehicle, setup.terrain)
     options = setup.spec.solver.options
     options = replace(options, tolerance=max(options.tolerance, FRICTION_TOLERANCE))
-    values: dict[str, Any] = {name: float(setup.start[name][0]) for name in setup.spec.start}
+    values: dict[str, Any] = {
+        name: float(setup.start[name][0]) for name in {**setup.spec.start, "heading": 0.0}
+    }
     try:
         start = settle(model, options=options, **values)
         run = simulate_plan(

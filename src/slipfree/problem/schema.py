@@ -16,6 +16,7 @@ from slipfree.files.toml.types import Piecewise as Piecewise
 from slipfree.files.toml.types import Place as Place
 from slipfree.files.toml.types import Positive as Positive
 from slipfree.files.toml.types import Record as Record
+from slipfree.frames import Frame
 from slipfree.problem.catalog_table import CATALOG, OWN, read_table
 from slipfree.problem.schema_climb import Approach, Compliance, Control, Friction
 from slipfree.problem.schema_climb import Climber as Climber
@@ -122,17 +123,18 @@ class Task(Asked):
 
     terrain: Terrain = Field(description="the ground")
     start: dict[str, float] = Field(
-        description="x, y, heading (from the y axis, counter-clockwise) and joints; zero by "
-        "default [m, rad]"
+        description="x, y, heading (counter-clockwise, from the axis that frame names) and joints; "
+        "zero by default [m, rad]"
     )
 
 
 class Motion(Task):
     """What every problem has that asks for the motion of one vehicle."""
 
-    frame: Literal["paper", "rep103"] = Field(
+    frame: Frame = Field(
         default="paper",
-        description="from which axis headings count: y, or x (REP 103)",
+        description="from which axis headings count, also in summaries, exports and figures: y, or "
+        "x (REP 103)",
     )
     vehicle: Vehicle = Field(description="what moves")
     output: Output | None = Field(default=None, description="where the result goes")

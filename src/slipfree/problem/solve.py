@@ -10,6 +10,7 @@ from typing import NamedTuple
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.errors import ProblemError
 from slipfree.forks import computing
+from slipfree.frames import STORED, WANTED
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.montana import Difference, cross_check
 from slipfree.models.records import is_determinate
@@ -199,6 +200,8 @@ def _attributes(
     inputs, spec = {}, problem.spec
     if isinstance(setup, Setup):
         inputs["inputs"] = " ".join(label.full for label in leaves(setup.model.labels.u))
+    if not isinstance(spec, schema.Climb):
+        inputs |= {STORED: "paper", WANTED: spec.frame}
     if isinstance(spec, schema.Modelled):
         inputs |= {"model": spec.model, "law": law_name(spec)}
     found = {

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from slipfree.contact.certify import NONE
+from slipfree.frames import to_problem_frame
 from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import steering_note
 from slipfree.problem.climb_summary import climb_facts, is_climb
@@ -23,6 +24,7 @@ def motion_facts(run: Trajectory) -> Facts:
     """Return name and value of what matters about a motion, ready to print."""
     if is_climb(run):
         return [*climb_facts(run)]
+    run = to_problem_frame(run)
     return [
         *_way(run),
         *_inverse(run),
@@ -42,7 +44,7 @@ def ranges(run: Trajectory) -> Facts:
     Without friction of the ground ``utilisation`` is but ``friction_needed`` again, and left out.
     """
     facts = []
-    for name, column in run.columns.items():
+    for name, column in to_problem_frame(run).columns.items():
         if name == "utilisation" and not has_friction(run):
             continue
         low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))

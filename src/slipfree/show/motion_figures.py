@@ -26,6 +26,7 @@ from matplotlib.transforms import Bbox
 from slipfree.atomic_files import replace_file
 from slipfree.contact.certify import NONE
 from slipfree.errors import DataError, ModelError
+from slipfree.frames import to_problem_frame
 from slipfree.records import Array
 from slipfree.show import ground_drawing, style
 from slipfree.show.force_figures import load_figures
@@ -169,6 +170,7 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
 
 def history(run: Trajectory, name: str, ax: Axes) -> Axes:
     """Draw any quantity over time, one line a wheel where it belongs to the wheels."""
+    run = to_problem_frame(run)
     values = run[name]
     unit = style.unit(run.columns[name].label.unit)
     for k, wheel in enumerate(run.wheels if values.ndim == 2 else ()):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slipfree.frames import to_problem_frame
 from slipfree.problem.climb_summary import is_climb
 from slipfree.problem.schema import Climb, Motion, Plan
 from slipfree.sweep.task import COMPLETE
@@ -68,6 +69,7 @@ def figures_of(run: Trajectory, spec: Motion | Climb) -> Figures:
         ``complete`` is 1 if the motion reached its end; ``within_limits`` of a plan is 1 if its
         simulation is complete and violates nothing by more than ``plan.accuracy``.
     """
+    run = to_problem_frame(run)
     found = {COMPLETE: Quantity(float(run.stop is None), "1")}
     for name, quantity in (*_of_samples(run), *_of_statistics(run.statistics, run)):
         if isfinite(quantity.value):

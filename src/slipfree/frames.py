@@ -1,0 +1,38 @@
+"""Frames that headings refer to.
+
+Motions are computed and stored in one frame, "paper": headings count from the y axis. What is
+printed, exported or drawn is in the frame of the problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from typing import Literal
+
+from slipfree.records import Label
+from slipfree.trajectory import Column, Trajectory
+
+Frame = Literal["paper", "rep103"]
+STORED = "frame"  # attribute of a motion: the frame of its samples
+WANTED = "problem_frame"  # attribute of a motion: the frame of its problem
+OFFSET: dict[str, float] = {"paper": 0.0, "rep103": pi / 2}  # from headings counted from y [rad]
+HEADING = Label("heading", "rad", "counter-clockwise angle of the left axis from the y axis")
+
+
+def to_problem_frame(run: Trajectory) -> Trajectory:
+    """Return a motion with its heading in the frame of its problem.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion. Without the attribute ``problem_frame``, as of a climb or from version 0.1, it is
+        returned as it is, as is a motion that is in the frame of its problem.
+    """
+    stored = run.attributes.get(STORED, "paper")
+    wanted = run.attributes.get(WANTED, stored)
+    if wanted == stored or not {wanted, stored} <= set(OFFSET) or "heading" not in run.columns:
+        return run
+    heading = run["heading"] + (OFFSET[wanted] - OFFSET[stored])
+    columns = {**run.columns, "heading": Column(HEADING, heading)}
+    return replace(run, columns=columns, attributes={**run.attributes, STORED: wanted})
