@@ -399,6 +399,7 @@ def test_steering_angle_needs_motion():
     ("options", "words"),
     [
         ({"given": ("velocity_x", "velocity_y")}, "expected three different rates"),
+        ({"given": ("v_x", "v_y")}, r"or some of forward, right, yaw_rate, found \('v_x', 'v_y'"),
         ({"given": ("velocity_x", "velocity_y", "velocity_x")}, "expected three different rates"),
         (
             {"given": ("velocity_x", "velocity_y", "turn_rate")},

@@ -158,7 +158,10 @@ def check_rates(given: Sequence[str]) -> None:
     """Raise ModelError for given rates that are not three different known ones in map axes."""
     known = (*VELOCITY, *OMEGA, *EULER)
     if isinstance(given, str) or len(given) != 3 or len(set(given)) != 3:
-        raise ModelError(f"given: expected three different rates, found {given!r}")
+        raise ModelError(
+            f"given: expected three different rates of {', '.join(known)}, or some of "
+            f"{', '.join(COMMANDS)}, found {given!r}"
+        )
     for name in given:
         if name not in known:
             raise ModelError(f"given: {name!r} is not known; known: {', '.join(known)}")
