@@ -31,7 +31,7 @@ from slipfree import (
 )
 from slipfree.models.given_rates import derived_rates
 from slipfree.models.inverse import inverse_kinematics
-from slipfree.models.steering_guide import steered
+from slipfree.models.steering_guide import steering_effects
 from slipfree.models.wheel_authority import wheel_rates
 from slipfree.records import leaves, pack
 from slipfree.solve.replay import replay, round_trip
@@ -87,7 +87,7 @@ def least(direct: Any, stand: Trajectory, given: dict[str, float]) -> dict[str, 
     slips = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)
     # They are linear, whatever rates their Jacobian is asked for at.
     rates = [pack(direct.z.rates.motion), pack(direct.u)]
-    function = ca.Function(
+    function = direct.function(
         "rows",
         [pack(direct.x), pack(direct.z.position), *rates],
         [ca.jacobian(slips, unknown), ca.jacobian(kept, unknown)],
@@ -105,7 +105,7 @@ def row(terrain: Terrain, given: dict[str, float]) -> str:
     """Return slip and round trip at all steering angles."""
     direct = direct_kinematics(ROVER, terrain)
     dae = inverse_kinematics(ROVER, terrain, given=tuple(given))
-    inputs, joints = dae.inputs(**given), list(steered(ROVER, direct))
+    inputs, joints = dae.inputs(**given), list(steering_effects(ROVER, direct))
     stand = settle(direct, **START)
     guide = trim_states(
         dae, stand, inputs, states=joints, least=[f"{name}_error" for name in joints]
@@ -125,7 +125,7 @@ def in_time(terrain: Terrain) -> None:
     """Print a motion over the ground: what it slips, misses and costs."""
     direct = direct_kinematics(ROVER, terrain)
     dae = inverse_kinematics(ROVER, terrain, given=("forward", "yaw_rate"))
-    inputs, joints = dae.inputs(forward=0.1, yaw_rate=0.05), list(steered(ROVER, direct))
+    inputs, joints = dae.inputs(forward=0.1, yaw_rate=0.05), list(steering_effects(ROVER, direct))
     errors = [f"{name}_error" for name in joints]
     start = trim_states(dae, settle(direct, **START), inputs, states=joints, least=errors)
     t = np.linspace(0, 10, 201)

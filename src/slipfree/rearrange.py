@@ -117,13 +117,13 @@ def rearrange(
         scale=np.array([each.scale for each in leaves(z)]),
         shift=(_shifts(x), _shifts(z)),
     )
-    return replace(new, checks=rearranged_checks(dae, new))
+    return replace(new, checks=_rearranged_checks(dae, new))
 
 
 def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> Dae:
-    """Return a model with values in place of inputs or unknowns that the ground does not depend on.
+    """Return a model with values in place of some symbols in its equations, outputs and limits.
 
-    They stay among its inputs or unknowns: `rearrange` leaves them out.
+    Lookups must not depend on the symbols. `rearrange` takes the symbols out of the inputs.
     """
     before, after = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *values)
 
@@ -190,7 +190,7 @@ class _RearrangedCheck:
         return self.check.describe(*(np.array(each).ravel() for each in self.states(x, z)))
 
 
-def rearranged_checks(dae: Dae, new: Dae) -> tuple[SampledCheck, ...]:
+def _rearranged_checks(dae: Dae, new: Dae) -> tuple[SampledCheck, ...]:
     """Return the checks of a model for a model with its symbols in other places."""
     known = _hashes((new.x, new.z))
     former = [

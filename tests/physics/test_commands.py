@@ -22,7 +22,7 @@ from slipfree.control.path_tracking import GAIN, track_path
 from slipfree.files import netcdf
 from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import inverse_kinematics
-from slipfree.models.steering_guide import FASTEST, STOP_CLEARANCE, steered
+from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, steering_effects
 from slipfree.problem.input_files import input_files
 from slipfree.problem.load import read
 from slipfree.problem.solve import run
@@ -60,7 +60,7 @@ def poised(vehicle, terrain, command, **start):
     """Both models, the inputs, and the start with the steering that the command leads to."""
     direct, dae = models(vehicle, terrain)
     inputs = dae.inputs(**dict(zip(COMMANDS, command, strict=True)))
-    sought = [name for name in steered(vehicle, direct) if name not in start]
+    sought = [name for name in steering_effects(vehicle, direct) if name not in start]
     errors = [f"{name}_error" for name in sought]
     stand = settle(direct, **(START | start))
     return direct, dae, inputs, trim_states(dae, stand, inputs, states=sought, least=errors)
@@ -128,13 +128,13 @@ def test_commands_that_straight_wheels_cannot_impose_are_carried_out(right):
     direct, dae, inputs, start = poised(vehicle, FLAT, (0.3, right, 0.0))
     run = simulate(dae, start, inputs, [0.0, 1.0])
     assert_allclose(planar(run)[:, -1], [0.3, right, 0.0], rtol=0, atol=1e-9)
-    angles = [run[name][-1] for name in steered(vehicle, direct)]
+    angles = [run[name][-1] for name in steering_effects(vehicle, direct)]
     assert_allclose(angles, -np.arctan2(right, 0.3), rtol=0, atol=1e-9)
 
 
 def test_the_steering_turns_from_given_angles_and_errors_vanish():
     vehicle = VEHICLES["four_wheel_steered"]
-    straight = dict.fromkeys(steered(vehicle, models(vehicle, FLAT)[0]), 0.0)
+    straight = dict.fromkeys(steering_effects(vehicle, models(vehicle, FLAT)[0]), 0.0)
     _, dae, inputs, start = poised(vehicle, FLAT, (0.0, 0.0, 0.3), **straight)
     run = simulate(dae, start, inputs, np.linspace(0, 5, 51))
     error = np.abs(announced(run)) * np.array([[1.0], [1.0], [0.5]])
@@ -181,7 +181,7 @@ def test_rates_and_stops_of_the_steering_are_kept_and_do_not_end_the_motion():
 def test_a_wheel_points_backward_if_that_alone_is_within_its_stops():
     vehicle = four_wheel_steered(lower=-1.0, upper=2.0)
     direct, _, _, start = poised(vehicle, FLAT, (0.1, 0.3, 0.0))
-    angles = [start[name][0] for name in steered(vehicle, direct)]
+    angles = [start[name][0] for name in steering_effects(vehicle, direct)]
     assert_allclose(angles, np.pi - np.arctan2(0.3, 0.1), rtol=0, atol=1e-9)
     assert_allclose(start["wheel_rate"], -np.hypot(0.3, 0.1) / 0.15, rtol=0, atol=1e-9)
     assert_allclose(announced(start), 0, rtol=0, atol=1e-9)
@@ -193,7 +193,7 @@ def test_a_wheel_turns_back_where_its_target_passes_the_stop():
     inputs = dae.inputs(forward=0.2 * ca.cos(dae.t / 2), right=0.2 * ca.sin(dae.t / 2), yaw_rate=0)
     run = simulate(dae, start, inputs, t, options=SolverOptions(tolerance=1e-6))
     assert run.stop is None
-    for name in steered(vehicle, direct):
+    for name in steering_effects(vehicle, direct):
         assert run[name].min() < -1.7
         assert run[name][-1] > 0
         assert np.abs(run[name]).max() < 1.9
@@ -210,7 +210,7 @@ def test_commands_may_jump_and_reverse():
     run = simulate(dae, start, inputs, t)
     assert np.abs(announced(run)[:, t < 1.99]).max() < 2e-3
     assert np.abs(announced(run)[:, -1]).max() < 2e-3
-    assert np.abs(run["steer_rear_left_rate"]).max() < FASTEST
+    assert np.abs(run["steer_rear_left_rate"]).max() < MAX_STEERING_RATE
     again = replay(direct, run, jumps=[t[40]]).motion
     assert_allclose(again["x"], run["x"], atol=1e-4)
     assert_allclose(again["y"], run["y"], atol=1e-4)
@@ -222,7 +222,7 @@ def test_a_path_with_a_heading_is_followed(name):
     direct, dae = models(vehicle, HILLS)
     path = 0.3 * np.sin(0.3 * t), 0.15 * t, 0.2 * np.sin(0.4 * t)
     dae, inputs = track_path(dae, t, *path)
-    sought = list(steered(vehicle, direct))
+    sought = list(steering_effects(vehicle, direct))
     stand = settle(direct, x=0.1)  # beside the path
     start = trim_states(
         dae, stand, inputs, states=sought, least=[f"{each}_error" for each in sought]

@@ -16,7 +16,7 @@ from slipfree.trajectory import Trajectory
 
 GAIN = 1.0  # at which errors of place and heading decay [1/s]
 DEGREE = 5  # of the splines through the way-points
-ELSEWHERE = 1e-6  # distance of path and start that counts [size, rad]
+MAX_START_DISTANCE = 1e-6  # distance of path and start that counts [size, rad]
 
 
 def path_inputs(
@@ -76,7 +76,7 @@ def path_inputs(
     wrong = [
         f"{name} = {value:.6g}, the vehicle stands at {at:.6g}"
         for name, value, at, gap in zip(("x", "y", "heading"), first, there, gaps, strict=True)
-        if not abs(gap) < ELSEWHERE
+        if not abs(gap) < MAX_START_DISTANCE
     ]
     if wrong:
         raise ModelError(f"path: it starts elsewhere than the start: {'; '.join(wrong)}")

@@ -34,15 +34,15 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
-SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
-NO_LEVER = 0.02  # lever of a contact on the steering axis, relative to the rolling radius
+MIN_NAMED_SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
+MIN_LEVER = 0.02  # lever of a contact on the steering axis, relative to the rolling radius
 LEAST_AUTHORITY = 5e-3  # smallest singular value at which wheels still impose given commands
 MOVES = {
     "forward": "move the platform forward",
     "right": "move the platform sideways",
     "yaw_rate": "turn the platform",
 }
-ROUNDING = 1e-14  # relative singular value that counts as zero
+MIN_RELATIVE_SINGULAR_VALUE = 1e-14  # relative singular value that counts as zero
 
 
 def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
@@ -158,7 +158,7 @@ class Determinacy:
         reason = self.reasons.get(bound[0], "")
         if not reason:
             lost = _named(right[-1], self.unknown)
-            alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < NO_LEVER
+            alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < MIN_LEVER
             why = self.reasons.get(lost[0], "") if alone else ""
             reason = f"{_listed(lost)} {'is' if len(lost) == 1 else 'are'} not determined{why}"
         return (
@@ -176,7 +176,7 @@ def stacked(part: ca.DM, count: int) -> Array:
 def _named(vector: Array, names: Sequence[str]) -> list[str]:
     """Return the names of the large entries, the largest first."""
     size = np.abs(vector)
-    return [names[k] for k in np.argsort(-size) if size[k] >= SHARE * size.max()]
+    return [names[k] for k in np.argsort(-size) if size[k] >= MIN_NAMED_SHARE * size.max()]
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -342,6 +342,6 @@ def conditions(
     for given, part in zip(choices, function.map(count)(*rows), strict=True):
         values = np.linalg.svd(stacked(part, count), compute_uv=False)
         largest, smallest = values[:, 0], values[:, -1]
-        regular = smallest > ROUNDING * largest
+        regular = smallest > MIN_RELATIVE_SINGULAR_VALUE * largest
         found[given] = np.where(regular, largest / np.fmax(smallest, floor), np.inf)
     return found

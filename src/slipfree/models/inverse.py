@@ -83,7 +83,7 @@ from slipfree.vehicle.tree import Vehicle
 
 SolveFor = Literal["rates", "angles"]
 LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates still count as determining
-STANDING = 1e-6  # speed below which a steering angle has no effect [size/s]
+MIN_STEERABLE_SPEED = 1e-6  # speed below which a steering angle has no effect [size/s]
 ERROR_WEIGHT = 10.0  # of errors of the given rates beside slip along the wheels [1]
 
 
@@ -272,7 +272,7 @@ def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> D
     dae = rearrange(still, x, (motion, z.forces), imposed.inputs, equations)
     slow = Label("steering_speed", "m s-1", "the vehicle stands, so that it may be steered anyhow")
     speed = ca.sqrt(direct.z.rates.x**2 + direct.z.rates.y**2)
-    limit = Limit(slow, speed, STANDING * direct.size, np.inf)
+    limit = Limit(slow, speed, MIN_STEERABLE_SPEED * direct.size, np.inf)
     words = "slip of steered contacts for each unit of the steering rate"
     lever = ca.sqrt(ca.sumsqr(ca.jacobian(direct.alg[1], pack(joints))))
     dae = replace(dae, limits=(*dae.limits, limit))

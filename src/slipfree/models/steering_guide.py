@@ -4,7 +4,7 @@ Of all motions of the platform that have the given rates and that the ground adm
 motion is the one at which wheels that are not steered slip least across themselves. Each steered
 wheel is turned until the point of its carrier at the contact moves along it, which on level ground
 is the rule of the instantaneous centre. As rates of the steering are inputs, they follow these
-angles with a lag (`GAIN`, `FASTEST`): the rates of the angles themselves would need third
+angles with a lag (`GAIN`, `MAX_STEERING_RATE`): the rates of the angles themselves would need third
 derivatives of the ground. Targets and rates keep to the joints' stops and `max_rate`. Where all
 three rates are given, and not all wheels steered, other angles may slip less.
 """
@@ -28,12 +28,12 @@ from slipfree.records import Label, pack
 from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
 
 GAIN = 5.0  # at which the error of a steering angle decays [1/s]
-FASTEST = 1.0  # rate of a steered joint without max_rate that the law asks for at most [rad/s, m/s]
+MAX_STEERING_RATE = 1.0  # of a steered joint without max_rate [rad/s, m/s]
 STOP_CLEARANCE = 1e-4  # between a stop and the target of a steered coordinate [rad, m]
-STILL = 1e-4  # speed of a wheel below which it is not steered [size/s]
-LOOSE = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # weights of rates not given [1]
-BRANCH = 0.2  # beyond a right angle, of the largest steering error to the right [rad]
-NEAR = 1e-9  # effect of a joint on a wheel's direction that is none [1, 1/m]
+MIN_WHEEL_SPEED = 1e-4  # speed of a wheel below which it is not steered [size/s]
+FREE_RATE_WEIGHTS = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # if not given [1]
+BRANCH_SHIFT = 0.2  # beyond a right angle, of the largest steering error to the right [rad]
+MIN_EFFECT = 1e-9  # of a joint on a wheel's direction, from which on it steers [1, 1/m]
 
 
 class Guide(NamedTuple):
@@ -46,10 +46,13 @@ class Guide(NamedTuple):
     motion: tuple[Variable, ...]
 
 
-def steered(vehicle: Vehicle, direct: Dae, kind: Kind = "commanded") -> dict[str, dict[int, ca.SX]]:
-    """Return how much coordinates of a kind turn wheels, by the wheels' numbers.
+def steering_effects(
+    vehicle: Vehicle, direct: Dae, kind: Kind = "commanded"
+) -> dict[str, dict[int, ca.SX]]:
+    """Return the effects of coordinates of a kind on the directions of wheels, by wheel number.
 
-    About the platform's up axis, left positive; only coordinates that turn some. [rad/rad, rad/m]
+    Directions are angles about the platform's up axis, left positive. Coordinates without effect
+    are left out. [rad/rad, rad/m]
     """
     values = values_of(vehicle, direct.x, direct.z.position)
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
@@ -58,7 +61,7 @@ def steered(vehicle: Vehicle, direct: Dae, kind: Kind = "commanded") -> dict[str
     for c in vehicle.of(kind):
         effect = ca.jacobian(angles, values[c.name])
         level = ca.evalf(ca.substitute(effect, column, ca.SX.zeros(column.shape)))
-        turned = np.flatnonzero(np.abs(np.array(level)) > NEAR)
+        turned = np.flatnonzero(np.abs(np.array(level)) > MIN_EFFECT)
         if turned.size:
             found[c.name] = {k: effect[k] for k in map(int, turned)}
     return found
@@ -67,8 +70,14 @@ def steered(vehicle: Vehicle, direct: Dae, kind: Kind = "commanded") -> dict[str
 def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> Guide:
     """Return the guiding motion under given rates: least slip across wheels that nothing turns."""
     kinds: tuple[Kind, ...] = ("commanded", "passive")
-    turned = {k for kind in kinds for each in steered(vehicle, direct, kind).values() for k in each}
-    names, plane, given = direct.labels.z.rates, derived_rates(direct), _names(inputs)
+    turned = {
+        k
+        for kind in kinds
+        for each in steering_effects(vehicle, direct, kind).values()
+        for k in each
+    }
+    names, plane = direct.labels.z.rates, derived_rates(direct)
+    given = [each.label.name for each in inputs]
     motion = tuple(
         new_variable(direct, replace(label, name=f"guide_{label.name}"))
         for label in _pose_rates(names)
@@ -81,7 +90,8 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) ->
     across = [slip for k, slip in enumerate(direct.y.slip_across) if k not in turned]
     sizes = {"yaw_rate": direct.size}
     loose = [
-        LOOSE[name] * (sizes.get(name, 1.0) * plane[name].expression) ** 2 for name in COMMANDS
+        FREE_RATE_WEIGHTS[name] * (sizes.get(name, 1.0) * plane[name].expression) ** 2
+        for name in COMMANDS
     ]
     goal = 0.5 * ca.sum1(ca.vertcat(*loose, *(slip**2 for slip in across)))
     touching = direct.alg[1][-len(names.law.multipliers) :]
@@ -92,10 +102,6 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) ->
     label = Label("guide", "", "least slip across wheels that are not steered")
     conditions = minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label)
     return Guide(conditions, motion)
-
-
-def _names(inputs: Sequence[Variable]) -> list[str]:
-    return [each.label.name for each in inputs]
 
 
 def _pose_rates(rates: Any) -> tuple[Any, ...]:
@@ -118,21 +124,21 @@ def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -
     Carriers move with ``along`` and ``across`` at the contacts of the wheels that a coordinate
     turns; near the end this is the step that makes ``across`` least. Angles are doubled, since
     forward or backward is the same, so that wheels that disagree by more than a right angle do not
-    cancel. Errors lie within a right angle either way, shifted by `BRANCH`, so that all wheels turn
-    the same way for a motion straight across them.
+    cancel. Errors lie within a right angle either way, shifted by `BRANCH_SHIFT`, so that all
+    wheels turn the same way for a motion straight across them.
     """
     errors = {}
     values = values_of(vehicle, direct.x, direct.z.position)
     coordinates = {c.name: c for c in vehicle.coordinates}
-    for name, effects in steered(vehicle, direct).items():
+    for name, effects in steering_effects(vehicle, direct).items():
         wheels = [(direct.y.slip_along[k], direct.y.slip_across[k]) for k in effects]
         moving = iter(guided(direct, motion, [part for wheel in wheels for part in wheel]))
-        sine, cosine = ca.SX(0), ca.SX((STILL * direct.size) ** 2)
+        sine, cosine = ca.SX(0), ca.SX((MIN_WHEEL_SPEED * direct.size) ** 2)
         for effect, along, across in zip(effects.values(), moving, moving, strict=True):
             sine -= 2 * effect * along * across
             cosine += effect**2 * (along**2 - across**2)
-        c, s = np.cos(2 * BRANCH), np.sin(2 * BRANCH)
-        error = ca.atan2(c * sine + s * cosine, c * cosine - s * sine) / 2 - BRANCH
+        c, s = np.cos(2 * BRANCH_SHIFT), np.sin(2 * BRANCH_SHIFT)
+        error = ca.atan2(c * sine + s * cosine, c * cosine - s * sine) / 2 - BRANCH_SHIFT
         errors[name] = _within_stops(coordinates[name], values[name], error)
     return errors
 
@@ -161,7 +167,8 @@ def _outside(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
 def steering_laws(vehicle: Vehicle, errors: Mapping[str, ca.SX]) -> tuple[ca.SX, ...]:
     """Return the rates of all commanded coordinates. [rad/s, m/s]."""
     fastest = {
-        c.name: c.max_rate if np.isfinite(c.max_rate) else FASTEST for c in vehicle.of("commanded")
+        c.name: c.max_rate if np.isfinite(c.max_rate) else MAX_STEERING_RATE
+        for c in vehicle.of("commanded")
     }
     return tuple(
         rate * ca.tanh(GAIN / rate * errors.get(name, ca.SX(0))) for name, rate in fastest.items()

@@ -22,8 +22,8 @@ from slipfree.records import Array, leaves
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-RANK = 1e-9  # relative singular value below which wheels have no effect on a given rate
-MISSED = 1e-9  # part of the given rates that may be missed
+MIN_RELATIVE_SINGULAR_VALUE = 1e-9  # at which wheels still affect a given rate
+MAX_MISSED_SHARE = 1e-9  # part of the given rates that may be missed
 
 
 def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
@@ -53,7 +53,7 @@ def wheel_rates(
     """Return the inputs of least slip that move a vehicle as it is commanded, at one configuration.
 
     Rates that neither the given rates nor the slip depend on are the least ones. Singular values
-    below `RANK` of the largest count as zero.
+    below `MIN_RELATIVE_SINGULAR_VALUE` of the largest count as zero.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def wheel_rates(
     sizes = np.array(command_sizes(vehicle, tuple(given)))
     miss = sizes * (asked - effect[:, :count] @ wheels)
     worst = int(np.abs(miss).argmax())
-    if not abs(miss[worst]) <= MISSED * float(np.abs(sizes * asked).max()):
+    if not abs(miss[worst]) <= MAX_MISSED_SHARE * float(np.abs(sizes * asked).max()):
         name = [*given][worst]
         raise ModelError(
             f"{vehicle.name} cannot reach {name} here: the nearest its wheels bring about, beside "
@@ -100,9 +100,13 @@ def wheel_rates(
 def _least(effect: Array, slip: Array, asked: Array, rest: Array) -> Array:
     """Return what brings ``effect`` to ``asked`` with the least ``slip`` beside ``rest``."""
     left, values, right = np.linalg.svd(effect)
-    rank = int((values > RANK * max(values[0], np.finfo(float).tiny)).sum())
+    rank = int((values > MIN_RELATIVE_SINGULAR_VALUE * max(values[0], np.finfo(float).tiny)).sum())
     inverse = right[:rank].T @ np.diag(1 / values[:rank]) @ left[:, :rank].T
     free = right[rank:].T
     base = inverse @ asked
-    rates = base + free @ np.linalg.lstsq(slip @ free, -(rest + slip @ base), rcond=RANK)[0]
+    rates = (
+        base
+        + free
+        @ np.linalg.lstsq(slip @ free, -(rest + slip @ base), rcond=MIN_RELATIVE_SINGULAR_VALUE)[0]
+    )
     return np.asarray(rates + inverse @ (asked - effect @ rates))

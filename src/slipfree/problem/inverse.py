@@ -23,7 +23,7 @@ from slipfree.models.inverse import (
     steering_slip,
 )
 from slipfree.models.kinematics import direct_kinematics
-from slipfree.models.steering_guide import STOP_CLEARANCE, steered
+from slipfree.models.steering_guide import STOP_CLEARANCE, steering_effects
 from slipfree.models.wheel_authority import check_authority
 from slipfree.problem import schema
 from slipfree.problem.build_common import (
@@ -51,9 +51,9 @@ from slipfree.vehicle.tree import Coordinate, Vehicle
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
-LEAST_POINTS = 6  # way-points of a spline of degree five
-LEAST_SAMPLES = 4  # between jumps of the given rates, for a replay
-SLOW = 0.1  # speed from which a motion is sought whose velocity is not given [m/s]
+MIN_POINTS = 6  # way-points of a spline of degree five
+MIN_SAMPLES = 4  # between jumps of the given rates, for a replay
+GUESS_SPEED = 0.1  # of the initial guess of a motion whose velocity is not given [m/s]
 
 
 def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
@@ -167,8 +167,8 @@ def _points(problem: Problem[S], spec: schema.Inverse) -> Array | None:
 
 def _times(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
     """Yield what is wrong with the times of a path."""
-    if t.size < LEAST_POINTS:
-        yield Fault(place, f"{LEAST_POINTS} or more way-points", str(t.size))
+    if t.size < MIN_POINTS:
+        yield Fault(place, f"{MIN_POINTS} or more way-points", str(t.size))
     elif t[0] != 0 or not (np.diff(t) > 0).all():
         yield Fault(place, "times that ascend from 0", ", ".join(f"{each:g}" for each in t[:4]))
     elif t[-1] < duration:
@@ -212,7 +212,7 @@ def _start(spec: schema.Inverse, setup: Setup, first: Any, *, exact: bool) -> Tr
             ahead = _ahead(direct, vehicle, stand, spec.given)
             stand = apply_inputs(direct, stand, ahead, options=options)
         return apply_inputs(dae, stand, first, options=options)
-    sought = [name for name in steered(vehicle, direct) if name not in spec.start]
+    sought = [name for name in steering_effects(vehicle, direct) if name not in spec.start]
     try:
         errors = [f"{name}_error" for name in sought]
         return trim_states(dae, stand, first, states=sought, least=errors, options=options)
@@ -238,7 +238,7 @@ def _is_collocated(spec: schema.Inverse, setup: Setup) -> bool:
 
 def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: Mapping[str, Any]) -> Any:
     """Return inputs of the direct model that approximate the given motion of the platform."""
-    heading, speed = float(start["heading"][-1]), SLOW
+    heading, speed = float(start["heading"][-1]), GUESS_SPEED
     if "velocity_x" in given and "velocity_y" in given:
         speed = given["velocity_y"] * np.cos(heading) - given["velocity_x"] * np.sin(heading)
     rates = {f"{w.name}_rate": speed / w.radius for w in vehicle.wheels if w.driven}
@@ -317,9 +317,9 @@ def _is_held(c: Coordinate, run: Trajectory) -> bool:
 def _check_samples(t: Array, jumps: Sequence[float]) -> None:
     """Raise ModelError if samples between jumps are too few for splines through the inputs."""
     places = np.searchsorted(t, [t[0], *jumps])
-    if jumps and np.diff(places).min() < LEAST_SAMPLES:
+    if jumps and np.diff(places).min() < MIN_SAMPLES:
         raise ModelError(
-            f"not done: it needs {LEAST_SAMPLES} or more samples between changes of the commands, "
+            f"not done: it needs {MIN_SAMPLES} or more samples between changes of the commands, "
             f"found {np.diff(places).min()}; reduce 'step' in [time]"
         )
 
