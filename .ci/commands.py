@@ -34,6 +34,8 @@ PACKAGES = (
     "rasterio",
     "viser",
     "distributed",
+    "xarray",
+    "pandas",
 )
 
 # Commands that need the result of a problem, by its name: they follow its run, one after another.
@@ -71,7 +73,7 @@ OTHERS = [
         " --vary vehicle.axle=tilting,fixed --set time.duration=2 --processes 2 -o axles"
     ],
 ]
-# The same in Python, for what needs an extra: a map to read, and a cluster to sweep on.
+# The same in Python, for what needs an extra or a map: a result as a frame, a cluster to sweep on.
 GEOTIFF = """
 import numpy, rasterio
 x, y = numpy.meshgrid(numpy.linspace(-4, 4, 81), numpy.linspace(4, -4, 81))
@@ -79,6 +81,11 @@ place = {"crs": "EPSG:32633", "transform": rasterio.Affine(0.1, 0, -4.05, 0, -0.
 shape = {"width": 81, "height": 81, "count": 1, "dtype": "float32"}
 with rasterio.open("problems/site.tif", "w", driver="GTiff", **shape, **place) as file:
     file.write((0.05 * numpy.sin(x) * numpy.cos(y)).astype("float32"), 1)
+"""
+FRAMES = """
+from slipfree.files.netcdf import read
+run = read("site.nc")
+assert run.to_xarray().sizes["time"] == len(run.to_pandas()) == run.t.size
 """
 SCHEDULER = """
 import subprocess, sys
@@ -136,6 +143,7 @@ def all_commands() -> list[list[Callable[[], None]]]:
         [
             python("write a GeoTIFF", GEOTIFF),
             slipfree(f"run problems/paper_direct.toml {MAP} --no-draw -o site.nc"),
+            python("make an xarray Dataset and a pandas DataFrame", FRAMES),
         ],
         [python(f"{SWEEP} --scheduler ...", SCHEDULER, str(SLIPFREE), *SWEEP.split())],
     ]

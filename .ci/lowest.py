@@ -1,13 +1,13 @@
 """Print the lowest versions that pyproject.toml allows, of what slipfree runs with, as constraints.
 
-``python .ci/lowest.py > lowest.txt && pip install -c lowest.txt '.[view,cluster]'``
+``python .ci/lowest.py > lowest.txt && pip install -c lowest.txt '.[xarray,view,cluster]'``
 """
 
 import re
 import tomllib
 from pathlib import Path
 
-EXTRAS = ("view", "cluster")  # those of users
+EXTRAS = ("xarray", "view", "cluster")  # those of users
 
 project = tomllib.loads(Path(__file__).parents[1].joinpath("pyproject.toml").read_text())["project"]
 extras = project["optional-dependencies"]

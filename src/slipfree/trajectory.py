@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.records import Array, Label
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
+WHEELS = {"long_name": "name of the wheel"}
+STATISTICS = "statistics_"  # prefix of the solver's counts among the metadata
+STOP = ("stop_name", "stop_time", "stop_words")
 
 
 class Stop(NamedTuple):
@@ -43,6 +53,16 @@ class Column(NamedTuple):
 
     label: Label
     values: Array
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names of the dimensions: ``("time",)`` or ``("time", "wheel")``."""
+        return ("time", "wheel")[: self.values.ndim]
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Unit and description, as CF names them."""
+        return {"units": self.label.unit, "long_name": self.label.words}
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +134,72 @@ class Trajectory:
         first, last = t.min(initial=np.inf), t.max(initial=-np.inf)
         events = {k: v[(v >= first) & (v <= last)] for k, v in self.events.items()}
         return replace(self, t=t, columns=columns, stop=stop, events=events)
+
+    @property
+    def metadata(self) -> dict[str, str | float]:
+        """Attributes, statistics and stop reason of the motion in one mapping."""
+        found: dict[str, str | float] = dict(self.attributes)
+        found |= {f"{STATISTICS}{name}": value for name, value in self.statistics.items()}
+        return found | (dict(zip(STOP, self.stop, strict=True)) if self.stop else {})
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the samples as an xarray Dataset with dimensions ``time`` and ``wheel``.
+
+        Each variable has the attributes ``units`` and ``long_name``; the dataset has the `metadata`
+        of the motion, as ``xarray.open_dataset`` reads from its result file.
+
+        Raises
+        ------
+        SlipfreeError
+            If xarray is not installed.
+        """
+        coordinates = {"time": ("time", self.t, TIME)}
+        if self.wheels:
+            coordinates["wheel"] = ("wheel", np.array(self.wheels), WHEELS)
+        variables = {k: (c.dimensions, c.values, c.metadata) for k, c in self.columns.items()}
+        dataset: xarray.Dataset = _require("xarray").Dataset(variables, coordinates, self.metadata)
+        return dataset
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the samples as a pandas DataFrame with one row per time.
+
+        Columns have two levels, quantity and wheel, so that a frame is indexed as a trajectory:
+        ``frame["heading"]`` and ``frame["slip_along", "front"]`` are series, and
+        ``frame["slip_along"]`` has a column per wheel. ``frame.attrs["units"]`` and
+        ``frame.attrs["long_name"]`` map quantities to their units and descriptions; other entries
+        are the `metadata` of the motion.
+
+        Raises
+        ------
+        SlipfreeError
+            If pandas is not installed.
+        """
+        pandas = _require("pandas")
+        values = {
+            (name, wheel): samples
+            for name, column in self.columns.items()
+            for wheel, samples in zip(
+                ("",) if column.values.ndim == 1 else self.wheels,
+                np.atleast_2d(column.values.T),
+                strict=True,
+            )
+        }
+        columns = pandas.MultiIndex.from_tuples(values, names=("quantity", "wheel"))
+        frame = pandas.DataFrame(values, pandas.Index(self.t, name="time"), columns)
+        for key in ("units", "long_name"):
+            frame.attrs[key] = {name: c.metadata[key] for name, c in self.columns.items()}
+        frame.attrs |= self.metadata
+        return frame
+
+
+def _require(package: str) -> Any:
+    """Import an optional package."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise SlipfreeError(
+            f"expected the package {package}, found none; pip install 'slipfree[xarray]'"
+        ) from error
 
 
 class SolverError(SlipfreeError, RuntimeError):

@@ -109,9 +109,27 @@ def test_xarray_opens_it(motion: Trajectory, tmp_path: Path) -> None:
     assert data.attrs["statistics_tolerance"] == 1e-8
     assert data.attrs["stop_name"] == "map_margin[front]"
     np.testing.assert_array_equal(data.slip.sel(wheel="left"), motion["slip", "left"])
-    same = netcdf.to_xarray(motion)
+    same = motion.to_xarray()
     xarray.testing.assert_equal(same, data)
-    assert same.time.attrs == data.time.attrs
+    for name in ("time", "wheel", "slip"):
+        assert same[name].attrs == data[name].attrs
+    assert same.attrs == {name: data.attrs[name] for name in same.attrs}
+    assert {"stop_name", "stop_time", "statistics_tolerance", "problem"} <= set(same.attrs)
+
+
+def test_pandas_frame_is_indexed_as_the_motion(motion: Trajectory) -> None:
+    frame = motion.to_pandas()
+    np.testing.assert_array_equal(frame.index, motion.t)
+    assert (frame.index.name, frame.columns.names) == ("time", ["quantity", "wheel"])
+    np.testing.assert_array_equal(frame["pitch"], motion["pitch"])
+    np.testing.assert_array_equal(frame["slip", "left"], motion["slip", "left"])
+    np.testing.assert_array_equal(frame["slip"][list(motion.wheels)], motion["slip"])
+    assert frame.attrs["units"] == {"x": "m", "slip": "m s-1", "pitch": "rad"}
+    assert frame.attrs["long_name"]["slip"] == "slip of the wheel"
+    assert frame.attrs["stop_name"] == "map_margin[front]"
+    plain = replace(motion, columns={"x": motion.columns["x"]}, wheels=(), stop=None)
+    np.testing.assert_array_equal(plain.to_pandas()["x"], motion["x"])
+    assert plain.to_xarray().sizes == {"time": N}
 
 
 def test_scipy_reads_it(motion: Trajectory, tmp_path: Path) -> None:
@@ -133,10 +151,13 @@ def test_csv(motion: Trajectory, tmp_path: Path) -> None:
     np.testing.assert_array_equal(table, expected)
 
 
-def test_to_xarray_without_xarray(motion: Trajectory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(SlipfreeError, match="pip install xarray"):
-        netcdf.to_xarray(motion)
+@pytest.mark.parametrize("package", ["xarray", "pandas"])
+def test_frames_without_their_package(
+    motion: Trajectory, monkeypatch: pytest.MonkeyPatch, package: str
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(SlipfreeError, match=rf"package {package}, .*install 'slipfree\[xarray\]'"):
+        getattr(motion, f"to_{package}")()
 
 
 def test_import_needs_no_xarray() -> None:

@@ -18,29 +18,22 @@ from collections.abc import Container, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.io import netcdf_file
 
 from slipfree.atomic_files import replace_file
-from slipfree.errors import DataError, ModelError, SlipfreeError
+from slipfree.errors import DataError, ModelError
 from slipfree.frames import to_problem_frame
 from slipfree.records import Label
 from slipfree.regular_files import escape_name, read_bytes
-from slipfree.trajectory import Column, Stop, Trajectory
+from slipfree.trajectory import STATISTICS, STOP, TIME, WHEELS, Column, Stop, Trajectory
 from slipfree.version import __version__
-
-if TYPE_CHECKING:
-    import xarray
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # the attribute by which a result file is recognised
-STATISTICS = "statistics_"  # prefix of the solver's counts among the attributes
-TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
-WHEELS = {"long_name": "name of the wheel", "_Encoding": "utf-8"}
-STOP = ("stop_name", "stop_time", "stop_words")
 ORDER = "quantities"  # the attribute with the order of the quantities, which netCDF does not keep
 RESERVED = {"time", "wheel", "Conventions", ORDER, *STOP}
 REMEDY = "run the problem again to get a whole file"
@@ -120,30 +113,6 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
     replace_file(Path(path), fill)
 
 
-def to_xarray(run: Trajectory) -> xarray.Dataset:
-    """Return a trajectory as an xarray Dataset, as ``xarray.open_dataset`` reads its file.
-
-    Raises
-    ------
-    SlipfreeError
-        If xarray is not installed.
-    """
-    try:
-        import xarray as xr
-    except ImportError as error:
-        raise SlipfreeError("to_xarray needs xarray: pip install xarray") from error
-    _check(run)
-    wheels = [("wheel", np.array(run.wheels), {"long_name": WHEELS["long_name"]})]
-    return xr.Dataset(
-        {
-            name: (_dimensions(column), column.values, _describe(column.label))
-            for name, column in run.columns.items()
-        },
-        coords={"time": ("time", run.t, TIME), **{n: (n, v, a) for n, v, a in wheels if v.size}},
-        attrs=_attributes(run),
-    )
-
-
 def read(path: str | os.PathLike[str]) -> Trajectory:
     """Return the trajectory in a result file.
 
@@ -208,19 +177,11 @@ def _fill(file: Any, run: Trajectory) -> None:
         file.createDimension("strlen", length)
         wheel = file.createVariable("wheel", "c", ("wheel", "strlen"))
         wheel[:] = np.array(names, f"S{length}").view("S1").reshape(len(names), length)
-        _annotate(wheel, WHEELS)
+        _annotate(wheel, {**WHEELS, "_Encoding": "utf-8"})
     for name, column in run.columns.items():
-        variable = file.createVariable(name, "f8", _dimensions(column))
+        variable = file.createVariable(name, "f8", column.dimensions)
         variable[:] = column.values
-        _annotate(variable, _describe(column.label))
-
-
-def _dimensions(column: Column) -> tuple[str, ...]:
-    return ("time", "wheel")[: column.values.ndim]
-
-
-def _describe(label: Label) -> dict[str, Attribute]:
-    return {"units": label.unit, "long_name": label.words}
+        _annotate(variable, column.metadata)
 
 
 def _annotate(node: Any, attributes: Mapping[str, Attribute]) -> None:
@@ -234,7 +195,7 @@ def _annotate(node: Any, attributes: Mapping[str, Attribute]) -> None:
 def _attributes(run: Trajectory) -> dict[str, Attribute]:
     """Return the global attributes of a result."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    found: dict[str, Attribute] = {
+    return {
         "Conventions": CONVENTIONS,
         "title": "Motion of a wheeled vehicle over uneven ground",
         "date_created": now,
@@ -242,13 +203,9 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
         ORIGIN: __version__,
         "python_version": platform.python_version(),
         **{f"{name}_version": version(name) for name in ("casadi", "numpy", "scipy")},
-        **run.attributes,
         ORDER: " ".join(run.columns),
-        **{f"{STATISTICS}{name}": value for name, value in run.statistics.items()},
+        **run.metadata,
     }
-    if run.stop is not None:
-        found |= dict(zip(STOP, run.stop, strict=True))
-    return found
 
 
 class _Variable(NamedTuple):
