@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from helpers.cases import hills
-from helpers.vehicles import four_wheel_steered, six_wheel_steered
+from helpers.vehicles import four_wheel_steered, six_wheel_steered, skid_steered
 from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
 from slipfree.cli import app
 from slipfree.control.path_tracking import GAIN, track_path
@@ -428,3 +428,16 @@ def test_what_is_wrong_is_refused(settings: list[str], words: str) -> None:
     Path("back.csv").write_text("t,v_x\n0,0.2\n2,0.1\n1,0.2\n")
     Path("names.csv").write_text("t,v_x\n")
     assert words in _run(*settings, code=2)
+
+
+@pytest.mark.parametrize("terrain", [FLAT, HILLS])
+def test_without_steering_all_but_the_velocity_across_is_met(terrain):
+    vehicle = skid_steered()
+    direct, dae, inputs, start = poised(vehicle, terrain, (0.3, 0.0, 0.2))
+    run = simulate(dae, start, inputs, np.linspace(0, 2, 21), options=SolverOptions(tolerance=1e-8))
+    assert run.stop is None
+    missed = np.array([[0.3], [0.0], [0.2]]) - planar(run)
+    assert_allclose(missed[[0, 2]], 0, rtol=0, atol=1e-9)
+    assert_allclose(announced(run), missed, rtol=0, atol=1e-9)
+    again = planar(replay(direct, run).motion)
+    assert_allclose(again[[0, 2]], [[0.3] * run.t.size, [0.2] * run.t.size], rtol=0, atol=1e-6)

@@ -122,6 +122,7 @@ def inverse_kinematics(
     exact : bool
         Whether commands are met exactly; otherwise their errors ``forward_error`` and so on, given
         minus actual, are outputs, and as small as wheel rates close to those of rolling make them.
+        Without steering and rollers, all but the velocity across are met exactly even so.
     least_margin : float
         Smallest singular value down to which three rates count as determining the others; zero to
         go through crossings, as collocation can.
@@ -286,30 +287,45 @@ def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: 
     guide = guiding_motion(vehicle, direct, inputs)
     errors = steering_errors(vehicle, direct, guide.motion)
     off = [each.symbol - plane[each.label.name].expression for each in inputs]
-    goal, rows = _least_slip(direct), imposed.rows
-    if not exact:
-        sizes = command_sizes(vehicle, given)
-        goal, rows = _least_departure(direct, guide.motion, off, sizes), direct.alg[1]
+    met = given if exact else _always_met(vehicle, given, errors)
+    goal, rows = _least_slip(direct), [direct.alg[1]]
+    rows += [-error for name, error in zip(given, off, strict=True) if name in met]
+    if not met:
+        goal = _least_departure(direct, guide.motion, off, command_sizes(vehicle, given))
     motion = minimum(
         direct,
         goal,
-        rows,
+        ca.vertcat(*rows),
         (*imposed.rates, *u.wheels),
-        _multipliers(imposed, given if exact else ()),
+        _multipliers(imposed, met),
         Label("inverse", "", "least slip at the given rates"),
     )
     closure, _, forces = blocks(direct)
     parts = [(z.position, *closure), (motion.unknowns, *motion[1:]), (z.forces, *forces)]
-    if errors or not exact:
+    if errors or not met:
         parts.insert(1, (guide.conditions.unknowns, *guide.conditions[1:]))
     unknowns = tuple(part[0] for part in parts)
     dae = rearrange(direct, x, unknowns, inputs, [part[1:] for part in parts])
     dae = with_outputs(dae, _command_outputs(direct, given, errors, () if exact else off))
     dae = substitute(dae, direct.u.joints, steering_laws(vehicle, errors))
-    if not exact:  # rates jump where a wheel turns back, which no error test would pass
+    if not met:  # rates jump where a wheel turns back, which no error test would pass
         return replace(dae, suppress_algebraic=True)
-    check = command_determinacy(vehicle, direct, dae, given)
+    check = command_determinacy(vehicle, direct, dae, met)
     return replace(dae, checks=(*dae.checks, check))
+
+
+def _always_met(
+    vehicle: Vehicle, given: tuple[str, ...], errors: Mapping[str, ca.SX]
+) -> tuple[str, ...]:
+    """Return the commands to meet exactly in the nearest motion.
+
+    Wheels that neither are steered nor have rollers impose all but the velocity across, at the
+    cost of slip; the velocity across is then an error.
+    """
+    wheels = [wheel for wheel in vehicle.wheels if wheel.driven]
+    met = tuple(name for name in given if name != "right")
+    turns = errors or any(wheel.rollers for wheel in wheels) or len(met) > len(wheels)
+    return () if turns else met
 
 
 def _least_slip(direct: Dae) -> ca.SX:
