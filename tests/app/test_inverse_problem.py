@@ -106,6 +106,9 @@ def test_given_rates(folder: Path) -> None:
     assert_allclose(motion["steer"][0], np.arctan2(-0.01255 + 0.0159, 0.12865), atol=1e-9)
     assert_allclose(motion["right_rate"][0] - motion["left_rate"][0], 2 * 0.0159 / 0.3, atol=1e-9)
     assert {"steer_rate", "steering_slip"} < set(motion)
+    trip = max(v for k, v in motion.statistics.items() if k.startswith("round_trip_"))
+    assert trip < 1.1 * motion["steering_slip"].max() + 1e-12  # no more than the steering slips
+    assert motion.statistics["replay_x"] < 1e-4
     assert motion.attributes["driven_by"].startswith("velocity_x 0.01255 m/s")
     assert "steering_slip" in (folder / "p.csv").read_text().splitlines()[0]
     info = _invoke("info", "p.nc")
@@ -199,7 +202,12 @@ def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
     settings = _set("steering=rate", "time.duration=0.3", down)
     result = _invoke("run", "p.toml", "--no-draw", *settings)
     assert (result.exit_code, result.stderr) == (0, ""), result.output
-    assert netcdf.read("p.nc")["steering_growth"].max() < 0
+    motion = netcdf.read("p.nc")
+    assert motion["steering_growth"].max() < 0
+    trip = [v for k, v in motion.statistics.items() if k.startswith("round_trip_")]
+    assert len(trip) == 3
+    assert max(trip) < 1e-12
+    assert motion.statistics["replay_x"] < 1e-6
 
 
 @pytest.mark.usefixtures("folder")
