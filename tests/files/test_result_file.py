@@ -204,7 +204,7 @@ def test_every_truncation_is_found(motion: Trajectory, tmp_path: Path) -> None:
     data, cut = (tmp_path / "a.nc").read_bytes(), tmp_path / "cut.nc"
     for size in range(len(data)):
         cut.write_bytes(data[:size])
-        with pytest.raises(DataError, match=rf"cut\.nc: .* first {size} of at least .* truncated"):
+        with pytest.raises(DataError, match=r"cut\.nc: .* netCDF file that is cut off or damaged"):
             netcdf.read(cut)
 
 
@@ -255,7 +255,7 @@ def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
         (b"units", b"unite", "without units or long_name"),
         (b"\0\0\0\4time\0\0", b"\0\0\0\4tine\0\0", "found no variable time"),
         (b"x slip pitch", b"x slip patch", "found no variable patch"),
-        (struct.pack(">II", 11, 5), struct.pack(">II", 13, 5), "a damaged header at byte"),
+        (struct.pack(">II", 11, 5), struct.pack(">II", 13, 5), "cut off or damaged"),
     ]:
         assert old in data
         path.write_bytes(data.replace(old, new))

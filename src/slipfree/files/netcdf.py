@@ -13,7 +13,6 @@ import csv
 import math
 import os
 import platform
-import struct
 from collections.abc import Container, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -28,7 +27,7 @@ from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
 from slipfree.frames import to_problem_frame
 from slipfree.records import Label
-from slipfree.regular_files import escape_name, read_bytes
+from slipfree.regular_files import escape_name, regular_file
 from slipfree.trajectory import STATISTICS, STOP, TIME, WHEELS, Column, Stop, Trajectory
 from slipfree.version import __version__
 
@@ -37,9 +36,7 @@ ORIGIN = "slipfree_version"  # the attribute by which a result file is recognise
 ORDER = "quantities"  # the attribute with the order of the quantities, which netCDF does not keep
 RESERVED = {"time", "wheel", "Conventions", ORDER, *STOP}
 REMEDY = "run the problem again to get a whole file"
-TYPES = {1: ">i1", 2: "S1", 3: ">i2", 4: ">i4", 5: ">f4", 6: ">f8"}  # of the netCDF standard
-TEXT = 2
-DIMENSIONS, VARIABLES, ATTRIBUTES = 10, 11, 12  # tags of the lists in a header
+DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)  # of scipy's reader
 LARGEST = 1e100  # number of a motion; beyond, bits were flipped
 SIZE = "_size"  # suffix of the dimension of an array that is no sample
 NOTHING: Mapping[str, npt.NDArray[Any]] = {}
@@ -123,7 +120,7 @@ def read(path: str | os.PathLike[str]) -> Trajectory:
     DataError
         If the file is missing, is not netCDF-3, is not whole, or was not written by ``write``.
     """
-    return _trajectory(_reader(Path(path)))
+    return _trajectory(_open(Path(path)))
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
@@ -134,9 +131,9 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
     DataError
         As `read`.
     """
-    variables = _reader(Path(path)).variables
+    variables = _open(Path(path)).variables
     return {
-        name: variable.values.astype(np.float64)
+        name: variable.data.astype(np.float64)
         for name, variable in variables.items()
         if variable.dimensions == (f"{name}{SIZE}",)
     }
@@ -145,14 +142,10 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
 def is_result(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a result file of slipfree that can be read."""
     try:
-        _reader(Path(path))
+        _open(Path(path))
     except DataError:
         return False
     return True
-
-
-def _reader(path: Path) -> _Reader:
-    return _Reader(path, read_bytes(path, "a result file of slipfree"))
 
 
 def _check(run: Trajectory) -> None:
@@ -208,126 +201,69 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
     }
 
 
-class _Variable(NamedTuple):
-    """Where a file keeps a variable."""
+class _File(NamedTuple):
+    """Contents of a netCDF file."""
 
-    dimensions: tuple[str, ...]
+    path: Path
     attributes: dict[str, Attribute]
-    values: npt.NDArray[Any]
-
-
-class _Reader:
-    """A netCDF-3 file in memory, every byte of it accounted for.
-
-    scipy's reader tells neither a truncated file from a damaged one nor the last from a whole one,
-    so the header is read here. The format is that of the NetCDF Users' Guide, appendix B.
-    """
-
-    def __init__(self, path: Path, data: bytes) -> None:
-        self.path, self.data, self.at = path, data, 4
-        self._check_magic()
-        self.offset = ">I" if data[3] == 1 else ">Q"
-        self._integer()  # number of records: there is no record dimension
-        self.dimensions = [(self._name(), self._integer()) for _ in self._list(DIMENSIONS)]
-        self.attributes = self._attributes()
-        if ORIGIN not in self.attributes:
-            raise self.fault(
-                "a netCDF file of something else", "give a file that slipfree run wrote"
-            )
-        self.variables = {self._name(): self._variable() for _ in self._list(VARIABLES)}
-
-    def fault(self, found: str, remedy: str = REMEDY) -> DataError:
-        return DataError(
-            f"{self.path}: expected a result file of slipfree, found {found}; {remedy}"
-        )
+    variables: dict[str, Any]
 
     def number(self, attribute: str) -> float:
         value = self.attributes[attribute]
         if isinstance(value, str):
-            raise self.fault(f"the attribute {attribute} = {value!r}, not a number")
+            raise _fault(self.path, f"the attribute {attribute} = {value!r}, not a number")
         return value
 
-    def _check_magic(self) -> None:
-        head = self.data[:4]
-        if head in (b"CDF\1", b"CDF\2"):
-            return
-        if not head or b"CDF\1".startswith(head) or b"CDF\2".startswith(head):
-            raise self._truncated(32)
-        if head == b"\x89HDF" or head == b"CDF\5":
-            raise self.fault("another kind of netCDF", "convert it: nccopy -k cdf2 IN.nc OUT.nc")
-        raise self.fault(f"a file that begins with {head!r}, not netCDF", "check the name")
 
-    def _truncated(self, needed: int) -> DataError:
-        return self.fault(
-            f"only the first {len(self.data)} of at least {needed} bytes: the file is truncated"
-        )
-
-    def _take(self, count: int) -> bytes:
-        end = self.at + count
-        if end > len(self.data):
-            raise self._truncated(end)
-        part, self.at = self.data[self.at : end], end + -count % 4
-        return part
-
-    def _integer(self) -> int:
-        return int(struct.unpack(">I", self._take(4))[0])
-
-    def _name(self) -> str:
-        return self._take(self._integer()).decode(errors="replace")
-
-    def _list(self, expected: int) -> range:
-        at, tag, count = self.at, self._integer(), self._integer()
-        if tag != expected and (tag or count):
-            raise self.fault(f"a damaged header at byte {at}")
-        return range(count)
-
-    def _type(self) -> int:
-        at, code = self.at, self._integer()
-        if code not in TYPES:
-            raise self.fault(f"a damaged header at byte {at}")
-        return code
-
-    def _attributes(self) -> dict[str, Attribute]:
-        return {self._name(): self._attribute() for _ in self._list(ATTRIBUTES)}
-
-    def _attribute(self) -> Attribute:
-        code, count = self._type(), self._integer()
-        raw = self._take(count * np.dtype(TYPES[code]).itemsize)
-        if code == TEXT:
-            return raw.rstrip(b"\0").decode(errors="replace")
-        values = np.frombuffer(raw, TYPES[code])
-        return float(values[0]) if values.size else math.nan
-
-    def _variable(self) -> _Variable:
-        at, places = self.at, [self._integer() for _ in range(self._integer())]
-        if not all(place < len(self.dimensions) for place in places):
-            raise self.fault(f"a damaged header at byte {at}")
-        names = tuple(self.dimensions[place][0] for place in places)
-        shape = tuple(self.dimensions[place][1] for place in places)
-        attributes, kind, _ = self._attributes(), np.dtype(TYPES[self._type()]), self._integer()
-        (begin,) = struct.unpack(self.offset, self._take(struct.calcsize(self.offset)))
-        if not all(shape):
-            raise self.fault("an empty or unlimited dimension")
-        count = math.prod(shape)
-        if begin + count * kind.itemsize > len(self.data):
-            raise self._truncated(begin + count * kind.itemsize)
-        values = np.frombuffer(self.data, kind, count, begin).reshape(shape)
-        return _Variable(names, attributes, values)
+def _fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
+    return DataError(f"{path}: expected a result file of slipfree, found {found}; {remedy}")
 
 
-def _trajectory(file: _Reader) -> Trajectory:
+def _open(path: Path) -> _File:
+    """Return the contents of a result file, all of which is read."""
+    with regular_file(path, "a result file of slipfree"), path.open("rb") as stream:
+        head = stream.read(4)
+        if head in (b"\x89HDF", b"CDF\5"):
+            raise _fault(path, "another kind of netCDF", "convert it: nccopy -k cdf2 IN.nc OUT.nc")
+        if not b"CDF".startswith(head[:3]):
+            raise _fault(path, f"a file that begins with {head!r}, not netCDF", "check the name")
+        stream.seek(0)
+        try:
+            file = netcdf_file(stream, mmap=False)
+        except DAMAGED as error:
+            raise _fault(path, "a netCDF file that is cut off or damaged") from error
+    attributes = _attributes_of(file)
+    if ORIGIN not in attributes:
+        remedy = "give a file that slipfree run wrote"
+        raise _fault(path, "a netCDF file of something else", remedy)
+    if not all(file.dimensions.values()):
+        raise _fault(path, "an empty or unlimited dimension")
+    return _File(path, attributes, file.variables)
+
+
+def _attributes_of(node: Any) -> dict[str, Attribute]:
+    """Return the attributes of a file or a variable, of which scipy has no public list."""
+    return {
+        name: value.decode(errors="replace")
+        if isinstance(value, bytes)
+        else float(np.append(value, math.nan)[0])
+        for name, value in node._attributes.items()
+    }
+
+
+def _trajectory(file: _File) -> Trajectory:
     """Return what a result file holds."""
     found, variables = file.attributes, file.variables
     order = str(found.get(ORDER, "")).split()
     missing = {"time", *order} - set(variables)
     if missing:
-        raise file.fault(f"no variable {min(missing)}")
-    t = variables["time"].values.astype(np.float64)
-    wheels = variables["wheel"].values if "wheel" in variables else np.empty((0, 4), "S1")
+        raise _fault(file.path, f"no variable {min(missing)}")
+    t = variables["time"].data.astype(np.float64)
+    wheels = variables["wheel"].data if "wheel" in variables else np.empty((0, 4), "S1")
     if t.ndim != 1 or not np.isfinite(t).all() or (np.diff(t) < 0).any():
-        raise file.fault("times that do not ascend")
+        raise _fault(file.path, "times that do not ascend")
     if wheels.ndim != 2 or wheels.dtype != "S1":
-        raise file.fault("names of wheels that are none")
+        raise _fault(file.path, "names of wheels that are none")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
     sizes = {(t.size,), (t.size, len(names))}
     stop = None
@@ -349,16 +285,17 @@ def _trajectory(file: _Reader) -> Trajectory:
     )
 
 
-def _column(file: _Reader, name: str, sizes: Container[tuple[int, ...]]) -> Column:
-    dimensions, words, values = file.variables[name]
+def _column(file: _File, name: str, sizes: Container[tuple[int, ...]]) -> Column:
+    variable = file.variables[name]
+    dimensions, values, words = variable.dimensions, variable.data, _attributes_of(variable)
     if dimensions not in (("time",), ("time", "wheel")) or values.shape not in sizes:
-        raise file.fault(f"{name} over the dimensions ({', '.join(dimensions)})")
+        raise _fault(file.path, f"{name} over the dimensions ({', '.join(dimensions)})")
     if values.dtype == "S1":
-        raise file.fault(f"text in {name}")
+        raise _fault(file.path, f"text in {name}")
     if not {"units", "long_name"} <= set(words):
-        raise file.fault(f"{name} without units or long_name")
+        raise _fault(file.path, f"{name} without units or long_name")
     label = Label(name, str(words["units"]), str(words["long_name"]))
     values = values.astype(np.float64)
     if (np.abs(values[np.isfinite(values)]) > LARGEST).any():
-        raise file.fault(f"numbers in {name} that no motion has")
+        raise _fault(file.path, f"numbers in {name} that no motion has")
     return Column(label, values)
