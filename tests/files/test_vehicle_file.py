@@ -327,7 +327,7 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'kind = "passive"\nupper = 45',
             "v.toml:7: coordinates[0].upper "
             "(coordinate 'swivel'): expected radians (did you mean 45 degrees? write "
-            "0.785398), found "
+            '"45 deg"), found '
             "45",
         ),
         (
@@ -341,7 +341,7 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'value = "swivel"',
             'value = "swivel"\nturned = [0, 90, 0]',
             "v.toml:14: joints[0].turned "
-            "(joint 'fork'): expected radians (did you mean 90 degrees? write 1.5708), found "
+            "(joint 'fork'): expected radians (did you mean 90 degrees? write \"90 deg\"), found "
             "[0, 90, 0]",
         ),
         (

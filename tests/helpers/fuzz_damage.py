@@ -46,6 +46,10 @@ NUMBERS: tuple[Any, ...] = (
     False,
 )
 WORDS = (
+    "30 deg",
+    "5 deg/s",
+    "1e3 rad/s2",
+    "3 dog",
     "",
     " ",
     "x",

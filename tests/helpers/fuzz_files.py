@@ -163,7 +163,9 @@ def _made(hint: Any, facts: list[Any], rng: Random) -> Any:
     if rng.random() < 0.03:
         return junk(rng)
     if any(isinstance(each, PlainValidator) for each in facts):
-        return rng.choice([0.3, 1, [0.0, 1.0], [[0, 0.1], [1, 0.2]], "0.1*t", "ground.asc", "x"])
+        return rng.choice(
+            [0.3, 1, [0.0, 1.0], [[0, 0.1], [1, 0.2]], "0.1*t", "5 deg/s", "ground.asc", "x"]
+        )
     origin, args = get_origin(hint), get_args(hint)
     if hint is AnyWheelTable:
         named = rng.choice([{}, *({"section": name} for name in SECTIONS)])

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.toml.angles import FULL_TURN
 from slipfree.geometry.frame import Vector, unit_vector
 from slipfree.records import Array
 from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-FULL_TURN = 2 * math.pi
 TAKEN = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 NO_BODY = Body()
 LARGEST = 100.0  # length of a vehicle's part [m]
@@ -104,7 +104,7 @@ def is_symbol(name: str) -> bool:
 
 def degrees_words(angle: float) -> str:
     """Return the remedy for an angle beyond a full turn; empty if it is none."""
-    if abs(angle) <= FULL_TURN * 1.001:
+    if abs(angle) <= FULL_TURN:
         return ""
     return f"did you mean {angle:.6g} degrees? write {math.radians(angle):.6g}"
 

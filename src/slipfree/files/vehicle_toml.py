@@ -25,6 +25,14 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from slipfree.errors import ModelError
+from slipfree.files.toml.angles import (
+    WITH_UNIT,
+    Angle,
+    Quantity,
+    bare_words,
+    in_radians,
+    unit_faults,
+)
 from slipfree.files.toml.errors import Fault, ProblemError, listed, names, validation_fault, vast
 from slipfree.files.toml.reader import parse_toml, read_text
 from slipfree.files.toml.source_lines import PIECE, Place, Source, key_lines, spelled
@@ -33,7 +41,6 @@ from slipfree.files.toml.types import Place as Place3
 from slipfree.files.vehicle_draft import (
     LARGEST,
     Draft,
-    degrees_words,
     from_rep103,
     in_order,
     is_symbol,
@@ -86,8 +93,7 @@ def _place(value: Vector) -> Vector:
 
 def _radians(value: Vector) -> Vector:
     for each in value:
-        if words := degrees_words(each):
-            raise _expected(f"radians ({words})")
+        in_radians(each)
     return value
 
 
@@ -113,7 +119,7 @@ def _known_section(_: Any) -> None:
 
 Axis = Annotated[Any, PlainValidator(_axis)]
 At = Annotated[Place3, AfterValidator(_place)]
-Turned = Annotated[Place3, AfterValidator(_radians)]
+Turned = Annotated[tuple[Angle, Angle, Angle], Field(strict=False), AfterValidator(_radians)]
 Name = Annotated[str, Field(min_length=1)]
 
 
@@ -123,13 +129,13 @@ class CoordinateTable(Record):
     name: Name
     kind: Kind
     words: str | None = None
-    lower: float | None = None
-    upper: float | None = None
+    lower: Quantity | None = None
+    upper: Quantity | None = None
     stiffness: NonNegative = 0.0
-    rest: float = 0.0
+    rest: Quantity = 0.0
     damping: NonNegative = 0.0
     bump: NonNegative = 0.0
-    max_rate: Positive | None = None
+    max_rate: Annotated[Positive, WITH_UNIT] | None = None
 
 
 class JointTable(Record):
@@ -401,9 +407,12 @@ def _sizes(table: VehicleTable) -> Iterator[Fault]:
             if c.name in slides and abs(value) > LARGEST:
                 expected = f"metres, at most {LARGEST:g}"
                 yield Fault(("coordinates", index, key), expected, f"{value:g}")
-            elif c.name not in slides and (words := degrees_words(value)):
-                expected = f"radians ({words})"
+            elif c.name not in slides and (expected := bare_words(value)):
                 yield Fault(("coordinates", index, key), expected, f"{value:g}")
+        values = {key: getattr(c, key) for key in ("lower", "upper", "rest", "max_rate")}
+        unit = "m" if c.name in slides else "rad"
+        units = dict.fromkeys(values, unit) | {"max_rate": f"{unit} s-1"}
+        yield from unit_faults(("coordinates", index), values, units)
     for index, wheel in enumerate(table.wheels):
         if isinstance(wheel, WheelTable) and wheel.tube > wheel.radius:
             expected = f"at most the radius, {wheel.radius:g} m (a ball)"

@@ -19,6 +19,7 @@ from slipfree.problem.build_ground import Ground, at
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
 from slipfree.problem.load import Problem, S
 from slipfree.problem.summary import Facts
+from slipfree.problem.unit_checks import check_units
 from slipfree.records import Array, leaves
 from slipfree.regular_files import read_bytes
 from slipfree.solve.settle import settle
@@ -138,7 +139,7 @@ def samples(
 
 
 def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> None:
-    """Raise for all states and inputs of the problem that the model does not have, or lacks."""
+    """Raise for states and inputs that the model does not have or lacks, and for wrong units."""
     faults = [*names(("start",), problem.spec.start, _names(dae.labels.x))]
     if inputs is not None:
         known = _names(dae.labels.u)
@@ -146,6 +147,7 @@ def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> 
         faults += [
             Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs
         ]
+    faults = faults or [*check_units(problem.spec, dae)]
     if faults:
         raise problem_error(problem.source, faults)
 

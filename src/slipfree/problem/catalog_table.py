@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, get_type_hints
 
-from pydantic import BaseModel, Field, ValidationError, create_model
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, create_model
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from slipfree.files.toml.angles import IN_RADIANS, in_radians
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.catalogue.carts import ackermann, articulated, differential_drive, skid_steer
 from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
@@ -33,6 +34,7 @@ CATALOG: dict[str, Callable[..., Vehicle]] = {
     )
 }
 MAY_BE_ZERO = ("r1", "r2", "stiffness", "damping", "bump", "mass", "wheel_mass")
+ANGLES = ("steer_stop", "bend_stop", "tilt_stop")
 ANY_SIGN = ("trail", "joint", "preload")
 OWN = ("catalog", "file", "actuated", "name")  # keys that are none of the vehicle's function
 
@@ -69,6 +71,8 @@ def _kind(key: str, hint: Any) -> Any:
     if hint is float:
         if key in ANY_SIGN:
             return Annotated[float, Field()]
+        if key in ANGLES:
+            return Annotated[float, Field(gt=0), IN_RADIANS, AfterValidator(in_radians)]
         return (
             Annotated[float, Field(ge=0)] if key in MAY_BE_ZERO else Annotated[float, Field(gt=0)]
         )
@@ -120,6 +124,9 @@ def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
     elif error["type"] == "missing":
         expected = "a number" if isinstance(error["loc"][-1], int) else "a value"
         details = fault(None, expected, "none")
+    elif error["type"] == "expected":
+        kind = PydanticCustomError("expected", "{words}", {"words": error["msg"]})
+        details = InitErrorDetails(type=kind, loc=(), input=error["input"])
     else:
         details = InitErrorDetails(type=error["type"], loc=(), input=error["input"])
         if "ctx" in error:

@@ -11,6 +11,7 @@ import numpy as np
 from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
+from slipfree.files.toml.angles import unit_faults
 from slipfree.files.toml.errors import Fault, names, problem_error
 from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
 from slipfree.models.inverse import (
@@ -78,6 +79,7 @@ def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
     least_margin = 0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN
     dae = invert(vehicle, direct, **options, least_margin=least_margin)
     check_names(problem, direct, None)
+    _check_units(problem, spec)
     stand = build_start(problem, direct)
     t, inputs, first = _inputs(spec, dae, given)
     with at(problem, place):
@@ -116,6 +118,15 @@ def _given(
     if is_sought and not is_determined(vehicle):
         return dict.fromkeys(COMMANDS, 0.0), words
     return given, f"{words}; the steering {spec.steering} is unknown"
+
+
+def _check_units(problem: Problem[S], spec: schema.Inverse) -> None:
+    """Raise for given rates in units of another kind."""
+    units = dict.fromkeys(VELOCITY, "m s-1") | dict.fromkeys((*OMEGA, *EULER), "rad s-1")
+    units |= {name: label.unit for name, label in COMMANDS.items()}
+    units |= {name: units[ours] for name, ours in ROBOT.items()}
+    if faults := [*unit_faults(("given",), spec.given or {}, units)]:
+        raise problem_error(problem.source, faults)
 
 
 def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, get_args
 
 from pydantic import ValidationError
 
+from slipfree.files.toml.angles import bare_words
 from slipfree.files.toml.errors import (
     Fault,
     ProblemError,
@@ -248,6 +249,8 @@ def _path(spec: Asked) -> Iterator[Fault]:
     if path is None:
         return
     times = path.t or ()
+    if path.heading and (words := bare_words(path.heading[0])):
+        yield Fault(("path", "heading"), words, format_value(path.heading[0]))
     for name in ("x", "y", "heading"):
         place, column = ("path", name), getattr(path, name)
         if path.file is not None and column is not None:

@@ -10,7 +10,16 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, model_validator
 
-from slipfree.files.toml.types import Column, Pair, PiecewiseConstant, Range, TimeFunction, not_zero
+from slipfree.files.toml.angles import Quantity
+from slipfree.files.toml.types import (
+    Angles,
+    Column,
+    Pair,
+    PiecewiseConstant,
+    Range,
+    TimeFunction,
+    not_zero,
+)
 from slipfree.files.toml.types import NonNegative as NonNegative
 from slipfree.files.toml.types import Piecewise as Piecewise
 from slipfree.files.toml.types import Place as Place
@@ -122,7 +131,7 @@ class Task(Asked):
     """What every problem has that happens on terrain: a ground, and a start on it."""
 
     terrain: Terrain = Field(description="the ground")
-    start: dict[str, float] = Field(
+    start: dict[str, Quantity] = Field(
         description="x, y, heading (counter-clockwise, from the axis that frame names) and joints; "
         "zero by default [m, rad]"
     )
@@ -165,7 +174,7 @@ class Path(Record):
     t: Column | None = Field(default=None, description="times, ascending from 0 [s]")
     x: Column | None = Field(default=None, description="at these times [m]")
     y: Column | None = Field(default=None, description="at these times [m]")
-    heading: Column | None = Field(default=None, description="at these times [rad]")
+    heading: Angles | None = Field(default=None, description="at these times [rad]")
     file: str | None = Field(default=None, description="a file with these four columns")
 
 
@@ -280,7 +289,7 @@ class Compare(Task):
     vehicles: Annotated[tuple[Compared, ...], Field(strict=False, min_length=1)] = Field(
         description="what is compared"
     )
-    inputs: dict[str, float] = Field(description=INPUTS)
+    inputs: dict[str, Quantity] = Field(description=INPUTS)
     driver: Driver = Field(description="the driving law")
 
 

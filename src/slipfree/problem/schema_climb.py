@@ -9,13 +9,24 @@ from pydantic import Field
 
 from slipfree.climb.control import Directions
 from slipfree.climb.reference import Law
-from slipfree.files.toml.types import Count, NonNegative, Pair, Positive, Record
+from slipfree.files.toml.angles import IN_RADIANS
+from slipfree.files.toml.types import (
+    Count,
+    NonNegative,
+    NonNegativeAngle,
+    NonNegativeRate,
+    Pair,
+    Positive,
+    Record,
+)
 
 
 class Incline(Record):
     """A ramp up to a plateau, from x = 0 on."""
 
-    angle: Annotated[float, Field(gt=0, le=pi / 2)] = Field(description="of the ramp [rad]")
+    angle: Annotated[float, Field(gt=0, le=pi / 2), IN_RADIANS] = Field(
+        description="of the ramp [rad]"
+    )
     height: Positive = Field(description="of the plateau [m]")
 
 
@@ -126,10 +137,10 @@ class Compliance(Record):
 class Noise(Record):
     """Noise of a climb's sensors; the defaults are those of `slipfree.climb.noise.Noise`."""
 
-    tilt: NonNegative | None = Field(
+    tilt: NonNegativeAngle | None = Field(
         default=None, description="root mean square, of the bodies' tilts [rad]"
     )
-    tilt_rate: NonNegative | None = Field(
+    tilt_rate: NonNegativeRate | None = Field(
         default=None, description="root mean square, of the tilts' rates [rad/s]"
     )
     wheel_rate: NonNegative | None = Field(

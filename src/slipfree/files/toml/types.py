@@ -8,15 +8,26 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator
 from pydantic_core import PydanticCustomError
 
+from slipfree.files.toml.angles import (
+    IN_RADIANS,
+    IN_RADIANS_PER_SECOND,
+    Angle,
+    WithUnit,
+    parse_unit,
+)
+
 MOST = 1e300  # number that is taken for one
 Piecewise = tuple[tuple[float, float], ...]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
+NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
 Count = Annotated[int, Field(ge=0)]
 # Arrays are read as tuples; what is in them stays strict.
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Place = Annotated[tuple[float, float, float], Field(strict=False)]
 Column = Annotated[tuple[float, ...], Field(strict=False)]
+Angles = Annotated[tuple[Angle, ...], Field(strict=False)]
 Window = Annotated[tuple[float, float, float, float], Field(strict=False)]
 Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
@@ -36,23 +47,31 @@ def _is_number(value: Any) -> bool:
     return abs(value) <= MOST  # integers may exceed all floats
 
 
+def _number(value: Any) -> float:
+    """Return a float; one that was written with its unit stays so."""
+    return value if isinstance(value, WithUnit) else float(value)
+
+
 def _rate(value: Any) -> float | Piecewise:
     """Return a constant, or times and values of a piecewise constant."""
+    value = parse_unit(value)
     if _is_number(value):
-        return float(value)
+        return _number(value)
     pairs = value if isinstance(value, list) else []
-    if not pairs or not all(
-        isinstance(pair, list) and len(pair) == 2 and all(map(_is_number, pair)) for pair in pairs
-    ):
+    if not pairs or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+        raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
+    pairs = [(time, parse_unit(rate)) for time, rate in pairs]
+    if not all(map(_is_number, (number for pair in pairs for number in pair))):
         raise PydanticCustomError("expected", "a number, or an array of [time, value] pairs")
     times = [pair[0] for pair in pairs]
     if times[0] != 0 or any(b <= a for a, b in pairwise(times)):
         raise PydanticCustomError("expected", "[time, value] pairs whose times ascend from 0")
-    return tuple((float(t), float(rate)) for t, rate in pairs)
+    return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
 def _course(value: Any) -> float | Piecewise | str:
     """Return a rate as `_rate` does, or a formula of the time."""
+    value = parse_unit(value)
     if isinstance(value, str) and value:
         return value
     if not _is_number(value) and not isinstance(value, list):
@@ -63,10 +82,11 @@ def _course(value: Any) -> float | Piecewise | str:
 
 def _bound(value: Any) -> tuple[float, float]:
     """Return a range from a number or from two that ascend."""
+    value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
     if _is_number(value):
-        return float(value), float(value)
+        return _number(value), _number(value)
     if isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)):
-        low, high = map(float, value)
+        low, high = map(_number, value)
         if low <= high:
             return low, high
     raise PydanticCustomError("expected", "a number, or [low, high] that ascend")

@@ -1,0 +1,141 @@
+"""Angles and their rates in TOML files: numbers in radians, or text with a unit as in "30 deg"."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from math import pi
+from typing import Annotated, Any, ClassVar
+
+from pydantic import ValidatorFunctionWrapHandler, WrapValidator
+from pydantic_core import PydanticCustomError
+
+from slipfree.files.toml.errors import Fault, format_value
+from slipfree.files.toml.source_lines import Place
+
+FULL_TURN = 2 * pi * 1.001  # bare angles beyond are taken for degrees; rounded full turns are not
+EXAMPLE = 'a number, or text with a unit of an angle as in "30 deg" or "5 deg/s"'
+TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
+
+
+class WithUnit(float):
+    """A number that was written with its unit, in SI units."""
+
+    unit: ClassVar[str]
+
+
+class AngleWithUnit(WithUnit):
+    """An angle. [rad]."""
+
+    unit = "rad"
+
+
+class RateWithUnit(WithUnit):
+    """The rate of an angle. [rad/s]."""
+
+    unit = "rad s-1"
+
+
+class AccelerationWithUnit(WithUnit):
+    """The rate of the rate of an angle. [rad/s2]."""
+
+    unit = "rad s-2"
+
+
+KINDS: dict[str | None, type[WithUnit]] = {
+    None: AngleWithUnit,
+    "/s": RateWithUnit,
+    "/s2": AccelerationWithUnit,
+}
+
+
+def parse_unit(value: Any) -> Any:
+    """Return the number in a text such as "30 deg", in SI units; other values as they are."""
+    found = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
+    if found is None:
+        return value
+    number = float(found[1])
+    return KINDS[found[3]](number * pi / 180 if found[2] == "deg" else number)
+
+
+def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
+    """Return a number; one with a unit keeps its type, for `unit_faults`."""
+    found = parse_unit(value)
+    if isinstance(found, str):
+        raise PydanticCustomError("expected", "{words}", {"words": EXAMPLE})
+    number: float = validate(float(found) if isinstance(found, WithUnit) else found)
+    return found if isinstance(found, WithUnit) else number
+
+
+def _reader(unit: type[WithUnit]) -> WrapValidator:
+    """Return what reads numbers of one unit."""
+    words = f'a number, or text as in "{"5 deg/s" if unit is RateWithUnit else "30 deg"}"'
+
+    def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
+        found = parse_unit(value)
+        if isinstance(found, str) or (isinstance(found, WithUnit) and not isinstance(found, unit)):
+            raise PydanticCustomError("expected", "{words}", {"words": words})
+        return _read(value, validate)
+
+    return WrapValidator(read)
+
+
+WITH_UNIT = WrapValidator(_read)
+Quantity = Annotated[float, WITH_UNIT]  # its name decides its unit: see `unit_faults`
+IN_RADIANS, IN_RADIANS_PER_SECOND = _reader(AngleWithUnit), _reader(RateWithUnit)
+Angle = Annotated[float, IN_RADIANS]
+
+
+def unit_faults(
+    place: Place, values: Mapping[str, Any], units: Mapping[str, str], *, bare: bool = False
+) -> Iterator[Fault]:
+    """Yield an error for each value in another unit than that of its name.
+
+    Parameters
+    ----------
+    place : tuple
+        Where the table is.
+    values : mapping
+        Numbers, ranges, or piecewise constants by name.
+    units : mapping of str to str
+        Units by name, as labels have them; other names are not checked.
+    bare : bool
+        Whether angles without a unit beyond a full turn are errors too.
+    """
+    for name, value in values.items():
+        unit = units.get(name, "")
+        for number in _numbers(value) if unit else ():
+            if isinstance(number, WithUnit) and number.unit != unit:
+                spelled = unit.replace(" s-", "/s").replace("/s1", "/s")
+                yield Fault((*place, name), f"a number in {spelled}", f"one in {_spelled(number)}")
+                break
+            if bare and unit == "rad" and (words := bare_words(number)):
+                yield Fault((*place, name), words, format_value(number))
+                break
+
+
+def bare_words(value: float) -> str:
+    """Return what is expected of an angle without a unit beyond a full turn; empty for others."""
+    if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
+        return ""
+    return f'radians (did you mean {value:.6g} degrees? write "{value:.6g} deg")'
+
+
+def in_radians(value: float) -> float:
+    """Return an angle; raise for one without a unit beyond a full turn."""
+    if words := bare_words(value):
+        raise PydanticCustomError("expected", "{words}", {"words": words})
+    return value
+
+
+def _spelled(number: WithUnit) -> str:
+    return number.unit.replace(" s-", "/s").replace("/s1", "/s")
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    """Yield the numbers of a value; of formulas there are none."""
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from _numbers(part)

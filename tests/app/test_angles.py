@@ -1,0 +1,210 @@
+"""Angles and rates with a unit in problem and vehicle files, and angles that look like degrees."""
+
+from __future__ import annotations
+
+import pickle
+from math import pi
+from pathlib import Path
+
+import pytest
+
+from slipfree.files.toml.angles import AngleWithUnit, RateWithUnit, parse_unit
+from slipfree.files.toml.errors import ProblemError
+from slipfree.files.vehicle_toml import open_file, read_toml
+from slipfree.problem.load import read
+from slipfree.problem.solve import build
+
+ROOT = Path(__file__).parents[2]
+PROBLEM = """\
+verb = "direct"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 3]
+spacing = 0.5
+
+[vehicle]
+catalog = "three_wheeler"
+tilt_stop = "30 deg"
+
+[start]
+x = 0.5
+heading = "90 deg"
+
+[inputs]
+right_rate = "90 deg/s"
+left_rate = [[0, "45 deg/s"], [0.5, 1.0]]
+steer_rate = "0.1 rad/s"
+
+[time]
+duration = 1
+step = 0.5
+"""
+PLAN = """\
+verb = "plan"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 3]
+spacing = 0.5
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+heading = 0.0
+
+[inputs]
+right_rate = 0.5
+left_rate = 0.5
+steer_rate = 0.0
+
+[goal]
+y = 0.5
+heading = "1 deg"
+
+[costs]
+slip = 1
+
+[limits]
+pitch = ["-20 deg", "20 deg"]
+
+[bounds]
+right_rate = ["-200 deg/s", "200 deg/s"]
+
+[accelerations]
+right_rate = ["-90 deg/s2", "90 deg/s2"]
+
+[time]
+duration = 1
+step = 0.5
+"""
+INVERSE = """\
+verb = "inverse"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 3]
+spacing = 0.5
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+
+[given]
+forward = 0.1
+yaw_rate = "2 deg/s"
+
+[time]
+duration = 1
+step = 0.5
+"""
+TRAILER = (ROOT / "problems" / "vehicles" / "trailer.toml").read_text(encoding="utf-8")
+STOPS = 'lower = "-45 deg", upper = "45 deg", max_rate = "30 deg/s"'
+VEHICLE = TRAILER.replace("lower = -1.2, upper = 1.2", STOPS)
+
+
+def _refused(tmp_path: Path, text: str, *settings: str) -> str:
+    path = tmp_path / "p.toml"
+    path.write_text(text)
+    with pytest.raises(ProblemError) as caught:
+        build(read(path, settings))
+    return str(caught.value).replace(f"{tmp_path}/", "")
+
+
+def test_text_with_a_unit_is_a_number_in_si_units() -> None:
+    assert parse_unit("-30 deg") == pytest.approx(-pi / 6)
+    assert parse_unit("1.5e1deg/s2") == pytest.approx(pi / 12)
+    assert parse_unit(" .5 rad ") == 0.5
+    assert isinstance(parse_unit("5 deg/s"), RateWithUnit)
+    for text in ("30", "deg", "30 degrees", "3*t deg", "1e9999 deg", "1 deg/s3", "nan deg"):
+        assert parse_unit(text) == text
+    copy = pickle.loads(pickle.dumps(parse_unit("30 deg")))
+    assert isinstance(copy, AngleWithUnit)
+    assert copy == pytest.approx(pi / 6)
+
+
+def test_a_problem_in_degrees_is_that_in_radians(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(PROBLEM)
+    spec = read(path).spec
+    setup = build(read(path))
+    assert setup.start["heading"][0] == pytest.approx(pi / 2)
+    assert setup.vehicle.coordinates[0].upper == pytest.approx(pi / 6)
+    assert spec.inputs["right_rate"] == pytest.approx(pi / 2)
+    assert spec.inputs["left_rate"] == ((0.0, pytest.approx(pi / 4)), (0.5, 1.0))
+
+
+def test_a_plan_and_commands_in_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(PLAN)
+    spec = build(read(path)).spec
+    assert spec.goal["heading"] == pytest.approx((pi / 180, pi / 180))
+    assert spec.limits["pitch"] == pytest.approx((-pi / 9, pi / 9))
+    assert spec.accelerations["right_rate"] == pytest.approx((-pi / 2, pi / 2))
+    path.write_text(INVERSE)
+    assert read(path).spec.given["yaw_rate"] == pytest.approx(pi / 90)
+    build(read(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "setting", "words"),
+    [
+        (
+            PROBLEM,
+            "start.heading=90",
+            '--set start.heading: expected radians (did you mean 90 degrees? write "90 deg"), '
+            "found 90",
+        ),
+        (PROBLEM, 'start.x="30 deg"', "start.x: expected a number in m, found one in rad"),
+        (PROBLEM, 'start.heading="5 deg/s"', "expected a number in rad, found one in rad/s"),
+        (PROBLEM, 'start.heading="5 dog"', 'text with a unit of an angle as in "30 deg" or "5 deg'),
+        (PROBLEM, 'inputs.left_rate="5 deg"', "expected a number in rad/s, found one in rad"),
+        (PROBLEM, "vehicle.tilt_stop=30", '(did you mean 30 degrees? write "30 deg"), found 30'),
+        (PROBLEM, 'vehicle.tilt_stop="3 deg/s"', "or text as in \"30 deg\", found '3 deg/s'"),
+        (PROBLEM, 'vehicle.half_track="3 deg"', "vehicle.half_track: expected a number"),
+        (PLAN, "goal.heading=45", 'write "45 deg"), found 45'),
+        (PLAN, "limits.pitch=[-20, 20]", 'write "-20 deg"), found -20'),
+        (PLAN, 'limits.slip_along="3 deg"', "expected a number in m/s, found one in rad"),
+        (PLAN, 'bounds.right_rate="3 deg"', "expected a number in rad/s, found one in rad"),
+        (PLAN, 'accelerations.right_rate="3 deg/s"', "a number in rad/s2, found one in rad/s"),
+        (PLAN, 'way_points=[{at=0.5, heading="1 rad/s"}]', "in rad, found one in rad/s"),
+        (INVERSE, 'given.forward="3 deg/s"', "expected a number in m/s, found one in rad/s"),
+    ],
+)
+def test_other_units_and_bare_degrees_are_refused(
+    tmp_path: Path, text: str, setting: str, words: str
+) -> None:
+    assert words in _refused(tmp_path, text, setting)
+
+
+def test_an_error_names_file_line_and_key(tmp_path: Path) -> None:
+    text = PROBLEM.replace('"90 deg"\n', "90\n")
+    assert _refused(tmp_path, text).startswith("p.toml:14: start.heading: expected radians (did ")
+
+
+def test_bare_rates_and_large_angles_with_a_unit_are_accepted(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(PROBLEM)
+    setup = build(read(path, ['start.heading="450 deg"', "inputs.right_rate=8"]))
+    assert setup.start["heading"][0] == pytest.approx(2.5 * pi)
+    path.write_text(PLAN)
+    build(read(path, ["bounds.right_rate=[-100, 100]", "limits.wheel_rate=[-10, 10]"]))
+
+
+def test_a_vehicle_file_in_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "v.toml"
+    path.write_text(VEHICLE)
+    swivel = read_toml(open_file(path)).coordinates[0]
+    assert (swivel.lower, swivel.upper) == pytest.approx((-pi / 4, pi / 4))
+    assert swivel.max_rate == pytest.approx(pi / 6)
+    for old, new, words in (
+        ('"45 deg"', '"45 deg/s"', "expected a number in rad, found one in rad/s"),
+        ('"45 deg"', "45", 'expected radians (did you mean 45 degrees? write "45 deg"), found 45'),
+        ('"30 deg/s"', '"30 deg"', "expected a number in rad/s, found one in rad"),
+    ):
+        path.write_text(VEHICLE.replace(old, new))
+        with pytest.raises(ProblemError) as caught:
+            read_toml(open_file(path))
+        assert words in str(caught.value)
