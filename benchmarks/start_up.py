@@ -15,7 +15,7 @@ COMMANDS = {
     "python -c 'import slipfree'": ["-c", "import slipfree"],
     "slipfree --help": ["-m", "slipfree", "--help"],
 }
-HEAVY = ("pandas", "pydantic", "matplotlib", "typer", "rich", "xarray")
+HEAVY = ("pandas", "pydantic", "matplotlib", "typer", "rich", "xarray", "rasterio")
 
 
 def call(arguments: list[str]) -> None:

@@ -233,7 +233,7 @@ def test_places_are_checked_before_anything_is_computed(
 def test_help_needs_no_heavy_imports() -> None:
     code = (
         "import sys, slipfree\n"
-        "heavy = {'pydantic', 'typer', 'rich', 'matplotlib', 'pandas', 'xarray'}\n"
+        "heavy = {'pydantic', 'typer', 'rich', 'matplotlib', 'pandas', 'xarray', 'rasterio'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
         "from slipfree.cli import main\n"
         "sys.argv = ['slipfree', '--help']\n"

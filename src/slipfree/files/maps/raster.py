@@ -114,7 +114,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     except DataError:
         raise
     except Exception as error:  # of a damaged file GDAL raises what it happens on
-        words = re.sub(rf"(/vsi\w+/)?{re.escape(name)}", path.name, str(error.__cause__ or error))
+        words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
         raise DataError(
             f"expected a readable {FORMATS[driver]}, found {words.rstrip('.')}; "
             f"{NAMED.get(driver, '')}is the file cut off or damaged? Copy or download it again"
