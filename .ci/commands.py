@@ -30,6 +30,7 @@ PACKAGES = (
     "pydantic",
     "typer",
     "rich",
+    "tomlkit",
     "platformdirs",
     "rasterio",
     "viser",
@@ -55,6 +56,7 @@ AFTER = {
 }
 OTHERS = [
     ["--version"],
+    ["migrate problems/traction_hills.toml"],
     ["--json check problems/rover_inverse.toml"],
     ["check problems/plan_crater_field.toml"],
     ["vehicle problems/rover_inverse.toml"],

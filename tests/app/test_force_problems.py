@@ -178,7 +178,10 @@ def test_old_keys_are_errors_that_name_the_new_ones():
     Path("p.toml").write_text(OLD)
     error = called("run", code=2).stderr
     assert "p.toml:2: slip: expected model = 'quasi-static', which replaces slip = 'tr" in error
-    assert "p.toml:33: traction: expected [law.coulomb], which replaces [traction], with" in error
+    assert (
+        "p.toml:33: traction: expected [law.coulomb] with model = 'quasi-static', which r" in error
+    )
+    assert error.count("; rewrite the file: slipfree migrate p.toml") == 2
 
 
 @pytest.mark.usefixtures("file")
@@ -245,7 +248,7 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
         ),
         (
             ["model=", "traction.creep=1e-3"],
-            "--set traction: expected [law.coulomb], which replaces [traction], with model = ",
+            "--set traction: expected [law.coulomb] with model = 'quasi-static', which replaces",
         ),
         (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
         (

@@ -33,6 +33,7 @@ from slipfree.cli.messages import (
     visible,
     voiced,
 )
+from slipfree.cli.migrate import migrate
 from slipfree.cli.new import new
 from slipfree.cli.report import report
 from slipfree.cli.run import run
@@ -80,7 +81,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for command in (new, examples, run, check, vehicle, compare, info, show, report, export, sweep):
+COMMANDS = (
+    new,
+    examples,
+    migrate,
+    run,
+    check,
+    vehicle,
+    compare,
+    info,
+    show,
+    report,
+    export,
+    sweep,
+)
+for command in COMMANDS:
     app.command()(voiced(command))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -127,7 +128,7 @@ def _read(
     source = Source(path, text, key_lines(text), places)
     schema = _by_verb(schemas, data, source)
     data, replaced = upgrade_keys(data)
-    faults = [*_alternatives(schema, data), *([] if earlier else replaced)]
+    faults = [*_alternatives(schema, data), *([] if earlier else _with_remedy(source, replaced))]
     try:
         spec = schema.model_validate(data)
     except ValidationError as error:
@@ -137,6 +138,13 @@ def _read(
         if not faults:
             return Problem(spec, source)
     raise problem_error(source, faults)
+
+
+def _with_remedy(source: Source, faults: Sequence[Fault]) -> Iterator[Fault]:
+    """Yield errors of old keys with the command that rewrites the file, if they are in the file."""
+    remedy = f"; rewrite the file: slipfree migrate {shlex.quote(str(source.path))}"
+    for fault in faults:
+        yield fault if source.is_set(fault.place) else fault._replace(found=fault.found + remedy)
 
 
 def _by_verb(schemas: Sequence[type[A]], data: Mapping[str, Any], source: Source) -> type[A]:

@@ -2,11 +2,70 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from slipfree.files.toml.errors import Fault
 
 VERBS = ("direct", "plan")  # whose keys changed
+
+
+class KeyChange(NamedTuple):
+    """A key of version 0.1 and the key that replaces it.
+
+    Attributes
+    ----------
+    old : str
+        The key.
+    value : str or None
+        The value with which it is replaced; None for any value.
+    new : tuple of str
+        Tables and key that replace it.
+    new_value : str or None
+        Their value; None for the old one.
+    words : tuple of str
+        New and old key as users write them.
+    found : str
+        What an old file has.
+    """
+
+    old: str
+    value: str | None
+    new: tuple[str, ...]
+    new_value: str | None
+    words: tuple[str, str]
+    found: str
+
+
+CHANGES = (
+    KeyChange(
+        "slip",
+        "traction",
+        ("model",),
+        "quasi-static",
+        ("model = 'quasi-static'", "slip = 'traction'"),
+        "'traction'",
+    ),
+    KeyChange(
+        "traction",
+        None,
+        ("law", "coulomb"),
+        None,
+        ("[law.coulomb] with model = 'quasi-static'", "[traction]"),
+        "the old key 'traction'",
+    ),
+)
+
+
+def old_keys(data: Mapping[str, Any]) -> list[KeyChange]:
+    """Return the changes that the tables of a problem need."""
+    if data.get("verb") not in VERBS:
+        return []
+    return [
+        each
+        for each in CHANGES
+        if each.old in data and each.value in (None, data[each.old])  # a table is not hashable
+    ]
 
 
 def upgrade_keys(data: dict[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
@@ -15,19 +74,16 @@ def upgrade_keys(data: dict[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
     Parameters
     ----------
     data : dict
-        The tables as the file has them.
+        The tables as the file has them. Where a new key stands beside the old one, it counts.
     """
     found, faults = dict(data), list[Fault]()
-    if found.get("verb") not in VERBS:
-        return found, faults
-    if found.get("slip") == "traction":
-        del found["slip"]
-        found.setdefault("model", "quasi-static")
-        expected = "model = 'quasi-static', which replaces slip = 'traction'"
-        faults.append(Fault(("slip",), expected, "'traction'"))
-    if "traction" in found:
-        law = found.pop("traction")
-        found.setdefault("law", {"coulomb": law})
-        expected = "[law.coulomb], which replaces [traction], with model = 'quasi-static'"
-        faults.append(Fault(("traction",), expected, "the old key 'traction'"))
+    for change in old_keys(data):
+        old = found.pop(change.old)
+        value = old if change.new_value is None else change.new_value
+        first, *rest = change.new
+        for name in reversed(rest):
+            value = {name: value}
+        found.setdefault(first, value)
+        new, former = change.words
+        faults.append(Fault((change.old,), f"{new}, which replaces {former}", change.found))
     return found, faults

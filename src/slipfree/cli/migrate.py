@@ -1,0 +1,78 @@
+"""``slipfree migrate``: files of version 0.1 with today's keys."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slipfree.cli.common import check_place, refuse_result, reported
+from slipfree.cli.messages import put, put_file, say
+from slipfree.errors import DataError
+from slipfree.regular_files import resolve_links
+
+SUFFIX = ".bak"  # of the file as it was
+
+
+def migrate(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Problem or vehicle file (TOML) of version 0.1.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="NEW.toml",
+            help="Where to write; default: FILE itself, with the old file kept as FILE.bak.",
+        ),
+    ] = None,
+) -> None:
+    """Rewrite a problem or vehicle file of version 0.1 with today's keys; comments are kept."""
+    with reported():
+        from slipfree.files.toml.reader import read_text
+        from slipfree.problem.migrate import migrate_text
+
+        refuse_result(file)
+        found = migrate_text(file, read_text(file))
+        put("changes", lambda: found.changes)
+        if not found.changes:
+            say(f"{file}: nothing to change")
+            return
+        old = file.with_name(f"{file.name}{SUFFIX}")
+        _check_new(old if out is None else out, file)
+        if out is None:
+            check_place(file)
+            _write(old, file, file.read_bytes())
+        target = out or file
+        _write(target, file, found.text.encode())
+        for words in found.changes:
+            say(words)
+        say(f"wrote {target}" + ("" if out else f"; the old file is {old}"))
+
+
+def _check_new(path: Path, file: Path) -> None:
+    """Refuse a name at which there is a file."""
+    check_place(path)
+    if resolve_links(path) == resolve_links(file):
+        raise DataError(
+            f"{path}: expected a file of its own, found FILE itself; leave out -o to rewrite it"
+        )
+    if path.exists():
+        raise DataError(
+            f"{path}: expected no file of that name, found one; move it, or choose another by -o"
+        )
+
+
+def _write(path: Path, like: Path, content: bytes) -> None:
+    """Write a file with the permissions of another."""
+    from slipfree.atomic_files import replace_file
+
+    def fill(part: Path) -> None:
+        part.write_bytes(content)
+        shutil.copymode(like, part)
+
+    replace_file(path, fill)
+    put_file(path)
