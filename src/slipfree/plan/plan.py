@@ -203,7 +203,8 @@ def plan(
         By how much the simulation may miss states of the plan and its limits, in their units; the
         mesh is refined where it misses them by more.
     options : SolverOptions
-        Options of the simulation of the plan; whether to compile the functions of the program.
+        Options of the simulation of the plan, which takes a hundredth of the tolerance; whether to
+        compile the functions of the program.
     step : float
         Of the simulation, between its samples at most. [s]
     resume : SavedPlan, optional

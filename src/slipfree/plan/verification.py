@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -12,7 +13,7 @@ from slipfree.dae import Dae, Limit, PiecewiseLinear
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
 from slipfree.plan.transcription import CollocationMesh, Index, Program
 from slipfree.records import Array, Mask, leaves
-from slipfree.solve.options import SolverOptions
+from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
@@ -22,6 +23,7 @@ LIMIT_WIDTH_FRACTION = (
 REFINED_FRACTION = (
     0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
 )
+VERIFICATION_TOLERANCE = 0.01  # of that of the plan: errors of the simulation are none of the plan
 MIN_INTERVAL_SAMPLES = 8  # samples of an interval at least; the denser, the nearer its ends
 
 
@@ -74,7 +76,9 @@ def verify_plan(
     """
     found = motion_of(program, unknowns)
     dae, limits = program.task.dae, program.task.limits
-    replay = simulate_plan(dae, start, found, step=step, options=program.options)
+    tolerance = max(program.options.tolerance * VERIFICATION_TOLERANCE, MIN_TOLERANCE)
+    options = replace(program.options, tolerance=tolerance)
+    replay = simulate_plan(dae, start, found, step=step, options=options)
     parts = np.minimum(replay.t / found.duration, 1.0)
     x, z, u = (_local_rows(dae, record, replay) for record in "xzu")
     samples = replay.t, x, z, u
