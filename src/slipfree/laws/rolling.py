@@ -26,8 +26,7 @@ class Rolling:
                 f"{vehicle.name} has wheels with rollers, which cannot roll without slip; use "
                 "least slip: LeastSlip(), slip = 'least'"
             )
-        free = sum(not wheel.driven for wheel in vehicle.wheels)
-        found, needed = len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3
+        found, needed = rolling_counts(vehicle)
         if found != needed:
             raise ModelError(
                 f"{vehicle.name} cannot roll without slip: expected {needed} passive joints and "
@@ -43,3 +42,9 @@ class Rolling:
         """Return the condition that all slip velocities vanish."""
         labels = component_labels(motion.vehicle, "no_slip", "m s-1", "slip")
         return Equations(labels, ca.vertcat(*motion.slips))
+
+
+def rolling_counts(vehicle: Vehicle) -> tuple[int, int]:
+    """Return the number of passive joints and free wheels, and that of the rolling conditions."""
+    free = sum(not wheel.driven for wheel in vehicle.wheels)
+    return len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3

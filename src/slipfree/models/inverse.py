@@ -44,7 +44,7 @@ import numpy as np
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.laws.least_slip import LeastSlip, slip_unit
-from slipfree.laws.rolling import Rolling
+from slipfree.laws.rolling import Rolling, rolling_counts
 from slipfree.models.determinacy import (
     angle_slopes,
     command_determinacy,
@@ -174,7 +174,7 @@ def check_inverse(
             raise ModelError(f"solve_for: expected 'angles' with {', '.join(given)}, found 'rates'")
         return
     check_rates(given)
-    count, need = _rolling_counts(vehicle)
+    count, need = rolling_counts(vehicle)
     if count != need:
         raise ModelError(
             f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates "
@@ -192,14 +192,8 @@ def check_inverse(
 
 def is_determined(vehicle: Vehicle) -> bool:
     """Return whether a vehicle can roll without slip and has three inputs."""
-    count, need = _rolling_counts(vehicle)
+    count, need = rolling_counts(vehicle)
     return count == need and len(_inputs(vehicle)) == 3
-
-
-def _rolling_counts(vehicle: Vehicle) -> tuple[int, int]:
-    """Return the numbers of passive joints and free wheels, and of conditions of rolling."""
-    free = sum(not wheel.driven for wheel in vehicle.wheels)
-    return len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3
 
 
 def _inputs(vehicle: Vehicle) -> list[str]:

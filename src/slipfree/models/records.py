@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from slipfree.laws.rolling import rolling_counts
 from slipfree.records import pack
 from slipfree.vehicle.tree import Vehicle
 
@@ -158,6 +159,5 @@ def is_determinate(vehicle: Vehicle) -> bool:
     """
     if any(wheel.rollers for wheel in vehicle.wheels):
         return False
-    free = sum(not wheel.driven for wheel in vehicle.wheels)
-    wheels, others = len(vehicle.wheels), len(vehicle.of("passive")) + free
-    return others == 2 * wheels - 3
+    found, needed = rolling_counts(vehicle)
+    return found == needed

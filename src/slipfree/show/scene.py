@@ -1,4 +1,4 @@
-"""What there is to draw in space: ground, vehicles with their poses, arrows; and how it looks.
+"""Scene in space: ground, vehicles with their poses, arrows and colours.
 
 Everything is numbers in scene coordinates: map coordinates less ``Scene.origin``, z up. What draws
 them is elsewhere: a web page in `slipfree.show.viewer`, a film in `slipfree.show.drive_film`.
@@ -247,7 +247,7 @@ def chassis(places: Array, radius: float) -> Mesh:
 
 
 def _sizes(name: str, actors: Iterable[Actor]) -> Array:
-    """Return the lengths of all vectors of a name that can be drawn."""
+    """Return the finite lengths of all vectors of a quantity."""
     found = [
         np.linalg.norm(each.vectors, axis=-1).ravel()
         for actor in actors
@@ -259,7 +259,7 @@ def _sizes(name: str, actors: Iterable[Actor]) -> Array:
 
 
 def _scale(name: str, actors: Iterable[Actor], longest: float) -> float:
-    """Return a round scale at which nearly all arrows are no longer than given; zero if none."""
+    """Return a round scale that keeps nearly all arrows below a length; zero without arrows."""
     sizes = _sizes(name, actors)
     if not sizes.size or sizes.max() < LEAST[name]:
         return 0.0
@@ -276,6 +276,6 @@ def _why_none(name: str, actors: Iterable[Actor]) -> str:
 
 
 def scale_words(scene: Scene, name: str) -> str:
-    """Return what a metre of arrow means, as ``1 m is 0.02 m/s``; empty if there are none."""
+    """Return the meaning of an arrow of one metre, in words; empty without arrows."""
     scale = scene.scales[name]
     return f"an arrow of 1 m is {1 / scale:.4g} {UNITS[name]}" if scale else ""

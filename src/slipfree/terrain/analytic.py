@@ -78,7 +78,7 @@ class Analytic:
         check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what makes the ground; compiled parts are made again when they are needed."""
+        """Return the arguments of the ground; compiled parts are rebuilt on demand."""
         return {"function": self.function, "domain": self.domain, "mu": self.mu}
 
     @property

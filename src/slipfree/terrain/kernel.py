@@ -74,7 +74,7 @@ class Opened(NamedTuple):
 
 
 def opened(table: Array, layout: Layout) -> Opened | None:
-    """Register a ground with the compiled evaluator; return None without one, or if it is full.
+    """Register a ground with the compiled evaluator; return None if it is absent or full.
 
     Parameters
     ----------

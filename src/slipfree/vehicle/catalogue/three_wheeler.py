@@ -116,7 +116,7 @@ def _wheels(
 def _loaded(
     axle: Axle, coordinates: tuple[Coordinate, ...], stiffness: float, damping: float, bump: float
 ) -> tuple[Coordinate, ...]:
-    """Return the coordinates of an axle with what acts on them."""
+    """Return the coordinates of an axle with their springs, dampers and stops."""
     if not any((stiffness, damping, bump)):
         return coordinates
     if not any(c.kind == "passive" for c in coordinates):
