@@ -29,8 +29,8 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
-from slipfree.problem.load import read
-from slipfree.problem.solve import run as solve
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.cases import hills
@@ -224,8 +224,8 @@ def least_mu(vehicle: Any, angle: float, start: dict[str, float]) -> float:
 
 def paper() -> None:
     """Print the friction that the paper's direct run needs over time."""
-    problem = read(Path(__file__).parent.parent / "problems" / "paper_direct.toml")
-    run = solve(problem).trajectory
+    problem = load_problem(Path(__file__).parent.parent / "problems" / "paper_direct.toml")
+    run = run_problem(problem).trajectory
     print("friction needed by problems/paper_direct.toml (right, left, front), tilt right [rad]")
     for t in range(7):
         k = int(np.argmin(np.abs(run.t - t)))

@@ -38,8 +38,8 @@ from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.build_common import Setup
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.terrain.grid_ops import disturbed
 from slipfree.trajectory import Trajectory
 
@@ -236,7 +236,7 @@ def planned(limit: float) -> tuple[Trajectory, Setup, PolynomialMotion]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.toml"
         path.write_text(PLAN.format(limit=limit))
-        outcome = run(read(path))
+        outcome = run_problem(load_problem(path))
     if outcome.trajectory.stop is not None:
         sys.exit(f"no plan: {outcome.trajectory.stop.words}")
     return outcome.trajectory, outcome.setup, from_arrays(outcome.arrays, "plan").motion

@@ -31,9 +31,9 @@ from helpers.fuzz_files import SIDE, bases, document
 from slipfree.errors import SlipfreeError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
-from slipfree.problem.solve import Outcome, run
+from slipfree.problem.solve import Outcome, run_problem
 from slipfree.problem.summary import motion_facts
 from slipfree.show.climb_figures import save_climb_figures
 from slipfree.show.html_report import page
@@ -81,7 +81,7 @@ def whole(text: str, folder: Path, rng: Random) -> str:
     file = folder / "p.toml"
     file.write_text(text)
     try:
-        outcome = run(read(file))
+        outcome = run_problem(load_problem(file))
     except SlipfreeError as error:
         return type(error).__name__
     netcdf.write(folder / "p.nc", outcome.trajectory, outcome.arrays)
@@ -98,7 +98,7 @@ def whole(text: str, folder: Path, rng: Random) -> str:
 
 
 def _draw(outcome: Outcome, folder: Path) -> None:
-    from slipfree.problem.climb import Climbing
+    from slipfree.problem.verbs.climb import Climbing
 
     if isinstance(outcome.setup, Climbing):
         save_climb_figures(outcome.trajectory, outcome.setup.climber, outcome.setup.profile, folder)

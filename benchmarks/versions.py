@@ -289,11 +289,11 @@ from pathlib import Path
 import casadi as ca, numpy as np
 import slipfree
 try:
-    from slipfree.problem.load import read
-    from slipfree.problem.solve import run
+    from slipfree.problem.load import load_problem
+    from slipfree.problem.solve import run_problem
 except ModuleNotFoundError:  # version 0.1.0
-    from slipfree.problem.read import read
-    from slipfree.problem.run import run
+    from slipfree.problem.read import read as load_problem
+    from slipfree.problem.run import run as run_problem
 root, make, stacks, order = str(Path(slipfree.__file__).parent), ca.integrator, [], []
 HEIGHT = ("terrain.bicubic", "terrain.kernel", "terrain.base.poly", "terrain.base._sums",
           "contact.closure.closure", "contact.closure.touch", "contact.closure.contact_frame",
@@ -334,7 +334,7 @@ time = {duration = 1, step = 0.5}
 """)
 ca.integrator = watching
 sys.setprofile(profile)
-run(read(folder / "p.toml"))
+run_problem(load_problem(folder / "p.toml"))
 sys.setprofile(None)
 for title, found in (("a wheel rate", stacks[0]), ("a height", order)):
     print(f"{title}: {len(found)}")

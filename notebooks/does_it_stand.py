@@ -36,8 +36,8 @@ from slipfree import (
     three_wheeler,
 )
 from slipfree.models.friction_feasibility import best_utilisation
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.show import style
 from slipfree.trajectory import joined, path_length
 from slipfree.vehicle.tree import actuated
@@ -186,7 +186,7 @@ print(f"a fixed axle needs {mu[0]:.4f} at 45 deg on the map, {mu[1]:.4f} at 45 d
 
 # %%
 paper_file = problems / "paper_direct.toml"
-outcome = run(read(paper_file))
+outcome = run_problem(load_problem(paper_file))
 paper, ground = outcome.trajectory, outcome.setup.terrain
 
 
@@ -309,7 +309,7 @@ cases = {
 }
 print(" " * 33, "ended  largest use of friction  largest slip")
 for name, settings in cases.items():
-    motion = run(read(paper_file, [*friction, *settings])).trajectory
+    motion = run_problem(load_problem(paper_file, [*friction, *settings])).trajectory
     use, fastest = motion["utilisation"].max(), 1000 * slipping(motion).max()
     why = f"   {motion.stop.name}" if motion.stop else ""
     print(f"{name:33} {motion.t[-1]:.2f} s {use:12.3f} {fastest:21.2f} mm/s{why}")
@@ -377,8 +377,8 @@ start = settle(model)
 rates = {"right_rate": 0.5, "left_rate": 0.4, "steer_rate": 0.0}
 motions = {"free": paper}
 for stiffness in (30, 60):
-    sprung = read(paper_file, [f"vehicle.stiffness={stiffness}.0"])
-    motions[f"spring of {stiffness} N m/rad"] = run(sprung).trajectory
+    sprung = load_problem(paper_file, [f"vehicle.stiffness={stiffness}.0"])
+    motions[f"spring of {stiffness} N m/rad"] = run_problem(sprung).trajectory
 for name, joints in (("locked", held), ("led by actuators", led)):
     motion = simulate(model, start, model.inputs(**rates, **joints), paper.t)
     motions[name] = best_utilisation(locked, ground, motion)
@@ -431,9 +431,15 @@ print(" " * 18, f"{'least':>11}", *(f"{f'{1000 * c:g} mm/s':>11}" for c in creep
 figure = style.figure(5.2, 3.4)
 ax = figure.subplots()
 for k, (name, settings) in enumerate(rear.items()):
-    bound = slid(run(read(hills, ["model=kinematics", "law=", *often, *settings])).trajectory)
+    bound = slid(
+        run_problem(load_problem(hills, ["model=kinematics", "law=", *often, *settings])).trajectory
+    )
     found = [
-        slid(run(read(hills, [f"law.coulomb.creep={c}", *often, *settings])).trajectory)
+        slid(
+            run_problem(
+                load_problem(hills, [f"law.coulomb.creep={c}", *often, *settings])
+            ).trajectory
+        )
         for c in creeps
     ]
     row = " ".join(f"{each.max():5.2f} {each.sum():5.2f}" for each in (bound, *found))

@@ -30,8 +30,8 @@ import slipfree
 from slipfree import SolverOptions, quasi_statics, settle
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import from_arrays
-from slipfree.problem.load import read
-from slipfree.problem.solve import build, run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build, run_problem
 from slipfree.show import ground_drawing, style
 from slipfree.show.plan_figures import cost_map, plan_figures, ways
 from slipfree.trajectory import path_length
@@ -49,8 +49,8 @@ ramp = problems / "plan_climb_ramp.toml"
 
 # %%
 outcomes = {
-    "without a limit": run(read(ramp, ["limits.utilisation="])),
-    "friction used up to 95 %": run(read(ramp)),
+    "without a limit": run_problem(load_problem(ramp, ["limits.utilisation="])),
+    "friction used up to 95 %": run_problem(load_problem(ramp)),
 }
 for words, outcome in outcomes.items():
     found = outcome.trajectory
@@ -121,7 +121,7 @@ figures["plan"]
 # against what: which wheel, when, and by how much it would have to use more friction.
 
 # %%
-refused = run(read(ramp, ["limits.x=[-0.2, 0.2]", "plan.intervals=12"])).trajectory
+refused = run_problem(load_problem(ramp, ["limits.x=[-0.2, 0.2]", "plan.intervals=12"])).trajectory
 print(refused.stop.words)
 
 # %% [markdown]
@@ -129,7 +129,7 @@ print(refused.stop.words)
 
 # %%
 try:
-    run(read(ramp, ["terrain.friction=0.3"]))
+    run_problem(load_problem(ramp, ["terrain.friction=0.3"]))
 except slipfree.SlipfreeError as error:
     print(str(error).partition("goal: ")[2])
 
@@ -141,7 +141,7 @@ except slipfree.SlipfreeError as error:
 # `slipfree run problems/plan_crater_field.toml`. Here are three ways over that field.
 
 # %%
-field = build(read(problems / "plan_crater_field.toml", ["driver.count=3"]))
+field = build(load_problem(problems / "plan_crater_field.toml", ["driver.count=3"]))
 grid = field.ground.grid
 figure = style.figure(5.6, 5.6)
 ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")

@@ -41,9 +41,9 @@ from slipfree import SolverOptions
 from slipfree.climb.friction_demand import highest, least_friction
 from slipfree.climb.outcome import outcome
 from slipfree.climb.vehicle import seven_wheels
-from slipfree.problem.climb import build_climb
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
+from slipfree.problem.verbs.climb import build_climb
 from slipfree.show import climb_figures as show
 from slipfree.show import style
 from slipfree.solve.simulate import simulate
@@ -61,7 +61,7 @@ LAWS = {
 
 def climb(name, *settings):
     """Return the outcome of a problem with other settings."""
-    return run(read(problems / f"climb_{name}.toml", settings))
+    return run_problem(load_problem(problems / f"climb_{name}.toml", settings))
 
 
 def averages(found, measure):
@@ -240,7 +240,7 @@ figure
 # %%
 def gets_up(mu, *settings):
     """Return whether the simulated vehicle climbs."""
-    problem = read(
+    problem = load_problem(
         problems / "climb_step.toml",
         [f"friction.static={mu}", f"friction.kinetic={mu}", "time.step=0.01", *settings],
     )
@@ -265,7 +265,7 @@ heads = [f"{law} {v} m/s" for v in SPEEDS for law in ("fixed", "proposed")]
 print(f"{'step [mm]':>10}{'slow, best':>12}" + "".join(f"{head:>18}" for head in heads))
 for height in (0.03, 0.06, 0.09, 0.128):
     settings = [f"profile.step.height={height}"]
-    setup = build_climb(read(problems / "climb_step.toml", settings))
+    setup = build_climb(load_problem(problems / "climb_step.toml", settings))
     best = least_friction(setup.climber, setup.profile).mu
     cells = f"{1e3 * height:10.0f}{best:12.2f}"
     for speed, duration in SPEEDS.items():

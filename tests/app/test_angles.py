@@ -11,7 +11,7 @@ import pytest
 from slipfree.files.toml.angles import AngleWithUnit, RateWithUnit, parse_unit
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.vehicle_toml import open_file, read_toml
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 
 ROOT = Path(__file__).parents[2]
@@ -109,7 +109,7 @@ def _refused(tmp_path: Path, text: str, *settings: str) -> str:
     path = tmp_path / "p.toml"
     path.write_text(text)
     with pytest.raises(ProblemError) as caught:
-        build(read(path, settings))
+        build(load_problem(path, settings))
     return str(caught.value).replace(f"{tmp_path}/", "")
 
 
@@ -128,8 +128,8 @@ def test_text_with_a_unit_is_a_number_in_si_units() -> None:
 def test_a_problem_in_degrees_is_that_in_radians(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.write_text(PROBLEM)
-    spec = read(path).spec
-    setup = build(read(path))
+    spec = load_problem(path).spec
+    setup = build(load_problem(path))
     assert setup.start["heading"][0] == pytest.approx(pi / 2)
     assert setup.vehicle.coordinates[0].upper == pytest.approx(pi / 6)
     assert spec.inputs["right_rate"] == pytest.approx(pi / 2)
@@ -139,13 +139,13 @@ def test_a_problem_in_degrees_is_that_in_radians(tmp_path: Path) -> None:
 def test_a_plan_and_commands_in_degrees(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.write_text(PLAN)
-    spec = build(read(path)).spec
+    spec = build(load_problem(path)).spec
     assert spec.goal["heading"] == pytest.approx((pi / 180, pi / 180))
     assert spec.limits["pitch"] == pytest.approx((-pi / 9, pi / 9))
     assert spec.accelerations["right_rate"] == pytest.approx((-pi / 2, pi / 2))
     path.write_text(INVERSE)
-    assert read(path).spec.given["yaw_rate"] == pytest.approx(pi / 90)
-    build(read(path))
+    assert load_problem(path).spec.given["yaw_rate"] == pytest.approx(pi / 90)
+    build(load_problem(path))
 
 
 @pytest.mark.parametrize(
@@ -187,10 +187,10 @@ def test_an_error_names_file_line_and_key(tmp_path: Path) -> None:
 def test_bare_rates_and_large_angles_with_a_unit_are_accepted(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.write_text(PROBLEM)
-    setup = build(read(path, ['start.heading="450 deg"', "inputs.right_rate=8"]))
+    setup = build(load_problem(path, ['start.heading="450 deg"', "inputs.right_rate=8"]))
     assert setup.start["heading"][0] == pytest.approx(2.5 * pi)
     path.write_text(PLAN)
-    build(read(path, ["bounds.right_rate=[-100, 100]", "limits.wheel_rate=[-10, 10]"]))
+    build(load_problem(path, ["bounds.right_rate=[-100, 100]", "limits.wheel_rate=[-10, 10]"]))
 
 
 def test_a_vehicle_file_in_degrees(tmp_path: Path) -> None:

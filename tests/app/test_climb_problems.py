@@ -17,10 +17,10 @@ from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.files.netcdf import read as read_result
 from slipfree.files.netcdf import read_arrays, write
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem.climb import build_climb
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.problem.summary import motion_facts
+from slipfree.problem.verbs.climb import build_climb
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 RAMP_FILE, STEP_FILE, STAIRS_FILE, PLAN_FILE = (
@@ -76,7 +76,7 @@ def _faults(folder: Path, text: str, *settings: str) -> str:
     path = folder / "p.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ProblemError) as caught:
-        build_climb(read(path, settings))
+        build_climb(load_problem(path, settings))
     return str(caught.value).replace(f"{folder}/", "")
 
 
@@ -84,7 +84,7 @@ def _faults(folder: Path, text: str, *settings: str) -> str:
 
 
 def test_the_ramp_is_the_library_s_climb():
-    found = run(read(RAMP_FILE, ["solver.tolerance=1e-8"])).trajectory
+    found = run_problem(load_problem(RAMP_FILE, ["solver.tolerance=1e-8"])).trajectory
     same = climb(RAMP, SENSED, TABLE_I, torque=AMPLE, tolerance=1e-8)
     counts, averages = found.statistics, same.metrics
     for measure in ("slip", "true_slip", "disturbance", "effort", "bearing"):
@@ -148,17 +148,17 @@ def test_what_does_not_climb_is_told():
 
 
 def test_no_averages_before_the_obstacle_is_met():
-    found = run(read(STEP_FILE, ["time.duration=0.1"])).trajectory
+    found = run_problem(load_problem(STEP_FILE, ["time.duration=0.1"])).trajectory
     assert found.attributes["outcome"].startswith("unfinished: until t = 0.1 s the front wheel")
     assert not [name for name in found.statistics if name.startswith("climb_")]
 
 
 @pytest.mark.parametrize("path", [RAMP_FILE, STEP_FILE], ids=["ramp", "step"])
 def test_distance_to_the_obstacle(path):
-    setup = build_climb(read(path))
+    setup = build_climb(load_problem(path))
     assert setup.start["axle_x", "front"][0] == pytest.approx(foot(setup.profile), abs=1e-9)
     assert setup.start["gap_1"][0].min() > 0.03
-    start = build_climb(read(path, ["start.distance=0", "start.speed=0"])).start
+    start = build_climb(load_problem(path, ["start.distance=0", "start.speed=0"])).start
     assert start["gap_1", "front"][0] == pytest.approx(0, abs=5e-4)  # sunk in under its weight
     assert start["velocity_x"][0] == 0
 
@@ -166,9 +166,11 @@ def test_distance_to_the_obstacle(path):
 def test_solids_here_and_in_a_file_are_a_step(folder):
     corners = "0,-5,-1\n0,5,-1\n0,5,0\n0,-5,0\n1,0,-1\n1,2,-1\n1,2,0.09\n1,0,0.09\n"
     (folder / "s.csv").write_text("solid,x,z\n" + corners)
-    step = run(read(STEP_FILE, ["time.duration=0.5", *COARSE])).trajectory
-    here = run(read(folder / "p.toml", ["time.duration=0.5"])).trajectory
-    there = run(read(folder / "p.toml", ["time.duration=0.5", "profile={file='s.csv'}"])).trajectory
+    step = run_problem(load_problem(STEP_FILE, ["time.duration=0.5", *COARSE])).trajectory
+    here = run_problem(load_problem(folder / "p.toml", ["time.duration=0.5"])).trajectory
+    there = run_problem(
+        load_problem(folder / "p.toml", ["time.duration=0.5", "profile={file='s.csv'}"])
+    ).trajectory
     np.testing.assert_allclose(here["axle_z"], step["axle_z"], atol=1e-6)
     np.testing.assert_array_equal(here["axle_z"], there["axle_z"])
     assert there.attributes["profile"] == "convex solids of s.csv"
@@ -176,7 +178,7 @@ def test_solids_here_and_in_a_file_are_a_step(folder):
 
 def test_what_the_vehicle_s_table_replaces():
     setup = build_climb(
-        read(
+        load_problem(
             STEP_FILE,
             [
                 "vehicle.joint=0.06",
@@ -197,8 +199,8 @@ def test_what_the_vehicle_s_table_replaces():
 
 def test_a_sampled_controller_climbs_as_the_continuous_one():
     brief = ["time.duration=0.5", "time.step=0.004"]
-    sampled = run(read(STAIRS_FILE, brief)).trajectory
-    continuous = run(read(STAIRS_FILE, [*brief, "control.period="])).trajectory
+    sampled = run_problem(load_problem(STAIRS_FILE, brief)).trajectory
+    continuous = run_problem(load_problem(STAIRS_FILE, [*brief, "control.period="])).trajectory
     np.testing.assert_allclose(sampled.t, 0.004 * np.arange(126), atol=1e-12)
     np.testing.assert_allclose(sampled["axle_x"], continuous["axle_x"], atol=5e-3)
     assert "torque_held" in sampled.columns
@@ -206,12 +208,12 @@ def test_a_sampled_controller_climbs_as_the_continuous_one():
 
 
 def test_sensors_may_be_noisy():
-    noisy = read(RAMP_FILE, ["control.noise={tilt=0.01, band=20.0, seed=3}"])
+    noisy = load_problem(RAMP_FILE, ["control.noise={tilt=0.01, band=20.0, seed=3}"])
     assert build_climb(noisy).control.noise == Noise(tilt=0.01, band=20.0, seed=3)
 
 
 def test_stairs_are_climbed():
-    found = run(read(STAIRS_FILE, ["control.period=", *COARSE])).trajectory
+    found = run_problem(load_problem(STAIRS_FILE, ["control.period=", *COARSE])).trajectory
     assert found.attributes["outcome"].startswith("climbs")
     np.testing.assert_allclose(found["axle_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
 
@@ -220,8 +222,8 @@ def test_stairs_are_climbed():
 
 
 def test_a_plan_climbs_where_references_do_not(tmp_path):
-    problem = read(PLAN_FILE, COARSE)
-    found = run(problem)
+    problem = load_problem(PLAN_FILE, COARSE)
+    found = run_problem(problem)
     counts = found.trajectory.statistics
     assert found.trajectory.attributes["outcome"].startswith("climbs")
     # least friction of every leg, of a study with its own code
@@ -241,7 +243,7 @@ def test_a_plan_climbs_where_references_do_not(tmp_path):
     assert "uses a coefficient of 0.700" in told["plan"]
     assert told["  least friction"].startswith("leg by leg 0.579, 0.6")
     for settings in (["plan="], ["plan=", "control.law=fixed"]):
-        stuck = run(read(PLAN_FILE, [*settings, *COARSE])).trajectory
+        stuck = run_problem(load_problem(PLAN_FILE, [*settings, *COARSE])).trajectory
         assert stuck.attributes["outcome"].startswith("stalls"), settings
 
 
@@ -270,7 +272,7 @@ def test_there_is_no_plan_without_enough_friction():
 )
 def test_plans_that_cannot_be(setting, words):
     with pytest.raises(ProblemError) as caught:
-        build_climb(read(PLAN_FILE, [setting]))
+        build_climb(load_problem(PLAN_FILE, [setting]))
     assert str(caught.value) == words
 
 
@@ -278,7 +280,7 @@ def test_the_least_friction_takes_no_coefficient():
     with pytest.raises(
         ProblemError, match=r"climb_plan_step.toml:\d+: plan: climb: expected the coe"
     ):
-        run(read(PLAN_FILE, ["plan.cost=friction"]))
+        run_problem(load_problem(PLAN_FILE, ["plan.cost=friction"]))
 
 
 # What is refused

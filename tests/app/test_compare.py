@@ -22,9 +22,9 @@ from slipfree import (
 )
 from slipfree.cli import app
 from slipfree.models.slip import measured_slip
-from slipfree.problem.compare import compare
 from slipfree.problem.load import read_as
 from slipfree.problem.schema import Compare
+from slipfree.problem.verbs.compare import compare
 
 FILE = Path(__file__).parents[2] / "problems" / "compare_axles.toml"
 CAN_ROLL = ("tilting", "sliding", "prismatic_undriven")

@@ -19,9 +19,9 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.models import friction_feasibility
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.problem import solve as runner
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.reload import problem_of, shown
-from slipfree.problem.solve import build, run
+from slipfree.problem.solve import build, run_problem
 from slipfree.trajectory import SolverError
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -161,8 +161,8 @@ def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
 
 
 def test_a_motion_that_ends_where_the_model_is_singular_is_explained():
-    found = run(
-        read(PROBLEMS / "paper_direct.toml", ["model=quasi-static", "terrain.friction=0.6"])
+    found = run_problem(
+        load_problem(PROBLEMS / "paper_direct.toml", ["model=quasi-static", "terrain.friction=0.6"])
     )
     assert found.trajectory.stop.name == "no_equilibrium"
     assert "coefficient of friction" in found.trajectory.stop.words
@@ -266,7 +266,7 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
 )
 def test_what_is_wrong_is_told_with_its_place(file, settings, words):
     with pytest.raises(ProblemError) as error:
-        build(read(file, settings))
+        build(load_problem(file, settings))
     assert words in str(error.value)
 
 
@@ -281,7 +281,7 @@ def test_springs_masses_and_actuators_reach_the_vehicle(file):
         "vehicle.wheel_mass=3",
         "vehicle.grip=0.9",
     ]
-    vehicle = build(read(file, settings)).vehicle
+    vehicle = build(load_problem(file, settings)).vehicle
     tilt = vehicle.of("passive")[0]
     assert (tilt.stiffness, tilt.damping, tilt.bump) == (60, 5, 100)
     assert (vehicle.body.mass, vehicle.body.at) == (50, (0, 0.1, 0.2))
@@ -292,7 +292,7 @@ def test_springs_masses_and_actuators_reach_the_vehicle(file):
         "inputs={ right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0, "
         "tilt_right_rate = 0.0, tilt_left_rate = 0.0 }",
     ]
-    motion = run(read(file, settings)).trajectory
+    motion = run_problem(load_problem(file, settings)).trajectory
     assert np.abs(motion["tilt_right"]).max() < 1e-12
     assert np.abs(motion["tilt_right_torque"]).max() > 0
 
@@ -301,13 +301,13 @@ def test_springs_masses_and_actuators_reach_the_vehicle(file):
     ("name", "stop"), [("traction_hills", None), ("traction_ice", "no_equilibrium")]
 )
 def test_shipped_problems(name, stop):
-    motion = run(read(PROBLEMS / f"{name}.toml")).trajectory
+    motion = run_problem(load_problem(PROBLEMS / f"{name}.toml")).trajectory
     assert (motion.stop and motion.stop.name) == stop
 
 
 def test_the_papers_direct_run_needs_more_friction_than_most_grounds_give():
     """The figures of README."""
-    motion = run(read(PROBLEMS / "paper_direct.toml")).trajectory
+    motion = run_problem(load_problem(PROBLEMS / "paper_direct.toml")).trajectory
     at = [int(np.argmin(np.abs(motion.t - t))) for t in range(7)]
     needed = motion["friction_needed"][at].max(axis=1)
     expected = [0.070, 0.179, 0.289, 0.402, 0.523, 0.654, 0.801]

@@ -16,7 +16,7 @@ from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.frames import to_problem_frame
 from slipfree.problem.goals import facing
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 from slipfree.show import motion_figures
 from slipfree.sweep.metrics import figures_of
@@ -83,19 +83,21 @@ def test_results_hold_headings_from_the_y_axis_and_say_so(problem: Path) -> None
     shown = to_problem_frame(run)
     assert_allclose(shown["heading"], 0.3, atol=1e-9)
     assert to_problem_frame(shown) is shown
-    assert figures_of(run, read(problem).spec)["end_heading"][0] == pytest.approx(0.3, abs=1e-9)
+    assert figures_of(run, load_problem(problem).spec)["end_heading"][0] == pytest.approx(
+        0.3, abs=1e-9
+    )
     axes = motion_figures.history(run, "heading", Figure().subplots())
     assert_allclose(np.asarray(axes.lines[0].get_ydata()), 0.3, atol=1e-9)
 
 
 def test_a_start_without_heading_faces_along_the_x_axis(problem: Path) -> None:
-    setup = build(read(problem, ["start.heading="]))
+    setup = build(load_problem(problem, ["start.heading="]))
     assert setup.start["yaw"][0] == pytest.approx(0, abs=1e-12)
-    setup = build(read(problem, ["start.heading=", "frame=paper"]))
+    setup = build(load_problem(problem, ["start.heading=", "frame=paper"]))
     assert setup.start["heading"][0] == 0
 
 
 def test_ranges_of_headings_are_in_the_frame_of_the_problem(problem: Path) -> None:
     wanted = {"heading": (0.1, 0.2), "pitch": (-0.1, 0.1)}
-    turned = facing(read(problem), wanted)
+    turned = facing(load_problem(problem), wanted)
     assert turned == {"heading": (0.1 - pi / 2, 0.2 - pi / 2), "pitch": (-0.1, 0.1)}

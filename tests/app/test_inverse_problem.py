@@ -16,8 +16,8 @@ from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem import inverse
-from slipfree.problem.load import read
-from slipfree.problem.solve import build, run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build, run_problem
 from slipfree.trajectory import SolverError, Stop
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -212,8 +212,8 @@ def test_steering_by_rate_is_stable_where_its_contact_trails() -> None:
 
 @pytest.mark.usefixtures("folder")
 def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = read(PROBLEMS / "paper_inverse.toml", ["steering=rate", "time.duration=0.1"])
-    motion = run(problem).trajectory
+    problem = load_problem(PROBLEMS / "paper_inverse.toml", ["steering=rate", "time.duration=0.1"])
+    motion = run_problem(problem).trajectory
     assert motion.stop is not None  # it runs into the axis
     assert motion.statistics["steps"] < 5000  # what is singular is noticed, not ground through
     reached = replace(motion, stop=Stop("solver", float(motion.t[-1]), "gave up"), attributes={})
@@ -386,11 +386,11 @@ def test_interrupted_on_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_shipped_problems_run() -> None:
-    given = run(read(PROBLEMS / "paper_inverse.toml", ["time.step=0.5"])).trajectory
+    given = run_problem(load_problem(PROBLEMS / "paper_inverse.toml", ["time.step=0.5"])).trajectory
     assert given.stop is not None
     assert given.stop.name == "tilt_right_stop"
     assert_allclose(given.stop.t, 4.33, atol=0.02)
-    path = run(read(PROBLEMS / "path_inverse.toml", ["time.duration=3.0", LOOSE]))
+    path = run_problem(load_problem(PROBLEMS / "path_inverse.toml", ["time.duration=3.0", LOOSE]))
     motion = path.trajectory
     assert motion.stop is None
     assert motion.t[-1] == 3.0
@@ -399,10 +399,10 @@ def test_the_shipped_problems_run() -> None:
 
 
 def test_the_shipped_path_is_passed_whole() -> None:
-    setup = build(read(PROBLEMS / "path_inverse.toml"))
+    setup = build(load_problem(PROBLEMS / "path_inverse.toml"))
     assert setup.t[-1] == 15.0
     with pytest.raises(ProblemError, match="expected at most the time of the last way-point"):
-        build(read(PROBLEMS / "path_inverse.toml", ["time.duration=16"]))
+        build(load_problem(PROBLEMS / "path_inverse.toml", ["time.duration=16"]))
 
 
 def test_a_path_may_be_sampled_more_coarsely_than_it_is_solved(tmp_path):

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.migrate import migrate_text
 from slipfree.problem.old_keys import upgrade_keys
 
@@ -66,7 +66,7 @@ def _called(*words: str, code: int = 0) -> str:
 def test_a_file_is_rewritten_in_place_and_the_old_one_kept(file: Path) -> None:
     file.chmod(0o640)
     with pytest.raises(ProblemError, match=r"; rewrite the file: slipfree migrate p\.toml"):
-        read(file)
+        load_problem(file)
     output = _called("p.toml")
     assert "p.toml:3: slip: slip = 'traction' is now model = 'quasi-static'" in output
     assert "p.toml:11: traction: [traction] is now [law.coulomb] with model = 'quasi-st" in output
@@ -75,7 +75,7 @@ def test_a_file_is_rewritten_in_place_and_the_old_one_kept(file: Path) -> None:
     assert Path("p.toml.bak").read_text() == OLD
     if os.name == "posix":
         assert file.stat().st_mode & 0o777 == 0o640
-    spec = read(file).spec
+    spec = load_problem(file).spec
     assert (spec.model, spec.law.coulomb.creep) == ("quasi-static", 1e-3)
     assert "p.toml: nothing to change" in _called("p.toml")
 

@@ -9,9 +9,9 @@ import pytest
 
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.goals import regions
-from slipfree.problem.load import read
-from slipfree.problem.plan import figure_options
-from slipfree.problem.solve import build, run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build, run_problem
+from slipfree.problem.verbs.plan import figure_options
 from slipfree.show.plan_figures import plan_figures
 
 FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"
@@ -28,8 +28,8 @@ SHORT = (
 
 
 def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
-    problem = read(FIELD, SHORT)
-    motion = run(problem).trajectory
+    problem = load_problem(FIELD, SHORT)
+    motion = run_problem(problem).trajectory
     assert motion.stop is None
     assert np.hypot(motion["x"][-1] - 17.5, motion["y"][-1] - 24.0) < 0.01
     (disc,) = regions(problem, problem.spec)
@@ -40,7 +40,7 @@ def test_a_route_around_a_place_to_keep_out_of_is_planned_and_simulated():
 
 
 def test_the_start_of_the_search_ends_at_the_goal():
-    setup = build(read(FIELD, SHORT))
+    setup = build(load_problem(FIELD, SHORT))
     assert setup.driven == "plan to x 17.5, y 24"
 
 
@@ -62,13 +62,13 @@ def test_the_start_of_the_search_ends_at_the_goal():
 )
 def test_what_keeps_a_route_from_being_found_is_told(settings, words):
     with pytest.raises(ProblemError) as error:
-        build(read(FIELD, settings))
+        build(load_problem(FIELD, settings))
     assert words in str(error.value)
 
 
 def test_a_way_point_is_passed():
     between = "way_points=[{ at = 0.5, x = 0.35, y = [1.0, 1.6] }]"
-    outcome = run(read(HILLS, [*QUICK, between]))
+    outcome = run_problem(load_problem(HILLS, [*QUICK, between]))
     motion = outcome.trajectory
     assert motion.stop is None
     halfway = motion.t[-1] / 2
@@ -106,18 +106,18 @@ def test_a_way_point_is_passed():
 )
 def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
     with pytest.raises(ProblemError) as error:
-        build(read(FIELD, settings))
+        build(load_problem(FIELD, settings))
     assert words in str(error.value)
 
 
 def test_several_routes_start_the_search():
-    setup = build(read(FIELD, ["driver.count=2"]))
+    setup = build(load_problem(FIELD, ["driver.count=2"]))
     assert len(setup.ways) == len(setup.starts) == 2
 
 
 def test_friction_too_low_for_the_slope_is_refused_before_anything_is_solved():
     with pytest.raises(ProblemError, match=r"slope of .* degrees .* the ground offers 0\.2"):
-        build(read(FIELD.with_name("plan_real_dem.toml"), ["terrain.friction=0.2"]))
+        build(load_problem(FIELD.with_name("plan_real_dem.toml"), ["terrain.friction=0.2"]))
 
 
 def test_the_law_of_friction_plans_a_gentle_ground():
@@ -133,7 +133,7 @@ def test_the_law_of_friction_plans_a_gentle_ground():
         "goal.x=0.1",
         "goal.y=1.3",
     ]
-    motion = run(read(hills, settings)).trajectory
+    motion = run_problem(load_problem(hills, settings)).trajectory
     assert motion.stop is None
     assert "friction_used_along" in motion.columns
     assert "by_friction" not in motion.attributes
@@ -141,7 +141,7 @@ def test_the_law_of_friction_plans_a_gentle_ground():
 
 
 def test_a_plan_of_tilting_wheels_keeps_to_their_limits():
-    motion = run(read(FIELD.with_name("plan_tilt_limits.toml"))).trajectory
+    motion = run_problem(load_problem(FIELD.with_name("plan_tilt_limits.toml"))).trajectory
     assert motion.stop is None
     for wheel in ("right", "left"):
         assert np.abs(motion[f"tilt_{wheel}"]).max() < 0.031
@@ -160,14 +160,14 @@ QUICK = (
 
 
 def test_of_a_range_what_lies_on_the_map_counts():
-    motion = run(read(HILLS, [*QUICK, "goal.y=[1.2, 60.0]"])).trajectory
+    motion = run_problem(load_problem(HILLS, [*QUICK, "goal.y=[1.2, 60.0]"])).trajectory
     assert motion.stop is None
     assert motion["y"][-1] > 1.2 - 1e-4
 
 
 @pytest.mark.parametrize("bounds", ["", "{ left_rate = [-1.0, 1.0] }"])
 def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
-    outcome = run(read(HILLS, [*QUICK, f"bounds={bounds}"]))
+    outcome = run_problem(load_problem(HILLS, [*QUICK, f"bounds={bounds}"]))
     motion, setup = outcome.trajectory, outcome.setup
     drawn = plan_figures(motion, setup.ground.grid, setup.layers, **figure_options(setup))
     panel = drawn["plan"].axes[0]
@@ -179,14 +179,14 @@ def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
     monkeypatch.setattr("slipfree.plan.plan.MAX_REFINEMENTS", 1)
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
-    stop = run(read(HILLS, settings)).trajectory.stop
+    stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"
     assert "the plan is solved, but its simulation misses x by" in stop.words
     assert "where an accuracy of 1e-07 was asked for: its mesh was not refined" in stop.words
 
 
 def test_work_of_the_drives_is_planned_with():
-    motion = run(read(HILLS, [*QUICK, "costs.energy=1.0"])).trajectory
+    motion = run_problem(load_problem(HILLS, [*QUICK, "costs.energy=1.0"])).trajectory
     counts = motion.statistics
     powers = np.maximum(motion["drive_torque"] * motion["wheel_rate"], 0.0).sum(axis=1)
     work = np.trapezoid(powers, motion.t)
@@ -198,6 +198,8 @@ def test_work_of_the_drives_is_planned_with():
 def test_limits_of_the_model_and_of_its_outputs_have_names(name):
     lower = {"map_margin": 1.0, "tip_over_margin": 0.9, "slip_across": -1e-3}[name]
     upper = {"map_margin": 30.0, "tip_over_margin": 3.0, "slip_across": 1e-3}[name]
-    motion = run(read(HILLS, [*QUICK, f"limits.{name}=[{lower}, {upper}]"])).trajectory
+    motion = run_problem(
+        load_problem(HILLS, [*QUICK, f"limits.{name}=[{lower}, {upper}]"])
+    ).trajectory
     assert motion.stop is None
     assert motion[name].min() > lower - 1e-3 * abs(lower)

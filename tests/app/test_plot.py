@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 import slipfree as sf
 from helpers.cases import function_of
-from slipfree.problem.load import read
-from slipfree.problem.solve import run as run_problem
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.records import Label
 from slipfree.show import force_figures, motion_figures
 from slipfree.trajectory import Column, Trajectory
@@ -289,7 +289,7 @@ def test_slope_is_that_of_a_formula_to_rounding(run, grid, ax):
 def test_slope_differs_from_the_pitch_by_reach_times_curvature(ax):
     """On real ground with cells of 74 by 93 m, where a difference over cells is 0.1 rad off."""
     settings = ["time.duration=600", "time.step=8", "solver.tolerance=1e-6"]
-    outcome = run_problem(read(FIRST_COMMAND, settings))
+    outcome = run_problem(load_problem(FIRST_COMMAND, settings))
     run, ground = outcome.trajectory, sf.Bicubic(outcome.setup.ground.grid)
     motion_figures.slope(run, ground, ax)
     rise, pitch = (np.asarray(line.get_ydata()) for line in ax.lines)

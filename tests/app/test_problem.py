@@ -13,9 +13,9 @@ from slipfree.errors import DataError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import key_lines
 from slipfree.problem.build_common import samples
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.schema import Direct, Time
-from slipfree.problem.solve import build, run
+from slipfree.problem.solve import build, run_problem
 
 OTHERS = (
     "tilt_stop, slide_stop, stiffness, damping, bump, mass, center_of_mass, wheel_mass, grip, "
@@ -254,16 +254,16 @@ def test_syntax_errors(text: str, words: str, tmp_path: Path) -> None:
 
 def test_unreadable_files(tmp_path: Path) -> None:
     with pytest.raises(ProblemError, match=r"no\.toml: expected a problem file.*No such file"):
-        read(tmp_path / "no.toml")
+        load_problem(tmp_path / "no.toml")
     (tmp_path / "p.toml").write_bytes(b'a = 1\nb = "\xff"\n')
     with pytest.raises(ProblemError, match=r"p\.toml:2: expected text in UTF-8, found the byte 0x"):
-        read(tmp_path / "p.toml")
+        load_problem(tmp_path / "p.toml")
 
 
 def test_a_byte_order_mark_and_windows_lines_are_fine(tmp_path: Path) -> None:
     path = tmp_path / "p.toml"
     path.write_bytes(b"\xef\xbb\xbf" + VALID.replace("\n", "\r\n").encode())
-    assert read(path).spec.start == {"x": 0.1, "heading": 0.2}
+    assert load_problem(path).spec.start == {"x": 0.1, "heading": 0.2}
 
 
 def test_settings(tmp_path: Path) -> None:
@@ -340,14 +340,14 @@ def test_samples_contain_the_jumps() -> None:
 
 def test_piecewise_inputs_on_flat_ground(tmp_path: Path) -> None:
     rates = [f"inputs.{side}_rate=[[0, 0.5], [0.3, 1.0]]" for side in ("right", "left")]
-    motion = run(_read(tmp_path, VALID, *rates)).trajectory
+    motion = run_problem(_read(tmp_path, VALID, *rates)).trajectory
     expected = 0.3 * (0.5 * 0.3 + 1.0 * 0.7)
     assert motion["wheel_angle", "left"][-1] == pytest.approx(0.5 * 0.3 + 0.7, abs=1e-9)
     assert np.hypot(motion["x"][-1] - 0.1, motion["y"][-1]) == pytest.approx(expected, abs=1e-7)
 
 
 def test_result_knows_its_problem(tmp_path: Path) -> None:
-    motion = run(_read(tmp_path, VALID + "# Ü\n", "time.step=0.5")).trajectory
+    motion = run_problem(_read(tmp_path, VALID + "# Ü\n", "time.step=0.5")).trajectory
     assert motion.attributes["problem"] == VALID + "# Ü\n"
     assert motion.attributes["settings"] == "time.step=0.5"
     assert motion.attributes["title"] == "p"

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 HALF_RADIUS = 0.15
 
 
 def motion(name, *settings):
-    return run(read(PROBLEMS / f"{name}.toml", settings)).trajectory
+    return run_problem(load_problem(PROBLEMS / f"{name}.toml", settings)).trajectory
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ def motion(name, *settings):
     ids=lambda path: path.stem,
 )
 def test_shortened(path):
-    trajectory = run(read(path, ["time.duration=2.0", "time.step=0.5"])).trajectory
+    trajectory = run_problem(load_problem(path, ["time.duration=2.0", "time.step=0.5"])).trajectory
     assert trajectory.stop is None
     assert trajectory.t[-1] == 2.0
     assert trajectory["closure_residual"].max() < 1e-12
@@ -57,8 +57,8 @@ def rocks_on_tracks(trajectory, rocks):
 
 
 def test_rocks_stop_a_rigid_wheel_and_are_crossed_as_it_feels_them():
-    problem = read(PROBLEMS / "rover_rocks_direct.toml")
-    crossed = run(problem).trajectory
+    problem = load_problem(PROBLEMS / "rover_rocks_direct.toml")
+    crossed = run_problem(problem).trajectory
     assert rocks_on_tracks(crossed, problem.spec.terrain.synthetic.placed_rocks) >= 5
     assert crossed.stop is None
     assert crossed["clearance"].min() >= 0

@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.files import netcdf
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
-from slipfree.problem.solve import run
+from slipfree.problem.solve import run_problem
 from slipfree.problem.summary import has_friction
 from slipfree.show.html_report import MOST, Report, image, page
 
@@ -40,7 +40,7 @@ VOID = {"meta", "link", "img"}
 
 def _result(kind: str, folder: Path, *settings: str) -> Path:
     """Return the result file of a shortened starter."""
-    outcome = run(read(STARTERS / f"{kind}.toml", [*SETTINGS[kind], *settings]))
+    outcome = run_problem(load_problem(STARTERS / f"{kind}.toml", [*SETTINGS[kind], *settings]))
     file = folder / f"{kind}.nc"
     netcdf.write(file, outcome.trajectory, outcome.arrays)
     return file
@@ -211,7 +211,7 @@ def test_files_that_a_problem_names_are_sought(
     shutil.copytree(ROOT / "problems" / "vehicles", there / "vehicles")
     shutil.copy(ROOT / "problems" / "your_vehicle.toml", there)
     monkeypatch.chdir(tmp_path)
-    outcome = run(read(Path("there/your_vehicle.toml"), ["time.duration=0.5"]))
+    outcome = run_problem(load_problem(Path("there/your_vehicle.toml"), ["time.duration=0.5"]))
     assert outcome.trajectory.attributes["problem_folder"] == "there"
     netcdf.write(Path("out.nc"), outcome.trajectory)
     assert _invoke("out.nc").exit_code == 0

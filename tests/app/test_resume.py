@@ -13,8 +13,8 @@ from slipfree import DataError
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.plan.warm_start import from_arrays
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 HILLS = PROBLEMS / "plan_rigid_hills.toml"
@@ -74,7 +74,7 @@ def test_a_search_that_is_interrupted_leaves_a_file_to_go_on_from(tmp_path):
         if len(told) == 5:
             raise KeyboardInterrupt
 
-    outcome = run(read(HILLS, list(SMALL)), tell=interrupt)
+    outcome = run_problem(load_problem(HILLS, list(SMALL)), tell=interrupt)
     stop = outcome.trajectory.stop
     assert stop.name == "plan"
     assert "the search was stopped" in stop.words
@@ -92,7 +92,7 @@ def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
         if "intervals: iteration" in line:
             raise KeyboardInterrupt
 
-    outcome = run(read(HILLS, [*SMALL, "plan.accuracy=1e-7"]), tell=interrupt)
+    outcome = run_problem(load_problem(HILLS, [*SMALL, "plan.accuracy=1e-7"]), tell=interrupt)
     stop = outcome.trajectory.stop
     assert stop.name == "plan_accuracy"
     assert stop.words.endswith("was asked for: interrupted; go on with --resume OUT.nc")

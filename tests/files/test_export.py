@@ -18,8 +18,8 @@ from slipfree.cli import app
 from slipfree.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.export import export_path, export_rates
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.trajectory import Trajectory
 
 PROBLEM = """\
@@ -59,7 +59,7 @@ def _solved(folder: Path, crs: str, transform: Affine, **asked: object) -> Traje
     ) as file:
         file.write(rows, 1)
     (folder / "p.toml").write_text(PROBLEM.format(**asked))
-    found = run(read(folder / "p.toml")).trajectory
+    found = run_problem(load_problem(folder / "p.toml")).trajectory
     netcdf.write(folder / "out.nc", found)
     return found
 

@@ -21,7 +21,7 @@ from slipfree.cli import app
 from slipfree.errors import DataError
 from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
-from slipfree.problem.load import read as read_problem
+from slipfree.problem.load import load_problem
 from slipfree.sweep.grid import sweep_of
 
 LIMIT = 100  # time after which a command counts as hanging [s]
@@ -199,8 +199,8 @@ def test_a_medium_that_fails_while_it_is_read(
     for name in ("a.toml", "a.asc", "a.nc"):
         (tmp_path / name).write_text("")
     monkeypatch.setattr(Path, "open", fail)
-    for read in (read_problem, read_map, netcdf.read):
-        name = {read_problem: "a.toml", read_map: "a.asc"}.get(read, "a.nc")
+    for read in (load_problem, read_map, netcdf.read):
+        name = {load_problem: "a.toml", read_map: "a.asc"}.get(read, "a.nc")
         with pytest.raises(DataError, match=r"cannot be read \(Input/output error\)"):
             read(tmp_path / name)
 

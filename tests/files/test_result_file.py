@@ -17,8 +17,8 @@ from scipy.io import netcdf_file
 from helpers.cases import DATA
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.records import Label
 from slipfree.trajectory import Column, Stop, Trajectory
 
@@ -284,7 +284,7 @@ def test_results_of_earlier_versions_are_read() -> None:
     assert old.wheels == ("right", "left", "front")
     np.testing.assert_allclose(old.t, 0.1 * np.arange(6), atol=1e-15)
     assert old.columns["force_normal"].label.unit == "N"
-    problem = read(PROBLEMS / "paper_direct.toml", ["time.duration=0.5", "time.step=0.1"])
-    new = run(problem).trajectory
+    problem = load_problem(PROBLEMS / "paper_direct.toml", ["time.duration=0.5", "time.step=0.1"])
+    new = run_problem(problem).trajectory
     for name in ("x", "y", "z", "heading", "tilt_right", "contact_x", "wheel_angle", "work"):
         np.testing.assert_allclose(new[name], old[name], atol=1e-6, err_msg=name)

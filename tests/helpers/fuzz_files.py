@@ -412,16 +412,16 @@ def results() -> tuple[bytes, ...]:
     """Return result files: of a short motion, of other columns, and of an old version."""
     import tempfile
 
-    from slipfree.problem.load import read
-    from slipfree.problem.solve import run
+    from slipfree.problem.load import load_problem
+    from slipfree.problem.solve import run_problem
 
     found = [(DATA / "result-0.1.0.nc").read_bytes()]
     with tempfile.TemporaryDirectory() as folder:
         problem, file = Path(folder) / "p.toml", Path(folder) / "p.nc"
         for kind in ("direct", "climb"):
             problem.write_text(document(bases(kind)[0]))
-            spec = read(problem, ["time.duration=0.1", "time.step=0.05"])
-            outcome = run(spec)
+            spec = load_problem(problem, ["time.duration=0.1", "time.step=0.05"])
+            outcome = run_problem(spec)
             netcdf.write(file, outcome.trajectory, outcome.arrays)
             found.append(file.read_bytes())
         odd = Trajectory(

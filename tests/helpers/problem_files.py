@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 
 VALID = """\
 verb = "direct"
@@ -35,7 +35,7 @@ step = 0.25
 def _read(folder: Path, text: str, *settings: str) -> object:
     path = folder / "p.toml"
     path.write_text(text, encoding="utf-8")
-    return read(path, settings)
+    return load_problem(path, settings)
 
 
 FILE = (

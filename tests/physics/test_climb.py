@@ -32,8 +32,8 @@ from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan
-from slipfree.problem.load import read
-from slipfree.problem.solve import run as solve
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 
 FILE = FilePath(__file__).parents[2] / "problems" / "plan_climb_ramp.toml"
 SLOPE, MU, MOST, CREEP = np.radians(20), 0.5, 0.95, 1e-4
@@ -200,8 +200,10 @@ def test_friction_carries_the_vehicle_to_the_goal():
 
 def test_the_file_plans_its_climb():
     way = "driver.paths=[[[0.0, -1.5], [2.0, 4.5], [0.0, 10.5]]]"
-    run = solve(
-        read(FILE, [way, "plan.intervals=20", "plan.accuracy=0.05", "solver.tolerance=1e-6"])
+    run = run_problem(
+        load_problem(
+            FILE, [way, "plan.intervals=20", "plan.accuracy=0.05", "solver.tolerance=1e-6"]
+        )
     ).trajectory
     assert run.stop is None
     assert run["utilisation"].max() < MOST + 0.02

@@ -24,8 +24,8 @@ from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.steering_guide import MAX_STEERING_RATE, STOP_CLEARANCE, steering_effects
 from slipfree.problem.input_files import input_files
-from slipfree.problem.load import read
-from slipfree.problem.solve import run
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.vehicle.catalogue.carts import ackermann, differential_drive
@@ -343,8 +343,8 @@ def test_a_robots_command_counts_left_positive() -> None:
 
 def test_all_wheels_turn_the_same_way_to_a_crab_on_hills() -> None:
     folder = Path(__file__).parents[2] / "problems"
-    problem = read(folder / "crab_inverse.toml", ["time.duration=4.5", "time.step=0.1"])
-    motion = run(problem).trajectory
+    problem = load_problem(folder / "crab_inverse.toml", ["time.duration=4.5", "time.step=0.1"])
+    motion = run_problem(problem).trajectory
     angles = [motion[name][-1] for name in motion if re.fullmatch(r"steer_\w+_(left|right)", name)]
     assert len(angles) == 4
     assert_allclose(angles, -np.pi / 2, rtol=0, atol=0.1)
@@ -368,7 +368,7 @@ def test_commands_in_time_from_a_file(folder: Path) -> None:
     assert_allclose(run["right"], np.where(late, 0.1, -0.1), rtol=0, atol=0)
     assert run.statistics["replay_x"] < 1e-4
     assert 0.45 < np.abs(run["fr_rate"]).max() <= 0.5 < np.abs(run["fl_rate"]).max()
-    problem = read(folder / "p.toml", ["given={file='cmd.csv'}"])
+    problem = load_problem(folder / "p.toml", ["given={file='cmd.csv'}"])
     assert set(input_files(problem)) == {"crab.toml", "cmd.csv"}
     words, run = _run("given={file='cmd.csv'}", "time.step=0.5")
     assert "replay stopped early" in words

@@ -20,7 +20,7 @@ from slipfree.files.maps.elevation import geographic_to_metric, read_map
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.build_ground import build_ground, ground_facts
 from slipfree.problem.schema import Terrain
-from slipfree.problem.solve import run
+from slipfree.problem.solve import run_problem
 from slipfree.problem.summary import motion_facts
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import Heights, cut, disturbed, fill_holes, scaled, smoothed
@@ -223,7 +223,7 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
     z[14:18, 22:26] = np.nan  # x from -1.5 to -0.75, y from 0.5 to 1.25
     np.savez(tmp_path / "g.npz", x=x, y=y, z=z)
     settings = ["terrain.fill=linear", "start={x = 0, y = 0, heading = 0}", "time.duration=20"]
-    motion = run(_read(tmp_path, FILE, *settings)).trajectory
+    motion = run_problem(_read(tmp_path, FILE, *settings)).trajectory
     words = dict(motion_facts(motion))["filled ground"]
     assert words == motion.attributes["filled_ground"]
     found = re.fullmatch(
@@ -238,10 +238,10 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
     netcdf.write(tmp_path / "run.nc", motion)
     told = CliRunner().invoke(app, ["info", str(tmp_path / "run.nc")]).stdout
     assert told.count("interpolated heights") == 1
-    away = run(_read(tmp_path, FILE, *settings, "start.x=2")).trajectory
+    away = run_problem(_read(tmp_path, FILE, *settings, "start.x=2")).trajectory
     assert away.attributes["filled_ground"] == "no wheel on it at any of 81 samples"
     np.savez(tmp_path / "g.npz", x=x, y=y, z=np.zeros(z.shape))
-    whole = run(_read(tmp_path, FILE, *settings)).trajectory
+    whole = run_problem(_read(tmp_path, FILE, *settings)).trajectory
     assert "filled ground" not in dict(motion_facts(whole))
 
 

@@ -23,7 +23,7 @@ from slipfree.cli import app
 from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.build_common import build_terrain
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 from slipfree.terrain.analytic import Analytic
 from slipfree.terrain.base import Grid
@@ -361,16 +361,16 @@ def test_check_tells_the_friction():
 
 
 def test_a_problem_with_a_number(folder):
-    problem = read(folder / "p.toml")
+    problem = load_problem(folder / "p.toml")
     terrain = build_terrain(problem, build(problem).ground)
     assert (terrain.mu, terrain.friction_domain) == (0.6, None)
     # A whole number is a number too.
-    assert read(folder / "p.toml", ["terrain.friction=1"]).spec.terrain.friction == 1.0
+    assert load_problem(folder / "p.toml", ["terrain.friction=1"]).spec.terrain.friction == 1.0
 
 
 def test_a_problem_with_a_map_scaled_with_its_ground(folder):
     settings = ["terrain.friction=mu.npz", "terrain.scale=2", "terrain.window=[-4, 5, -4, 5]"]
-    problem = read(folder / "p.toml", settings)
+    problem = load_problem(folder / "p.toml", settings)
     terrain = build_terrain(problem, build(problem).ground)
     assert terrain.domain == (-4, 5, -4, 5)
     # The window cuts the ground alone.
@@ -383,7 +383,7 @@ def test_a_problem_with_a_map_scaled_with_its_ground(folder):
 
 
 def test_a_ground_changed_for_the_wheels_keeps_its_friction(folder):
-    ground = build(read(folder / "p.toml", ["terrain.rolled=0.3"])).ground
+    ground = build(load_problem(folder / "p.toml", ["terrain.rolled=0.3"])).ground
     assert ground.rolled is not None
     assert (ground.mu, ground.friction) == (0.6, "0.6")
 
@@ -393,7 +393,7 @@ def test_problem_refuses(folder, bad):
     words = r"p\.toml:4: terrain\.friction: expected a number greater than 0, or a file's name"
     (folder / "p.toml").write_text(PROBLEM.replace("0.6", bad))
     with pytest.raises(ProblemError, match=words):
-        read(folder / "p.toml")
+        load_problem(folder / "p.toml")
 
 
 @pytest.mark.parametrize(
@@ -411,6 +411,6 @@ def test_problem_refuses_a_map(folder, changes, words):
     else:
         np.savez(folder / "mu.npz", **({"x": mu.x, "y": mu.y} | changes))
     (folder / "p.toml").write_text(PROBLEM.replace("0.6", '"mu.npz"') + "\n")
-    problem = read(folder / "p.toml", ["terrain.scale=2"])
+    problem = load_problem(folder / "p.toml", ["terrain.scale=2"])
     with pytest.raises(ProblemError, match=rf"p\.toml:4: terrain\.friction: .*{words}"):
         build(problem)

@@ -25,8 +25,8 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.models.slip import measured_slip
 from slipfree.plan.plan import plan
 from slipfree.plan.verification import inputs_along
-from slipfree.problem.load import read
-from slipfree.problem.solve import run as solve
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import run_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 RATES = {f"{name}_rate": (-2.0, 2.0) for name in ("right", "left", "steer")}
@@ -226,5 +226,5 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(setting, words):
     with pytest.raises(ProblemError) as error:
-        solve(read(PROBLEMS / "plan_rigid_hills.toml", [setting]))
+        run_problem(load_problem(PROBLEMS / "plan_rigid_hills.toml", [setting]))
     assert words in str(error.value)

@@ -24,7 +24,7 @@ from slipfree.files import netcdf
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.vehicle_toml import open_file
-from slipfree.problem.load import read
+from slipfree.problem.load import load_problem
 from slipfree.problem.reload import problem_of
 from slipfree.vehicle.formula import names_in
 
@@ -122,7 +122,7 @@ def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
 def test_toml_beyond_reason_is_refused_at_once(text: str, words: str, tmp_path: Path) -> None:
     file = tmp_path / "p.toml"
     file.write_text(text)
-    for reader in (read, open_file):
+    for reader in (load_problem, open_file):
         begin = time.process_time()
         with pytest.raises(ProblemError, match=words) as caught:
             reader(file)
@@ -140,7 +140,7 @@ def test_integers_beyond_all_floats_are_no_numbers(tmp_path: Path) -> None:
     file = tmp_path / "p.toml"
     file.write_text(document({**bases("plan")[0], "goal": {"x": 10**400, "y": [0, 10**400]}}))
     with pytest.raises(ProblemError, match=r"goal.x: expected a number.*\n.*goal.y: expected"):
-        read(file)
+        load_problem(file)
 
 
 def test_what_is_found_is_shown_shortly(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_what_is_found_is_shown_shortly(tmp_path: Path) -> None:
     file = tmp_path / "p.toml"
     file.write_text(document({**bases("direct")[0], "driver": nested}))
     with pytest.raises(ProblemError, match=r"found \[\[\[\[\.\.\.\]\]\]\]$"):
-        read(file)
+        load_problem(file)
 
 
 @pytest.mark.parametrize(

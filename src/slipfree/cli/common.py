@@ -83,10 +83,10 @@ def about(file: Path) -> Iterator[None]:
 
 def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Problem[Climb]:
     """Return a checked problem, some of its values replaced."""
-    from slipfree.problem.load import read
+    from slipfree.problem.load import load_problem
 
     refuse_result(file)
-    problem = read(file, settings or [])
+    problem = load_problem(file, settings or [])
     detail(f"read {file}")
     return problem
 

@@ -27,9 +27,9 @@ from slipfree.errors import DataError
 
 if TYPE_CHECKING:
     from slipfree.problem.build_common import Setup
-    from slipfree.problem.compare import Drive
     from slipfree.problem.load import Problem
     from slipfree.problem.schema import Climb, Motion
+    from slipfree.problem.verbs.compare import Drive
 
 
 def check(file: File, settings: Settings = None) -> None:
@@ -70,7 +70,7 @@ def _samples(problem: Problem[Motion], setup: Setup) -> str:
 
 def _check_climb(problem: Problem[Climb]) -> None:
     """Stand the vehicle of a climb before its obstacle."""
-    from slipfree.problem.climb import build_climb
+    from slipfree.problem.verbs.climb import build_climb
 
     setup = build_climb(problem)
     detail("stood the vehicle on the floor")
@@ -104,9 +104,9 @@ def compare(file: File, settings: Settings = None) -> None:
     """Compare vehicles on one ground: which can roll without slip, how much the others slip."""
     with reported():
         from slipfree.problem.build_ground import ground_facts
-        from slipfree.problem.compare import compare as solve
         from slipfree.problem.load import read_as
         from slipfree.problem.schema import Compare
+        from slipfree.problem.verbs.compare import compare as solve
 
         def told(name: str) -> None:
             if sys.stderr.isatty() and has_bar():

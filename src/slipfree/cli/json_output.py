@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slipfree.problem.compare import Drive, Row
+    from slipfree.problem.verbs.compare import Drive, Row
     from slipfree.trajectory import Stop, Trajectory
 
 

@@ -131,14 +131,14 @@ def _solve(problem: Problem[Motion] | Problem[Climb], former: SavedPlan | None) 
     from rich.markup import escape
     from rich.progress import Progress
 
-    from slipfree.problem.solve import run as solve
+    from slipfree.problem.solve import run_problem
 
     console = Console(file=sys.stderr)  # as it is now: messages of integrators are kept from it
     with interruptible() as poll:
         if is_verbose():
-            return _told(solve(problem, *_telling(poll, problem.spec.time.duration), former))
+            return _told(run_problem(problem, *_telling(poll, problem.spec.time.duration), former))
         if not (console.is_terminal and has_bar()):
-            return solve(problem, lambda _: poll(), lambda _: poll(), former)
+            return run_problem(problem, lambda _: poll(), lambda _: poll(), former)
         with Progress(console=console, transient=True) as bar:
             task = bar.add_task(
                 "solving", total=None if problem.spec.verb == "plan" else problem.spec.time.duration
@@ -154,7 +154,7 @@ def _solve(problem: Problem[Motion] | Problem[Climb], former: SavedPlan | None) 
                 poll()
                 show_line(line)
 
-            return solve(problem, progress, show_what, former)
+            return run_problem(problem, progress, show_what, former)
 
 
 def _telling(
@@ -227,7 +227,7 @@ def _check_animation(file: Path, problem: Problem[Motion] | Problem[Climb]) -> N
 
 
 def _animate(outcome: Outcome, file: Path) -> None:
-    from slipfree.problem.climb import Climbing
+    from slipfree.problem.verbs.climb import Climbing
     from slipfree.show.climb_figures import animate
 
     if isinstance(outcome.setup, Climbing):
@@ -236,8 +236,8 @@ def _animate(outcome: Outcome, file: Path) -> None:
 
 
 def _draw(outcome: Outcome, folder: Path) -> None:
-    from slipfree.problem.climb import Climbing
-    from slipfree.problem.plan import Planning, figure_options
+    from slipfree.problem.verbs.climb import Climbing
+    from slipfree.problem.verbs.plan import Planning, figure_options
 
     if isinstance(outcome.setup, Climbing):
         from slipfree.show.climb_figures import save_climb_figures

@@ -12,8 +12,8 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.problem import schema
 from slipfree.problem.build_common import turned
 from slipfree.problem.build_ground import at
-from slipfree.problem.direct import way_of
 from slipfree.problem.load import Problem, S
+from slipfree.problem.verbs.direct import way_of
 from slipfree.records import Array
 from slipfree.routing.regions import Disc, Polygon, Region
 from slipfree.routing.search import route, routes

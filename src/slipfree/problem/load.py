@@ -65,7 +65,9 @@ class Problem(Generic[A]):
         return self.source.path.parent
 
 
-def read(path: str | Path, settings: Sequence[str] = ()) -> Problem[Motion] | Problem[Climb]:
+def load_problem(
+    path: str | Path, settings: Sequence[str] = ()
+) -> Problem[Motion] | Problem[Climb]:
     """Return the problem of a motion in a TOML file, a climb among them; see `read_as`."""
     found = _read(COMMANDS["run"], path, settings)
     return cast("Problem[Motion] | Problem[Climb]", found)

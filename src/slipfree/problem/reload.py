@@ -20,11 +20,11 @@ from slipfree.plan.warm_start import ARRAY_PREFIX, from_arrays
 from slipfree.problem import schema
 from slipfree.problem.build_common import build_terrain, build_vehicle
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.climb import build_climb
-from slipfree.problem.climb_plan import PROGRESS
 from slipfree.problem.goals import regions
 from slipfree.problem.input_files import DRAWN, input_names
 from slipfree.problem.load import Problem, climbs, read_earlier
+from slipfree.problem.verbs.climb import build_climb
+from slipfree.problem.verbs.climb_plan import PROGRESS
 from slipfree.records import Array
 from slipfree.regular_files import resolve_links, unescape_name
 from slipfree.show.climb_scene import Climbed

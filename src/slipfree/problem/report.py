@@ -15,13 +15,13 @@ from slipfree.files.netcdf import ORIGIN, read, read_arrays
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem import schema
 from slipfree.problem.build_ground import build_ground
-from slipfree.problem.climb import build_climb
-from slipfree.problem.climb_plan import PROGRESS
 from slipfree.problem.load import Problem, climbs
-from slipfree.problem.plan import Planning, figure_options
 from slipfree.problem.reload import problem_of
 from slipfree.problem.solve import build
 from slipfree.problem.summary import Facts, motion_facts, ranges
+from slipfree.problem.verbs.climb import build_climb
+from slipfree.problem.verbs.climb_plan import PROGRESS
+from slipfree.problem.verbs.plan import Planning, figure_options
 from slipfree.records import Array, Label
 from slipfree.show.climb_figures import climb_figures
 from slipfree.show.html_report import Report

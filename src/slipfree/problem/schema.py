@@ -1,7 +1,7 @@
 """What a problem file may hold, by its verb: types, ranges, units and meanings, as frozen records.
 
 Tables of the ground are in `slipfree.problem.schema_ground`, those of a climb in
-`slipfree.problem.schema_climb`.
+`slipfree.problem.verbs.climb_schema`.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from slipfree.files.toml.types import Positive as Positive
 from slipfree.files.toml.types import Record as Record
 from slipfree.frames import Frame
 from slipfree.problem.catalog_table import CATALOG, OWN, read_table
-from slipfree.problem.schema_climb import Approach, Compliance, Control, Friction
-from slipfree.problem.schema_climb import Climber as Climber
-from slipfree.problem.schema_climb import Legs as Legs
-from slipfree.problem.schema_climb import Profile as Profile
 from slipfree.problem.schema_ground import Synthetic as Synthetic
 from slipfree.problem.schema_ground import Terrain as Terrain
 from slipfree.problem.schema_law import Law as Law
 from slipfree.problem.schema_law import known_slip
+from slipfree.problem.verbs.climb_schema import Approach, Compliance, Control, Friction
+from slipfree.problem.verbs.climb_schema import Climber as Climber
+from slipfree.problem.verbs.climb_schema import Legs as Legs
+from slipfree.problem.verbs.climb_schema import Profile as Profile
 from slipfree.solve.options import MIN_TOLERANCE, Method, SolverOptions
 
 SlipName = Annotated[str, AfterValidator(known_slip)]

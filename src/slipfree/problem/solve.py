@@ -19,12 +19,12 @@ from slipfree.problem import schema
 from slipfree.problem.build_common import Setup, vehicle_facts
 from slipfree.problem.build_ground import at, filled_words, ground_facts
 from slipfree.problem.build_model import law_name
-from slipfree.problem.climb import Climbing, build_climb, climbed
-from slipfree.problem.direct import build_direct
-from slipfree.problem.inverse import build_inverse, solve_inverse
 from slipfree.problem.load import Problem, climbs
-from slipfree.problem.plan import Planning, build_plan, planned
 from slipfree.problem.summary import Facts
+from slipfree.problem.verbs.climb import Climbing, build_climb, climbed
+from slipfree.problem.verbs.direct import build_direct
+from slipfree.problem.verbs.inverse import build_inverse, solve_inverse
+from slipfree.problem.verbs.plan import Planning, build_plan, planned
 from slipfree.records import Array, leaves
 from slipfree.regular_files import escape_name
 from slipfree.solve.options import SolverOptions
@@ -74,7 +74,7 @@ def build(problem: Problem[schema.Motion]) -> Setup:
 
 
 @computing
-def run(
+def run_problem(
     problem: Problem[schema.Motion] | Problem[schema.Climb],
     progress: Progress | None = None,
     tell: Callable[[str], None] | None = None,
@@ -85,7 +85,7 @@ def run(
     Parameters
     ----------
     problem : Problem
-        From ``read``.
+        From `load_problem`.
     progress : callable, optional
         Called with the time reached. [s]
     tell : callable, optional
@@ -175,7 +175,7 @@ def cross(problem: Problem[schema.Motion], outcome: Outcome) -> tuple[Difference
     """Return where the same problem in the other formulation of contact ends up differently."""
     spec = check_cross(problem)
     other = spec.model_copy(update={"formulation": other_formulation(spec)})
-    return cross_check(outcome.trajectory, run(replace(problem, spec=other)).trajectory)
+    return cross_check(outcome.trajectory, run_problem(replace(problem, spec=other)).trajectory)
 
 
 def other_formulation(spec: schema.Direct) -> str:

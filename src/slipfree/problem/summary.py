@@ -10,7 +10,7 @@ from slipfree.contact.certify import NONE
 from slipfree.frames import to_problem_frame
 from slipfree.models.given_rates import COMMANDS
 from slipfree.models.inverse import steering_note
-from slipfree.problem.climb_summary import climb_facts, is_climb
+from slipfree.problem.verbs.climb_summary import climb_facts, is_climb
 from slipfree.records import Mask
 from slipfree.trajectory import Trajectory, path_length
 

@@ -18,7 +18,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.toml.source_lines import key_path
 from slipfree.problem.input_files import digest, input_files
-from slipfree.problem.load import Problem, read
+from slipfree.problem.load import Problem, load_problem
 from slipfree.problem.schema import Climb, Motion
 from slipfree.version import __version__
 
@@ -179,7 +179,7 @@ def sweep_of(
             f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values"
         )
     problems = [
-        read(file, [*settings, *(f"{a.key}={v}" for a, v in zip(axes, point, strict=True))])
+        load_problem(file, [*settings, *(f"{a.key}={v}" for a, v in zip(axes, point, strict=True))])
         for point in product(*(axis.values for axis in axes))
     ]
     paths = {name: path for each in problems for name, path in input_files(each).items()}

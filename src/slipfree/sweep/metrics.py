@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from slipfree.frames import to_problem_frame
-from slipfree.problem.climb_summary import is_climb
 from slipfree.problem.schema import Climb, Motion, Plan
+from slipfree.problem.verbs.climb_summary import is_climb
 from slipfree.sweep.task import COMPLETE
 from slipfree.trajectory import Trajectory, path_length
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from slipfree.errors import SlipfreeError
-from slipfree.problem.load import Problem, read
+from slipfree.problem.load import Problem, load_problem
 from slipfree.problem.schema import Climb, Motion
-from slipfree.problem.solve import run as solved
+from slipfree.problem.solve import run_problem
 from slipfree.sweep.log import FAILED, LOST, Row
 from slipfree.sweep.metrics import figures_of
 from slipfree.sweep.task import Done, Task, own_settings, without_motion
@@ -44,7 +44,7 @@ def work(task: Task) -> Done:
 def _worked(task: Task, begin: float) -> Done:
     problem = _problem(task)
     try:
-        motion, _, arrays = solved(problem)
+        motion, _, arrays = run_problem(problem)
     except SolverError as error:
         if error.trajectory is None:
             raise
@@ -68,5 +68,5 @@ def _problem(task: Task) -> Problem[Motion] | Problem[Climb]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.name
         copy.write_bytes(task.text.encode())
-        problem = read(copy, task.settings)
+        problem = load_problem(copy, task.settings)
     return replace(problem, source=replace(problem.source, path=path))

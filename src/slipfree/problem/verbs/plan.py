@@ -31,7 +31,6 @@ from slipfree.problem.build_common import (
 )
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model
-from slipfree.problem.direct import build_law
 from slipfree.problem.goals import (
     Place,
     Wanted,
@@ -44,6 +43,7 @@ from slipfree.problem.goals import (
     ways_of,
 )
 from slipfree.problem.load import Problem, S
+from slipfree.problem.verbs.direct import build_law
 from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.regions import Region

@@ -19,8 +19,8 @@ from slipfree.problem.build_common import (
     samples,
 )
 from slipfree.problem.build_ground import Ground, at, build_ground
-from slipfree.problem.direct import build_law
 from slipfree.problem.load import Problem
+from slipfree.problem.verbs.direct import build_law
 from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate

@@ -28,9 +28,9 @@ from slipfree.files.toml.source_lines import Place
 from slipfree.problem import schema
 from slipfree.problem.build_common import read_columns, samples
 from slipfree.problem.build_ground import at
-from slipfree.problem.climb_plan import Planned, arrays_of, plan_climb, plan_statistics
 from slipfree.problem.load import Problem
 from slipfree.problem.summary import Facts
+from slipfree.problem.verbs.climb_plan import Planned, arrays_of, plan_climb, plan_statistics
 from slipfree.records import Array
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate

@@ -1,0 +1,1 @@
+"""Verbs: what a problem file can ask for, one module per verb."""
