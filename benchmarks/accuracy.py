@@ -1,4 +1,4 @@
-"""How exact direct kinematics is: the figures of the README, from one command.
+"""Measure the accuracy of direct kinematics, for ``docs/accuracy.md``.
 
 ``python benchmarks/accuracy.py``
 """
@@ -23,6 +23,7 @@ from slipfree import (
     simulate,
     three_wheeler,
 )
+from slipfree.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parent.parent / "tests" / "data"
 NAMES = ("x", "y", "heading", "tilt_right", "tilt_left", "z")
@@ -92,14 +93,16 @@ def terrain() -> None:
 def derivative_errors(ground: Bicubic, exact: NdBSpline, a: np.ndarray, b: np.ndarray) -> float:
     """Return the largest error of value and derivatives, relative to each one's largest size."""
     s = ca.SX.sym("s", 2)
-    expression, o = ground.height(s[0], s[1]), ground.origin
+    lookups = LookupTable()
+    expression, o = ground.height(s[0], s[1], lookups), ground.origin
     worst = []
     for order in range(4):
         for k in range(order + 1):
             d = expression
             for axis in [0] * (order - k) + [1] * k:
                 d = ca.gradient(d, s)[axis]
-            found = ca.Function("d", [s], [d]).map(a.size)(np.vstack([a - o[0], b - o[1]]))
+            function = lookup_function(lookups.lookups, "d", [s], [d])
+            found = function.map(a.size)(np.vstack([a - o[0], b - o[1]]))
             want = exact(np.column_stack([a, b]), nu=(order - k, k))
             want = want - (o[2] if order == 0 else 0)
             worst.append(np.abs(np.array(found).ravel() - want).max() / np.abs(want).max())

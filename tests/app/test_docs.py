@@ -56,7 +56,7 @@ def test_a_notebook_is_told_about_and_compiles(name):
     assert re.search(r"^# # \S", code, re.MULTILINE), "a title"
 
 
-@pytest.mark.parametrize("page", ["theory.md", "conventions.md"])
+@pytest.mark.parametrize("page", ["conventions.md", "papers.md"])
 def test_tests_that_a_page_names_exist(page):
     names = re.findall(r"`(test_\w+\.py)(?:::(\w+))?`", text_of(page))
     assert names
@@ -64,6 +64,11 @@ def test_tests_that_a_page_names_exist(page):
         (path,) = (ROOT / "tests").rglob(file)
         code = path.read_text()
         assert f"def {test}" in code, (file, test)
+
+
+def test_every_shipped_problem_is_described_once():
+    named = re.findall(r"`(\w+\.toml)`", re.sub(r"(?m)^[^|].*$", "", text_of("problems.md")))
+    assert sorted(named) == sorted(path.name for path in (ROOT / "problems").glob("*.toml"))
 
 
 def test_stops_that_are_explained_exist():
