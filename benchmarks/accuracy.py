@@ -13,16 +13,8 @@ import numpy as np
 from reference import heading
 from scipy.interpolate import NdBSpline, RectBivariateSpline
 
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-    three_wheeler,
-)
+from slipfree import Analytic, Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parent.parent / "tests" / "data"

@@ -21,7 +21,8 @@ import casadi as ca
 import numpy as np
 from reference import heading
 
-from slipfree import Bicubic, Grid, direct_kinematics, settle, straight, three_wheeler
+from slipfree import Bicubic, Grid, direct_kinematics, settle, straight
+from slipfree.catalog import three_wheeler
 from slipfree.lookups import LookupTable
 from slipfree.records import leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions

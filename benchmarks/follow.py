@@ -8,16 +8,8 @@ from __future__ import annotations
 import numpy as np
 from reference import heading
 
-from slipfree import (
-    Bicubic,
-    Path,
-    Trajectory,
-    direct_kinematics,
-    follow,
-    settle,
-    simulate,
-    three_wheeler,
-)
+from slipfree import Bicubic, Path, Trajectory, direct_kinematics, follow, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
 

@@ -22,13 +22,13 @@ from slipfree import (
     Coulomb,
     ModelError,
     SolverOptions,
-    best_utilisation,
     direct_kinematics,
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
+from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 

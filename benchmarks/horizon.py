@@ -19,7 +19,7 @@ from reference import heading
 
 from plan import DURATION, GOAL, hills, planned, rms_slip
 from slipfree import Analytic, settle, simulate
-from slipfree.plan.mpc import Cycle, Horizon, advance, cycle_inputs, first_cycle, horizon
+from slipfree.plan.mpc import Cycle, Horizon, cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import Plan
 from slipfree.trajectory import joined
 
@@ -44,7 +44,7 @@ def drive(found: Plan, window: Horizon, start: dict[str, float]) -> Drive:
     here, seconds, runs, violations = settle(dae, **start), [], [], []
     for t, end in pairwise(np.linspace(0, DURATION, CYCLES + 1)):
         x, clock = dae.rows("x", here, -1), time.perf_counter()
-        cycle = advance(window, cycle, t, x)
+        cycle = replan(window, cycle, t, x)
         seconds.append(time.perf_counter() - clock)
         violations.append(cycle.violation)
         here = between(dae, here, window, cycle, (t, end))
@@ -97,7 +97,7 @@ def growth(found: Plan) -> None:
         for number in range(20):
             moved = x + 0.01 * (-1) ** number  # [m, rad]: else there would be nothing to do
             clock = time.perf_counter()
-            cycle = advance(window, cycle, 0.0, moved)
+            cycle = replan(window, cycle, 0.0, moved)
             seconds.append(time.perf_counter() - clock)
         print(f"{size:9}  {1e3 * np.median(seconds):6.1f}")
 

@@ -28,8 +28,8 @@ from slipfree import (
     direct_kinematics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.control.path_tracking import path_inputs
 from slipfree.models.determinacy import conditions
 from slipfree.models.given_rates import EULER, PLANAR, VELOCITY

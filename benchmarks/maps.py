@@ -30,8 +30,8 @@ from slipfree import (
     follow,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.files.maps.elevation import read_map
 from slipfree.geometry.path import Path as Way
 from slipfree.plan.polynomial_motion import PolynomialMotion

@@ -43,16 +43,8 @@ from reference import heading
 from scipy.integrate import solve_ivp
 from work_precision import cvodes
 
-from slipfree import (
-    Bicubic,
-    Grid,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-    straight,
-    three_wheeler,
-)
+from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate, straight
+from slipfree.catalog import three_wheeler
 from slipfree.codegen_cache import FOLDER
 from slipfree.models.montana import montana_kinematics
 from slipfree.solve.initial_conditions import solve_initial_conditions

@@ -51,8 +51,8 @@ from slipfree import (
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.codegen_cache import FOLDER
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.plan.plan import Plan, plan

@@ -37,13 +37,12 @@ from slipfree import (
     settle,
     simulate,
 )
+from slipfree.catalog import rocky7
 from slipfree.plan.plan import plan
 from slipfree.plan.stage import Cost
 from slipfree.problem.vehicle_report import conditioning
-from slipfree.records import Label
 from slipfree.terrain.rolled import rolled
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.catalogue.rovers import rocky7
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "physics"))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
@@ -164,8 +163,8 @@ def planned(continuous: bool) -> None:
     slip = sum(ca.sumsqr(ca.vertcat(*part)) for part in (dae.y.slip_along, dae.y.slip_across))
     effort = ca.sumsqr(ca.vertcat(*dae.u.joints)) + 0.02 * ca.sumsqr(ca.vertcat(*dae.u.wheels))
     costs = [
-        Cost(Label("slip", "m2 s-1", "squared slip"), slip, WEIGHTS["slip"]),
-        Cost(Label("effort", "rad2 s-1", "weighed effort"), effort, WEIGHTS["effort"]),
+        Cost("slip", slip, "m2 s-1", "squared slip", WEIGHTS["slip"]),
+        Cost("effort", effort, "rad2 s-1", "weighed effort", WEIGHTS["effort"]),
     ]
     begin = time.process_time()
     found = plan(

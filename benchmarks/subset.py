@@ -23,12 +23,12 @@ from slipfree import (
     Bicubic,
     Grid,
     ModelError,
-    Terrain,
     Trajectory,
     direct_kinematics,
     settle,
     simulate,
 )
+from slipfree.catalog import rocky7
 from slipfree.models.given_rates import derived_rates
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.steering_guide import steering_effects
@@ -36,7 +36,7 @@ from slipfree.models.wheel_authority import wheel_rates
 from slipfree.records import leaves, pack
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
-from slipfree.vehicle.catalogue.rovers import rocky7
+from slipfree.terrain.base import Terrain
 
 GROUND = Path(__file__).parent.parent / "tests" / "data" / "gridsurfdata.txt"
 ROVER = rocky7(steered="corners", mass=0.0, wheel_mass=0.0)  # no forces: the motion alone

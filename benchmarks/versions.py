@@ -74,6 +74,7 @@ name = sys.argv[1]
 compiled = name.endswith(" compiled")
 new = hasattr(sf, "SolverOptions")  # version 0.1.0 has it in the model
 options = {"options": sf.SolverOptions(compiled=compiled)} if new else {}
+catalog = sf.catalog if new else sf
 if name.endswith("without kernel"):
     kernel.library = lambda: None
 x, y = np.linspace(-6, 6, 241), np.linspace(-3, 9, 241)
@@ -82,9 +83,9 @@ hills = 0.1 * np.sin(1.3 * x)[:, None] * np.cos(0.9 * y) + 0.02 * np.sin(4 * x)[
 
 def vehicle():
     if "rover" in name:
-        return sf.rocky7()
+        return catalog.rocky7()
     planned = name.startswith(("plan", "hessian"))
-    return sf.three_wheeler(axle="fixed" if planned else "tilting")
+    return catalog.three_wheeler(axle="fixed" if planned else "tilting")
 
 
 def model():
@@ -231,12 +232,13 @@ GROUNDS = {
     "map of friction": lambda: sf.Bicubic(grids[0], mu=grids[1]),
     "formula of friction": lambda: sf.Bicubic(grids[0], mu=lambda x, y: 0.6 + 0.1 * ca.sin(x)),
 }
-three, rover = sf.three_wheeler(), sf.rocky7()
+catalog = getattr(sf, "catalog", sf)  # version 0.1.0 has its vehicles at the top
+three, rover = catalog.three_wheeler(), catalog.rocky7()
 MODELS = {
     "least slip": lambda g: direct_kinematics(three, g),
     "least slip, rover": lambda g: direct_kinematics(rover, g),
     "rolling": lambda g: direct_kinematics(three, g, slip=Rolling()),
-    "traction": lambda g: quasi_statics(sf.three_wheeler(axle="fixed"), g),
+    "traction": lambda g: quasi_statics(catalog.three_wheeler(axle="fixed"), g),
     "Montana": lambda g: montana_kinematics(three, g),
     "inverse, steering rate": lambda g: inverse(three, g, "rates"),
     "inverse, steering angle": lambda g: inverse(three, g, "angles"),
@@ -267,7 +269,7 @@ for ground_name, make in GROUNDS.items():
             whole = [np.array(ca.DM(slopes[j])).ravel() for j in (1, 2, 5, 6)]
             found[f"{key} | Jacobian"] = np.concatenate(whole)
     for slip, model in (("least", direct_kinematics), ("traction", quasi_statics)):
-        dae = model(sf.three_wheeler(axle="fixed"), ground)
+        dae = model(catalog.three_wheeler(axle="fixed"), ground)
         task = task_of(dae, sf.settle(dae), goal={"y": 1.0}, costs={"slip": 1.0, "effort": 0.01},
                        duration=(4.0, 6.0), limits={"steer": (-1.0, 1.0)})
         program, rng = transcribe(task, Mesh(np.linspace(0, 1, 3), 2)), np.random.default_rng(3)

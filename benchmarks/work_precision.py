@@ -36,8 +36,8 @@ from slipfree import (
     settle,
     simulate,
     straight,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions

@@ -29,11 +29,11 @@ import slipfree
 from slipfree import (
     Analytic,
     ModelError,
+    catalog,
     direct_kinematics,
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem.load import load_problem
@@ -72,7 +72,7 @@ def needed(vehicle, slope, headings, tilts=None):
 
 
 up, across, down = 0.0, 90 * DEG, 180 * DEG  # headings: across has the slope rise to the right
-tilting = three_wheeler(wheel_mass=0.0)
+tilting = catalog.three_wheeler(wheel_mass=0.0)
 h, L = 0.3, 1.5
 print("slope       up          down        across     (found, closed form)")
 for degrees in (5, 10, 20):
@@ -93,9 +93,9 @@ for degrees in (5, 10, 20):
 DISC = {"r1": 0.005, "r2": 0.295}
 axles = {
     "both wheels tilt": tilting,
-    "both halves slide": three_wheeler(axle="sliding", wheel_mass=0.0, **DISC),
-    "right half slides": three_wheeler(axle="prismatic", wheel_mass=0.0, **DISC),
-    "fixed": three_wheeler(axle="fixed", wheel_mass=0.0),
+    "both halves slide": catalog.three_wheeler(axle="sliding", wheel_mass=0.0, **DISC),
+    "right half slides": catalog.three_wheeler(axle="prismatic", wheel_mass=0.0, **DISC),
+    "fixed": catalog.three_wheeler(axle="fixed", wheel_mass=0.0),
 }
 
 
@@ -235,7 +235,7 @@ figure
 
 # %%
 r1, r2 = 0.05, 0.25
-vehicle = three_wheeler()
+vehicle = catalog.three_wheeler()
 model = direct_kinematics(vehicle, plane(0.0))
 tilts = np.linspace(0, 30, 61) * DEG
 form = r2 * np.sin(tilts) / (r1 + r2 * np.cos(tilts))
@@ -274,7 +274,7 @@ t = np.linspace(0, 1200, 121)
 figure = style.figure(5.8, 3.2)
 ax = figure.subplots()
 for k, stiffness in enumerate((0.0, 20.0, 40.0)):
-    sprung = three_wheeler(stiffness=stiffness)
+    sprung = catalog.three_wheeler(stiffness=stiffness)
     model = quasi_statics(sprung, plane(0.0, mu=0.6))
     start = settle(model, tilt_right=3 * DEG, tilt_left=3 * DEG)
     still = model.inputs(right_rate=0.0, left_rate=0.0, steer_rate=0.0)
@@ -335,10 +335,10 @@ tilts = np.linspace(-20, 30, 26) * DEG
 figure = style.figure(6.8, 3.2)
 ax = figure.subplots()
 for k, stiffness in enumerate((0.0, 30.0, 60.0)):
-    sprung = three_wheeler(stiffness=stiffness)
+    sprung = catalog.three_wheeler(stiffness=stiffness)
     words = f"spring of {stiffness:.0f} N m/rad" if stiffness else "free"
     ax.plot(tilts / DEG, needed(sprung, slope, (across,), tilts), label=words, **style.look(k))
-locked = actuated(three_wheeler(), "tilt_right", "tilt_left")
+locked = actuated(catalog.three_wheeler(), "tilt_right", "tilt_left")
 ax.plot(tilts / DEG, needed(locked, slope, (across,), tilts), label="locked", **style.look(3))
 ax.axhline(np.tan(slope), color="black", ls=":", lw=1, label="any vehicle")
 ax.set(title="Friction needed to stand across a slope of 20 deg", ylim=(0, 2))

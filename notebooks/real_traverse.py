@@ -27,12 +27,12 @@ from slipfree import (
     Bicubic,
     Path,
     SolverOptions,
+    catalog,
     direct_kinematics,
     follow,
     settle,
     simulate,
     straight,
-    three_wheeler,
 )
 from slipfree.errors import ModelError
 from slipfree.files.export import export_path
@@ -62,7 +62,7 @@ print(f"cells of {grid.spacing[0]:.1f} x {grid.spacing[1]:.1f} m, relief {np.ptp
 # the slope takes. What cannot be crossed is blocked, and a message says why.
 
 # %%
-vehicle = three_wheeler()
+vehicle = catalog.three_wheeler()
 start, goal = (2650.0, 2430.0), (2530.0, 2650.0)
 layers = traversability(ground, vehicle)
 found = routes(layers, start, goal, 2, turning_radius=3.0)
@@ -144,7 +144,7 @@ east, north = (small.x > 126) & (small.x < 146), (small.y > 70) & (small.y < 95)
 rough = Grid(small.x[east], small.y[north], np.ascontiguousarray(small.z[np.ix_(east, north)]))
 felt = rolled(rough, 0.6)
 print(f"rolled: height changed by {felt.largest:.3f} m at most, {1000 * felt.rms:.1f} mm rms")
-large = three_wheeler(r1=0.1, r2=0.5)
+large = catalog.three_wheeler(r1=0.1, r2=0.5)
 for words, height in (("as measured", rough), ("as the wheel feels it", felt.grid)):
     model = direct_kinematics(large, Bicubic(height))
     try:

@@ -22,12 +22,12 @@ from slipfree import (
     Bicubic,
     ModelError,
     Path,
+    catalog,
     direct_kinematics,
     follow,
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
 from slipfree.plan.plan import plan
 from slipfree.show import motion_figures, style
@@ -53,7 +53,7 @@ print(f"{grid.x.size} x {grid.y.size} nodes, heights {grid.z.min():.2f} to {grid
 # heading are ours to choose, its height, pitch and roll are the ground's.
 
 # %%
-vehicle = three_wheeler()
+vehicle = catalog.three_wheeler()
 model = direct_kinematics(vehicle, ground)
 start = settle(model, x=0.0, y=0.0, heading=0.0)
 for name in ("z", "pitch", "roll"):
@@ -134,7 +134,7 @@ except ModelError as error:
 # goal at the least cost, and simulates them again.
 
 # %%
-rigid = three_wheeler(axle="fixed")
+rigid = catalog.three_wheeler(axle="fixed")
 model = direct_kinematics(rigid, ground)
 start = settle(model)
 guess = simulate(

@@ -28,10 +28,10 @@ from slipfree import (
     Bicubic,
     SlipfreeError,
     SolverOptions,
+    catalog,
     direct_kinematics,
     settle,
     simulate,
-    three_wheeler,
 )
 from slipfree.models.determinacy import conditions
 from slipfree.models.given_rates import PLANAR
@@ -51,7 +51,7 @@ from slipfree.terrain.synthetic import blank, power_law
 ground = blank((-5.0, 5.0), (-4.0, 6.0), 0.25)
 ground = power_law(ground, rms=0.03, hurst=0.9, longest=10.0, shortest=2.0, seed=3)
 terrain = Bicubic(ground)
-vehicle = three_wheeler(tilt_stop=0.6)
+vehicle = catalog.three_wheeler(tilt_stop=0.6)
 model = direct_kinematics(vehicle, terrain)
 start = settle(model)
 print(f"relief {np.ptp(ground.z):.2f} m; the platform stands at {start['z'][0]:.4f} m,")

@@ -1,114 +1,46 @@
-"""How a wheeled vehicle moves over uneven ground without slipping."""
+"""How wheeled vehicles move over uneven ground.
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+Make a ground and a vehicle, a model of both, a start, and simulate or plan the motion:
 
-from slipfree.version import __version__
+Ground
+    `Analytic`, a formula. `Bicubic`, the surface of a `Grid` of heights. `read_map`, heights from a
+    file.
+Vehicle
+    `catalog`, vehicles ready for use. `read_vehicle`, from a TOML or URDF file. `Vehicle`, made of
+    `Coordinate`, `Joint`, `Body` and `Wheel`.
+Model, a `Dae`
+    `direct_kinematics`, the motion at given wheel rates, with a slip law: `LeastSlip`, `Rolling`.
+    `inverse_kinematics`, the wheel rates of a given motion. `quasi_statics`, the motion by gravity
+    and friction, with a wheel-ground law: `Coulomb`. `montana_kinematics`, a second formulation of
+    the direct kinematics.
+Start
+    `settle`, the vehicle at rest on the ground.
+Inputs
+    ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`.
+Motion, a `Trajectory`
+    `simulate`, with `SolverOptions`. `cross_check`, the difference of two formulations.
+Plan
+    `plan`, the inputs of least `Cost` to a goal. `replan`, while driving. `Region`, to keep out of.
+    `Route`, a way over a map.
+Problem file
+    `load_problem`, `run_problem`: as ``slipfree run`` does.
+Errors
+    `ModelError`, `DataError`, `SolverError`; all are `SlipfreeError`.
 
-if TYPE_CHECKING:
-    from slipfree.control.path_following import follow, straight
-    from slipfree.dae import Dae
-    from slipfree.errors import DataError, ModelError, SlipfreeError
-    from slipfree.geometry.path import Path
-    from slipfree.laws.coulomb import Coulomb
-    from slipfree.laws.least_slip import LeastSlip
-    from slipfree.laws.rolling import Rolling
-    from slipfree.models.friction_feasibility import best_utilisation
-    from slipfree.models.inverse import inverse_kinematics
-    from slipfree.models.kinematics import direct_kinematics
-    from slipfree.models.quasi_statics import quasi_statics
-    from slipfree.solve.options import SolverOptions
-    from slipfree.solve.settle import settle
-    from slipfree.solve.simulate import simulate
-    from slipfree.terrain.analytic import Analytic
-    from slipfree.terrain.base import Grid, Terrain
-    from slipfree.terrain.bicubic import Bicubic
-    from slipfree.trajectory import SolverError, Trajectory
-    from slipfree.vehicle.catalogue.carts import (
-        ackermann,
-        articulated,
-        differential_drive,
-        skid_steer,
-    )
-    from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
-    from slipfree.vehicle.catalogue.step_climber import seven_wheels
-    from slipfree.vehicle.catalogue.three_wheeler import three_wheeler
-    from slipfree.vehicle.tree import Vehicle, actuated
+SI units and radians. Map coordinates have z up; ``heading`` counts from the y axis,
+counter-clockwise. Expressions of a model are in local coordinates: see `Dae`.
 
-__all__ = [
-    "Analytic",
-    "Bicubic",
-    "Coulomb",
-    "Dae",
-    "DataError",
-    "Grid",
-    "LeastSlip",
-    "ModelError",
-    "Path",
-    "Rolling",
-    "SlipfreeError",
-    "SolverError",
-    "SolverOptions",
-    "Terrain",
-    "Trajectory",
-    "Vehicle",
-    "__version__",
-    "ackermann",
-    "actuated",
-    "articulated",
-    "best_utilisation",
-    "differential_drive",
-    "direct_kinematics",
-    "follow",
-    "inverse_kinematics",
-    "open_source_rover",
-    "quasi_statics",
-    "rocky7",
-    "settle",
-    "seven_wheels",
-    "simulate",
-    "skid_steer",
-    "straight",
-    "three_wheeler",
-]
+Examples
+--------
+>>> import numpy as np
+>>> from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
+>>> model = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y))
+>>> inputs = model.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
+>>> run = simulate(model, settle(model), inputs, np.linspace(0, 2, 5))
+>>> print(f"{run['y'][-1]:.3f} m forward")
+"""
 
-_HOMES = {
-    "dae": ("Dae",),
-    "errors": ("DataError", "ModelError", "SlipfreeError"),
-    "geometry.path": ("Path",),
-    "control.path_following": ("follow", "straight"),
-    "laws.coulomb": ("Coulomb",),
-    "laws.least_slip": ("LeastSlip",),
-    "laws.rolling": ("Rolling",),
-    "models.friction_feasibility": ("best_utilisation",),
-    "models.inverse": ("inverse_kinematics",),
-    "models.kinematics": ("direct_kinematics",),
-    "models.quasi_statics": ("quasi_statics",),
-    "solve.options": ("SolverOptions",),
-    "solve.settle": ("settle",),
-    "solve.simulate": ("simulate",),
-    "terrain.analytic": ("Analytic",),
-    "terrain.base": ("Grid", "Terrain"),
-    "terrain.bicubic": ("Bicubic",),
-    "trajectory": ("SolverError", "Trajectory"),
-    "vehicle.catalogue.three_wheeler": ("three_wheeler",),
-    "vehicle.tree": ("Vehicle", "actuated"),
-    "vehicle.catalogue.carts": ("ackermann", "articulated", "differential_drive", "skid_steer"),
-    "vehicle.catalogue.rovers": ("open_source_rover", "rocky7"),
-    "vehicle.catalogue.step_climber": ("seven_wheels",),
-}  # of what is imported when it is asked for, so that the command line answers at once
-_HOME = {name: home for home, names in _HOMES.items() for name in names}
+import lazy_loader
 
-
-def __getattr__(name: str) -> Any:
-    """Return what the package offers, from the module it is in."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    """Return the names that the package offers."""
-    return sorted({*globals(), *__all__})
+# Imported when they are first used, so that the command line answers at once.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -337,7 +337,7 @@ def test_outputs_do_not_replace_inputs(folder: Path, places: list[str], words: s
 
 def test_info_of_a_start_alone(folder: Path) -> None:
     dae = slipfree.direct_kinematics(
-        slipfree.three_wheeler(), slipfree.Analytic(lambda x, _: 0 * x)
+        slipfree.catalog.three_wheeler(), slipfree.Analytic(lambda x, _: 0 * x)
     )
     netcdf.write(folder / "start.nc", slipfree.settle(dae))
     result = _invoke("info", "start.nc")

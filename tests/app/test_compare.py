@@ -18,8 +18,8 @@ from slipfree import (
     settle,
     simulate,
     straight,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.models.slip import measured_slip
 from slipfree.problem.load import read_as

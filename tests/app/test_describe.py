@@ -7,11 +7,10 @@ from typer.testing import CliRunner
 
 from helpers.cases import DATA
 from slipfree import Analytic, direct_kinematics, settle
+from slipfree.catalog import ackermann, differential_drive, rocky7, skid_steer
 from slipfree.cli import app
 from slipfree.problem.build_vehicle import read_vehicle
 from slipfree.problem.vehicle_report import conditioning, describe, tree
-from slipfree.vehicle.catalogue.carts import ackermann, differential_drive, skid_steer
-from slipfree.vehicle.catalogue.rovers import rocky7
 
 
 def facts(found):

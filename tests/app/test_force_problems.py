@@ -12,12 +12,14 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from helpers.friction_cases import slope
-from slipfree import best_utilisation, direct_kinematics, settle, three_wheeler
+from slipfree import direct_kinematics, settle
+from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
 from slipfree.models import friction_feasibility
 from slipfree.models.force_distribution import least_utilisation
+from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.problem import solve as runner
 from slipfree.problem.load import load_problem
 from slipfree.problem.reload import problem_of, shown

@@ -32,7 +32,9 @@ def hills(x, y):
 
 
 def drive(end: float, tilt_stop: float = np.inf) -> Trajectory:
-    dae = sf.direct_kinematics(sf.three_wheeler(tilt_stop=tilt_stop), sf.Analytic(hills, DOMAIN))
+    dae = sf.direct_kinematics(
+        sf.catalog.three_wheeler(tilt_stop=tilt_stop), sf.Analytic(hills, DOMAIN)
+    )
     start = sf.settle(dae, x=0.0, y=0.0, heading=-0.3)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.02)
     return without_mass(sf.simulate(dae, start, inputs, np.arange(0.0, end, 0.1)))

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import slipfree as sf
-from slipfree.routing.regions import Disc, Polygon
+from slipfree.routing.regions import Region
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.show import ground_drawing, plan_figures
 from slipfree.terrain.synthetic import blank, craters
@@ -29,14 +29,15 @@ def grid() -> sf.Grid:
 
 @pytest.fixture(scope="module")
 def layers(grid):
-    keep_out = [Disc(14.0, 16.0, 1.5), Polygon(((30.0, 30.0), (34.0, 30.0), (32.0, 35.0)))]
-    vehicle = sf.three_wheeler(axle="fixed")
+    triangle = ((30.0, 30.0), (34.0, 30.0), (32.0, 35.0))
+    keep_out = [Region.disc(14.0, 16.0, 1.5), Region.polygon(triangle)]
+    vehicle = sf.catalog.three_wheeler(axle="fixed")
     return traversability(sf.Bicubic(grid, mu=0.5), vehicle, keep_out=keep_out)
 
 
 @pytest.fixture(scope="module")
 def run(grid) -> Trajectory:
-    dae = sf.direct_kinematics(sf.three_wheeler(axle="fixed"), sf.Bicubic(grid, mu=0.5))
+    dae = sf.direct_kinematics(sf.catalog.three_wheeler(axle="fixed"), sf.Bicubic(grid, mu=0.5))
     start = sf.settle(dae, x=6.0, y=8.0, heading=-0.9)
     inputs = dae.inputs(right_rate=0.5, left_rate=0.45, steer_rate=0.01)
     run = sf.simulate(dae, start, inputs, np.arange(0.0, 6.05, 0.2))

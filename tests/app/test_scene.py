@@ -201,10 +201,10 @@ def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
 
 
 def test_blocked_ground_is_gray(drive: Driven) -> None:
-    from slipfree.routing.regions import Disc
+    from slipfree.routing.regions import Region
 
     at = (1.5, 0.0)
-    scene = drive_scene([drive._replace(keep_out=(Disc(*at, 0.5),))])
+    scene = drive_scene([drive._replace(keep_out=(Region.disc(*at, 0.5),))])
     away = np.hypot(*(scene.ground.mesh.vertices + scene.origin)[:, :2].T - np.array(at)[:, None])
     gray = (scene.ground.layers[2].colors == BLOCKED).all(axis=1)
     assert gray[away < 1.5].all()

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose
 
 from helpers.cases import DATA, hills
 from slipfree import Analytic, DataError, direct_kinematics, settle, simulate
+from slipfree.catalog import differential_drive
 from slipfree.geometry.frame import Pose
 from slipfree.problem.build_vehicle import VehicleError, is_vehicle_file, read_vehicle
-from slipfree.vehicle.catalogue.carts import differential_drive
 from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus

@@ -9,15 +9,8 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from slipfree import (
-    Bicubic,
-    Grid,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-    three_wheeler,
-)
+from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.lookups import LookupTable, lookup_function
 
 DATA = Path(__file__).parents[1] / "data"

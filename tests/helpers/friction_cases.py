@@ -19,8 +19,8 @@ from slipfree import (
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.records import leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import with_inputs

@@ -33,8 +33,8 @@ from slipfree import (
     settle,
     simulate,
     straight,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.models.montana import montana_kinematics
 from slipfree.records import leaves

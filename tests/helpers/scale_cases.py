@@ -22,8 +22,8 @@ from slipfree import (
     direct_kinematics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import open_source_rover, three_wheeler
 from slipfree.control.path_tracking import path_inputs
 from slipfree.dae import power_of_length
 from slipfree.laws.protocols import SlipLaw
@@ -32,7 +32,6 @@ from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics
 from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.collocation import drive
-from slipfree.vehicle.catalogue.rovers import open_source_rover
 from slipfree.vehicle.sections.base import Section
 
 TOLERANCE = 1e-8

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from slipfree.vehicle.catalogue.rovers import Station, rocker_bogie
+from slipfree.catalog.rovers import Station, rocker_bogie
 from slipfree.vehicle.sections.sphere import Sphere
 from slipfree.vehicle.sections.torus import Torus
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle

@@ -6,7 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import hills
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.lookups import LookupTable
 from slipfree.terrain.base import jet_of
 

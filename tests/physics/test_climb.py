@@ -25,8 +25,8 @@ from slipfree import (
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import follow, straight
 from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation

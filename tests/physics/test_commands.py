@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from helpers.cases import hills
 from helpers.vehicles import four_wheel_steered, six_wheel_steered, skid_steered
 from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
+from slipfree.catalog import ackermann, differential_drive, open_source_rover
 from slipfree.cli import app
 from slipfree.control.path_tracking import GAIN, track_path
 from slipfree.files import netcdf
@@ -28,8 +29,6 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
-from slipfree.vehicle.catalogue.carts import ackermann, differential_drive
-from slipfree.vehicle.catalogue.rovers import open_source_rover
 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)

@@ -6,16 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import PAPER_RATES, case1, closure_model, drive, hills
-from slipfree import (
-    Analytic,
-    Bicubic,
-    Grid,
-    Rolling,
-    SolverOptions,
-    settle,
-    simulate,
-    three_wheeler,
-)
+from slipfree import Analytic, Bicubic, Grid, Rolling, SolverOptions, settle, simulate
+from slipfree.catalog import three_wheeler
 
 MOTION = ("x", "y", "heading", "tilt_right", "tilt_left", "z", "roll", "pitch")
 PLACES = ("contact_x", "contact_y")

@@ -10,7 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import PAPER_RATES, hills
-from slipfree import Analytic, SolverOptions, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import Analytic, SolverOptions, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.geometry.frame import platform, turn
 
 FLAT = Analytic(lambda x, _: 0 * x)

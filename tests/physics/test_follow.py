@@ -7,17 +7,8 @@ from numpy.testing import assert_allclose
 
 from helpers.cases import closure_model, hills
 from helpers.vehicles import skid_steered
-from slipfree import (
-    Analytic,
-    Bicubic,
-    ModelError,
-    Path,
-    follow,
-    settle,
-    simulate,
-    straight,
-    three_wheeler,
-)
+from slipfree import Analytic, Bicubic, ModelError, Path, follow, settle, simulate, straight
+from slipfree.catalog import three_wheeler
 from slipfree.control import path_following as laws
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.sections.torus import Torus

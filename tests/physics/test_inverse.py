@@ -21,8 +21,8 @@ from slipfree import (
     settle,
     simulate,
     straight,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.control.path_tracking import path_inputs
 from slipfree.models.determinacy import conditions
 from slipfree.models.given_rates import EULER, OMEGA, PLANAR, VELOCITY, omega

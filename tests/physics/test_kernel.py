@@ -16,15 +16,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from helpers.cases import function_of
-from slipfree import (
-    Bicubic,
-    Grid,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-    three_wheeler,
-)
+from slipfree import Bicubic, Grid, SolverOptions, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.terrain import bicubic, kernel
 
 

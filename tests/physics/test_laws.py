@@ -8,7 +8,8 @@ from inspect import getmodule
 import casadi as ca
 import pytest
 
-from slipfree import Analytic, direct_kinematics, quasi_statics, three_wheeler
+from slipfree import Analytic, direct_kinematics, quasi_statics
+from slipfree.catalog import three_wheeler
 from slipfree.laws.protocols import GroundLaw, SlipLaw
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
 from slipfree.models.montana import montana_kinematics

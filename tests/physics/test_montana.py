@@ -25,8 +25,8 @@ from slipfree import (
     settle,
     simulate,
     straight,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.contact.montana import ContactCoordinates, pair
 from slipfree.geometry.frame import turn
 from slipfree.lookups import LookupTable

@@ -22,6 +22,15 @@ from slipfree import (
     simulate,
     straight,
 )
+from slipfree.catalog import (
+    ackermann,
+    articulated,
+    differential_drive,
+    open_source_rover,
+    rocky7,
+    seven_wheels,
+    skid_steer,
+)
 from slipfree.control.path_following import follow
 from slipfree.geometry.path import Path
 from slipfree.models.inverse import inverse_kinematics
@@ -30,9 +39,6 @@ from slipfree.plan.plan import plan
 from slipfree.records import leaves, pack
 from slipfree.solve import initial_conditions
 from slipfree.terrain.rolled import rolled
-from slipfree.vehicle.catalogue.carts import ackermann, articulated, differential_drive, skid_steer
-from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
-from slipfree.vehicle.catalogue.step_climber import seven_wheels
 
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone
 FLAT, HILLS = Analytic(lambda x, _: 0 * x), Analytic(hills)

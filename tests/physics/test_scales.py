@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 
 from helpers.cases import PAPER_RATES
 from helpers.scale_cases import CASES, TOLERANCE, difference, formula, scaled
-from slipfree import ModelError, direct_kinematics, settle, three_wheeler
+from slipfree import ModelError, direct_kinematics, settle
+from slipfree.catalog import three_wheeler
 from slipfree.dae import power_of_length
 from slipfree.solve.system import with_inputs
 

@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from helpers.cases import hills
-from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import Analytic, ModelError, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.geometry.surface import patch
 from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections.base import Section, arc_lengths

@@ -28,8 +28,8 @@ from slipfree import (
     SolverOptions,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.montana import montana_kinematics

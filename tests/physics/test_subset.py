@@ -23,6 +23,14 @@ from slipfree import (
     direct_kinematics,
     settle,
     simulate,
+)
+from slipfree.catalog import (
+    ackermann,
+    articulated,
+    differential_drive,
+    open_source_rover,
+    rocky7,
+    skid_steer,
     three_wheeler,
 )
 from slipfree.cli import app
@@ -35,8 +43,6 @@ from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
 from slipfree.trajectory import Stop, Trajectory
-from slipfree.vehicle.catalogue.carts import ackermann, articulated, differential_drive, skid_steer
-from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 LIGHT = {"mass": 0.0, "wheel_mass": 0.0}  # no forces: the motion alone

@@ -33,17 +33,16 @@ from slipfree import (
     LeastSlip,
     ModelError,
     SolverOptions,
-    actuated,
-    best_utilisation,
     direct_kinematics,
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
+from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.montana import montana_kinematics
 from slipfree.terrain.synthetic import blank, power_law
-from slipfree.vehicle.tree import Body
+from slipfree.vehicle.tree import Body, actuated
 
 
 def standing(vehicle, ground, law=Coulomb(), **start):  # noqa: B008

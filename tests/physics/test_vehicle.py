@@ -18,8 +18,8 @@ from slipfree import (
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
 from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections.disc import Disc

@@ -8,7 +8,8 @@ import pytest
 
 from helpers.cases import hills
 from helpers.toy_models import task, toy
-from slipfree import Analytic, direct_kinematics, settle, simulate, three_wheeler
+from slipfree import Analytic, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.dae import Limit
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.elastic import relax
@@ -16,7 +17,8 @@ from slipfree.plan.explanation import explanation, violation_words, violations
 from slipfree.plan.ipopt import solve_program
 from slipfree.plan.polynomial_motion import guess_unknowns
 from slipfree.plan.problem import limits_of
-from slipfree.plan.transcription import CollocationMesh, Cost, PlanTask, TimedCondition, transcribe
+from slipfree.plan.stage import Cost
+from slipfree.plan.transcription import CollocationMesh, PlanTask, TimedCondition, transcribe
 from slipfree.records import Label
 
 
@@ -35,7 +37,7 @@ def along(expression, low, high, name="x0_limit"):
 
 
 def effort(dae):
-    return Cost(Label("effort", "", ""), dae.u.values[0] ** 2, 1.0)
+    return Cost("effort", dae.u.values[0] ** 2, "", "")
 
 
 def attempted(asked, intervals=8, degree=2, **options):
@@ -269,7 +271,7 @@ def driven(vehicle, terrain, goal, limits):
     start = settle(dae)
     inputs = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
     guess = simulate(dae, start, inputs, np.linspace(0, 5, 31))
-    used = Cost(Label("effort", "", ""), ca.sumsqr(ca.vertcat(*dae.u.wheels)), 1.0)
+    used = Cost("effort", ca.sumsqr(ca.vertcat(*dae.u.wheels)), "", "")
     ends = limits_of(dae, {name: (value, value) for name, value in goal.items()})
     asked = PlanTask(
         dae,

@@ -19,10 +19,10 @@ from slipfree import (
     direct_kinematics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.plan import mpc as module
-from slipfree.plan.mpc import advance, cycle_inputs, first_cycle, horizon
+from slipfree.plan.mpc import cycle_inputs, first_cycle, horizon, replan
 from slipfree.plan.plan import plan
 
 GOAL, DURATION, COUNT = {"x": 0.2, "y": 0.9}, 8.0, 12
@@ -56,7 +56,7 @@ def traverse(found, window, **start):
     dae, cycle = found.program.task.dae, first_cycle(window)
     here, cycles, times = settle(dae, **start), [], found.motion.ends
     for t, end in pairwise(times):
-        cycle = advance(window, cycle, t, dae.rows("x", here, -1))
+        cycle = replan(window, cycle, t, dae.rows("x", here, -1))
         here = simulate(dae, here, *cycle_inputs(window, cycle, t, end))
         cycles.append(cycle)
     return here, cycles
@@ -82,7 +82,7 @@ def test_where_nothing_disturbs_a_step_stays_on_the_plan(found):
     window = horizon(found, span=DURATION, intervals=COUNT)
     first, count = first_cycle(window), found.motion.layout.duration
     start = found.program.task.start
-    cycle = advance(window, first, 0.0, start)
+    cycle = replan(window, first, 0.0, start)
     for one in (first, cycle):
         assert_allclose(one.motion.unknowns[:count], found.motion.unknowns[:count], atol=1e-6)
         assert one.violation < 1e-9
@@ -95,8 +95,8 @@ def test_a_step_of_the_shifted_window_leads_to_its_solution(found):
     )
     t, ends, first = found.motion.ends[1], found.motion.mesh.ends, first_cycle(window)
     x = found.motion.states(ends[1:2])[:, 0]
-    whole, once = (advance(each, first, t, x) for each in (many, window))
-    twice = advance(window, once, t, x)
+    whole, once = (replan(each, first, t, x) for each in (many, window))
+    twice = replan(window, once, t, x)
     parts = np.linspace(0, 1, 9)
     before, after = (
         np.abs(each.motion.states(parts) - whole.motion.states(parts)).max()
@@ -118,9 +118,9 @@ def test_steps_converge(found):
     )
     start = found.program.task.start + np.array([0.02, -0.02, 0.03, 0.0])
     cycle, misses = first_cycle(window), []
-    whole = advance(many, cycle, 0.0, start)
+    whole = replan(many, cycle, 0.0, start)
     for _ in range(8):
-        cycle = advance(window, cycle, 0.0, start)
+        cycle = replan(window, cycle, 0.0, start)
         misses.append(np.abs(cycle.motion.unknowns - whole.motion.unknowns).max())
     assert misses[-1] < 1e-4
     assert misses[1] < misses[0] / 3
@@ -146,7 +146,7 @@ def test_inputs_keep_to_their_bounds(found):
     start[1] -= 0.5  # metres behind
     cycle = first_cycle(window)
     for _ in range(8):
-        cycle = advance(window, cycle, 0.0, start)
+        cycle = replan(window, cycle, 0.0, start)
     rates = cycle.motion.unknowns[cycle.motion.layout.inputs]
     assert np.abs(rates).max() <= 2.0 + 1e-6
 
@@ -157,7 +157,7 @@ def test_a_period_that_does_not_divide_the_duration_ends_at_the_goal(found, peri
     window, here, t = horizon(found, span=4.0, intervals=6), settle(found.program.task.dae), 0.0
     cycle = first_cycle(window)
     while t < DURATION:
-        cycle = advance(window, cycle, t, found.program.task.dae.rows("x", here, -1))
+        cycle = replan(window, cycle, t, found.program.task.dae.rows("x", here, -1))
         inputs, times = cycle_inputs(window, cycle, t, t + period)
         here = simulate(found.program.task.dae, here, inputs, times)
         t += period
@@ -194,11 +194,11 @@ def test_states_that_are_none_and_steps_that_fail_are_told(found):
     first, start = first_cycle(window), found.program.task.start
     for state in (start[:-1], start * np.nan, start[0]):
         with pytest.raises(ModelError, match="expected a time and 4 states, all finite"):
-            advance(window, first, 0.0, state)
+            replan(window, first, 0.0, state)
     with pytest.raises(ModelError, match="found t = nan"):
-        advance(window, first, np.nan, start)
+        replan(window, first, np.nan, start)
     with pytest.raises(ModelError, match="expected a time from 1 s on"):
-        advance(window, first._replace(t=1.0), 0.5, start)
+        replan(window, first._replace(t=1.0), 0.5, start)
     with pytest.raises(SolverError, match="the former cycle may be driven on"):
-        advance(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
-    assert advance(window, first, 0.0, start).violation < 1e-6
+        replan(window, first, 0.0, start + np.array([0, 1e308, 0, 0]))
+    assert replan(window, first, 0.0, start).violation < 1e-6

@@ -10,15 +10,8 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from helpers.cases import hills
-from slipfree import (
-    Analytic,
-    ModelError,
-    SolverOptions,
-    direct_kinematics,
-    settle,
-    simulate,
-    three_wheeler,
-)
+from slipfree import Analytic, ModelError, SolverOptions, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError

@@ -15,8 +15,8 @@ from slipfree import (
     quasi_statics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.dae import Limit
 from slipfree.plan import plan as planning
 from slipfree.plan.plan import plan

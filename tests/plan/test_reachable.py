@@ -9,10 +9,11 @@ import time
 import numpy as np
 import pytest
 
-from slipfree import Bicubic, Grid, three_wheeler
+from slipfree import Bicubic, Grid
+from slipfree.catalog import three_wheeler
 from slipfree.errors import ModelError
 from slipfree.routing.reachability import unreachable
-from slipfree.routing.regions import Disc, Polygon
+from slipfree.routing.regions import Region
 from slipfree.routing.search import route
 from slipfree.routing.traversability import blocked_by, traversability
 from slipfree.terrain.synthetic import blank, power_law
@@ -26,7 +27,7 @@ def flat(**options):
 
 
 def box(x_min, x_max, y_min, y_max):
-    return Polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
+    return Region.polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
 
 
 def terraces(friction, degrees=20.0, gap=None):
@@ -68,7 +69,7 @@ def test_a_way_point_at_the_edge_is_named_with_the_room_that_is_needed():
 
 @pytest.mark.parametrize("name", ["start", "goal"])
 def test_an_end_in_a_place_to_keep_out_of(name):
-    layers = flat(keep_out=[Disc(20.0, 20.0, 2.0), Disc(25.0, 10.0, 1.0)])
+    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0), Region.disc(25.0, 10.0, 1.0)])
     bad, good = (name, 19.0, 20.0), ("goal" if name == "start" else "start", 5.0, 5.0)
     ((place, words, sure),) = told(layers, *([bad, good] if name == "start" else [good, bad]))
     assert (place, sure) == (name, True)
@@ -79,7 +80,7 @@ def test_an_end_in_a_place_to_keep_out_of(name):
 
 
 def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_node():
-    layers = flat(keep_out=[Disc(20.0, 20.0, 2.0)])
+    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0)])
     reach = layers.limits.reach
     ((_, words, sure),) = told(layers, START, ("goal", 20.0 + 2.0 + reach - 0.01, 20.0))
     assert sure
@@ -89,7 +90,7 @@ def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_
 
 
 def test_all_that_is_wrong_is_told():
-    layers = flat(keep_out=[Disc(20.0, 20.0, 2.0)])
+    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0)])
     places = [("start", -1.0, 5.0), ("way-point 1", 20.0, 20.0), ("goal", 5.0, 31.0)]
     assert [each.place for each in unreachable(layers, places)] == [name for name, *_ in places]
 
@@ -143,7 +144,7 @@ def test_the_narrowest_place_is_named():
 
 
 def test_places_to_keep_out_of_that_divide_the_map():
-    layers = flat(keep_out=[Disc(5.0, 25.0, 1.0), box(0, 30, 14, 16)])
+    layers = flat(keep_out=[Region.disc(5.0, 25.0, 1.0), box(0, 30, 14, 16)])
     ((place, words, sure),) = told(layers, START, ("goal", 25.0, 25.0))
     assert (place, sure) == ("goal", True)
     assert words.endswith(
@@ -153,7 +154,7 @@ def test_places_to_keep_out_of_that_divide_the_map():
 
 
 def test_places_to_keep_out_of_that_divide_the_map_together():
-    layers = flat(keep_out=[box(0, 16, 14, 16), Disc(5.0, 25.0, 1.0), box(17, 30, 14, 16)])
+    layers = flat(keep_out=[box(0, 16, 14, 16), Region.disc(5.0, 25.0, 1.0), box(17, 30, 14, 16)])
     ((_, words, sure),) = told(layers, START, ("goal", 25.0, 25.0))
     assert sure
     assert (
@@ -190,7 +191,7 @@ def test_rough_and_hollow_ground_is_named():
 
 
 def test_what_blocks_is_told_apart():
-    layers = flat(keep_out=[Disc(20.0, 20.0, 2.0)])
+    layers = flat(keep_out=[Region.disc(20.0, 20.0, 2.0)])
     masks = blocked_by(layers)
     assert list(masks) == ["edge", "slope", "friction", "roughness", "hollow", "keep_out"]
     assert {name for name, mask in masks.items() if mask.any()} == {"edge", "keep_out"}

@@ -9,7 +9,7 @@ from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 
 from slipfree.errors import ModelError
-from slipfree.routing.regions import Disc, Polygon
+from slipfree.routing.regions import Region
 
 UTM = (400_000.0, 5_500_000.0)
 STAR = ((0, 0), (4, 1), (8, 0), (6, 3), (8, 7), (4, 5), (0, 7), (2, 3))
@@ -19,7 +19,7 @@ POLYGONS = [((0, 0), (5, 1), (2, 4)), STAR, ELL, WITH_STRAIGHT]
 
 
 def at_utm(points):
-    return Polygon(tuple((x + UTM[0], y + UTM[1]) for x, y in points))
+    return Region.polygon(tuple((x + UTM[0], y + UTM[1]) for x, y in points))
 
 
 def expression(region):
@@ -41,14 +41,14 @@ def brute_distance(points, x, y):
 
 
 def test_distance_to_a_disc():
-    disc = Disc(1.0, 2.0, 0.5)
+    disc = Region.disc(1.0, 2.0, 0.5)
     assert_allclose(disc.distance(np.array([1.0, 4.0]), np.array([2.0, 6.0])), [-0.5, 4.5])
     assert disc.bounds == (0.5, 1.5, 1.5, 2.5)
     assert disc.words == "disc at (1, 2) of 0.5 m radius"
 
 
 def test_expression_of_a_disc_is_its_distance(rng):
-    disc = Disc(400_001.0, 5_500_002.0, 3.0)
+    disc = Region.disc(400_001.0, 5_500_002.0, 3.0)
     points = rng.uniform(-9, 9, (300, 2)) + np.array([disc.x, disc.y])
     value, gradient, _ = expression(disc)(points)
     distance = disc.distance(*points.T)
@@ -58,7 +58,7 @@ def test_expression_of_a_disc_is_its_distance(rng):
 
 
 def test_a_disc_has_derivatives_at_its_centre():
-    _, gradient, hessian = expression(Disc(1.0, 2.0, 0.5))(np.array([[1.0, 2.0]]))
+    _, gradient, hessian = expression(Region.disc(1.0, 2.0, 0.5))(np.array([[1.0, 2.0]]))
     assert_allclose(gradient, 0)
     assert np.isfinite(hessian).all()
 
@@ -66,14 +66,14 @@ def test_a_disc_has_derivatives_at_its_centre():
 @pytest.mark.parametrize("points", POLYGONS)
 def test_distance_to_a_polygon(rng, points):
     x, y = rng.uniform(-3, 10, (2, 400))
-    distance = Polygon(points).distance(x, y)
+    distance = Region.polygon(points).distance(x, y)
     inside = Outline(np.array(points)).contains_points(np.stack([x, y], axis=1))
     assert_allclose(np.abs(distance), brute_distance(points, x, y), atol=4e-3)
     assert ((distance < 0) == inside).all()
 
 
 @pytest.mark.parametrize("points", POLYGONS)
-@pytest.mark.parametrize("make", [Polygon, at_utm])
+@pytest.mark.parametrize("make", [Region.polygon, at_utm])
 def test_expression_of_a_polygon_is_its_distance(rng, points, make):
     region = make(points)
     shift = region.points[0][0] - points[0][0], region.points[0][1] - points[0][1]
@@ -86,7 +86,7 @@ def test_expression_of_a_polygon_is_its_distance(rng, points, make):
 
 @pytest.mark.parametrize("points", POLYGONS)
 def test_distance_grows_no_faster_than_the_way(rng, points):
-    region = Polygon(points)
+    region = Region.polygon(points)
     a, b = rng.uniform(-3, 10, (2, 2, 1000))
     gap = np.abs(region.distance(*a) - region.distance(*b))
     assert (gap <= np.hypot(*(a - b)) + 1e-12).all()
@@ -94,7 +94,7 @@ def test_distance_grows_no_faster_than_the_way(rng, points):
 
 def test_gradient_on_an_edge_is_its_normal():
     on_edges = np.array([[3.0, 0.0], [4.0, 1.0], [2.0, 0.0]])  # the last on a point, no corner
-    value, gradient, hessian = expression(Polygon(WITH_STRAIGHT))(on_edges)
+    value, gradient, hessian = expression(Region.polygon(WITH_STRAIGHT))(on_edges)
     assert_allclose(value[0], 0, atol=1e-15)
     assert_allclose(gradient.T, [(0, -1), (1, 0), (0, -1)], atol=1e-15)
     assert_allclose(hessian, 0, atol=1e-12)
@@ -102,14 +102,15 @@ def test_gradient_on_an_edge_is_its_normal():
 
 def test_both_orders_are_the_same_polygon():
     x, y = np.meshgrid(np.linspace(-1, 9, 30), np.linspace(-1, 9, 31))
-    assert_allclose(Polygon(STAR).distance(x, y), Polygon(STAR[::-1]).distance(x, y), atol=1e-14)
+    one, other = Region.polygon(STAR), Region.polygon(STAR[::-1])
+    assert_allclose(one.distance(x, y), other.distance(x, y), atol=1e-14)
 
 
 def test_polygon_describes_itself():
-    region = Polygon([[0, 0], [3, 0], [0, 3]])
+    region = Region.polygon([[0, 0], [3, 0], [0, 3]])
     assert region.words == "polygon of 3 points about (1, 1)"
     assert region.bounds == (0, 3, 0, 3)
-    assert hash(region) == hash(Polygon(((0, 0), (3, 0), (0, 3))))
+    assert hash(region) == hash(Region.polygon(((0, 0), (3, 0), (0, 3))))
 
 
 @pytest.mark.parametrize(
@@ -127,15 +128,15 @@ def test_polygon_describes_itself():
 )
 def test_bad_polygons_are_refused(points, message):
     with pytest.raises(ModelError, match=message):
-        Polygon(points)
+        Region.polygon(points)
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.inf, np.nan])
 def test_bad_radius_is_refused(radius):
     with pytest.raises(ModelError, match="radius must be a positive number of metres"):
-        Disc(0.0, 0.0, radius)
+        Region.disc(0.0, 0.0, radius)
 
 
 def test_bad_centre_is_refused():
     with pytest.raises(ModelError, match=r"centre must be finite, found \(nan, 0"):
-        Disc(np.nan, 0.0, 1.0)
+        Region.disc(np.nan, 0.0, 1.0)

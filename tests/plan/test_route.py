@@ -11,11 +11,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.sparse.csgraph import dijkstra
 
-from slipfree import Bicubic, Grid, Path, direct_kinematics, follow, settle, simulate, three_wheeler
+from slipfree import Bicubic, Grid, Path, direct_kinematics, follow, settle, simulate
+from slipfree.catalog import three_wheeler
 from slipfree.errors import ModelError
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
-from slipfree.routing.regions import Disc, Polygon
+from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import STEEPEST, reasons, traversability
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp
@@ -28,7 +29,7 @@ UTM = (400_000.0, 5_500_000.0)
 
 
 def box(x_min, x_max, y_min, y_max):
-    return Polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
+    return Region.polygon(((x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)))
 
 
 def length(points):
@@ -196,7 +197,7 @@ def test_the_best_grip_decides():
 
 
 def test_keep_out_is_blocked_as_far_as_wheels_reach():
-    disc, wall = Disc(5.0, 5.0, 1.0), box(12, 14, 10, 14)
+    disc, wall = Region.disc(5.0, 5.0, 1.0), box(12, 14, 10, 14)
     terrain = Bicubic(blank((0, 20), (0, 20), 0.25))
     layers = traversability(terrain, ROVER, keep_out=[disc, wall], spacing=0.25)
     x, y = np.meshgrid(layers.x, layers.y, indexing="ij")
@@ -287,7 +288,7 @@ def tangent_arc(distance_start, distance_goal, radius):
 
 
 def test_around_a_disc():
-    disc = Disc(20.0, 20.0, 6.0)
+    disc = Region.disc(20.0, 20.0, 6.0)
     terrain = Bicubic(blank((0, 40), (0, 40), 0.25))
     layers = traversability(terrain, ROVER, keep_out=[disc], spacing=0.25)
     points = route(layers, (5.0, 20.0), (35.0, 20.0))
@@ -329,7 +330,7 @@ def corridor(width=2.0):
     terrain = Bicubic(blank((0, 20), (0, 20), 0.1))
     low, high = 8.0, 8.0 + width
     walls = [
-        Polygon(
+        Region.polygon(
             (
                 (0, low - 0.5),
                 (high + 0.5, low - 0.5),
@@ -339,7 +340,7 @@ def corridor(width=2.0):
                 (0, low),
             )
         ),
-        Polygon(
+        Region.polygon(
             (
                 (0, high),
                 (low, high),
@@ -431,7 +432,7 @@ def test_a_vehicle_follows_its_route_through_craters():
 
 def test_alternatives_are_different_and_not_absurd():
     terrain = Bicubic(blank((0, 40), (0, 40), 0.5))
-    layers = traversability(terrain, ROVER, keep_out=[Disc(20.0, 21.0, 6.0)])
+    layers = traversability(terrain, ROVER, keep_out=[Region.disc(20.0, 21.0, 6.0)])
     found = routes(layers, (5.0, 20.0), (35.0, 20.0), 3, turning_radius=2.0)
     assert len(found) == 3
     assert [each.cost for each in found] == sorted(each.cost for each in found)
@@ -460,7 +461,7 @@ def test_where_there_is_one_way_one_is_found():
 def blocked_map():
     terrain = Bicubic(blank((0, 30), (0, 30), 0.5))
     wall = box(0, 30, 14, 16)
-    return traversability(terrain, ROVER, keep_out=[wall, Disc(5.0, 5.0, 1.0)])
+    return traversability(terrain, ROVER, keep_out=[wall, Region.disc(5.0, 5.0, 1.0)])
 
 
 @pytest.mark.parametrize(

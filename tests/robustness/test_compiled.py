@@ -23,8 +23,8 @@ from slipfree import (
     settle,
     simulate,
     straight,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.lookups import LookupTable
 from slipfree.plan.nlp_block import nlp_block

@@ -9,15 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from slipfree import (
-    Analytic,
-    SlipfreeError,
-    direct_kinematics,
-    forks,
-    settle,
-    simulate,
-    three_wheeler,
-)
+from slipfree import Analytic, SlipfreeError, direct_kinematics, forks, settle, simulate
+from slipfree.catalog import three_wheeler
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),

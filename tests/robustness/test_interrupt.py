@@ -20,14 +20,8 @@ from typer.testing import CliRunner
 
 from helpers.cases import hills
 from helpers.toy_models import model
-from slipfree import (
-    Analytic,
-    SolverOptions,
-    codegen_cache,
-    direct_kinematics,
-    settle,
-    three_wheeler,
-)
+from slipfree import Analytic, SolverOptions, codegen_cache, direct_kinematics, settle
+from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.cli.common import interruptible
 from slipfree.files import netcdf

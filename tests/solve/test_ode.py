@@ -6,7 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.toy_models import model
-from slipfree import Analytic, SolverOptions, direct_kinematics, three_wheeler
+from slipfree import Analytic, SolverOptions, direct_kinematics
+from slipfree.catalog import three_wheeler
 from slipfree.dae import PiecewiseLinear
 from slipfree.errors import ModelError
 from slipfree.solve.settle import settle

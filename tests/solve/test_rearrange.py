@@ -6,7 +6,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from helpers.cases import hills
-from slipfree import Analytic, Bicubic, Grid, direct_kinematics, settle, three_wheeler
+from slipfree import Analytic, Bicubic, Grid, direct_kinematics, settle
+from slipfree.catalog import three_wheeler
 from slipfree.rearrange import blocks, rearrange, substitute, variables, with_outputs
 from slipfree.records import Label
 

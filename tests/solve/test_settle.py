@@ -6,7 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import hills
-from slipfree import Analytic, ModelError, direct_kinematics, settle, three_wheeler
+from slipfree import Analytic, ModelError, direct_kinematics, settle
+from slipfree.catalog import three_wheeler
 
 FOUND = ("z", "roll", "pitch")
 

@@ -17,8 +17,8 @@ from slipfree import (
     direct_kinematics,
     settle,
     simulate,
-    three_wheeler,
 )
+from slipfree.catalog import three_wheeler
 from slipfree.dae import Labels, Limit, PiecewiseLinear
 from slipfree.records import Label, symbols
 from slipfree.solve import simulate as module

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.cases import case1, closure_model, hills
-from slipfree import Analytic, ModelError, open_source_rover, settle, three_wheeler
+from slipfree import Analytic, ModelError, settle
+from slipfree.catalog import open_source_rover, three_wheeler
 from slipfree.problem.contact_start import settle_contact
 from slipfree.solve.starts import settle_exchanged, settle_nearest
 

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.catalog import step_climber
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose, unit_vector
 from slipfree.records import Array
-from slipfree.vehicle.catalogue import step_climber
 from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
@@ -130,7 +130,7 @@ class Climber:
 def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     """Return the step climber of Chugo et al. (2009), in the plane.
 
-    It is `slipfree.vehicle.catalogue.step_climber.seven_wheels` seen from the side. What the
+    It is `slipfree.catalog.seven_wheels` seen from the side. What the
     paper's text leaves open is assumed: inertias of boxes 250 mm high, and the wheels' inertias
     with their rotors'.
 

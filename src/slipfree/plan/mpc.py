@@ -168,13 +168,13 @@ def first_cycle(window: Horizon) -> Cycle:
         np.inf,
     )
     patient = replace(window, solver=warm_solver(program, MAX_ITERATIONS))
-    return advance(patient, blank, 0.0, first[layout.first])
+    return replan(patient, blank, 0.0, first[layout.first])
 
 
 @computing
 @heeded
-def advance(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
-    """Return the next cycle.
+def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
+    """Update a plan while the vehicle moves: return the next cycle.
 
     Parameters
     ----------

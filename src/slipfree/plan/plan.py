@@ -38,7 +38,8 @@ from slipfree.plan.polynomial_motion import (
     transfer_motion,
 )
 from slipfree.plan.problem import Range, task_of
-from slipfree.plan.transcription import CollocationMesh, Cost, PlanTask, Program, transcribe
+from slipfree.plan.stage import Cost
+from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
 from slipfree.plan.verification import Verification, inputs_along, refine_mesh, verify_plan
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
 from slipfree.records import Array

@@ -12,8 +12,9 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.plan.bound_conflicts import conflicts
 from slipfree.plan.messages import LIMITED_SUFFIX
-from slipfree.plan.transcription import Cost, PlanTask, TimedCondition
-from slipfree.records import Array, Label, leaves
+from slipfree.plan.stage import Cost
+from slipfree.plan.transcription import PlanTask, TimedCondition
+from slipfree.records import Array, leaves
 from slipfree.trajectory import Trajectory
 
 Range = tuple[float, float]
@@ -37,23 +38,25 @@ def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cos
     for name, weight in given.items():
         if not weight >= 0:
             raise ModelError(f"plan: the weight of {name} must not be negative, found {weight}")
-        costs.append(Cost(*_cost_term(dae, name), weight))
+        costs.append(_cost_term(dae, name)._replace(weight=weight))
     return tuple(costs)
 
 
-def _cost_term(dae: Dae, name: str) -> tuple[Label, ca.SX]:
-    """Return label and expression of a term of the cost."""
+def _cost_term(dae: Dae, name: str) -> Cost:
+    """Return a term of the cost by its name."""
     if name == "time":
-        return Label(name, "s", "duration"), ca.SX(1)
+        return Cost(name, ca.SX(1), "s", "duration")
     if name == "effort":
-        return Label(name, "rad2 s-1", "squared inputs"), ca.sumsqr(ca.vertcat(*leaves(dae.u)))
+        return Cost(name, ca.sumsqr(ca.vertcat(*leaves(dae.u))), "rad2 s-1", "squared inputs")
     if name == "slip":
         parts = [*dae.named("slip_along"), *dae.named("slip_across")]
-        return Label(name, "m2 s-1", "squared slip of all wheels"), ca.sumsqr(ca.vertcat(*parts))
+        slip = ca.sumsqr(ca.vertcat(*parts))
+        return Cost(name, slip, "m2 s-1", "squared slip of all wheels")
     if name == "energy":
-        return Label(name, "J", "work of the drives, braking not counted"), _driving_power(dae)
+        return Cost(name, _driving_power(dae), "J", "work of the drives, braking not counted")
     squares = ca.SX(sum(_squared(each) for each in dae.named(name)))
-    return Label(name, _squared_unit(dae, name), f"squared {name}, integrated over time"), squares
+    words = f"squared {name}, integrated over time"
+    return Cost(name, squares, _squared_unit(dae, name), words)
 
 
 def _driving_power(dae: Dae) -> ca.SX:

@@ -20,21 +20,40 @@ from slipfree.solve.system import Block, System
 
 
 class Cost(NamedTuple):
-    """A term of the cost, integrated over time.
+    """A term of the cost of a plan, integrated over time.
 
     Attributes
     ----------
-    label : Label
-        Name and unit of the integral.
+    name : str
+        Name of the term in ``Plan.costs``.
     expression : SX, shape (1, 1)
-        In the symbols of the model.
+        The integrand, in the model's symbols: ``model.x``, ``z``, ``u`` and ``y``. Positions in
+        ``x`` and ``z`` are local: the map's are those plus ``model.shift``.
+    unit : str
+        Unit of the integral, such as ``"m2 s"``.
+    words : str
+        Description of the term.
     weight : float
         Cost of a unit of the integral.
+
+    Examples
+    --------
+    >>> from slipfree import Analytic, Cost, catalog, direct_kinematics
+    >>> model = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0 * x))
+    >>> Cost("rolling", model.z.rates.roll**2, "rad2 s-1", "squared roll rate", weight=10.0).name
+    'rolling'
     """
 
-    label: Label
+    name: str
     expression: ca.SX
-    weight: float
+    unit: str
+    words: str
+    weight: float = 1.0
+
+    @property
+    def label(self) -> Label:
+        """Name, unit and words."""
+        return Label(self.name, self.unit, self.words)
 
 
 class StageFunctions(NamedTuple):

@@ -20,8 +20,7 @@ from slipfree.lookups import found_column, needed_lookups, substitute_lookups
 from slipfree.plan.nlp_block import Index as Index
 from slipfree.plan.nlp_block import NlpBlock, nlp_block
 from slipfree.plan.sparse_assembly import ProgramFunctions, assemble
-from slipfree.plan.stage import Cost as Cost
-from slipfree.plan.stage import StageFunctions, stage_functions
+from slipfree.plan.stage import Cost, StageFunctions, stage_functions
 from slipfree.records import Array, Label, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import System, with_inputs

@@ -12,26 +12,13 @@ from typing import Annotated, Any, get_type_hints
 from pydantic import AfterValidator, BaseModel, Field, ValidationError, create_model
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from slipfree import catalog
 from slipfree.files.toml.angles import IN_RADIANS, in_radians
 from slipfree.geometry.frame import Vector
-from slipfree.vehicle.catalogue.carts import ackermann, articulated, differential_drive, skid_steer
-from slipfree.vehicle.catalogue.rovers import open_source_rover, rocky7
-from slipfree.vehicle.catalogue.step_climber import seven_wheels
-from slipfree.vehicle.catalogue.three_wheeler import three_wheeler
 from slipfree.vehicle.tree import Vehicle
 
 CATALOG: dict[str, Callable[..., Vehicle]] = {
-    function.__name__: function
-    for function in (
-        three_wheeler,
-        differential_drive,
-        ackermann,
-        skid_steer,
-        articulated,
-        rocky7,
-        open_source_rover,
-        seven_wheels,
-    )
+    name: getattr(catalog, name) for name in catalog.__all__
 }
 MAY_BE_ZERO = ("r1", "r2", "stiffness", "damping", "bump", "mass", "wheel_mass")
 ANGLES = ("steer_stop", "bend_stop", "tilt_stop")

@@ -15,7 +15,7 @@ from slipfree.problem.build_ground import at
 from slipfree.problem.load import Problem, S
 from slipfree.problem.verbs.direct import way_of
 from slipfree.records import Array
-from slipfree.routing.regions import Disc, Polygon, Region
+from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 
@@ -138,9 +138,9 @@ def regions(problem: Problem[S], spec: schema.Plan) -> tuple[Region, ...]:
         with at(problem, ("keep_out", index)):
             disc = (each.x, each.y, each.radius)
             if each.points is not None and disc == (None, None, None):
-                found.append(Polygon(each.points))
+                found.append(Region.polygon(each.points))
             elif each.points is None and None not in disc:
-                found.append(Disc(*(float(value or 0.0) for value in disc)))
+                found.append(Region.disc(*(float(value or 0.0) for value in disc)))
             else:
                 raise ModelError("keep_out: expected either x, y and radius, or points")
     return tuple(found)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,24 +17,88 @@ from slipfree.records import Array
 ROUND = 1e-3  # the part of a disc's radius over which its tip at the centre is rounded
 CORNER = 1e-12  # the part of a polygon's size over which the tip at a corner is rounded
 STRAIGHT = 1e-9  # sine of the turn at a point below which it is no corner
+OUTLINE_POINTS = 96  # on the outline of a disc
+
+
+class Region(ABC):
+    """A region of the map that a vehicle keeps out of.
+
+    Examples
+    --------
+    >>> crater = Region.disc(10.0, 5.0, radius=2.0)
+    >>> fence = Region.polygon([(0, 0), (4, 0), (4, 1)])
+    >>> crater.distance([10.0, 10.0], [5.0, 8.0]).tolist()
+    [-2.0, 1.0]
+    """
+
+    @staticmethod
+    def disc(x: float, y: float, radius: float) -> Region:
+        """Return a disc.
+
+        Parameters
+        ----------
+        x, y : float
+            Its centre in map coordinates. [m]
+        radius : float
+            Its radius. [m]
+
+        Raises
+        ------
+        ModelError
+            If the centre is not finite or the radius not positive.
+        """
+        return _Disc(x, y, radius)
+
+    @staticmethod
+    def polygon(points: Sequence[Sequence[float]]) -> Region:
+        """Return the inside of a simple polygon.
+
+        Parameters
+        ----------
+        points : sequence of (x, y)
+            Three or more points in map coordinates, in either order; the last one is joined to the
+            first. It may be concave. [m]
+
+        Raises
+        ------
+        ModelError
+            If points are too few, not finite or coincide, or if edges cross or touch.
+        """
+        return _Polygon(tuple((x, y) for x, y in points))
+
+    @property
+    @abstractmethod
+    def words(self) -> str:
+        """Shape and place, for messages."""
+
+    @property
+    @abstractmethod
+    def bounds(self) -> tuple[float, float, float, float]:
+        """``x_min, x_max, y_min, y_max`` in map coordinates [m]."""
+
+    @property
+    @abstractmethod
+    def outline(self) -> Array:
+        """Points of the border in order, shape (n, 2), map coordinates [m]."""
+
+    @abstractmethod
+    def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
+        """Return how far a point lies outside, negative inside, as an expression [m].
+
+        Parameters
+        ----------
+        x, y : SX, shape (1, 1)
+            Map coordinates. [m]
+        """
+
+    @abstractmethod
+    def distance(self, x: Array, y: Array) -> Array:
+        """Return the signed distances of points of equal shape, negative inside [m]."""
 
 
 @dataclass(frozen=True)
-class Disc:
-    """A disc.
-
-    Attributes
-    ----------
-    x, y : float
-        Its centre in map coordinates. [m]
-    radius : float
-        Its radius. [m]
-
-    Raises
-    ------
-    ModelError
-        If the centre is not finite or the radius not positive.
-    """
+class _Disc(Region):
+    """A disc about ``(x, y)``."""
 
     x: float
     y: float
@@ -48,18 +114,22 @@ class Disc:
 
     @property
     def words(self) -> str:
-        """What it is and where, for messages."""
         return f"disc at ({self.x:.9g}, {self.y:.9g}) of {self.radius:.4g} m radius"
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """``x_min, x_max, y_min, y_max`` in map coordinates [m]."""
         return (
             self.x - self.radius,
             self.x + self.radius,
             self.y - self.radius,
             self.y + self.radius,
         )
+
+    @property
+    def outline(self) -> Array:
+        turn = np.linspace(0, 2 * np.pi, OUTLINE_POINTS, endpoint=False)
+        circle = np.array([np.cos(turn), np.sin(turn)]).T
+        return np.array([self.x, self.y]) + self.radius * circle
 
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return how far a point lies outside, negative inside, as an expression [m].
@@ -80,26 +150,13 @@ class Disc:
         return ca.SX(from_center - math.sqrt(self.radius**2 + soft))
 
     def distance(self, x: Array, y: Array) -> Array:
-        """Return the signed distances of points of equal shape, negative inside [m]."""
         distance: Array = np.hypot(np.subtract(x, self.x), np.subtract(y, self.y)) - self.radius
         return distance
 
 
 @dataclass(frozen=True)
-class Polygon:
-    """The inside of a simple polygon.
-
-    Attributes
-    ----------
-    points : tuple of tuple of 2 floats
-        Its points in map coordinates, three or more, in either order; the last one is joined to
-        the first. It may be concave. [m]
-
-    Raises
-    ------
-    ModelError
-        If points are too few, not finite or coincide, or if edges cross or touch.
-    """
+class _Polygon(Region):
+    """The inside of a polygon."""
 
     points: tuple[tuple[float, float], ...]
 
@@ -118,15 +175,17 @@ class Polygon:
 
     @property
     def words(self) -> str:
-        """What it is and where, for messages."""
         x, y = np.mean(self.points, axis=0)
         return f"polygon of {len(self.points)} points about ({x:.9g}, {y:.9g})"
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """``x_min, x_max, y_min, y_max`` in map coordinates [m]."""
         (x_min, y_min), (x_max, y_max) = np.min(self.points, axis=0), np.max(self.points, axis=0)
         return float(x_min), float(x_max), float(y_min), float(y_max)
+
+    @property
+    def outline(self) -> Array:
+        return np.array(self.points)
 
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
         """Return how far a point lies outside, negative inside, as an expression [m].
@@ -166,7 +225,6 @@ class Polygon:
         return signed
 
     def distance(self, x: Array, y: Array) -> Array:
-        """Return the signed distances of points of equal shape, negative inside [m]."""
         x_0, y_0 = self.points[0]
         x, y = np.broadcast_arrays(np.subtract(x, x_0), np.subtract(y, y_0))
         corners = self._corners[0]
@@ -193,9 +251,6 @@ class Polygon:
         if _area(local) < 0:
             local, turns = local[::-1], -turns[::-1]
         return local, np.sign(turns)
-
-
-Region = Disc | Polygon
 
 
 def _turns(points: Array) -> Array:

@@ -17,10 +17,10 @@ from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Polygon
 
 from slipfree.records import Array, Mask
-from slipfree.routing.regions import Disc, Region
+from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window
@@ -320,9 +320,7 @@ def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
     return colors
 
 
-def _outline(region: Region) -> Circle | Polygon:
+def _outline(region: Region) -> Polygon:
     """Return the border of a place to keep out of."""
     looks: dict[str, Any] = {"fill": False, "ec": "black", "lw": 1.0, "hatch": "////", "zorder": 2}
-    if isinstance(region, Disc):
-        return Circle((region.x, region.y), region.radius, **looks)
-    return Polygon(region.points, **looks)
+    return Polygon(region.outline, **looks)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from math import cos, radians, sin
 from typing import Literal, NamedTuple
 
+from slipfree.catalog.carts import SIDES
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Vector
-from slipfree.vehicle.catalogue.carts import SIDES
 from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel

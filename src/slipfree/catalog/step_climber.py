@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import inf
 
+from slipfree.catalog.carts import SIDES, _positive
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Vector
-from slipfree.vehicle.catalogue.carts import SIDES, _positive
 from slipfree.vehicle.sections.disc import Disc
 from slipfree.vehicle.sections.omni import Omni
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle

@@ -1,0 +1,75 @@
+"""Names that `slipfree` offers, and their homes: read at import by lazy_loader, and by mypy."""
+
+from . import catalog
+from .control.path_following import follow, straight
+from .dae import Dae
+from .errors import DataError, ModelError, SlipfreeError
+from .files.maps.elevation import read_map
+from .geometry.path import Path
+from .laws.coulomb import Coulomb
+from .laws.least_slip import LeastSlip
+from .laws.rolling import Rolling
+from .models.inverse import inverse_kinematics
+from .models.kinematics import direct_kinematics
+from .models.montana import cross_check, montana_kinematics
+from .models.quasi_statics import quasi_statics
+from .plan.mpc import replan
+from .plan.plan import plan
+from .plan.stage import Cost
+from .problem.build_vehicle import read_vehicle
+from .problem.load import load_problem
+from .problem.solve import run_problem
+from .routing.regions import Region
+from .routing.search import Route
+from .solve.options import SolverOptions
+from .solve.settle import settle
+from .solve.simulate import simulate
+from .terrain.analytic import Analytic
+from .terrain.base import Grid
+from .terrain.bicubic import Bicubic
+from .trajectory import SolverError, Trajectory
+from .vehicle.tree import Body, Coordinate, Joint, Vehicle
+from .vehicle.wheel import Wheel
+from .version import __version__
+
+__all__ = [
+    "Analytic",
+    "Bicubic",
+    "Body",
+    "Coordinate",
+    "Cost",
+    "Coulomb",
+    "Dae",
+    "DataError",
+    "Grid",
+    "Joint",
+    "LeastSlip",
+    "ModelError",
+    "Path",
+    "Region",
+    "Rolling",
+    "Route",
+    "SlipfreeError",
+    "SolverError",
+    "SolverOptions",
+    "Trajectory",
+    "Vehicle",
+    "Wheel",
+    "__version__",
+    "catalog",
+    "cross_check",
+    "direct_kinematics",
+    "follow",
+    "inverse_kinematics",
+    "load_problem",
+    "montana_kinematics",
+    "plan",
+    "quasi_statics",
+    "read_map",
+    "read_vehicle",
+    "replan",
+    "run_problem",
+    "settle",
+    "simulate",
+    "straight",
+]

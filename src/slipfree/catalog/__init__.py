@@ -1,0 +1,17 @@
+"""Vehicles that come with the package, by function."""
+
+from slipfree.catalog.carts import ackermann, articulated, differential_drive, skid_steer
+from slipfree.catalog.rovers import open_source_rover, rocky7
+from slipfree.catalog.step_climber import seven_wheels
+from slipfree.catalog.three_wheelers import three_wheeler
+
+__all__ = [
+    "ackermann",
+    "articulated",
+    "differential_drive",
+    "open_source_rover",
+    "rocky7",
+    "seven_wheels",
+    "skid_steer",
+    "three_wheeler",
+]

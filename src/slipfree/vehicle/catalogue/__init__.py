@@ -1,1 +1,0 @@
-"""Vehicles that come with the package."""
