@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem import inverse
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
+from slipfree.problem.verbs import inverse
 from slipfree.trajectory import SolverError, Stop
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

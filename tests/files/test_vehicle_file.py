@@ -621,7 +621,7 @@ def test_faults_of_the_table(setting, words):
         ),
         (
             'catalog = "rocky8"',
-            "p.toml:4: vehicle.catalog: expected 'three_wheeler', 'differential",
+            "p.toml:4: vehicle.catalog: expected 'ackermann', 'articulated",
         ),
     ],
 )

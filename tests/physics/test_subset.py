@@ -38,7 +38,7 @@ from slipfree.files import netcdf
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.steering_guide import GAIN, MAX_STEERING_RATE, steering_effects
 from slipfree.models.wheel_authority import check_authority, wheel_rates
-from slipfree.problem import inverse as problem
+from slipfree.problem.verbs import inverse as problem
 from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
 from slipfree.solve.trim import apply_inputs, trim_states
