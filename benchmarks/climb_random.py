@@ -18,7 +18,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from helpers.climb_drawn import drawn, drive, finite
-from slipfree.climb.outcome import outcome
+from slipfree.climb.ending import climb_ending
 
 COUNT, LONGEST = 200, 300.0  # seconds of a run
 
@@ -27,7 +27,7 @@ def one(seed: int) -> dict[str, object]:
     """Return what becomes of a seed."""
     case, clock = drawn(seed), time.process_time()
     run = drive(case)
-    told = outcome(run, case.climber, case.profile)
+    told = climb_ending(run, case.climber, case.profile)
     return {
         "name": told.name if finite(run) else "not finite",
         "words": told.words,

@@ -38,8 +38,8 @@ import numpy as np
 
 import slipfree
 from slipfree import SolverOptions
+from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import highest, least_friction
-from slipfree.climb.outcome import outcome
 from slipfree.climb.vehicle import seven_wheels
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
@@ -248,7 +248,7 @@ def gets_up(mu, *settings):
     motion = simulate(
         setup.dae, setup.start, setup.inputs, setup.t, options=SolverOptions(tolerance=1e-6)
     )
-    return outcome(motion, setup.climber, setup.profile).name == "climbs"
+    return climb_ending(motion, setup.climber, setup.profile).name == "climbs"
 
 
 def bisected(most, *settings):

@@ -14,6 +14,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.lookups import Lookup, lookup_function
+from slipfree.outcome import Outcome
 from slipfree.records import Array, Label, leaves, pack, unpack
 from slipfree.trajectory import Trajectory
 
@@ -32,6 +33,8 @@ class Limit(NamedTuple):
     describe : callable or None
         ``describe(x, z)`` returns what is wrong in one local state, shapes (n_x,) and (n_z,), if
         that takes more than the label's words; nothing if this limit is not the reason.
+    outcome : Outcome
+        Outcome of a motion that ends at this limit.
     """
 
     label: Label
@@ -39,6 +42,7 @@ class Limit(NamedTuple):
     lower: float
     upper: float
     describe: Callable[[Array, Array], str] | None = None
+    outcome: Outcome = Outcome.LIMIT
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import ModelError, SlipfreeError
+from slipfree.outcome import Outcome
 from slipfree.records import Array, Label
 
 if TYPE_CHECKING:
@@ -20,24 +21,30 @@ TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
 WHEELS = {"long_name": "name of the wheel"}
 STATISTICS = "statistics_"  # prefix of the solver's counts among the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
+OUTCOME = "outcome"
 
 
 class Stop(NamedTuple):
-    """Why a motion ended before the last time asked for.
+    """Reason why a motion ended before the last requested time.
 
     Attributes
     ----------
     name : str
-        The limit that was reached, or ``"solver"``.
+        Name of the limit, check or event that was reached; ``"fold"``, ``"solver"``,
+        ``"interrupted"``, ``"plan"`` or ``"plan_accuracy"`` otherwise.
     t : float
-        When. [s]
+        Time of the last sample. [s]
     words : str
-        What happened, where, and what to do.
+        Description of what happened, where, and what to do.
+    outcome : Outcome
+        Kind of the reason. A motion ended by an event that the caller gave is complete, as in
+        SciPy's ``solve_ivp``.
     """
 
     name: str
     t: float
     words: str
+    outcome: Outcome
 
 
 class Column(NamedTuple):
@@ -136,11 +143,17 @@ class Trajectory:
         return replace(self, t=t, columns=columns, stop=stop, events=events)
 
     @property
+    def outcome(self) -> Outcome:
+        """Outcome of the stop; complete without one."""
+        return self.stop.outcome if self.stop else Outcome.COMPLETE
+
+    @property
     def metadata(self) -> dict[str, str | float]:
-        """Attributes, statistics and stop reason of the motion in one mapping."""
+        """Attributes, statistics, outcome and stop reason of the motion in one mapping."""
         found: dict[str, str | float] = dict(self.attributes)
         found |= {f"{STATISTICS}{name}": value for name, value in self.statistics.items()}
-        return found | (dict(zip(STOP, self.stop, strict=True)) if self.stop else {})
+        found[OUTCOME] = self.outcome.name.lower()
+        return found | (dict(zip(STOP, self.stop[:3], strict=True)) if self.stop else {})
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the samples as an xarray Dataset with dimensions ``time`` and ``wheel``.

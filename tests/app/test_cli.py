@@ -18,6 +18,7 @@ import slipfree
 from helpers.problem_files import PROBLEM
 from slipfree.cli import app
 from slipfree.files import netcdf
+from slipfree.outcome import Outcome
 from slipfree.problem import solve as runner
 from slipfree.trajectory import SolverError, Stop
 
@@ -110,7 +111,9 @@ def test_a_failing_integrator_saves_what_was_reached(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _invoke("run", "p.toml", "--no-draw")
-    reached = netcdf.read("p.nc").part(slice(3), Stop("solver", 0.2, "gave up"))
+    reached = netcdf.read("p.nc").part(
+        slice(3), Stop("solver", 0.2, "gave up", Outcome.SOLVER_FAILURE)
+    )
     _broken("simulate", monkeypatch, SolverError("gave up", replace(reached, attributes={})))
     result = _invoke("run", "p.toml", "--no-draw", "-o", "q.nc")
     assert result.exit_code == 1

@@ -93,7 +93,7 @@ def test_the_ramp_is_the_library_s_climb():
     np.testing.assert_allclose(found["x"], same.run["x"], atol=1e-6)
     span = averages.window.span
     assert (counts["climb_from"], counts["climb_to"]) == tuple(same.run.t[span][[0, -1]])
-    assert found.attributes["outcome"].startswith("climbs: at t = 2.86 s")
+    assert found.attributes["climb"].startswith("climbs: at t = 2.86 s")
     # friction that a slow climb needs, of a study with its own code
     assert counts["slow_climb_friction"] == pytest.approx(0.323, abs=0.005)
 
@@ -116,7 +116,7 @@ def test_run_tells_and_keeps_what_matters():
         assert words in result.output, words
     kept = read_result("r.nc")
     assert kept.wheels == AXLES
-    assert kept.attributes["outcome"].startswith("climbs")
+    assert kept.attributes["climb"].startswith("climbs")
     told = _invoke("info", "r.nc")
     assert told.exit_code == 0
     assert "  true slip              front 3.6 %, middle 3.1 %, rear 4.2 %" in told.output
@@ -149,7 +149,7 @@ def test_what_does_not_climb_is_told():
 
 def test_no_averages_before_the_obstacle_is_met():
     found = run_problem(load_problem(STEP_FILE, ["time.duration=0.1"])).trajectory
-    assert found.attributes["outcome"].startswith("unfinished: until t = 0.1 s the front wheel")
+    assert found.attributes["climb"].startswith("unfinished: until t = 0.1 s the front wheel")
     assert not [name for name in found.statistics if name.startswith("climb_")]
 
 
@@ -214,7 +214,7 @@ def test_sensors_may_be_noisy():
 
 def test_stairs_are_climbed():
     found = run_problem(load_problem(STAIRS_FILE, ["control.period=", *COARSE])).trajectory
-    assert found.attributes["outcome"].startswith("climbs")
+    assert found.attributes["climb"].startswith("climbs")
     np.testing.assert_allclose(found["axle_z"][-1], 3 * 0.06 + 0.066, atol=1e-3)
 
 
@@ -225,7 +225,7 @@ def test_a_plan_climbs_where_references_do_not(tmp_path):
     problem = load_problem(PLAN_FILE, COARSE)
     found = run_problem(problem)
     counts = found.trajectory.statistics
-    assert found.trajectory.attributes["outcome"].startswith("climbs")
+    assert found.trajectory.attributes["climb"].startswith("climbs")
     # least friction of every leg, of a study with its own code
     least = [counts[f"climb_plan_least_{k}"] for k in (1, 2, 3)]
     np.testing.assert_allclose(least, [0.579, 0.630, 0.677], atol=0.01)
@@ -244,7 +244,7 @@ def test_a_plan_climbs_where_references_do_not(tmp_path):
     assert told["  least friction"].startswith("leg by leg 0.579, 0.6")
     for settings in (["plan="], ["plan=", "control.law=fixed"]):
         stuck = run_problem(load_problem(PLAN_FILE, [*settings, *COARSE])).trajectory
-        assert stuck.attributes["outcome"].startswith("stalls"), settings
+        assert stuck.attributes["climb"].startswith("stalls"), settings
 
 
 @pytest.mark.usefixtures("folder")

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
+from slipfree.outcome import Outcome
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs import inverse
@@ -216,7 +217,8 @@ def test_a_failure_of_unstable_steering_says_so(monkeypatch: pytest.MonkeyPatch)
     motion = run_problem(problem).trajectory
     assert motion.stop is not None  # it runs into the axis
     assert motion.statistics["steps"] < 5000  # what is singular is noticed, not ground through
-    reached = replace(motion, stop=Stop("solver", float(motion.t[-1]), "gave up"), attributes={})
+    stop = Stop("solver", float(motion.t[-1]), "gave up", Outcome.SOLVER_FAILURE)
+    reached = replace(motion, stop=stop, attributes={})
 
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("gave up", reached)

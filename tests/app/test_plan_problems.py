@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slipfree.files.toml.errors import ProblemError
+from slipfree.outcome import Outcome
 from slipfree.problem.goals import regions
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
@@ -181,6 +182,7 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
     stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"
+    assert stop.outcome is Outcome.INACCURATE
     assert "the plan is solved, but its simulation misses x by" in stop.words
     assert "where an accuracy of 1e-07 was asked for: its mesh was not refined" in stop.words
 

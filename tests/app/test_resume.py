@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from slipfree import DataError
 from slipfree.cli import app
 from slipfree.files import netcdf
+from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
@@ -77,6 +78,7 @@ def test_a_search_that_is_interrupted_leaves_a_file_to_go_on_from(tmp_path):
     outcome = run_problem(load_problem(HILLS, list(SMALL)), tell=interrupt)
     stop = outcome.trajectory.stop
     assert stop.name == "plan"
+    assert stop.outcome is Outcome.INTERRUPTED
     assert "the search was stopped" in stop.words
     assert stop.words.endswith("; go on with --resume OUT.nc")
     file = tmp_path / "stopped.nc"
@@ -84,6 +86,7 @@ def test_a_search_that_is_interrupted_leaves_a_file_to_go_on_from(tmp_path):
     kept = from_arrays(netcdf.read_arrays(file), str(file))
     assert np.isfinite(kept.unknowns).all()
     assert netcdf.read(file).stop.name == "plan"
+    assert netcdf.read(file).outcome is Outcome.INTERRUPTED
     assert command(tmp_path / "on.nc", "--resume", str(file)).exit_code == 0
 
 
@@ -95,6 +98,7 @@ def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
     outcome = run_problem(load_problem(HILLS, [*SMALL, "plan.accuracy=1e-7"]), tell=interrupt)
     stop = outcome.trajectory.stop
     assert stop.name == "plan_accuracy"
+    assert stop.outcome is Outcome.INTERRUPTED
     assert stop.words.endswith("was asked for: interrupted; go on with --resume OUT.nc")
 
 

@@ -21,6 +21,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.files import netcdf
 from slipfree.models.poses import part_poses, wheel_poses
 from slipfree.models.slip import measured_slip
+from slipfree.outcome import Outcome
 from slipfree.plan.transcription import CollocationMesh, positions
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.reload import shown
@@ -317,7 +318,7 @@ def test_a_refined_ground_is_that_of_its_mesh() -> None:
 
 
 def test_a_motion_that_stopped_says_so(drive: Driven) -> None:
-    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip"))
+    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip", Outcome.LIMIT))
     scene = drive_scene([drive._replace(run=run)])
     assert scene.actors[0].stop == "stopped at t = 1 s: a wheel has no grip"
     assert scene.actors[0].stop in with_legend("<body></body>", scene, "title", "height", [])
@@ -594,7 +595,7 @@ def test_an_interrupted_film_leaves_nothing(
 
 
 def test_the_time_of_a_film_lies_beside_its_legend(drive: Driven) -> None:
-    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip"))
+    run = replace(drive.run, stop=Stop("grip", 1.0, "a wheel has no grip", Outcome.LIMIT))
     drives = [drive._replace(run=run)]
     figure = Figure(figsize=(7, 3.2), layout="constrained")
     FigureCanvasAgg(figure)

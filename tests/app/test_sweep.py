@@ -487,7 +487,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as full:
-        full.setattr("slipfree.sweep.worker.solved", fail)
+        full.setattr("slipfree.sweep.worker.run_problem", fail)
         (task,) = _tasks(file, "time.step=0.1")
         done = work(task)
     assert (done.row.outcome, done.row.t) == ("lost", None)
@@ -661,7 +661,7 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
     def fail(_: object) -> None:
         raise ZeroDivisionError("by chance")
 
-    monkeypatch.setattr("slipfree.sweep.worker.solved", fail)
+    monkeypatch.setattr("slipfree.sweep.worker.run_problem", fail)
     (task,) = _tasks(file, "time.step=0.1")
     assert work(task).row.words == "ZeroDivisionError: by chance"
 

@@ -17,6 +17,7 @@ from scipy.io import netcdf_file
 from helpers.cases import DATA
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
+from slipfree.outcome import Outcome
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.records import Label
@@ -38,7 +39,7 @@ def motion(rng: np.random.Generator) -> Trajectory:
         np.linspace(0.0, 1.0 / 3.0, N),
         columns,
         ("right", "left", "front"),
-        Stop("map_margin[front]", 1.0 / 3.0, "wheel front leaves the map — das Ende"),
+        Stop("map_margin[front]", 1.0 / 3.0, "wheel front leaves — das Ende", Outcome.LIMIT),
         {"steps": 12.0, "tolerance": 1e-8},
         {"title": "Übung", "problem": 'verb = "direct"\n# 中文 ü\n', "remark": ""},
     )
@@ -282,6 +283,7 @@ def test_results_of_earlier_versions_are_read() -> None:
     old = netcdf.read(DATA / "result-0.1.0.nc")
     assert old.attributes["problem"].startswith("# ")
     assert old.wheels == ("right", "left", "front")
+    assert old.outcome is Outcome.COMPLETE
     np.testing.assert_allclose(old.t, 0.1 * np.arange(6), atol=1e-15)
     assert old.columns["force_normal"].label.unit == "N"
     problem = load_problem(PROBLEMS / "paper_direct.toml", ["time.duration=0.5", "time.step=0.1"])

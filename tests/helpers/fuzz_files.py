@@ -22,6 +22,7 @@ from helpers.fuzz_damage import NUMBERS, ODD, WORDS, Case, damaged, grown, shuff
 from helpers.fuzz_maps import archive, ascii_grid, beside, picture, points
 from slipfree.files import netcdf
 from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
+from slipfree.outcome import Outcome
 from slipfree.problem.build_vehicle import UrdfTable
 from slipfree.problem.schema import ALTERNATIVES, Asked, Climb, Direct, Inverse, Plan
 from slipfree.records import Label
@@ -427,7 +428,7 @@ def results() -> tuple[bytes, ...]:
         odd = Trajectory(
             np.array([0.0, 1.0]),
             {"x": Column(Label("x", "m", "place"), np.array([np.nan, np.inf]))},
-            stop=Stop("plan", 1.0, "é"),
+            stop=Stop("plan", 1.0, "é", Outcome.INFEASIBLE),
             statistics={"steps": 1.0},
             attributes={"problem": "x = 1"},
         )

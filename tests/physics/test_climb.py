@@ -30,6 +30,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.control.path_following import follow, straight
 from slipfree.geometry.path import Path
 from slipfree.models.friction_feasibility import best_utilisation
+from slipfree.outcome import Outcome
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.verification import simulate_plan
 from slipfree.problem.load import load_problem
@@ -145,6 +146,7 @@ def test_a_plan_that_must_go_straight_is_refused_by_name():
     found = planned(task, [bow(0.0, 1.0, 5.0)], x=(-0.2, 0.2))
     assert not found.success
     assert found.run.stop.name == "plan"
+    assert found.run.outcome is Outcome.INFEASIBLE
     words = found.run.stop.words
     given = words.partition("a motion was found with relaxed bounds")[2]
     assert "utilisation of wheel left: 1.1" in given

@@ -5,9 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from helpers.climb_drawn import drawn, drive, finite
-from slipfree.climb.outcome import outcome
+from slipfree.climb.ending import climb_ending
 from slipfree.climb.profile import Profile, Solid, step
 from slipfree.climb.vehicle import AXLES, seven_wheels
+from slipfree.outcome import Outcome
 from slipfree.records import Label
 from slipfree.trajectory import Column, Stop, Trajectory
 
@@ -27,7 +28,7 @@ def motion(x, z=None, stop=None, touching=True):
 
 
 def ending(*args, **options):
-    return outcome(motion(*args, **options), seven_wheels(), step(0.09))
+    return climb_ending(motion(*args, **options), seven_wheels(), step(0.09))
 
 
 def test_what_comes_up_climbs():
@@ -41,7 +42,7 @@ def test_what_comes_up_climbs():
 def test_what_is_past_a_bump_has_climbed_it():
     bump = Solid(((0, -0.1), (0.3, -0.1), (0.3, 0.0), (0.15, 0.05), (0, 0.0)))
     ground = Profile((*step(0.09).solids[:1], bump))
-    found = outcome(motion(0.25 * T), seven_wheels(), ground)
+    found = climb_ending(motion(0.25 * T), seven_wheels(), ground)
     assert str(found) == "climbs"
     assert_allclose(found.t, 4 * (0.15 + 0.02 + 0.4) + 0.01, atol=0.011)
 
@@ -61,7 +62,7 @@ def test_what_gets_no_farther_stalls_or_slides_back():
 
 
 def test_what_falls_over_tips():
-    stop = Stop("rear_overturned", 4.0, "the rear body is overturned: its tilt: 1.4")
+    stop = Stop("rear_overturned", 4.0, "the rear body is overturned: its tilt: 1.4", Outcome.LIMIT)
     up = 0.25 * T, np.full(N, RADIUS + 0.09)
     assert str(ending(*up)) == "climbs"
     found = ending(*up, stop=stop)
@@ -70,7 +71,9 @@ def test_what_falls_over_tips():
 
 
 def test_what_goes_on_is_not_finished():
-    found = ending(0.1 * T, stop=Stop("solver", 4.0, "the integrator stopped"))
+    found = ending(
+        0.1 * T, stop=Stop("solver", 4.0, "the integrator stopped", Outcome.SOLVER_FAILURE)
+    )
     assert str(found) == "unfinished"
     assert found.words == "until t = 4 s the vehicle was still getting on; the integrator stopped"
     assert "has met only the floor" in ending(0.25 * T, touching=False).words
@@ -93,4 +96,4 @@ def test_climbs_at_random(seed):
     case = drawn(seed)
     run = drive(case)
     assert finite(run)
-    assert str(outcome(run, case.climber, case.profile)) == SEEDS[seed]
+    assert str(climb_ending(run, case.climber, case.profile)) == SEEDS[seed]

@@ -23,8 +23,8 @@ from helpers.climb_cases import (
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.contact_path import legs
 from slipfree.climb.dynamics import climbing
+from slipfree.climb.ending import climb_ending
 from slipfree.climb.noise import Noise, measured
-from slipfree.climb.outcome import outcome
 from slipfree.climb.plan_tracking import Tracking, course
 from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.time_scaling import climb as program
@@ -55,7 +55,7 @@ def driven(control, mu, part=0.75, **options):
 
 def ending(control, mu, **options):
     motion = driven(control, mu, **options)
-    return outcome(motion.run, motion.climber, motion.profile).name
+    return climb_ending(motion.run, motion.climber, motion.profile).name
 
 
 def progress(run):

@@ -38,6 +38,7 @@ from slipfree.files import netcdf
 from slipfree.models.inverse import inverse_kinematics
 from slipfree.models.steering_guide import GAIN, MAX_STEERING_RATE, steering_effects
 from slipfree.models.wheel_authority import check_authority, wheel_rates
+from slipfree.outcome import Outcome
 from slipfree.problem.verbs import inverse as problem
 from slipfree.records import leaves
 from slipfree.solve.replay import replay, round_trip
@@ -378,7 +379,8 @@ def test_what_cannot_be_is_refused(settings: list[str], words: str) -> None:
 @pytest.mark.usefixtures("_folder")
 def test_what_the_integrator_reached_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: Any, start: Trajectory, *__: Any, **___: Any) -> None:
-        raise SolverError("gave up", replace(start, stop=Stop("solver", 0.0, "gave up")))
+        stop = Stop("solver", 0.0, "gave up", Outcome.SOLVER_FAILURE)
+        raise SolverError("gave up", replace(start, stop=stop))
 
     monkeypatch.setattr(problem, "simulate", fail)
     result = _invoke(*CAR)

@@ -41,6 +41,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.models.friction_feasibility import best_utilisation
 from slipfree.models.montana import montana_kinematics
+from slipfree.outcome import Outcome
 from slipfree.terrain.synthetic import blank, power_law
 from slipfree.vehicle.tree import Body, actuated
 
@@ -150,6 +151,7 @@ def test_no_equilibrium_is_a_stop_by_name():
     expected = held.t[k - 1] + 0.1 * (0.35 - needed[k - 1]) / (needed[k] - needed[k - 1])
     run = moved(three_wheeler(), ground, Coulomb(1e-6), t, rates)
     assert run.stop.name == "no_equilibrium"
+    assert run.outcome is Outcome.NO_EQUILIBRIUM
     assert run.stop.t == pytest.approx(expected, abs=2e-3)
     assert run.stop.words.startswith(
         "no quasi-static equilibrium: headed 0 degrees from uphill on a slope of "
@@ -194,6 +196,7 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     runs = [moved(FIXED, ground, law, t, rates, tolerance=each, **start) for each in (1e-8, 1e-10)]
     for run in runs:
         assert run.stop.name == "fold"
+        assert run.outcome is Outcome.NO_EQUILIBRIUM
         assert "it would go on with a jump, such as front_rate from " in run.stop.words
     assert runs[0].stop.t == pytest.approx(runs[1].stop.t, abs=1e-3)
 
@@ -225,6 +228,7 @@ def test_ice_is_a_stop_by_name_even_where_friction_jumps():
     )
     run = moved(FIXED, ground, Coulomb(), T, x=0.013, y=0.017)
     assert run.stop.name == "no_equilibrium"
+    assert run.outcome is Outcome.NO_EQUILIBRIUM
     assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
     assert "times the friction that it finds, the ground offers 0.02 to 0.6" in run.stop.words
 
@@ -237,6 +241,7 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     rates = {"right_rate": 0.5, "left_rate": 0.5, "steer_rate": 0.0}
     run = moved(FIXED, ground, Coulomb(1e-6), T, rates)
     assert run.stop.name == "friction_margin[front]"
+    assert run.outcome is Outcome.LIMIT
     assert run.stop.t == pytest.approx(0.5 / 0.15, abs=2e-4)
     assert (
         "wheel front leaves the map of friction, which reaches from -3.00 to 3.00 m in x and "

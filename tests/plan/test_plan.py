@@ -16,6 +16,7 @@ from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
 from slipfree.models.slip import measured_slip
+from slipfree.outcome import Outcome
 from slipfree.plan.plan import plan
 from slipfree.plan.verification import inputs_along
 from slipfree.problem.load import load_problem
@@ -161,6 +162,7 @@ def test_a_stopped_search_keeps_its_iterate():
     _, _, found = asked(three_wheeler(axle="fixed"), progress=stop)
     assert not found.success
     assert found.run.stop.name == "plan"
+    assert found.run.outcome is Outcome.INTERRUPTED
     assert "User_Requested_Stop" in found.run.stop.words
     assert len(seen) == 4
     assert np.isfinite(found.run["x"]).all()

@@ -20,6 +20,7 @@ from slipfree import (
 )
 from slipfree.catalog import three_wheeler
 from slipfree.dae import Labels, Limit, PiecewiseLinear
+from slipfree.outcome import Outcome
 from slipfree.records import Label, symbols
 from slipfree.solve import simulate as module
 from slipfree.solve.events import Event
@@ -147,6 +148,7 @@ def test_failure_keeps_what_was_reached(capfd):
         simulate(dae, settle(dae, value=1.0), dae.inputs(speed=0.0), np.linspace(0, 2, 101))
     reached = failure.value.trajectory
     assert reached.stop.name == "solver"
+    assert reached.outcome is Outcome.SOLVER_FAILURE
     assert 0.999 < reached.t[-1] < 1 + 1e-6
     early = reached.t < 0.99  # the error grows without bound as well
     assert_allclose(reached["value"][early], 1 / (1 - reached.t[early]), rtol=1e-4)
@@ -242,6 +244,7 @@ def test_progress_that_returns_false_ends_the_motion(kind):
         "interrupted",
         seen[-1],
         "the progress callable ended the motion by returning False",
+        Outcome.INTERRUPTED,
     )
     assert 1.23 <= run.t[-1] == seen[-1] < 1.5
     assert_allclose(run["value"], np.sin(run.t), atol=1e-7)
@@ -297,7 +300,7 @@ def test_motion_ends_at_an_event_that_stops_it_and_goes_on_from_there():
     later = Event(dae.t - 1.4, name="later")  # within the interval in which the motion ends
     start = settle(dae)
     run = simulate(dae, start, law, t, events=[later, stop, half])
-    assert run.stop == ("far", run.t[-1], "the event 'far' occurred")
+    assert run.stop == ("far", run.t[-1], "the event 'far' occurred", Outcome.COMPLETE)
     assert_allclose(run.t, [0.0, 0.5, 1.0, np.arcsin(0.9)], atol=1e-7)
     assert_allclose(run["value"][-1], 0.9, atol=1e-12)
     assert_allclose(run["square"][-1], 0.81, atol=1e-12)
@@ -306,6 +309,7 @@ def test_motion_ends_at_an_event_that_stops_it_and_goes_on_from_there():
     assert run.events["later"].size == 0
     rest = simulate(dae, run, law, np.linspace(run.t[-1], 3, 7), events=[stop])
     assert rest.stop.name == "far"  # on the way back
+    assert rest.outcome is Outcome.COMPLETE
     assert_allclose(rest.t[-1], np.pi - np.arcsin(0.9), atol=1e-6)
 
 
@@ -386,6 +390,7 @@ def test_vehicle_leaves_the_map_at_the_edge():
     rates = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
     run = simulate(dae, settle(dae), rates, np.linspace(0, 20, 41))
     assert run.stop.name == "map_margin[front]"
+    assert run.outcome is Outcome.LIMIT
     assert "wheel front leaves the map, which reaches from -3.00 to 3.00 m in x" in run.stop.words
     assert_allclose(run["contact_y", "front"][-1], 1.5, atol=1e-5)
     assert run.t[-1] == run.stop.t

@@ -11,7 +11,6 @@ import typer
 
 from slipfree.cli.common import (
     OUTPUT,
-    STOPPED,
     File,
     Settings,
     check_default_places,
@@ -116,7 +115,7 @@ def run(
             _animate(outcome, animation)
         if motion.stop is not None:
             say_stopped(motion.stop, out)
-            raise typer.Exit(STOPPED)
+            raise typer.Exit(motion.outcome.exit_code)
 
 
 def output_of(problem: Problem[Motion] | Problem[Climb]) -> str:

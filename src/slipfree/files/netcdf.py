@@ -25,16 +25,27 @@ from scipy.io import netcdf_file
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
+from slipfree.files.upgrade import upgrade_0_1
 from slipfree.frames import to_problem_frame
+from slipfree.outcome import Outcome
 from slipfree.records import Label
 from slipfree.regular_files import escape_name, regular_file
-from slipfree.trajectory import STATISTICS, STOP, TIME, WHEELS, Column, Stop, Trajectory
+from slipfree.trajectory import (
+    OUTCOME,
+    STATISTICS,
+    STOP,
+    TIME,
+    WHEELS,
+    Column,
+    Stop,
+    Trajectory,
+)
 from slipfree.version import __version__
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # the attribute by which a result file is recognised
 ORDER = "quantities"  # the attribute with the order of the quantities, which netCDF does not keep
-RESERVED = {"time", "wheel", "Conventions", ORDER, *STOP}
+RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
 REMEDY = "run the problem again to get a whole file"
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)  # of scipy's reader
 LARGEST = 1e100  # number of a motion; beyond, bits were flipped
@@ -236,6 +247,8 @@ def _open(path: Path) -> _File:
     if ORIGIN not in attributes:
         remedy = "give a file that slipfree run wrote"
         raise _fault(path, "a netCDF file of something else", remedy)
+    if str(attributes[ORIGIN]).startswith("0.1."):
+        attributes = upgrade_0_1(attributes)
     if not all(file.dimensions.values()):
         raise _fault(path, "an empty or unlimited dimension")
     return _File(path, attributes, file.variables)
@@ -269,7 +282,7 @@ def _trajectory(file: _File) -> Trajectory:
     stop = None
     if set(STOP) <= set(found):
         name, words = (str(found[key]) for key in (STOP[0], STOP[2]))
-        stop = Stop(name, file.number(STOP[1]), words)
+        stop = Stop(name, file.number(STOP[1]), words, _outcome(file))
     attributes = {
         name: str(value)
         for name, value in found.items()
@@ -283,6 +296,14 @@ def _trajectory(file: _File) -> Trajectory:
         {k.removeprefix(STATISTICS): file.number(k) for k in found if k.startswith(STATISTICS)},
         attributes,
     )
+
+
+def _outcome(file: _File) -> Outcome:
+    """Return the outcome that a result file names."""
+    name = str(file.attributes.get(OUTCOME, "")).upper()
+    if name not in Outcome.__members__:
+        raise _fault(file.path, f"the attribute {OUTCOME} = {name.lower()!r}, which is no outcome")
+    return Outcome[name]
 
 
 def _column(file: _File, name: str, sizes: Container[tuple[int, ...]]) -> Column:

@@ -25,6 +25,7 @@ from slipfree.laws.protocols import (
     check_bounds,
     wheel_labels,
 )
+from slipfree.outcome import Outcome
 from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
@@ -157,4 +158,5 @@ def no_equilibrium(contacts: SlidingContacts) -> Limit:
         most = ca.fmax(most, ca.norm_2(ca.vertcat(*slip)))
     words = "slip of the fastest sliding wheel beyond ten times the fastest rim"
     label = Label("no_equilibrium", "m s-1", words)
-    return Limit(label, most - 10 * fastest, -np.inf, RUNAWAY, contacts.diagnose)
+    excess, outcome = most - 10 * fastest, Outcome.NO_EQUILIBRIUM
+    return Limit(label, excess, -np.inf, RUNAWAY, contacts.diagnose, outcome)

@@ -19,10 +19,12 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
+from slipfree.outcome import Outcome
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.explanation import explanation
 from slipfree.plan.ipopt import (
     CAUTIOUS_VIOLATION_GROWTH,
+    INFEASIBLE_STATUS,
     STUCK_STATUSES,
     Iterate,
     Solution,
@@ -473,7 +475,11 @@ def _to_plan(search: _SearchState, verification: Verification) -> Plan:
             f"the plan is not solved; this is its last iterate: "
             f"{explanation(program, found, first)}"
         )
-        run = replace(run, stop=Stop("plan", float(run.t[-1]), words))
+        outcome = {
+            INFEASIBLE_STATUS: Outcome.INFEASIBLE,
+            STOPPED_STATUS: Outcome.INTERRUPTED,
+        }.get(found.status, Outcome.SOLVER_FAILURE)
+        run = replace(run, stop=Stop("plan", float(run.t[-1]), words, outcome))
     motion = motion_of(program, found.unknowns)
     return Plan(
         run,

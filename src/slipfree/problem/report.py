@@ -58,7 +58,7 @@ ELSEWHERE = (  # attributes that are told in other places
     "settings",
     "history",
     "title",
-    "outcome",
+    "climb",
     "slow_climb",
     "by_friction",
     "replay_stopped",
@@ -110,8 +110,8 @@ def _lead(run: Trajectory) -> str:
     """Return how a motion ended in a sentence."""
     if run.stop is not None:
         return f"Stopped early at t = {run.stop.t:.6g} s: {run.stop.words}."
-    if "outcome" in run.attributes:
-        return f"{run.attributes['outcome'].capitalize()}."
+    if "climb" in run.attributes:
+        return f"{run.attributes['climb'].capitalize()}."
     return f"Reached the time asked for, {run.t[-1]:g} s."
 
 

@@ -382,7 +382,7 @@ def _plan(run: Trajectory, plan: Trajectory, climber: Climber, profile: Profile)
 
 def _outcome(run: Trajectory) -> str:
     """Return how a climb ended, as its problem says, in a sentence."""
-    words = run.attributes.get("outcome", "")
+    words = run.attributes.get("climb", "")
     return f" It {words}." if words.startswith(("climbs", "stalls", "slides", "tips")) else ""
 
 

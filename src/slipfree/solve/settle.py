@@ -10,6 +10,7 @@ import numpy as np
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
+from slipfree.outcome import Outcome
 from slipfree.records import Array, Mask, leaves, unpack
 from slipfree.solve.initial_conditions import limit_message, solve_initial_conditions
 from slipfree.solve.options import SolverOptions
@@ -89,11 +90,11 @@ def first_violation(
     """
     found: tuple[int, Stop] | None = None
 
-    def consider(bad: Mask, name: str, words: Any) -> None:
+    def consider(bad: Mask, name: str, words: Any, outcome: Outcome = Outcome.LIMIT) -> None:
         nonlocal found
         if bad.any() and (found is None or int(bad.argmax()) < found[0]):
             k = int(bad.argmax())
-            found = k, Stop(name, float(run.t[k]), words(k))
+            found = k, Stop(name, float(run.t[k]), words(k), outcome)
 
     for limit in system.dae.limits:
         label, lower, upper = limit.label, limit.lower, limit.upper
@@ -104,6 +105,7 @@ def first_violation(
             lambda k, v=values, of=limit: _limit_message(
                 of, float(v[k]), samples.x[:, k], samples.z[:, k]
             ),
+            limit.outcome,
         )
     for block in (*system.blocks, *system.dependent_blocks):
         if not block.linear or block in system.dependent_blocks:
@@ -117,6 +119,7 @@ def first_violation(
                     f"the equations have no exact solution here: {lb.name} {v[k]:.1e} {lb.unit}, "
                     f"allowed at most {most:g}; a smaller tolerance may help"
                 ),
+                Outcome.SOLVER_FAILURE,
             )
     for check in system.dae.checks:
         label = check.label

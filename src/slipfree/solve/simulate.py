@@ -17,6 +17,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import InterruptGuard
+from slipfree.outcome import Outcome
 from slipfree.records import Array, Mask
 from slipfree.solve.equations import scaled_jacobian
 from slipfree.solve.events import Event, WatchedEvent, crossing_indices, event_values, watch_events
@@ -387,7 +388,8 @@ def _check_samples(
     for each in watched:
         for k in crossing_indices(each, system, samples, solver.tolerance)[:1]:
             name = each.event.name
-            stop = Stop(name, float(run.t[k]), f"the event {name!r} occurred")
+            words = f"the event {name!r} occurred"
+            stop = Stop(name, float(run.t[k]), words, Outcome.COMPLETE)
             found.append(_Crossing(k, stop, each))
     return run, samples, min(found, key=lambda one: one.k, default=None)
 
@@ -533,11 +535,11 @@ def _finish_motion(
             return replace(run, stop=why._replace(t=t))
     if failed:
         words = f"the integrator stopped at t = {t:.6g} s: {end}"
-        run = replace(run, stop=Stop("solver", t, words))
+        run = replace(run, stop=Stop("solver", t, words, Outcome.SOLVER_FAILURE))
         raise SolverError(words, run)
     if isinstance(end, _ProgressError) and found is None:
         words = "the progress callable ended the motion by returning False"
-        run = replace(run, stop=Stop("interrupted", t, words))
+        run = replace(run, stop=Stop("interrupted", t, words, Outcome.INTERRUPTED))
     return run
 
 
@@ -551,7 +553,7 @@ def _event_times(
     """Return the times of an event in a motion, of which ``run`` is kept."""
     if each.event.stop:
         return run.t[-1:] if run.stop and run.stop.name == each.event.name else run.t[:0]
-    stop, times = Stop(each.event.name, 0.0, ""), list[float]()
+    stop, times = Stop(each.event.name, 0.0, "", Outcome.COMPLETE), list[float]()
     for k in crossing_indices(each, solver.system, samples, solver.tolerance):
         if whole.t[k - 1] < run.t[-1]:
             found = _Crossing(k, stop, each)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slipfree.errors import ModelError
+from slipfree.outcome import Outcome
 from slipfree.records import Array, leaves
 from slipfree.solve.initial_conditions import UnsolvedError, solve_initial_conditions
 from slipfree.solve.sampling import Samples
@@ -43,7 +44,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
         for limit in system.dae.limits:
             words = limit.describe(x, reached) if limit.describe else ""
             if words:
-                return Stop(limit.label.full, t, words)
+                return Stop(limit.label.full, t, words, limit.outcome)
         return None
     jump = np.abs((found - z) / system.dae.scale)[: system.motion_size]
     k = int(jump.argmax())
@@ -56,6 +57,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
         t,
         "the motion that friction allows ends in a fold: it would go on with a jump, such as "
         f"{label.full} from {z[k]:.3g} to {found[k]:.3g}{unit}, which inertia decides",
+        Outcome.NO_EQUILIBRIUM,
     )
 
 

@@ -13,6 +13,7 @@ from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.interrupt import InterruptGuard
 from slipfree.lookups import found_column
+from slipfree.outcome import Outcome
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
@@ -85,7 +86,7 @@ def simulate_sampled(
         run = run.part(slice(fault[0] + 1), fault[1])
     elif failure:
         words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {failure}"
-        run = replace(run, stop=Stop("solver", float(run.t[-1]), words))
+        run = replace(run, stop=Stop("solver", float(run.t[-1]), words, Outcome.SOLVER_FAILURE))
         raise SolverError(words, run)
     cost |= {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
     return replace(run, statistics=cost)

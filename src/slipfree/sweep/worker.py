@@ -54,7 +54,7 @@ def _worked(task: Task, begin: float) -> Done:
         task.run,
         own_settings(task),
         f"stopped by {stop.name}" if stop else "complete",
-        stop.words if stop else motion.attributes.get("outcome", ""),
+        stop.words if stop else motion.attributes.get("climb", ""),
         float(motion.t[-1]),
         figures_of(motion, problem.spec),
         time.perf_counter() - begin,

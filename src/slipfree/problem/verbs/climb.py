@@ -13,10 +13,10 @@ import numpy as np
 from slipfree.climb.contact import CompliantContact
 from slipfree.climb.control import Control, check_period
 from slipfree.climb.dynamics import climbing, floor_loads, standing
+from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.noise import Noise
-from slipfree.climb.outcome import outcome
 from slipfree.climb.plan_tracking import Tracking, course
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
@@ -382,11 +382,11 @@ def _tracking(problem: Problem[schema.Climb], setup: Climbing, plan: Planned) ->
 
 def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
     """Return a motion with how it ended, its averages and what a slow climb needs."""
-    end = outcome(run, setup.climber, setup.profile)
+    end = climb_ending(run, setup.climber, setup.profile)
     words = f"{end.name}: {end.words}"
     slow = _slow(setup)
     statistics = {**run.statistics, **_averages(run, setup), **slow[0]}
-    attributes = {**run.attributes, "outcome": words, "slow_climb": slow[1]}
+    attributes = {**run.attributes, "climb": words, "slow_climb": slow[1]}
     if setup.every:
         run = run.part(slice(0, None, setup.every), run.stop)
     return replace(run, statistics=statistics, attributes=attributes)

@@ -30,7 +30,7 @@ def is_climb(run: Trajectory) -> bool:
 
 def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     """Yield name and value of what matters about a climb, ready to print."""
-    yield "outcome", run.attributes["outcome"]
+    yield "climb", run.attributes["climb"]
     duration = run.t[-1] - run.t[0]
     yield "duration", f"{duration:g} s, {run.t.size} samples"
     tilts = ", ".join(

@@ -15,6 +15,7 @@ from slipfree.errors import SlipfreeError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.models.quasi_statics import quasi_statics
+from slipfree.outcome import Outcome
 from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import STOPPED_STATUS, Plan, plan
 from slipfree.plan.problem import limits_of, task_of
@@ -262,7 +263,8 @@ def _inaccurate(spec: schema.Plan, found: Plan) -> Stop:
         f"the plan is solved, but its simulation misses {worst or 'a narrow limit'}, where an "
         f"accuracy of {spec.plan.accuracy:g} was asked for: {why}"
     )
-    return Stop("plan_accuracy", float(found.replay.t[-1]), words)
+    outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
+    return Stop("plan_accuracy", float(found.replay.t[-1]), words, outcome)
 
 
 def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:

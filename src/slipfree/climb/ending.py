@@ -17,7 +17,7 @@ LAST, ON = 1.0, 5e-3  # it is stuck if it gets on no farther than so in the last
 BACK = 0.03  # from the farthest place, what slides back [m]
 
 
-class Outcome(NamedTuple):
+class ClimbEnding(NamedTuple):
     """How a climb ends; as text its name.
 
     Attributes
@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
         return self.name
 
 
-def outcome(run: Trajectory, climber: Climber, profile: Profile) -> Outcome:
+def climb_ending(run: Trajectory, climber: Climber, profile: Profile) -> ClimbEnding:
     """Return how a climb ends.
 
     It tips over if a body passes its limit, even after it came up; it climbs if the rear axle comes
@@ -58,28 +58,30 @@ def outcome(run: Trajectory, climber: Climber, profile: Profile) -> Outcome:
     """
     end = float(run.t[-1])
     if run.stop is not None and run.stop.name.endswith("_overturned"):
-        return Outcome("tips over", end, f"at t = {end:.3g} s {run.stop.words}")
+        return ClimbEnding("tips over", end, f"at t = {end:.3g} s {run.stop.words}")
     met = meeting(run, profile)
     if not met.any():
-        return Outcome("unfinished", end, _ending(run, "the front wheel has met only the floor"))
+        return ClimbEnding(
+            "unfinished", end, _ending(run, "the front wheel has met only the floor")
+        )
     up = come_up(run, climber, profile) & (np.cumsum(met) > 0)
     if up.any():
         t = float(run.t[up.argmax()])
-        return Outcome("climbs", t, f"at t = {t:.3g} s the rear axle is up, or past")
+        return ClimbEnding("climbs", t, f"at t = {t:.3g} s the rear axle is up, or past")
     way = (run["axle_x"] + run["axle_z"]).mean(axis=1)
     return _not_up(run, way, end)
 
 
-def _not_up(run: Trajectory, way: Array, end: float) -> Outcome:
+def _not_up(run: Trajectory, way: Array, end: float) -> ClimbEnding:
     """Return how what did not come up ends."""
     k = int(np.argmax(way > way.max() - ON))
     t, x, back = float(run.t[k]), float(run["axle_x", "front"][k]), float(way.max() - way[-1])
     if t > end - LAST:
-        return Outcome("unfinished", end, _ending(run, "the vehicle was still getting on"))
+        return ClimbEnding("unfinished", end, _ending(run, "the vehicle was still getting on"))
     words = f"from t = {t:.3g} s on it gets no farther, the front axle at x = {x:.3g} m"
     if back > BACK:
-        return Outcome("slides back", t, f"{words}: it ends {1e3 * back:.0f} mm behind")
-    return Outcome("stalls", t, words)
+        return ClimbEnding("slides back", t, f"{words}: it ends {1e3 * back:.0f} mm behind")
+    return ClimbEnding("stalls", t, words)
 
 
 def _ending(run: Trajectory, words: str) -> str:

@@ -1,0 +1,49 @@
+"""Upgrade the attributes of result files of version 0.1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from slipfree.outcome import Outcome
+from slipfree.trajectory import OUTCOME, STOP
+
+OUTCOMES = {  # of the names of stops; limits and checks have their own
+    "solver": Outcome.SOLVER_FAILURE,
+    "interrupted": Outcome.INTERRUPTED,
+    "no_equilibrium": Outcome.NO_EQUILIBRIUM,
+    "fold": Outcome.NO_EQUILIBRIUM,
+    "plan": Outcome.SOLVER_FAILURE,
+    "plan_accuracy": Outcome.INACCURATE,
+}
+OUTCOMES_OF_PLANS = {  # of IPOPT's statuses in the words of the stop
+    "Infeasible_Problem_Detected": Outcome.INFEASIBLE,
+    "User_Requested_Stop": Outcome.INTERRUPTED,
+    "interrupted; go on": Outcome.INTERRUPTED,
+}
+
+
+def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]:
+    """Return the attributes of a result of version 0.1 under the keys of today.
+
+    The outcome follows from the name of the stop; the ending of a climb, which was stored as
+    ``outcome``, becomes ``climb``.
+    """
+    found = dict(attributes)
+    if OUTCOME in found:
+        found["climb"] = found[OUTCOME]
+    found[OUTCOME] = _outcome(found).name.lower()
+    return found
+
+
+def _outcome(attributes: Mapping[str, str | float]) -> Outcome:
+    """Return the outcome of a motion from the name and the words of its stop."""
+    name, _, words = (str(attributes.get(key, "")) for key in STOP)
+    if not name:
+        return Outcome.COMPLETE
+    if name in ("plan", "plan_accuracy"):
+        for status, outcome in OUTCOMES_OF_PLANS.items():
+            if status in words:
+                return outcome
+    if name.endswith("_residual"):
+        return Outcome.SOLVER_FAILURE
+    return OUTCOMES.get(name, Outcome.LIMIT)

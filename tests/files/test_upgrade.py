@@ -1,0 +1,72 @@
+"""Results of version 0.1 under the keys of today."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slipfree.errors import DataError
+from slipfree.files import netcdf
+from slipfree.files.upgrade import upgrade_0_1
+from slipfree.outcome import Outcome
+from slipfree.records import Label
+from slipfree.trajectory import Column, Stop, Trajectory
+
+STOPS_OF_0_1 = [
+    ("map_margin[front]", "wheel front leaves the map", Outcome.LIMIT),
+    ("no_equilibrium", "on level ground the vehicle tips over", Outcome.NO_EQUILIBRIUM),
+    ("fold", "the motion ends in a fold", Outcome.NO_EQUILIBRIUM),
+    ("solver", "the integrator stopped", Outcome.SOLVER_FAILURE),
+    ("closure_residual", "the equations have no exact solution", Outcome.SOLVER_FAILURE),
+    ("interrupted", "the progress callable ended it", Outcome.INTERRUPTED),
+    ("plan", "(Infeasible_Problem_Detected, after 9 iterations)", Outcome.INFEASIBLE),
+    ("plan", "(User_Requested_Stop, after 2 iterations)", Outcome.INTERRUPTED),
+    ("plan", "(Maximum_Iterations_Exceeded, after 500 iterations)", Outcome.SOLVER_FAILURE),
+    ("plan_accuracy", "its mesh was not refined any further", Outcome.INACCURATE),
+    ("plan_accuracy", "interrupted; go on with --resume OUT.nc", Outcome.INTERRUPTED),
+]
+
+
+@pytest.mark.parametrize(("name", "words", "outcome"), STOPS_OF_0_1)
+def test_outcome_follows_from_the_stop(name: str, words: str, outcome: Outcome) -> None:
+    old = {"stop_name": name, "stop_time": 1.5, "stop_words": words}
+    assert upgrade_0_1(old) == {**old, "outcome": outcome.name.lower()}
+
+
+def test_ending_of_a_climb_gets_its_own_key() -> None:
+    old = {"outcome": "climbs: at t = 2.86 s the rear axle is up, or past"}
+    assert upgrade_0_1(old) == {"outcome": "complete", "climb": old["outcome"]}
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[Path]:
+    """Return a result for each outcome."""
+    x = {"x": Column(Label("x", "m", "place"), np.zeros(2))}
+    motions = [
+        Trajectory(np.arange(2.0), x, stop=Stop("a", 1.0, "b", outcome)) for outcome in Outcome
+    ]
+    for outcome, motion in zip(Outcome, motions, strict=True):
+        netcdf.write(tmp_path / f"{outcome.name}.nc", motion)
+    return [tmp_path / f"{outcome.name}.nc" for outcome in Outcome]
+
+
+def test_outcomes_are_stored(files: list[Path]) -> None:
+    assert [netcdf.read(file).outcome for file in files] == list(Outcome)
+    assert {outcome.name: outcome.exit_code for outcome in Outcome if outcome.exit_code != 1} == {
+        "COMPLETE": 0,
+        "INTERRUPTED": 130,
+    }
+
+
+def test_unknown_outcomes_are_refused(files: list[Path]) -> None:
+    data = files[1].read_bytes()
+    assert b"limit\0\0\0" in data
+    files[1].write_bytes(data.replace(b"limit\0\0\0", b"limbo\0\0\0"))
+    with pytest.raises(DataError, match="outcome = 'limbo'"):
+        netcdf.read(files[1])
+
+
+def test_motions_without_a_stop_are_complete() -> None:
+    motion = Trajectory(np.zeros(1), {})
+    assert motion.outcome is Outcome.COMPLETE
+    assert motion.metadata["outcome"] == "complete"
