@@ -21,7 +21,7 @@ import slipfree
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
-from made import MADE  # noqa: E402
+from made import fill  # noqa: E402
 
 NOTEBOOKS = DOCS / "notebooks"
 SHIPPED = find_spec("sphinx-mathjax-offline")  # a package of MathJax's files
@@ -53,6 +53,7 @@ nb_merge_streams = True
 nb_output_stderr = "warn"
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
+add_module_names = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
@@ -81,10 +82,8 @@ def _copy_notebooks(*_: Any) -> None:
 
 
 def _fill(_app: Any, _page: str, source: list[str]) -> None:
-    """Put in what a page asks for, as `<!-- modules: slipfree.plan -->`."""
-    source[0] = re.sub(
-        f"<!-- ({'|'.join(MADE)}): ([\\w.]+) -->", lambda m: MADE[m[1]](m[2]), source[0]
-    )
+    """Generate the parts of a page that come from the package."""
+    source[0] = fill(source[0])
 
 
 def _leave_out(_app: Any, _what: str, _name: str, obj: Any, _skip: bool, _options: Any) -> Any:

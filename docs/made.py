@@ -1,19 +1,20 @@
-"""Parts of pages that are made from the package, so that they never lag behind it."""
+"""Generate parts of pages from the package: docstrings, commands and keys of problem files."""
 
 import json
 import math
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from inspect import get_annotations
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-import slipfree
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.problem import schema
 from slipfree.problem.schema_law import law_tables
 
 DOCS = Path(__file__).parent
+LISTED = r"<!-- {kind}: ([\w.,\s]+?) -->"
 TAKES = {
     "SlipName": ", ".join(f'`"{name}"`' for name in SLIP_LAWS),
     "Positive": "a number above 0",
@@ -48,24 +49,59 @@ TAKES = {
 }
 
 
+def _names(listed: str) -> str:
+    """Return a table of public names, and a section for each: its import and its docstring.
+
+    A name without a dot is one of `slipfree`; others follow their module (``solve.replay.replay``).
+    """
+    entries = _entries(listed)
+    rows = (f"| [`{name}`](#{name.lower()}) | {_summary(value)} |" for _, name, value in entries)
+    sections = (_section(*entry) for entry in entries)
+    return "\n".join(["| name | |", "| --- | --- |", *rows, "", *sections])
+
+
+def _entries(listed: str) -> list[tuple[str, str, Any]]:
+    """Return the module, the name and the object of each name of a list."""
+    pairs = (f"slipfree.{entry}".rpartition(".")[::2] for entry in re.split(r"[,\s]+", listed))
+    return [(module, name, getattr(import_module(module), name)) for module, name in pairs]
+
+
+def _summary(value: Any) -> str:
+    """Return the first paragraph of a docstring, in Markdown."""
+    first = (value.__doc__ or "").partition("\n\n")[0]
+    return re.sub(r"`+", "`", " ".join(first.split())).replace("|", "\\|")
+
+
+def _section(module: str, name: str, value: Any) -> str:
+    """Return the section of a public name."""
+    kind, members = ("class", "\n   :members:") if isinstance(value, type) else ("function", "")
+    return (
+        f"## {name}\n\n```python\nfrom {module} import {name}\n```\n\n```{{eval-rst}}\n"
+        f".. auto{kind}:: {value.__module__}.{name}{members}\n```\n"
+    )
+
+
+def public_names() -> dict[str, set[str]]:
+    """Return the names that the pages of the reference describe, by the module of their object."""
+    pages = "".join(page.read_text() for page in (DOCS / "reference").glob("*.md"))
+    found: dict[str, set[str]] = {}
+    for listed in re.findall(LISTED.format(kind="names"), pages):
+        for _, name, value in _entries(listed):
+            found.setdefault(value.__module__, set()).add(name)
+    return found
+
+
 def _modules(package: str) -> str:
-    """Return a section for every module of a package."""
+    """Return a section for every module of a package; public names are on pages of their own."""
     folder = DOCS.parent / "src" / package.replace(".", "/")
     found = folder.glob("*.py") if package == "slipfree" else folder.rglob("*.py")
     files = (path for path in found if path.stem[0] != "_")
     names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in files)
+    public = public_names()
     return "\n".join(
-        f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {package}.{name}\n   :members:\n```\n"
+        f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {package}.{name}\n   :members:\n"
+        f"   :exclude-members: {', '.join(sorted(public.get(f'{package}.{name}', ())))}\n```\n"
         for name in names
-    )
-
-
-def _exports(package: str) -> str:
-    """Return rows of a table of what a package offers, and where that is described."""
-    offered = {name: getattr(slipfree, name) for name in slipfree.__all__ if name[0] != "_"}
-    return "\n".join(
-        f"| `{package}.{name}` | {{py:obj}}`{each.__module__}.{each.__name__}` |"
-        for name, each in offered.items()
     )
 
 
@@ -161,4 +197,11 @@ def _default(field: Any) -> str:
     return f"`{json.dumps(field.default)}`" if field.default not in (None, (), {}) else "none"
 
 
-MADE = {"modules": _modules, "exports": _exports, "commands": _commands, "keys": _keys}
+MADE = {"names": _names, "modules": _modules, "commands": _commands, "keys": _keys}
+
+
+def fill(text: str) -> str:
+    """Replace comments such as ``<!-- modules: slipfree.plan -->`` by the text that they name."""
+    for kind, make in MADE.items():
+        text = re.sub(LISTED.format(kind=kind), lambda match, make=make: make(match[1]), text)
+    return text

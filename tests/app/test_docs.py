@@ -4,6 +4,7 @@ Pages are built, and notebooks executed, by `sphinx-build -W` (`.ci/run`).
 """
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -37,15 +38,23 @@ def test_every_page_is_in_one_table_of_contents():
 
 
 def test_every_package_is_in_the_reference():
-    text = "".join(
-        text_of(f"reference/{page.name}") for page in PAGES if page.parent.name == "reference"
-    )
-    shown = set(re.findall(r"<!-- modules: ([\w.]+) -->", text))
+    text = "".join(page.read_text() for page in PAGES if "reference" in page.parts)
+    shown = re.findall(r"<!-- modules: ([\w.]+) -->", text)
     packages = {path.relative_to(SOURCES).parts[:-1] for path in SOURCES.rglob("*.py")}
     names = {".".join(("slipfree", *parts[:1])) for parts in packages}  # with what is inside
-    assert shown == names - {"slipfree.cli"}
+    assert sorted(shown) == sorted(names - {"slipfree.cli"})
     assert "<!-- commands: slipfree -->" in text
-    assert "<!-- exports: slipfree -->" in text
+
+
+def test_every_public_name_is_on_one_page_of_the_reference():
+    pages = "".join(page.read_text() for page in (DOCS / "reference").glob("*.md"))
+    listed = re.findall(r"<!-- names: ([\w.,\s]+?) -->", pages)
+    names = [name for each in listed for name in re.split(r"[,\s]+", each)]
+    assert len(set(names)) == len(names)
+    offered = {*slipfree.__all__, *(f"catalog.{name}" for name in slipfree.catalog.__all__)}
+    assert offered - set(names) == {"__version__", "catalog"}
+    homes = (f"slipfree.{name}".rpartition(".") for name in names)
+    assert all(hasattr(import_module(home), name) for home, _, name in homes)
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)
