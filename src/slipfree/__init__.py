@@ -18,7 +18,8 @@ Start
 Inputs
     ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`.
 Motion, a `Trajectory`
-    `simulate`, with `SolverOptions`. `cross_check`, the difference of two formulations.
+    `simulate`, with `SolverOptions`; how it ends is an `Outcome`. `cross_check`, the difference of
+    two formulations.
 Plan
     `plan`, the inputs of least `Cost` to a goal. `replan`, while driving. `Region`, to keep out of.
     `Route`, a way over a map.
@@ -38,6 +39,7 @@ Examples
 >>> inputs = model.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
 >>> run = simulate(model, settle(model), inputs, np.linspace(0, 2, 5))
 >>> print(f"{run['y'][-1]:.3f} m forward")
+0.300 m forward
 """
 
 import lazy_loader

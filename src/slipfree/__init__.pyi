@@ -13,6 +13,7 @@ from .models.inverse import inverse_kinematics
 from .models.kinematics import direct_kinematics
 from .models.montana import cross_check, montana_kinematics
 from .models.quasi_statics import quasi_statics
+from .outcome import Outcome
 from .plan.mpc import replan
 from .plan.plan import plan
 from .plan.stage import Cost
@@ -45,6 +46,7 @@ __all__ = [
     "Joint",
     "LeastSlip",
     "ModelError",
+    "Outcome",
     "Path",
     "Region",
     "Rolling",

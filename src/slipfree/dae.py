@@ -15,7 +15,16 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.lookups import Lookup, lookup_function
 from slipfree.outcome import Outcome
-from slipfree.records import Array, Label, leaves, pack, unpack
+from slipfree.records import (
+    Array,
+    Label,
+    field_overview,
+    leaves,
+    overview,
+    pack,
+    quantity_names,
+    unpack,
+)
 from slipfree.trajectory import Trajectory
 
 
@@ -42,6 +51,10 @@ class Limit(NamedTuple):
     lower: float
     upper: float
     describe: Callable[[Array, Array], str] | None = None
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
     outcome: Outcome = Outcome.LIMIT
 
 
@@ -161,6 +174,27 @@ class Dae:
         How a start is found where Newton's method alone would not.
     lookups : tuple of Lookup
         Numbers of the ground that the expressions contain as symbols; `function` looks them up.
+
+    Notes
+    -----
+    ``model.x.x``, ``model.x.y`` and ``model.z.position.z`` are local: they count from the ground's
+    origin, ``ground.origin`` in map coordinates. In costs, limits, events and feedback laws, add
+    ``model.shift``: the map's x is ``model.x.x + model.shift[0][0]``.
+
+    Examples
+    --------
+    The distance from a place of the map, as an expression for a cost or an event.
+
+    >>> import casadi as ca
+    >>> import numpy as np
+    >>> from slipfree import Bicubic, Grid, catalog, direct_kinematics
+    >>> axis = np.linspace(100.0, 120.0, 41)
+    >>> ground = Bicubic(Grid(axis, axis, np.zeros((41, 41))))
+    >>> model = direct_kinematics(catalog.three_wheeler(), ground)
+    >>> model.shift[0][:2].tolist()
+    [110.0, 110.0]
+    >>> x, y = model.x.x + model.shift[0][0], model.x.y + model.shift[0][1]
+    >>> distance = ca.hypot(x - 112.0, y - 105.0)
     """
 
     t: ca.SX
@@ -199,6 +233,19 @@ class Dae:
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise ModelError(f"the model uses the name {min(twice)} twice: rename a coordinate")
+
+    def __repr__(self) -> str:
+        counts = [
+            f"{len(list(leaves(getattr(self.labels, record))))} {words}"
+            for record, words in (("x", "states"), ("z", "unknowns"), ("u", "inputs"))
+        ]
+        return overview(
+            f"Dae: {', '.join(counts)}, {len(self.limits)} limits, size {self.size:.3g} m",
+            states=quantity_names(self.labels.x),
+            unknowns=quantity_names(self.labels.z),
+            inputs=(label.full for label in leaves(self.labels.u)),
+            outputs=quantity_names((self.labels.q, self.labels.y)),
+        )
 
     @cached_property
     def sizes(self) -> Sizes:

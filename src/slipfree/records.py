@@ -7,8 +7,9 @@ afterwards, so that ``state.contacts[0].x`` means the same thing everywhere.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -18,6 +19,8 @@ import numpy.typing as npt
 R = TypeVar("R")
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+LINE_WIDTH, MAX_LINES = 92, 5  # of a repr
+MAX_VALUE = 60  # characters of a value in a repr
 
 
 @dataclass(frozen=True)
@@ -78,3 +81,53 @@ def unpack(like: R, rows: Iterable[Any]) -> R:
 def symbols(labels: R) -> R:
     """Return a record of SX symbols shaped and named like a record of labels."""
     return unpack(labels, [ca.SX.sym(label.full) for label in leaves(labels)])
+
+
+def overview(title: str, **names: Iterable[object]) -> str:
+    """Return the repr of a large record: a title, and a line for each list that is not empty.
+
+    Long lines are cut.
+    """
+    lists = ((key, ", ".join(map(str, each))) for key, each in names.items())
+    lines = [title, *(f"{key}: {text}" for key, text in lists if text)]
+    cut = [textwrap.shorten(line, LINE_WIDTH - 2, placeholder=" ...") for line in lines]
+    return "\n  ".join(cut)
+
+
+def field_overview(record: Any) -> str:
+    """Return the repr of a dataclass or named tuple: fields that differ from their defaults.
+
+    Large values are given by type and size. The text takes at most five lines.
+    """
+    if isinstance(record, tuple):
+        names, defaults = record._fields, record._field_defaults  # type: ignore[attr-defined]
+    else:
+        defaults = {each.name: each.default for each in fields(record)}
+        names = tuple(defaults)
+    given = [
+        f"{name}={_short(getattr(record, name))}"
+        for name in names
+        if name not in defaults or repr(getattr(record, name)) != repr(defaults[name])
+    ]
+    text = f"{type(record).__name__}({', '.join(given)})"
+    return textwrap.fill(
+        text, LINE_WIDTH, subsequent_indent="    ", max_lines=MAX_LINES, placeholder=" ...)"
+    )
+
+
+def _short(value: Any) -> str:
+    """Return the repr of a value if it is short, else its type and size."""
+    if isinstance(value, str):
+        return repr(textwrap.shorten(value, MAX_VALUE, placeholder=" ..."))
+    if shape := getattr(value, "shape", None):
+        return f"<{type(value).__name__} {tuple(shape)}>"
+    text = repr(value)
+    if len(text) <= MAX_VALUE and "\n" not in text:
+        return text
+    size = f" of {len(value)}" if hasattr(value, "__len__") else ""
+    return f"<{type(value).__name__}{size}>"
+
+
+def quantity_names(labels: Any) -> tuple[str, ...]:
+    """Return the names of the quantities of a record of labels, each once for all wheels."""
+    return tuple(dict.fromkeys(label.name for label in leaves(labels)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.outcome import Outcome
-from slipfree.records import Array, Label
+from slipfree.records import Array, Label, field_overview, overview
 
 if TYPE_CHECKING:
     import pandas
@@ -46,6 +46,9 @@ class Stop(NamedTuple):
     words: str
     outcome: Outcome
 
+    def __repr__(self) -> str:
+        return field_overview(self)
+
 
 class Column(NamedTuple):
     """One quantity over time: its label and its values.
@@ -60,6 +63,9 @@ class Column(NamedTuple):
 
     label: Label
     values: Array
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     @property
     def dimensions(self) -> tuple[str, ...]:
@@ -96,6 +102,17 @@ class Trajectory:
     events : mapping of str to ndarray
         Times at which the events that `simulate` was given occurred, by name; result files do not
         keep them. [s]
+
+    Examples
+    --------
+    >>> from slipfree import Analytic, catalog, direct_kinematics, settle
+    >>> start = settle(direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0 * x)))
+    >>> start
+    Trajectory: 1 samples from 0 to 0 s; complete
+      quantities: x, y, heading, tilt_right, tilt_left, steer, z, roll, pitch, contact_x, ...
+      wheels: right, left, front
+    >>> start["contact_x"].shape, start["contact_x", "right"].shape
+    ((1, 3), (1,))
     """
 
     t: Array
@@ -105,6 +122,17 @@ class Trajectory:
     statistics: Mapping[str, float] = field(default_factory=dict)
     attributes: Mapping[str, str] = field(default_factory=dict)
     events: Mapping[str, Array] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        span = f" from {self.t[0]:.6g} to {self.t[-1]:.6g} s" if self.t.size else ""
+        stop = {} if self.stop is None else {"stop": (self.stop.name, self.stop.words)}
+        return overview(
+            f"Trajectory: {self.t.size} samples{span}; {self.outcome.title}",
+            quantities=self.columns,
+            wheels=self.wheels,
+            events=self.events,
+            **stop,
+        )
 
     def __getitem__(self, name: str | tuple[str, str]) -> Array:
         """Return the samples of a quantity, or those of one wheel.

@@ -113,6 +113,18 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     ------
     ModelError
         If the speed is zero or not finite, or the vehicle can be made to turn by neither.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Analytic, Path, catalog, direct_kinematics, follow, settle, simulate
+    >>> vehicle, ground = catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y)
+    >>> model = direct_kinematics(vehicle, ground)
+    >>> path = Path(np.array([[0.0, 0.0], [0.2, 2.0], [0.0, 4.0]]))
+    >>> law = follow(model, vehicle, path, speed=0.4)
+    >>> run = simulate(model, settle(model), law, np.linspace(0, 10, 51))
+    >>> print(f"ends at ({run['x'][-1]:.2f}, {run['y'][-1]:.2f})")
+    ends at (-0.01, 3.98)
     """
     if not np.isfinite(speed) or speed == 0:
         raise ModelError(f"driver: the speed must be finite and not zero, found {speed} m/s")

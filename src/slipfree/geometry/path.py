@@ -48,9 +48,20 @@ class Path:
     ------
     ModelError
         If the points are too few, coincide, or are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Path
+    >>> Path(np.array([[0.0, 0.0], [0.2, 2.0], [0.0, 4.0]]))
+    Path: 3 way-points, 4.0239 m, (0, 0) to (0, 4)
     """
 
     points: Array
+
+    def __repr__(self) -> str:
+        ends = (f"({x:.9g}, {y:.9g})" for x, y in self.points[[0, -1]])
+        return f"Path: {len(self.points)} way-points, {self.length:.6g} m, {' to '.join(ends)}"
 
     def __post_init__(self) -> None:
         points = np.asarray(self.points, dtype=float)

@@ -139,6 +139,21 @@ def inverse_kinematics(
     ModelError
         If a rate is unknown or given twice, commands that are met exactly are more than the driven
         wheels, or three rates are given and the vehicle does not suit.
+
+    Examples
+    --------
+    Wheel rates of a differential drive that turns as it drives.
+
+    >>> import numpy as np
+    >>> from slipfree import Analytic, catalog, inverse_kinematics, settle, simulate
+    >>> ground = Analytic(lambda x, y: 0.02 * x * y)
+    >>> vehicle = catalog.differential_drive()
+    >>> model = inverse_kinematics(vehicle, ground, given=["forward", "yaw_rate"])
+    >>> run = simulate(
+    ...     model, settle(model), model.inputs(forward=0.2, yaw_rate=0.1), np.linspace(0, 2, 3)
+    ... )
+    >>> run["wheel_rate"][-1].round(3)
+    array([1.498, 1.164, 2.025])
     """
     check_inverse(vehicle, given, solve_for, exact=exact)
     direct = direct_kinematics(vehicle, terrain, slip=slip_law(given))

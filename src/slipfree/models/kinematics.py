@@ -55,6 +55,16 @@ def direct_kinematics(
     For a vehicle with mass, the forces that the motion needs are outputs. Where equilibrium does
     not determine them, they are the load-weighted ones of
     `slipfree.models.statics.following_forces`.
+
+    Examples
+    --------
+    >>> from slipfree import Analytic, catalog, direct_kinematics
+    >>> direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y))
+    Dae: 6 states, 30 unknowns, 3 inputs, 13 limits, size 1 m
+      states: x, y, heading, tilt_right, tilt_left, steer
+      unknowns: z, roll, pitch, contact_x, contact_y, velocity_x, velocity_y, velocity_z, ...
+      inputs: right_rate, left_rate, steer_rate
+      outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
     check_slip_law(vehicle, slip)
     labels = labels_of(vehicle, slip.unknowns(vehicle))

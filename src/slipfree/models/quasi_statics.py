@@ -52,6 +52,19 @@ def quasi_statics(
     ModelError
         If ``law`` is not a wheel-ground law, the vehicle has no mass, or the law does not suit
         the vehicle or the ground.
+
+    Examples
+    --------
+    The part of the friction that a cart uses on a side slope of 0.2.
+
+    >>> import numpy as np
+    >>> from slipfree import Analytic, catalog, quasi_statics, settle, simulate
+    >>> slope = Analytic(lambda x, y: 0.2 * x, mu=0.6)
+    >>> model = quasi_statics(catalog.three_wheeler(axle="fixed"), slope)
+    >>> inputs = model.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
+    >>> run = simulate(model, settle(model), inputs, np.linspace(0, 2, 3))
+    >>> print(f"{run['utilisation'].max():.2f}")
+    0.33
     """
     check_law(law, GroundLaw, "a wheel-ground law such as Coulomb()")
     if not vehicle.mass:

@@ -10,7 +10,7 @@ import numpy as np
 
 from slipfree.interrupt import InterruptGuard
 from slipfree.plan.transcription import Program, completed
-from slipfree.records import Array
+from slipfree.records import Array, field_overview
 
 INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
 MAX_ITERATIONS = 500
@@ -85,6 +85,9 @@ class Solution(NamedTuple):
     success: bool
     iterations: int
     seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 class _IterateWatcher(ca.Callback):

@@ -30,7 +30,7 @@ from slipfree.plan.transcription import (
     transcribe,
 )
 from slipfree.plan.verification import inputs_along
-from slipfree.records import Array
+from slipfree.records import Array, field_overview
 from slipfree.trajectory import SolverError
 
 TIME_TOLERANCE = 1e-6  # times that are nearer are one [s]
@@ -68,6 +68,9 @@ class Horizon:
     rows: ca.Function
     solver: ca.Function
 
+    def __repr__(self) -> str:
+        return field_overview(self)
+
 
 class Cycle(NamedTuple):
     """Solution of one cycle, from which the next one starts.
@@ -89,6 +92,9 @@ class Cycle(NamedTuple):
     row_multipliers: Array
     bound_multipliers: Array
     violation: float
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 @computing
@@ -199,6 +205,24 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     SolverError
         If the iterations fail, as from a state far from the window; the former cycle may be driven
         on.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Analytic, catalog, direct_kinematics, plan, replan, settle, simulate
+    >>> from slipfree import straight
+    >>> from slipfree.plan.mpc import first_cycle, horizon
+    >>> vehicle = catalog.three_wheeler(axle="fixed")
+    >>> model = direct_kinematics(vehicle, Analytic(lambda x, y: 0.1 * x * y))
+    >>> start = settle(model)
+    >>> law = straight(model, vehicle, start, speed=0.25)
+    >>> guess = simulate(model, start, law, np.linspace(0, 4, 9))
+    >>> wish = {"goal": {"y": 1.0}, "costs": {"effort": 1.0}, "duration": 4.0}
+    >>> window = horizon(plan(model, start, guess, intervals=4, **wish), span=2.0, intervals=2)
+    >>> measured = window.plan.states(np.array([0.1])).ravel() + 1e-3  # at 0.4 s, local
+    >>> cycle = replan(window, first_cycle(window), 0.4, measured)
+    >>> cycle.violation < 1e-3
+    True
     """
     program, plan, scale = window.program, window.plan, window.program.scale
     x = np.asarray(x, dtype=float)

@@ -44,7 +44,7 @@ from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
 from slipfree.plan.verification import Verification, inputs_along, refine_mesh, verify_plan
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
-from slipfree.records import Array
+from slipfree.records import Array, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.trajectory import Stop, Trajectory
 
@@ -80,6 +80,9 @@ class SolvedStage(NamedTuple):
     status: str
     seconds: dict[str, float]
     cost: float
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +132,19 @@ class Plan:
     solution: Solution
     stages: tuple[SolvedStage, ...]
     saved: SavedPlan
+
+    def __repr__(self) -> str:
+        units = {cost.label.name: cost.label.unit for cost in self.program.task.costs}
+        solved = "accurate" if self.accurate else "its simulation misses it"
+        iterations = sum(stage.iterations for stage in self.stages)
+        return overview(
+            f"Plan: {solved if self.success else 'not solved'}; {self.motion.duration:.6g} s on "
+            f"{self.motion.ends.size - 1} intervals, {iterations} iterations",
+            costs=(f"{name} {cost:.4g} {units.get(name, '')}" for name, cost in self.costs.items()),
+            differences=(f"{name} {size:.1e}" for name, size in self.difference.items()),
+            violations=(f"{name} {size:.1e}" for name, size in self.violation.items() if size),
+            inputs=(label.full for label in leaves(self.program.task.dae.labels.u)),
+        )
 
 
 class _SearchState(NamedTuple):
@@ -187,7 +203,7 @@ def plan(
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
         of the wheels' drives; energy from braking is not counted), or the name of any
         quantity of the model, whose square is integrated over time and summed over the wheels
-        (places in local coordinates).
+        (places in local coordinates, see `Dae`). Or expressions of your own: `Cost`.
     duration : float or (least, largest)
         How long it takes. [s]
     smooth : float
@@ -216,10 +232,42 @@ def plan(
     progress : callable, optional
         Called with words and every iterate; returning False ends the search, the best iterate kept.
 
+    Returns
+    -------
+    Plan
+        ``inputs`` drive the model along the plan, ``run`` is the plan, ``replay`` its simulation.
+        A search that finds no solution returns its last iterate: see ``success``, ``accurate`` and
+        ``run.stop``.
+
     Raises
     ------
     ModelError
         If a name is not known, or start, goal and limits contradict each other.
+
+    Examples
+    --------
+    A cart drives to a goal 1 m ahead and 5 cm to the right; the roll rate is a cost of its own.
+
+    >>> import casadi as ca
+    >>> import numpy as np
+    >>> from slipfree import Analytic, Cost, catalog, direct_kinematics
+    >>> from slipfree import plan, settle, simulate, straight
+    >>> vehicle = catalog.three_wheeler(axle="fixed")
+    >>> model = direct_kinematics(vehicle, Analytic(lambda x, y: 0.1 * x * y))
+    >>> start = settle(model)
+    >>> law = straight(model, vehicle, start, speed=0.25)
+    >>> guess = simulate(model, start, law, np.linspace(0, 4, 9))
+    >>> costs = [
+    ...     Cost("rolling", model.z.rates.roll**2, "rad2 s-1", "squared roll rate"),
+    ...     Cost("effort", ca.sumsqr(ca.vertcat(*model.u.wheels)), "rad2 s-1", "squared inputs"),
+    ... ]
+    >>> found = plan(
+    ...     model, start, guess, goal={"x": 0.05, "y": 1.0}, costs=costs, duration=4.0, intervals=4
+    ... )
+    >>> found.success, found.accurate
+    (True, True)
+    >>> print(f"ends at ({found.replay['x'][-1]:.3f}, {found.replay['y'][-1]:.3f})")
+    ends at (0.050, 1.000)
     """
     clock = time.process_time()
     task = task_of(

@@ -9,7 +9,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.plan.transcription import CollocationMesh, Index, Program, VariableLayout, completed
-from slipfree.records import Array, leaves
+from slipfree.records import Array, field_overview, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.radau import radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
@@ -38,6 +38,9 @@ class PolynomialMotion(NamedTuple):
     mesh: CollocationMesh
     layout: VariableLayout
     unknowns: Array
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     @property
     def duration(self) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from slipfree.dae import Limit
 from slipfree.lookups import Lookup, found_column, needed_lookups
-from slipfree.records import Array, Label, leaves
+from slipfree.records import Array, Label, field_overview, leaves
 from slipfree.solve.system import Block, System
 
 
@@ -49,6 +49,9 @@ class Cost(NamedTuple):
     unit: str
     words: str
     weight: float = 1.0
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     @property
     def label(self) -> Label:

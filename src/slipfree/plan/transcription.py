@@ -21,7 +21,7 @@ from slipfree.plan.nlp_block import Index as Index
 from slipfree.plan.nlp_block import NlpBlock, nlp_block
 from slipfree.plan.sparse_assembly import ProgramFunctions, assemble
 from slipfree.plan.stage import Cost, StageFunctions, stage_functions
-from slipfree.records import Array, Label, leaves
+from slipfree.records import Array, Label, field_overview, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.system import System, with_inputs
 
@@ -81,6 +81,9 @@ class PlanTask:
     accelerations: Array
     smooth: float
     continuous: bool = False
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 class CollocationMesh(NamedTuple):
@@ -197,6 +200,9 @@ class Program:
     g_upper: Array
     roots: ca.Function
     compiled: bool
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 def transcribe(

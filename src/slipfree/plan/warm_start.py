@@ -13,7 +13,7 @@ from slipfree.errors import DataError, ModelError
 from slipfree.plan.ipopt import Solution
 from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.transcription import CollocationMesh, Program, VariableLayout, positions
-from slipfree.records import Array, leaves
+from slipfree.records import Array, field_overview, leaves
 
 ARRAY_PREFIX = "plan_"  # of the names of the arrays
 
@@ -44,6 +44,9 @@ class SavedPlan(NamedTuple):
     row_multipliers: Array
     shift: Array
     model: Array
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     @property
     def motion(self) -> PolynomialMotion:

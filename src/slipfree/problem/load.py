@@ -59,6 +59,9 @@ class Problem(Generic[A]):
     spec: A
     source: Source
 
+    def __repr__(self) -> str:
+        return f"Problem: {self.spec.verb}, {self.source.path}"
+
     @property
     def folder(self) -> Path:
         """The folder that relative names of input files start from."""

@@ -25,6 +25,7 @@ class Region(ABC):
 
     Examples
     --------
+    >>> from slipfree import Region
     >>> crater = Region.disc(10.0, 5.0, radius=2.0)
     >>> fence = Region.polygon([(0, 0), (4, 0), (4, 1)])
     >>> crater.distance([10.0, 10.0], [5.0, 8.0]).tolist()
@@ -66,6 +67,9 @@ class Region(ABC):
         """
         return _Polygon(tuple((x, y) for x, y in points))
 
+    def __repr__(self) -> str:
+        return f"Region: {self.words}"
+
     @property
     @abstractmethod
     def words(self) -> str:
@@ -96,7 +100,7 @@ class Region(ABC):
         """Return the signed distances of points of equal shape, negative inside [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class _Disc(Region):
     """A disc about ``(x, y)``."""
 
@@ -154,7 +158,7 @@ class _Disc(Region):
         return distance
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class _Polygon(Region):
     """The inside of a polygon."""
 

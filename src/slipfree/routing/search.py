@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from slipfree.errors import ModelError
-from slipfree.records import Array
+from slipfree.records import Array, field_overview
 from slipfree.routing.reachability import no_way
 from slipfree.routing.smoothing import evenly, smooth, way_length
 from slipfree.routing.traversability import (
@@ -59,6 +59,9 @@ class Route(NamedTuple):
     points: Array
     cost: float
     length: float
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 def route(

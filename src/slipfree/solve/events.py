@@ -11,7 +11,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.lookups import found_column
-from slipfree.records import Array
+from slipfree.records import Array, field_overview
 from slipfree.solve.sampling import Samples
 from slipfree.solve.system import System
 
@@ -32,6 +32,9 @@ class Event(NamedTuple):
     expression: ca.SX
     stop: bool = False
     name: str = "event"
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 class WatchedEvent(NamedTuple):

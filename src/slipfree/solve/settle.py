@@ -41,11 +41,24 @@ def settle(
     **start : float
         Differential states by name, such as ``x``, ``y``, ``heading``; others are zero. [m, rad]
 
+    Returns
+    -------
+    Trajectory
+        One sample at time zero, in map coordinates: where `simulate` and `plan` start.
+
     Raises
     ------
     ModelError
         If a name is unknown, the vehicle cannot stand there, a limit is violated, or no equation
         determines one of the unknowns.
+
+    Examples
+    --------
+    >>> from slipfree import Analytic, catalog, direct_kinematics, settle
+    >>> model = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.2 * y))
+    >>> start = settle(model, x=1.0, y=2.0, heading=0.0)
+    >>> print(f"z = {start['z'][0]:.3f} m, pitch = {start['pitch'][0]:.3f} rad")
+    z = 0.706 m, pitch = 0.197 rad
     """
     x = dae.start(**start)
     system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0, options)

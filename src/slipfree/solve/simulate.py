@@ -94,6 +94,20 @@ def simulate(
         inputs.
     SolverError
         If the integrator fails; ``trajectory`` holds what was reached.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Analytic, catalog, direct_kinematics, settle, simulate
+    >>> model = direct_kinematics(catalog.three_wheeler(), Analytic(lambda x, y: 0.02 * x * y))
+    >>> inputs = model.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
+    >>> run = simulate(model, settle(model), inputs, np.linspace(0, 2, 41))
+    >>> run
+    Trajectory: 41 samples from 0 to 2 s; complete
+      quantities: x, y, heading, tilt_right, tilt_left, steer, z, roll, pitch, contact_x, ...
+      wheels: right, left, front
+    >>> print(f"{run['y'][-1]:.4f} m, heading {run['heading'][-1]:.4f} rad")
+    0.2703 m, heading 0.0300 rad
     """
     t = check_times(t)
     watched = watch_events(dae, events)

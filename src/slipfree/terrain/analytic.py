@@ -13,7 +13,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.lookups import LookupTable
-from slipfree.records import Array
+from slipfree.records import Array, field_overview
 from slipfree.terrain.base import (
     TAYLOR,
     Jet,
@@ -60,12 +60,17 @@ class Analytic:
 
     Examples
     --------
+    >>> import casadi as ca
+    >>> from slipfree import Analytic
     >>> ground = Analytic(lambda x, y: 0.1 * ca.sin(x) * ca.cos(y))
     """
 
     function: Callable[[Any, Any], Any]
     domain: tuple[float, float, float, float] = EVERYWHERE
     mu: Friction = None
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     def __post_init__(self) -> None:
         x_min, x_max, y_min, y_max = self.domain

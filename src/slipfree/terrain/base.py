@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.errors import DataError, ModelError
 from slipfree.lookups import LookupTable
-from slipfree.records import Array, Mask
+from slipfree.records import Array, Mask, overview
 
 HIGHEST = 1e9  # height of a ground [m]
 UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length
@@ -179,12 +179,34 @@ class Grid:
     ------
     DataError
         If an axis or the heights break one of these rules.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Grid
+    >>> x, y = np.linspace(0, 10, 41), np.linspace(0, 20, 81)
+    >>> Grid(x, y, 0.1 * np.sin(x)[:, None] * np.cos(y))
+    Grid: 41 x 81 nodes, 0.25 m by 0.25 m apart
+      x: 0 to 10 m
+      y: 0 to 20 m
+      z: -0.0999293 to 0.099841
     """
 
     x: Array
     y: Array
     z: Array
     filled: Mask | None = None
+
+    def __repr__(self) -> str:
+        x_min, x_max, y_min, y_max = self.domain
+        filled = "" if self.filled is None else f", {int(self.filled.sum())} filled"
+        return overview(
+            f"Grid: {self.x.size} x {self.y.size} nodes{filled}, "
+            f"{self.spacing[0]:.6g} m by {self.spacing[1]:.6g} m apart",
+            x=(f"{x_min:.9g} to {x_max:.9g} m",),
+            y=(f"{y_min:.9g} to {y_max:.9g} m",),
+            z=(f"{self.z.min():.6g} to {self.z.max():.6g}",),
+        )
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "z"):

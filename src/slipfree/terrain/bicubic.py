@@ -67,12 +67,25 @@ class Bicubic:
     that was made while 64 others were in use.
 
     One instance must not be evaluated by two threads at once; give each its own unpickled copy.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slipfree import Bicubic, Grid
+    >>> x, y = np.linspace(0, 10, 41), np.linspace(0, 20, 81)
+    >>> ground = Bicubic(Grid(x, y, 0.1 * np.sin(x)[:, None] * np.cos(y)), mu=0.6)
+    >>> ground.elevation(np.array([1.0, 2.0]), np.array([0.0, 3.0])).round(4)
+    array([ 0.0841, -0.09  ])
     """
 
     grid: Grid
     center: tuple[float, float] | None = None
     mu: Friction = None
     through: bool = field(default=True, kw_only=True)
+
+    def __repr__(self) -> str:
+        friction = "from a map" if isinstance(self.mu, Grid) else self.mu
+        return f"{self.grid!r}".replace("Grid", "Bicubic", 1) + f"\n  friction: {friction}"
 
     def __post_init__(self) -> None:
         check_friction(self.mu)

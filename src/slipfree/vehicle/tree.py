@@ -11,6 +11,7 @@ import casadi as ca
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
+from slipfree.records import field_overview, overview
 from slipfree.vehicle.formula import evaluate, names_in
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
@@ -32,6 +33,9 @@ class Body:
 
     mass: float = 0.0
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     def __post_init__(self) -> None:
         if not 0 <= self.mass < math.inf:
@@ -74,6 +78,9 @@ class Coordinate:
     damping: float = 0.0
     bump: float = 0.0
     max_rate: float = math.inf
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -149,6 +156,9 @@ class Joint:
     body: Body = Body()
     turned: Vector = ORIGIN
 
+    def __repr__(self) -> str:
+        return field_overview(self)
+
     def __post_init__(self) -> None:
         for key in ("at", "turned"):
             check_vector(f"joint {self.name}: {key}", getattr(self, key))
@@ -208,6 +218,16 @@ class Vehicle:
     wheels: tuple[Wheel, ...]
     body: Body = Body()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        driven = sum(wheel.driven for wheel in self.wheels)
+        return overview(
+            f"Vehicle {self.name!r}: {len(self.wheels)} wheels ({driven} driven), {self.mass:g} kg",
+            wheels=(wheel.name for wheel in self.wheels),
+            joints=(joint.name for joint in self.joints),
+            coordinates=(f"{c.name} ({c.kind})" for c in self.coordinates),
+            notes=self.notes,
+        )
 
     def __post_init__(self) -> None:
         _unique("coordinate", (c.name for c in self.coordinates))

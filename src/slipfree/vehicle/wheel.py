@@ -11,6 +11,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import Axis, Pose, Vector, check_vector, translation, turn, unit_vector
+from slipfree.records import field_overview
 from slipfree.vehicle.sections.base import Section
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -48,6 +49,9 @@ class Wheel:
     grip: float = 1.0
     mass: float = 0.0
     axle: Axis = "x"
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[\w-]+", self.name):

@@ -16,7 +16,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.maps.points import read_points
 from slipfree.files.maps.raster import DRIVERS, Reading, Registration, read_raster
-from slipfree.records import Array
+from slipfree.records import Array, field_overview
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import (
@@ -96,6 +96,9 @@ class Map(NamedTuple):
     crs: str = ""
     geographic: bool = False
     told: Facts = ()
+
+    def __repr__(self) -> str:
+        return field_overview(self)
 
 
 def read_grid(path: str | Path) -> Grid:
