@@ -36,7 +36,7 @@ class Limit(NamedTuple):
     label : Label
         Name and unit; its words end the sentence "at t = 3 s ...".
     expression : SX, shape (1, 1)
-        In the symbols of the model.
+        In the symbols of the model, whose positions are local (:ref:`local-and-map-coordinates`).
     lower, upper : float
         Bounds, in the label's unit.
     describe : callable or None
@@ -277,7 +277,7 @@ class Dae:
         **values : float, ndarray of shape (n - 1,), PiecewiseLinear or SX
             A constant; one value, or one linear function of time, for each interval between
             samples; or an expression of the model's symbols, such as a function of ``t`` or a
-            feedback law.
+            feedback law, with positions in local coordinates (:ref:`local-and-map-coordinates`).
 
         Raises
         ------

@@ -51,7 +51,7 @@ class Motion(NamedTuple):
     vehicle : Vehicle
         The vehicle, with n_wheels wheels.
     contacts : tuple of ContactFrame
-        Contact frames of the wheels.
+        Contact frames of the wheels, in local coordinates (:ref:`local-and-map-coordinates`).
     slips : tuple of SX, shape (3, 1)
         Slip velocities of the wheels in fixed axes; linear in the rates. [m/s]
     rates : SX, shape (n_rates, 1)

@@ -28,7 +28,8 @@ class Cost(NamedTuple):
         Name of the term in ``Plan.costs``.
     expression : SX, shape (1, 1)
         The integrand, in the model's symbols: ``model.x``, ``z``, ``u`` and ``y``. Positions in
-        ``x`` and ``z`` are local: the map's are those plus ``model.shift``.
+        ``x`` and ``z`` are local: map coordinates minus ``ground.origin``
+        (:ref:`local-and-map-coordinates`).
     unit : str
         Unit of the integral, such as ``"m2 s"``.
     words : str

@@ -21,7 +21,9 @@ OUTLINE_POINTS = 96  # on the outline of a disc
 
 
 class Region(ABC):
-    """A region of the map that a vehicle keeps out of.
+    """A region of the map that a vehicle keeps out of, in map coordinates.
+
+    Models count from ``ground.origin`` instead: :ref:`local-and-map-coordinates`.
 
     Examples
     --------

@@ -22,7 +22,7 @@ class Event(NamedTuple):
     Attributes
     ----------
     expression : SX, shape (1, 1)
-        In the symbols of the model, which are in its local coordinates.
+        In the symbols of the model, whose positions are local (:ref:`local-and-map-coordinates`).
     stop : bool
         Whether the motion ends at the first crossing, with a stop of this name.
     name : str
