@@ -33,11 +33,11 @@ from slipfree.files import netcdf
 from slipfree.files.export import export_path
 from slipfree.problem.load import load_problem
 from slipfree.problem.report import report
-from slipfree.problem.solve import Outcome, run_problem
-from slipfree.problem.summary import motion_facts
-from slipfree.show.climb_figures import save_climb_figures
+from slipfree.problem.result import motion_facts
+from slipfree.problem.solve import run_problem
+from slipfree.problem.verbs.registry import verb_of
 from slipfree.show.html_report import page
-from slipfree.show.motion_figures import save_figures
+from slipfree.show.motion_figures import write
 
 KINDS = ("direct", "direct", "direct", "inverse", "inverse", "plan", "climb")
 COMPILED = ("direct", "plan")  # of these every third, what is compiled stays loaded
@@ -81,7 +81,8 @@ def whole(text: str, folder: Path, rng: Random) -> str:
     file = folder / "p.toml"
     file.write_text(text)
     try:
-        outcome = run_problem(load_problem(file))
+        problem = load_problem(file)
+        outcome = run_problem(problem)
     except SlipfreeError as error:
         return type(error).__name__
     netcdf.write(folder / "p.nc", outcome.trajectory, outcome.arrays)
@@ -91,19 +92,10 @@ def whole(text: str, folder: Path, rng: Random) -> str:
     if "y" in motion.columns:
         export_path(folder / "p.nc", folder / "p.geojson")
     if rng.random() < 0.2:
-        _draw(outcome, folder)
+        write(verb_of(problem).figures(outcome), folder, ("png",))
     if rng.random() < 0.1:
         page(report(folder / "p.nc", folder))
     return "complete" if motion.stop is None else "stopped"
-
-
-def _draw(outcome: Outcome, folder: Path) -> None:
-    from slipfree.problem.verbs.climb import Climbing
-
-    if isinstance(outcome.setup, Climbing):
-        save_climb_figures(outcome.trajectory, outcome.setup.climber, outcome.setup.profile, folder)
-    else:
-        save_figures(outcome.trajectory, outcome.setup.ground.grid, folder)
 
 
 def soak(minutes: float, seed: int) -> int:

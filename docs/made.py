@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 from slipfree.laws.registry import SLIP_LAWS
 from slipfree.problem import schema
 from slipfree.problem.schema_law import law_tables
+from slipfree.problem.verbs.registry import VERBS
 
 DOCS = Path(__file__).parent
 LISTED = r"<!-- {kind}: ([\w.,\s]+?) -->"
@@ -121,9 +122,8 @@ def _keys(_: str) -> str:
     """Return a section for every verb: its keys, then those of tables not described before."""
     seen: set[tuple[str, ...]] = set()
     parts = []
-    for verb in (schema.Direct, schema.Inverse, schema.Plan, schema.Compare, schema.Climb):
-        name = _options(verb.model_fields["verb"].annotation)[0]
-        parts += [f"## {name}", verb.__doc__ or "", *_tables(verb, (), seen)]
+    for verb in VERBS:
+        parts += [f"## {verb.name}", verb.schema.__doc__ or "", *_tables(verb.schema, (), seen)]
     return "\n\n".join(parts)
 
 

@@ -42,8 +42,7 @@ from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import highest, least_friction
 from slipfree.climb.vehicle import seven_wheels
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
-from slipfree.problem.verbs.climb import build_climb
+from slipfree.problem.solve import build, run_problem
 from slipfree.show import climb_figures as show
 from slipfree.show import style
 from slipfree.solve.simulate import simulate
@@ -244,7 +243,7 @@ def gets_up(mu, *settings):
         problems / "climb_step.toml",
         [f"friction.static={mu}", f"friction.kinetic={mu}", "time.step=0.01", *settings],
     )
-    setup = build_climb(problem)
+    setup = build(problem)
     motion = simulate(
         setup.dae, setup.start, setup.inputs, setup.t, options=SolverOptions(tolerance=1e-6)
     )
@@ -265,7 +264,7 @@ heads = [f"{law} {v} m/s" for v in SPEEDS for law in ("fixed", "proposed")]
 print(f"{'step [mm]':>10}{'slow, best':>12}" + "".join(f"{head:>18}" for head in heads))
 for height in (0.03, 0.06, 0.09, 0.128):
     settings = [f"profile.step.height={height}"]
-    setup = build_climb(load_problem(problems / "climb_step.toml", settings))
+    setup = build(load_problem(problems / "climb_step.toml", settings))
     best = least_friction(setup.climber, setup.profile).mu
     cells = f"{1e3 * height:10.0f}{best:12.2f}"
     for speed, duration in SPEEDS.items():

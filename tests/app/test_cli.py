@@ -19,7 +19,6 @@ from helpers.problem_files import PROBLEM
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.outcome import Outcome
-from slipfree.problem import solve as runner
 from slipfree.trajectory import SolverError, Stop
 
 STARTERS = Path(slipfree.__file__).parent / "starters"
@@ -48,7 +47,7 @@ def _broken(name: str, monkeypatch: pytest.MonkeyPatch, raised: BaseException) -
     def fail(*_: Any, **__: Any) -> None:
         raise raised
 
-    monkeypatch.setattr(runner, name, fail)
+    monkeypatch.setattr(f"slipfree.problem.{name}", fail)
 
 
 def test_run_writes_the_result_and_draws(folder: Path) -> None:
@@ -114,7 +113,8 @@ def test_a_failing_integrator_saves_what_was_reached(
     reached = netcdf.read("p.nc").part(
         slice(3), Stop("solver", 0.2, "gave up", Outcome.SOLVER_FAILURE)
     )
-    _broken("simulate", monkeypatch, SolverError("gave up", replace(reached, attributes={})))
+    error = SolverError("gave up", replace(reached, attributes={}))
+    _broken("verbs.driving.simulate", monkeypatch, error)
     result = _invoke("run", "p.toml", "--no-draw", "-o", "q.nc")
     assert result.exit_code == 1
     assert "stopped early at t = 0.2 s: gave up; q.nc holds the motion to there" in result.stderr
@@ -124,7 +124,7 @@ def test_a_failing_integrator_saves_what_was_reached(
 
 
 def test_a_failure_without_a_motion(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _broken("simulate", monkeypatch, SolverError("nothing at all"))
+    _broken("verbs.driving.simulate", monkeypatch, SolverError("nothing at all"))
     result = _invoke("run", "p.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (1, "nothing at all\n")
     assert not (folder / "p.nc").exists()
@@ -132,7 +132,7 @@ def test_a_failure_without_a_motion(folder: Path, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.usefixtures("folder")
 def test_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
-    _broken("simulate", monkeypatch, KeyboardInterrupt())
+    _broken("verbs.driving.simulate", monkeypatch, KeyboardInterrupt())
     result = _invoke("run", "p.toml", "--no-draw")
     assert (result.exit_code, result.stderr) == (130, "interrupted\n")
 
@@ -222,7 +222,7 @@ def test_usage_errors() -> None:
 def test_places_are_checked_before_anything_is_computed(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _broken("build", monkeypatch, AssertionError("must not be reached"))
+    _broken("solve.build", monkeypatch, AssertionError("must not be reached"))
     assert "no/a.nc: expected a folder no" in _refused("run", "p.toml", "-o", "no/a.nc")
     assert "expected a folder no" in _refused("run", "p.toml", "--csv", "no/a.csv")
     assert "expected the name of a file" in _refused("run", "p.toml", "-o", str(folder))

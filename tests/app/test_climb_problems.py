@@ -18,9 +18,8 @@ from slipfree.files.netcdf import read as read_result
 from slipfree.files.netcdf import read_arrays, write
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.load import load_problem
-from slipfree.problem.solve import run_problem
-from slipfree.problem.summary import motion_facts
-from slipfree.problem.verbs.climb import build_climb
+from slipfree.problem.result import motion_facts
+from slipfree.problem.solve import build, run_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 RAMP_FILE, STEP_FILE, STAIRS_FILE, PLAN_FILE = (
@@ -76,7 +75,7 @@ def _faults(folder: Path, text: str, *settings: str) -> str:
     path = folder / "p.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ProblemError) as caught:
-        build_climb(load_problem(path, settings))
+        build(load_problem(path, settings))
     return str(caught.value).replace(f"{folder}/", "")
 
 
@@ -155,10 +154,10 @@ def test_no_averages_before_the_obstacle_is_met():
 
 @pytest.mark.parametrize("path", [RAMP_FILE, STEP_FILE], ids=["ramp", "step"])
 def test_distance_to_the_obstacle(path):
-    setup = build_climb(load_problem(path))
+    setup = build(load_problem(path))
     assert setup.start["axle_x", "front"][0] == pytest.approx(foot(setup.profile), abs=1e-9)
     assert setup.start["gap_1"][0].min() > 0.03
-    start = build_climb(load_problem(path, ["start.distance=0", "start.speed=0"])).start
+    start = build(load_problem(path, ["start.distance=0", "start.speed=0"])).start
     assert start["gap_1", "front"][0] == pytest.approx(0, abs=5e-4)  # sunk in under its weight
     assert start["velocity_x"][0] == 0
 
@@ -177,7 +176,7 @@ def test_solids_here_and_in_a_file_are_a_step(folder):
 
 
 def test_what_the_vehicle_s_table_replaces():
-    setup = build_climb(
+    setup = build(
         load_problem(
             STEP_FILE,
             [
@@ -209,7 +208,7 @@ def test_a_sampled_controller_climbs_as_the_continuous_one():
 
 def test_sensors_may_be_noisy():
     noisy = load_problem(RAMP_FILE, ["control.noise={tilt=0.01, band=20.0, seed=3}"])
-    assert build_climb(noisy).control.noise == Noise(tilt=0.01, band=20.0, seed=3)
+    assert build(noisy).control.noise == Noise(tilt=0.01, band=20.0, seed=3)
 
 
 def test_stairs_are_climbed():
@@ -272,7 +271,7 @@ def test_there_is_no_plan_without_enough_friction():
 )
 def test_plans_that_cannot_be(setting, words):
     with pytest.raises(ProblemError) as caught:
-        build_climb(load_problem(PLAN_FILE, [setting]))
+        build(load_problem(PLAN_FILE, [setting]))
     assert str(caught.value) == words
 
 

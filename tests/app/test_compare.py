@@ -22,8 +22,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.models.slip import measured_slip
-from slipfree.problem.load import read_as
-from slipfree.problem.schema import Compare
+from slipfree.problem.load import load_problem
 from slipfree.problem.verbs.compare import compare
 
 FILE = Path(__file__).parents[2] / "problems" / "compare_axles.toml"
@@ -40,7 +39,7 @@ FREEDOMS = {
 
 @pytest.fixture(scope="module")
 def rows():
-    problem = read_as(Compare, FILE, ["time.duration=2.0"])
+    problem = load_problem(FILE, ["time.duration=2.0"], command="compare")
     return {row.name: row for row in compare(problem, lambda _: None)[1]}
 
 

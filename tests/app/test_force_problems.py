@@ -20,10 +20,10 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.models import friction_feasibility
 from slipfree.models.force_distribution import least_utilisation
 from slipfree.models.friction_feasibility import best_utilisation
-from slipfree.problem import solve as runner
 from slipfree.problem.load import load_problem
-from slipfree.problem.reload import problem_of, shown
+from slipfree.problem.result import problem_of, shown
 from slipfree.problem.solve import build, run_problem
+from slipfree.problem.verbs import driving as runner
 from slipfree.trajectory import SolverError
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -191,7 +191,8 @@ def test_results_with_old_keys_are_read():
     called("run", "law.coulomb.creep=2e-3")
     new = netcdf.read(Path("p.nc"))
     attributes = {**new.attributes, "problem": OLD, "settings": "traction.creep=2e-3"}
-    for name in ("model", "law"):
+    attributes["slipfree_version"] = "0.1.0"
+    for name in ("verb", "model", "law"):
         del attributes[name]
     netcdf.write(Path("old.nc"), replace(new, attributes=attributes))
     assert problem_of(Path("old.nc"), netcdf.read(Path("old.nc"))).spec.law.coulomb.creep == 2e-3

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 from slipfree.cli import app
 from slipfree.files import netcdf
 from slipfree.frames import to_problem_frame
-from slipfree.problem.goals import facing
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
+from slipfree.problem.verbs.plan_goals import facing
 from slipfree.show import motion_figures
 from slipfree.sweep.metrics import figures_of
 
@@ -83,9 +83,7 @@ def test_results_hold_headings_from_the_y_axis_and_say_so(problem: Path) -> None
     shown = to_problem_frame(run)
     assert_allclose(shown["heading"], 0.3, atol=1e-9)
     assert to_problem_frame(shown) is shown
-    assert figures_of(run, load_problem(problem).spec)["end_heading"][0] == pytest.approx(
-        0.3, abs=1e-9
-    )
+    assert figures_of(run, load_problem(problem))["end_heading"][0] == pytest.approx(0.3, abs=1e-9)
     axes = motion_figures.history(run, "heading", Figure().subplots())
     assert_allclose(np.asarray(axes.lines[0].get_ydata()), 0.3, atol=1e-9)
 

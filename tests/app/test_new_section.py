@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from slipfree.cli import app
 from slipfree.files.netcdf import read
-from slipfree.problem.reload import shown
+from slipfree.problem.result import shown
 from slipfree.show.drive_scene import Driven, drive_scene
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.sections.base import Section

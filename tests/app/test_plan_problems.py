@@ -9,10 +9,10 @@ import pytest
 
 from slipfree.files.toml.errors import ProblemError
 from slipfree.outcome import Outcome
-from slipfree.problem.goals import regions
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.plan import figure_options
+from slipfree.problem.verbs.plan_goals import regions
 from slipfree.show.plan_figures import plan_figures
 
 FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"

@@ -14,8 +14,9 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import key_lines
 from slipfree.problem.build_common import samples
 from slipfree.problem.load import load_problem
-from slipfree.problem.schema import Direct, Time
+from slipfree.problem.schema import Time
 from slipfree.problem.solve import build, run_problem
+from slipfree.problem.verbs.direct import Direct
 
 OTHERS = (
     "tilt_stop, slide_stop, stiffness, damping, bump, mass, center_of_mass, wheel_mass, grip, "
@@ -300,8 +301,8 @@ def test_settings_that_do_not_fit(tmp_path: Path) -> None:
         "--set time: time.stp: expected one of duration, step, found the unknown key 'stp'; "
         "did you mean 'step'?",
         "--set vehicle.r1: expected a number of at least 0, found -1",
-        "--set foo: expected one of verb, title, time, solver, terrain, start, frame, vehicle, "
-        "output, model, slip, law, inputs, driver, formulation, found the unknown key 'foo'",
+        "--set foo: expected one of verb, title, time, solver, output, terrain, start, frame, "
+        "vehicle, model, slip, law, inputs, driver, formulation, found the unknown key 'foo'",
     ]
 
 

@@ -75,7 +75,7 @@ def _invoke(*words: str) -> Any:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out what takes long."""
-    monkeypatch.setattr("slipfree.problem.report._figures", lambda *_: {})
+    monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: {})
 
 
 @pytest.mark.parametrize("kind", SETTINGS)
@@ -83,7 +83,7 @@ def test_a_page_holds_all_of_a_result(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not FIGURES[kind]:  # they are drawn as those of an inverse motion
-        monkeypatch.setattr("slipfree.problem.report._figures", lambda *_: {})
+        monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: {})
     file = _result(kind, tmp_path)
     result = _invoke(str(file))
     assert result.exit_code == 0, result.output

@@ -24,7 +24,8 @@ from slipfree.models.slip import measured_slip
 from slipfree.outcome import Outcome
 from slipfree.plan.transcription import CollocationMesh, positions
 from slipfree.plan.warm_start import SavedPlan
-from slipfree.problem.reload import shown
+from slipfree.problem.result import shown
+from slipfree.problem.verbs.plan import poses_of_plan
 from slipfree.show.climb_scene import climb_scene
 from slipfree.show.drive_film import _Film
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
@@ -342,7 +343,7 @@ def test_the_origin_has_no_minus_zero(drive: Driven) -> None:
     assert "The scene's origin is (0, 0, 0) m on the map." in again.notes
 
 
-def test_a_plan_is_drawn_beside_its_simulation(file: Path, tmp_path: Path) -> None:
+def test_a_plan_is_drawn_beside_its_simulation(file: Path) -> None:
     """The unknowns of a plan, laid out as a plan saves them, lead back to its poses."""
     run = netcdf.read(file)
     states = ["x", "y", "heading", "tilt_right", "tilt_left", "steer"]
@@ -366,10 +367,8 @@ def test_a_plan_is_drawn_beside_its_simulation(file: Path, tmp_path: Path) -> No
     values[layout.unknowns] = np.concatenate([sampled(unknowns, at), by_wheel], axis=-1)
     sizes = np.array([3.0, 6, 9, 1, 0])
     saved = SavedPlan(mesh.ends, sizes, values, values, values, shift, np.zeros(1))
-    out = tmp_path / "planned.nc"
-    netcdf.write(out, run, saved.arrays)
-    found = shown(out, "planned")
-    assert found.plan is not None
+    found = shown(file, "planned")
+    found = found._replace(plan=poses_of_plan(run, saved.arrays, found.terrain))
     for name in ("x", "heading", "pitch", "contact_y", "contact_z", "wheel_angle"):
         for column, wanted in zip(
             found.plan[name].T.reshape(-1, found.plan.t.size),
@@ -567,7 +566,7 @@ def test_places_are_checked_before_anything_is_drawn(
         ("--html", "-", "expected a name that ends in .html"),
         ("--html", "d.html", "expected the name of a file to write, found a folder"),
     ):
-        monkeypatch.setattr("slipfree.problem.reload.read_result", lambda _: pytest.fail("read"))
+        monkeypatch.setattr("slipfree.problem.result.read", lambda _: pytest.fail("read"))
         for each in (file, climb_file):
             if str(each) == name or name != str(file):
                 words = refused(str(each), option, name)

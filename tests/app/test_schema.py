@@ -10,8 +10,9 @@ import pytest
 
 from slipfree.problem import schema
 from slipfree.problem.schema_law import law_tables
+from slipfree.problem.verbs.registry import VERBS
 
-VERBS = schema.Direct, schema.Inverse, schema.Plan, schema.Compare, schema.Climb
+SCHEMAS = [verb.schema for verb in VERBS]
 UNIT = re.compile(r" \[(?:1|(?:[mNs]|kg|rad|Hz)[\w/ ]*|1/s)(?:, (?:1|[\w/ ]+))*\]$")
 
 
@@ -35,7 +36,7 @@ def is_numeric(annotation: Any) -> bool:
     return any(map(is_numeric, get_args(annotation)))
 
 
-TABLES = list(records(tuple[*VERBS, law_tables()], set()))  # type: ignore[misc]
+TABLES = list(records(tuple[*SCHEMAS, law_tables()], set()))  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)

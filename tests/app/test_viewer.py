@@ -313,7 +313,7 @@ def test_a_page_without_vehicles_is_told_from_one_with_them(
 
 
 def scene_of(files: list[Path]) -> Scene:
-    from slipfree.problem.reload import shown
+    from slipfree.problem.result import shown
     from slipfree.show.drive_scene import Driven, drive_scene
 
     found = [shown(file, file.stem) for file in files]

@@ -17,11 +17,10 @@ from slipfree.cli import app
 from slipfree.errors import SlipfreeError
 from slipfree.files.maps.elevation import read_map
 from slipfree.files.netcdf import read_arrays
-from slipfree.problem.load import climbs, load_problem
-from slipfree.problem.schema import Plan, Time
+from slipfree.problem.load import load_problem
+from slipfree.problem.schema import Time
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.vehicle_report import describe
-from slipfree.problem.verbs.climb import build_climb
 from slipfree.terrain.bicubic import Bicubic
 
 READ, REFUSED = "read", "refused"
@@ -84,11 +83,8 @@ def _of_message(words: str, names: list[str]) -> Verdict:
 
 def _use_problem(file: Path, deep: bool) -> None:
     problem = load_problem(file)
-    if climbs(problem):
-        build_climb(problem)
-    else:
-        build(problem)
-    if deep and not isinstance(problem.spec, Plan) and getattr(problem.spec, "path", None) is None:
+    build(problem)
+    if deep and problem.spec.verb != "plan" and getattr(problem.spec, "path", None) is None:
         run_problem(replace(problem, spec=problem.spec.model_copy(update={"time": SHORT})))  # type: ignore[arg-type]
 
 

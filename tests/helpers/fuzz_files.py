@@ -24,7 +24,8 @@ from slipfree.files import netcdf
 from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
 from slipfree.outcome import Outcome
 from slipfree.problem.build_vehicle import UrdfTable
-from slipfree.problem.schema import ALTERNATIVES, Asked, Climb, Direct, Inverse, Plan
+from slipfree.problem.schema import Asked
+from slipfree.problem.verbs.registry import VERBS
 from slipfree.records import Label
 from slipfree.trajectory import Column, Stop, Trajectory
 from slipfree.vehicle.sections.registry import SECTIONS
@@ -201,12 +202,7 @@ GROUND = {
     }
 }
 START = {"x": 0.0, "y": 0.0, "heading": 0.0}
-SCHEMAS: dict[str, type[Asked]] = {
-    "direct": Direct,
-    "inverse": Inverse,
-    "plan": Plan,
-    "climb": Climb,
-}
+SCHEMAS: dict[str, type[Asked]] = {verb.name: verb.schema for verb in VERBS}
 SIDE = {
     "ground.asc": "ncols 13\nnrows 15\nxllcenter -3\nyllcenter -3\ncellsize 0.5\n"
     + ("0 " * 13 + "\n") * 15,
@@ -284,7 +280,7 @@ def _merged(kind: str, data: Table, rng: Random) -> Table:
     drawn_ = made(SCHEMAS[kind], rng) | {"verb": kind}
     found = {key: value for key, value in data.items() if rng.random() < 0.8}
     found |= {key: value for key, value in drawn_.items() if key not in found or rng.random() < 0.2}
-    for place, keys in ALTERNATIVES[SCHEMAS[kind]].items():
+    for place, keys in SCHEMAS[kind].alternatives.items():
         table = found if not place else found.get(place[0])
         given = [key for key in keys if isinstance(table, dict) and key in table]
         for key in given[1:]:

@@ -19,9 +19,9 @@ from slipfree.files import netcdf
 from slipfree.files.maps.elevation import geographic_to_metric, read_map
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.build_ground import build_ground, ground_facts
+from slipfree.problem.result import motion_facts
 from slipfree.problem.schema import Terrain
 from slipfree.problem.solve import run_problem
-from slipfree.problem.summary import motion_facts
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import Heights, cut, disturbed, fill_holes, scaled, smoothed
 

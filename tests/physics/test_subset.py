@@ -382,7 +382,7 @@ def test_what_the_integrator_reached_is_kept(monkeypatch: pytest.MonkeyPatch) ->
         stop = Stop("solver", 0.0, "gave up", Outcome.SOLVER_FAILURE)
         raise SolverError("gave up", replace(start, stop=stop))
 
-    monkeypatch.setattr(problem, "simulate", fail)
+    monkeypatch.setattr("slipfree.problem.verbs.driving.simulate", fail)
     result = _invoke(*CAR)
     assert result.exit_code == 1
     assert "stopped early at t = 0 s: gave up" in result.stderr

@@ -25,7 +25,7 @@ from slipfree.files.maps.elevation import read_map
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.load import load_problem
-from slipfree.problem.reload import problem_of
+from slipfree.problem.result import problem_of
 from slipfree.vehicle.formula import names_in
 
 SOURCE = Path(__file__).parents[2] / "src" / "slipfree"

@@ -30,7 +30,7 @@ from slipfree.nlp import Nlp
 from slipfree.plan import ipopt
 from slipfree.plan import plan as planning
 from slipfree.plan.external_nlp import solve_nlp
-from slipfree.problem import solve as runner
+from slipfree.problem.verbs import driving as runner
 from slipfree.solve import simulate, zero_order_hold
 
 HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
@@ -505,8 +505,8 @@ def run(*words):
 
 
 def test_a_run_behind_its_last_step_writes_nothing(folder, monkeypatch):
-    pressed, _ = pressing(runner._filled)
-    monkeypatch.setattr(runner, "_filled", pressed)
+    pressed, _ = pressing(runner._with_filled)
+    monkeypatch.setattr(runner, "_with_filled", pressed)
     found = run("p.toml", "-o", "p.nc")
     assert (found.exit_code, found.stderr) == (130, "interrupted\n")
     assert (folder / "p.nc").read_bytes() == OLD

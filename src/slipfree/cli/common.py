@@ -21,8 +21,7 @@ from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.regular_files import check_name, regular_file, resolve_links
 
 if TYPE_CHECKING:
-    from slipfree.problem.load import Problem
-    from slipfree.problem.schema import Climb, Motion
+    from slipfree.problem.problem import Problem
 
 RESULT, FIGURE = b"CDF", b"\x89PNG"  # how netCDF and PNG begin
 OUTPUT = ("output", "file")  # the key of a problem file that names its result
@@ -81,7 +80,7 @@ def about(file: Path) -> Iterator[None]:
         ) from error
 
 
-def read_problem(file: Path, settings: list[str] | None) -> Problem[Motion] | Problem[Climb]:
+def read_problem(file: Path, settings: list[str] | None) -> Problem[Any]:
     """Return a checked problem, some of its values replaced."""
     from slipfree.problem.load import load_problem
 
@@ -109,9 +108,7 @@ def _begins_with(file: Path, head: bytes) -> bool:
         return False
 
 
-def check_default_places(
-    out: Path, folder: Path | None, problem: Problem[Motion] | Problem[Climb]
-) -> None:
+def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) -> None:
     """Refuse places that the command line does not name if a user's other files are at risk.
 
     Parameters
@@ -161,9 +158,7 @@ def check_default_places(
             )
 
 
-def check_places(
-    files: list[Path | None], folder: Path | None, problem: Problem[Motion] | Problem[Climb]
-) -> None:
+def check_places(files: list[Path | None], folder: Path | None, problem: Problem[Any]) -> None:
     """Refuse places that cannot be written to, or that are read, before anything is computed."""
     from slipfree.problem.input_files import input_names
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,59 +25,22 @@ from slipfree.cli.messages import complain, detail, has_bar, put, put_file, say,
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
-    from slipfree.problem.build_common import Setup
-    from slipfree.problem.load import Problem
-    from slipfree.problem.schema import Climb, Motion
     from slipfree.problem.verbs.compare import Drive
 
 
 def check(file: File, settings: Settings = None) -> None:
     """Check a problem and stand the vehicle on its start, without solving."""
     with reported():
-        from slipfree.frames import WANTED, to_problem_frame
-        from slipfree.problem.load import climbs
-        from slipfree.problem.solve import build, setup_facts
-        from slipfree.problem.summary import certificate
+        from slipfree.problem.solve import build
+        from slipfree.problem.verbs.registry import verb_of
 
         problem = read_problem(file, settings)
-        if climbs(problem):
-            _check_climb(problem)
-            return
         setup = build(problem)
-        spec = problem.spec
-        start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
         detail("stood the vehicle on its start")
+        start, facts = verb_of(problem).describe_start(problem, setup)
         put("start", lambda: quantities(start))
-        names = [*spec.start, "z", "pitch", "roll"]
-        pose = ", ".join(f"{name} {start[name][0]:.10g}" for name in dict.fromkeys(names))
-        facts = [
-            *setup_facts(setup),
-            ("start", f"{pose} (m, rad)"),
-            ("contact certificate", certificate(start)),
-            ("samples", _samples(problem, setup)),
-        ]
-        tell(facts)
+        tell([*setup.facts, *facts])
         say("ok")
-
-
-def _samples(problem: Problem[Motion], setup: Setup) -> str:
-    """Return how the result will be sampled; how long a plan takes may be its own choice."""
-    if problem.spec.verb == "plan":
-        return f"{problem.spec.time.step:g} s apart or less, as the intervals of the plan need"
-    return f"{setup.t.size} to {setup.t[-1]:g} s"
-
-
-def _check_climb(problem: Problem[Climb]) -> None:
-    """Stand the vehicle of a climb before its obstacle."""
-    from slipfree.problem.verbs.climb import build_climb
-
-    setup = build_climb(problem)
-    detail("stood the vehicle on the floor")
-    put("start", lambda: quantities(setup.start))
-    place = ", ".join(f"{name} {setup.start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
-    samples = f"{setup.t.size} to {setup.t[-1]:g} s"
-    tell([*setup.facts, ("start", f"{place} (m, m/s)"), ("samples", samples)])
-    say("ok")
 
 
 def vehicle(
@@ -104,8 +66,7 @@ def compare(file: File, settings: Settings = None) -> None:
     """Compare vehicles on one ground: which can roll without slip, how much the others slip."""
     with reported():
         from slipfree.problem.build_ground import ground_facts
-        from slipfree.problem.load import read_as
-        from slipfree.problem.schema import Compare
+        from slipfree.problem.load import load_problem
         from slipfree.problem.verbs.compare import compare as solve
 
         def told(name: str) -> None:
@@ -114,7 +75,7 @@ def compare(file: File, settings: Settings = None) -> None:
             detail(f"vehicle {name}")
 
         refuse_result(file)
-        ground, rows = solve(read_as(Compare, file, settings or []), told)
+        ground, rows = solve(load_problem(file, settings or [], command="compare"), told)
         tell(ground_facts(ground))
         put("vehicles", lambda: [row_answer(row) for row in rows])
         width = max(len(row.name) for row in rows)
@@ -151,7 +112,8 @@ def info(
     """Say what a result file holds."""
     with reported(), about(file):
         from slipfree.files.netcdf import read
-        from slipfree.problem.summary import motion_facts, ranges
+        from slipfree.problem.result import motion_facts
+        from slipfree.problem.summary import ranges
 
         motion = read(file)
         attributes = dict(motion.attributes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -40,92 +40,119 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from slipfree.plan.warm_start import SavedPlan
-    from slipfree.problem.load import Problem
-    from slipfree.problem.schema import Climb, Motion
-    from slipfree.problem.solve import Outcome
+    from slipfree.problem.problem import Problem
+    from slipfree.problem.result import Result
+    from slipfree.problem.verbs.base import MotionVerb
     from slipfree.trajectory import Stop
 
 SELDOM = 1.0  # between two lines on the time reached [s]
 
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="OUT.nc",
+        help="Result file; default: the problem's [output] file, or its name with .nc, here.",
+    ),
+]
+Csv = Annotated[
+    Path | None, typer.Option(metavar="OUT.csv", help="Write the samples as a table as well.")
+]
+Figures = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
+]
+Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")]
+CrossCheck = Annotated[
+    bool,
+    typer.Option(
+        "--cross-check", help="Solve in the other formulation of contact too, and compare."
+    ),
+]
+Resume = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="OUT.nc",
+        help="Start a plan from the one in a result file, whatever its mesh, ground or goal.",
+    ),
+]
+Animation = Annotated[
+    Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as a moving picture.")
+]
+
 
 def run(
     file: File,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="OUT.nc",
-            help="Result file; default: the problem's [output] file, or its name with .nc, here.",
-        ),
-    ] = None,
-    csv: Annotated[
-        Path | None, typer.Option(metavar="OUT.csv", help="Write the samples as a table as well.")
-    ] = None,
+    out: Out = None,
+    csv: Csv = None,
     settings: Settings = None,
-    figures: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
-    ] = None,
-    draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
-    cross_check: Annotated[
-        bool,
-        typer.Option(
-            "--cross-check", help="Solve in the other formulation of contact too, and compare."
-        ),
-    ] = False,
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="OUT.nc",
-            help="Start a plan from the one in a result file, whatever its mesh, ground or goal.",
-        ),
-    ] = None,
-    animation: Annotated[
-        Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as a moving picture.")
-    ] = None,
+    figures: Figures = None,
+    draw: Draw = True,
+    cross_check: CrossCheck = False,
+    resume: Resume = None,
+    animation: Animation = None,
 ) -> None:
     """Solve a problem: write the result, print a summary, draw figures."""
     with reported():
-        from slipfree.problem.load import climbs
-        from slipfree.problem.solve import check_cross
+        from slipfree.problem.verbs.registry import verb_of
 
         problem = read_problem(file, settings)
-        is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
-        out = out or Path(output_of(problem))
-        folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
-        if not is_named:
-            check_default_places(out, None if figures else folder, problem)
+        verb = verb_of(problem)
+        out, folder = _places(problem, out, figures, draw=draw)
         check_places([out, csv, animation], folder, problem)
-        if animation is not None:
-            _check_animation(animation, problem)
-        if cross_check:
-            check_cross(problem)
-        former = _former(problem, resume)
-        outcome = _solve(problem, former)
-        motion = outcome.trajectory
-        _save(outcome, out, csv)
-        _print_outcome(outcome)
+        _check_options(problem, cross_check, resume, animation)
+        result = _solve(problem, verb, _former(resume))
+        _save(result, out, csv)
+        _print_summary(result, verb)
         _wrote(out, *([csv] if csv else []))
-        if cross_check and not climbs(problem):
-            _cross_check(problem, outcome)
+        if cross_check:
+            _cross_check(result)
         if folder is not None:
-            _draw(outcome, folder)
+            _draw(result, verb, folder)
         if animation is not None:
-            _animate(outcome, animation)
-        if motion.stop is not None:
-            say_stopped(motion.stop, out)
-            raise typer.Exit(motion.outcome.exit_code)
+            verb.animate(result, animation)
+            _wrote(animation)
+        if result.trajectory.stop is not None:
+            say_stopped(result.trajectory.stop, out)
+            raise typer.Exit(result.trajectory.outcome.exit_code)
 
 
-def output_of(problem: Problem[Motion] | Problem[Climb]) -> str:
+def _places(
+    problem: Problem[Any], out: Path | None, figures: Path | None, *, draw: bool
+) -> tuple[Path, Path | None]:
+    """Return the result file and the folder for figures; refuse default places at risk."""
+    is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
+    out = out or Path(output_of(problem))
+    folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
+    if not is_named:
+        check_default_places(out, None if figures else folder, problem)
+    return out, folder
+
+
+def _check_options(
+    problem: Problem[Any], cross_check: bool, resume: Path | None, animation: Path | None
+) -> None:
+    """Refuse options that the verb does not offer, before anything is computed."""
+    from slipfree.problem.verbs.base import ANIMATION, CROSS_CHECK, RESUME
+    from slipfree.problem.verbs.registry import check_option
+
+    given = {CROSS_CHECK: cross_check, RESUME: resume, ANIMATION: animation}
+    for option, value in given.items():
+        if value:
+            check_option(problem, option)
+    if animation is not None and animation.suffix != ".gif":
+        raise DataError(f"{animation}: expected a name that ends in .gif for an animation")
+
+
+def output_of(problem: Problem[Any]) -> str:
     """Return the name of the result file."""
     spec = problem.spec.output
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
-def _solve(problem: Problem[Motion] | Problem[Climb], former: SavedPlan | None) -> Outcome:
-    """Return the outcome; show a bar meanwhile if somebody is looking."""
+def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) -> Result:
+    """Return the result; show a bar meanwhile if somebody is looking."""
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import Progress
@@ -139,9 +166,8 @@ def _solve(problem: Problem[Motion] | Problem[Climb], former: SavedPlan | None) 
         if not (console.is_terminal and has_bar()):
             return run_problem(problem, lambda _: poll(), lambda _: poll(), former)
         with Progress(console=console, transient=True) as bar:
-            task = bar.add_task(
-                "solving", total=None if problem.spec.verb == "plan" else problem.spec.time.duration
-            )
+            total = problem.spec.time.duration if verb.is_timed else None
+            task = bar.add_task("solving", total=total)
             show = throttled(lambda t: bar.update(task, completed=t))
             show_line = throttled(lambda line: bar.update(task, description=escape(visible(line))))
 
@@ -180,24 +206,19 @@ def _telling(
     return progress, line
 
 
-def _told(outcome: Outcome) -> Outcome:
+def _told(result: Result) -> Result:
     """Say what the solver counted."""
-    counts = outcome.trajectory.statistics.items()
+    counts = result.trajectory.statistics.items()
     detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
-    return outcome
+    return result
 
 
-def _former(problem: Problem[Motion] | Problem[Climb], file: Path | None) -> SavedPlan | None:
+def _former(file: Path | None) -> SavedPlan | None:
     """Return the plan to start from, if one is named."""
     from slipfree.files.netcdf import read_arrays
     from slipfree.plan.warm_start import from_arrays
 
-    if file is None:
-        return None
-    if problem.spec.verb != "plan":
-        where = problem.source.where(("verb",))
-        raise DataError(f"{where}: expected 'plan' for --resume, found {problem.spec.verb!r}")
-    return from_arrays(read_arrays(file), str(file))
+    return None if file is None else from_arrays(read_arrays(file), str(file))
 
 
 def _wrote(*files: Path) -> None:
@@ -209,71 +230,30 @@ def _wrote(*files: Path) -> None:
     detail(f"wrote {names}")
 
 
-def _save(outcome: Outcome, out: Path, csv: Path | None) -> None:
+def _save(result: Result, out: Path, csv: Path | None) -> None:
     from slipfree.files.netcdf import write, write_csv
 
-    write(out, outcome.trajectory, outcome.arrays)
+    write(out, result.trajectory, result.arrays)
     if csv is not None:
-        write_csv(csv, outcome.trajectory)
+        write_csv(csv, result.trajectory)
 
 
-def _check_animation(file: Path, problem: Problem[Motion] | Problem[Climb]) -> None:
-    if problem.spec.verb != "climb":
-        where = problem.source.where(("verb",))
-        raise DataError(f"{where}: expected 'climb' for --animation, found {problem.spec.verb!r}")
-    if file.suffix != ".gif":
-        raise DataError(f"{file}: expected a name that ends in .gif for an animation")
+def _draw(result: Result, verb: MotionVerb, folder: Path) -> None:
+    from slipfree.show.motion_figures import write
 
-
-def _animate(outcome: Outcome, file: Path) -> None:
-    from slipfree.problem.verbs.climb import Climbing
-    from slipfree.show.climb_figures import animate
-
-    if isinstance(outcome.setup, Climbing):
-        animate(outcome.trajectory, outcome.setup.climber, outcome.setup.profile, file)
-        _wrote(file)
-
-
-def _draw(outcome: Outcome, folder: Path) -> None:
-    from slipfree.problem.verbs.climb import Climbing
-    from slipfree.problem.verbs.plan import Planning, figure_options
-
-    if isinstance(outcome.setup, Climbing):
-        from slipfree.show.climb_figures import save_climb_figures
-
-        setup = outcome.setup
-        paths = save_climb_figures(
-            outcome.trajectory, setup.climber, setup.profile, folder, plan=setup.plan
-        )
-        _drew(paths, folder)
-        return
-    grid = outcome.setup.ground.grid
-    if isinstance(outcome.setup, Planning):
-        from slipfree.show.plan_figures import save_plan_figures
-
-        layers, options = outcome.setup.layers, figure_options(outcome.setup)
-        paths = save_plan_figures(outcome.trajectory, grid, layers, folder, **options)
-    else:
-        from slipfree.show.motion_figures import save_figures
-
-        paths = save_figures(outcome.trajectory, grid, folder)
-    _drew(paths, folder)
-
-
-def _drew(files: list[Path], folder: Path) -> None:
-    """Say which figures were drawn."""
+    files = write(verb.figures(result), folder, ("png",))
     for file in files:
         put_file(file)
     say(f"drew {len(files)} figures in {folder}")
     detail(f"drew {len(files)} figures in {folder}")
 
 
-def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
+def _cross_check(result: Result) -> None:
     """Print where the two formulations of contact differ, the largest differences first."""
-    from slipfree.problem.solve import check_cross, cross, other_formulation
+    from slipfree.problem.solve import cross_check
 
-    other = other_formulation(check_cross(problem))
-    differences = sorted(cross(problem, outcome), key=lambda each: -each.size)
+    other, found = cross_check(result)
+    differences = sorted(found, key=lambda each: -each.size)
     say(f"largest differences from formulation = {other!r}, of {len(differences)} quantities:")
     put(
         "cross_check",
@@ -295,16 +275,12 @@ def _cross_check(problem: Problem[Motion], outcome: Outcome) -> None:
     )
 
 
-def _print_outcome(outcome: Outcome) -> None:
-    from slipfree.problem.solve import setup_facts
-    from slipfree.problem.summary import motion_facts, steering_warning
-
-    motion = outcome.trajectory
-    tell(setup_facts(outcome.setup) + motion_facts(motion))
+def _print_summary(result: Result, verb: MotionVerb) -> None:
+    motion = result.trajectory
+    tell([*result.setup.facts, *verb.facts(motion)])
     put("result", lambda: motion_answer(motion))
-    warning = steering_warning(motion)
-    if warning and not (motion.stop and warning in motion.stop.words):
-        warn(warning)
+    for words in verb.warnings(motion):
+        warn(words)
 
 
 def say_stopped(stop: Stop, out: Path) -> None:

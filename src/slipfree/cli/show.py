@@ -7,7 +7,7 @@ import sys
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -17,9 +17,7 @@ from slipfree.errors import DataError
 from slipfree.regular_files import escape_name
 
 if TYPE_CHECKING:
-    from slipfree.show.climb_scene import Climbed
-    from slipfree.show.drive_scene import Driven
-    from slipfree.show.scene import Scene
+    from slipfree.problem.verbs.base import Viewer
 
 Layer = Literal["height", "slope", "traversability"]
 
@@ -51,13 +49,13 @@ def show(
     """Show motions in a web page: ground, vehicles, contact points, slip and forces."""
     with reported():
         _check_places(files, html, animation)
-        found = _read(files, folder)
+        viewer, found = _read(files, folder)
         with about(files[0]):
-            scene = _scene(found)
+            scene = viewer.scene(found)
         for words in scene.warnings:
             warn(words)
         if animation is not None:
-            _film(found, animation)
+            _film(viewer, found, animation)
             put_file(animation)
         if html is not None:
             from slipfree.atomic_files import replace_file
@@ -89,20 +87,22 @@ def _write(part: Path, text: str) -> None:
     part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files
 
 
-def _read(files: Sequence[Path], folder: Path | None) -> list[Driven] | list[Climbed]:
-    from slipfree.problem.reload import shown
-    from slipfree.show.climb_scene import Climbed
-    from slipfree.show.drive_scene import Driven
+def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]]:
+    """Return the motions of result files, and what draws them."""
+    from slipfree.problem.result import open_result
+    from slipfree.problem.verbs.registry import verb_of
 
+    viewers: dict[str, Viewer] = {}
     found = []
     for file, name in zip(files, _names(files), strict=True):
         with about(file):
-            found.append(shown(file, name, folder))
-    driven = [each for each in found if isinstance(each, Driven)]
-    climbed = [each for each in found if isinstance(each, Climbed)]
-    if driven and climbed:
-        raise DataError("show: expected motions over terrain or climbs alone, found both")
-    return driven or climbed
+            result = open_result(file, folder)
+            verb = verb_of(result.problem)
+            found.append(verb.shown(result, name))
+            viewers.setdefault(verb.viewer().noun, verb.viewer())
+    if len(viewers) > 1:
+        raise DataError(f"show: expected {' or '.join(viewers)} alone, found both")
+    return next(iter(viewers.values())), found
 
 
 def _names(files: Sequence[Path]) -> list[str]:
@@ -112,34 +112,14 @@ def _names(files: Sequence[Path]) -> list[str]:
     return [escape_name(name) for name in names]
 
 
-def _scene(found: list[Driven] | list[Climbed]) -> Scene:
-    from slipfree.show.climb_scene import Climbed, climb_scene
-    from slipfree.show.drive_scene import drive_scene
-
-    climbs = [each for each in found if isinstance(each, Climbed)]
-    if climbs:
-        return climb_scene(climbs)
-    return drive_scene([each for each in found if not isinstance(each, Climbed)])
+def _title(found: Sequence[Any]) -> str:
+    title: str = found[0].run.attributes.get("title", found[0].name)
+    return title
 
 
-def _title(found: list[Driven] | list[Climbed]) -> str:
-    return found[0].run.attributes.get("title", found[0].name)
-
-
-def _film(found: list[Driven] | list[Climbed], file: Path) -> None:
-    from slipfree.show.climb_figures import animate
-    from slipfree.show.climb_scene import Climbed
-    from slipfree.show.drive_film import animate_drives
-
-    climbs = [each for each in found if isinstance(each, Climbed)]
-    if len(climbs) > 1:
-        raise DataError(f"--animation: expected one climb, found {len(climbs)}")
-    if climbs:
-        animate(climbs[0].run, climbs[0].climber, climbs[0].profile, file)
-        say(f"wrote {file}")
-        return
-    words = animate_drives([each for each in found if not isinstance(each, Climbed)], file)
-    say(f"wrote {file}, {words}")
+def _film(viewer: Viewer, found: Sequence[Any], file: Path) -> None:
+    words = viewer.film(found, file)
+    say(f"wrote {file}{', ' if words else ''}{words}")
 
 
 def _ready(url: str, browser: bool) -> None:

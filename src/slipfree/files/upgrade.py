@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 
+from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.settings import replace_values
 from slipfree.outcome import Outcome
 from slipfree.trajectory import OUTCOME, STOP
 
@@ -26,12 +29,31 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
     """Return the attributes of a result of version 0.1 under the keys of today.
 
     The outcome follows from the name of the stop; the ending of a climb, which was stored as
-    ``outcome``, becomes ``climb``.
+    ``outcome``, becomes ``climb``; verb, model, law and method follow from the problem file.
     """
     found = dict(attributes)
     if OUTCOME in found:
         found["climb"] = found[OUTCOME]
     found[OUTCOME] = _outcome(found).name.lower()
+    return {**_question(found), **found}
+
+
+def _question(attributes: Mapping[str, str | float]) -> dict[str, str]:
+    """Return verb, model, law and method of a motion from its problem file, if it holds one."""
+    try:
+        data = tomllib.loads(str(attributes["problem"]))
+        replace_values(data, str(attributes.get("settings", "")).splitlines())
+    except (KeyError, tomllib.TOMLDecodeError, ProblemError):  # of a library, or a damaged file
+        return {}
+    verb, slip = str(data.get("verb")), str(data.get("slip", "least"))
+    found = {"verb": verb}
+    if verb in ("direct", "plan"):
+        is_traction = slip == "traction"
+        found["model"] = "quasi-static" if is_traction else "kinematics"
+        found["law"] = "coulomb" if is_traction else slip
+    if verb == "inverse":
+        is_collocated = "path" in data and data.get("steering", "angle") == "angle"
+        found["solved_by"] = "collocation" if is_collocated else "integration"
     return found
 
 

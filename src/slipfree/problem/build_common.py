@@ -15,16 +15,16 @@ from slipfree.errors import DataError
 from slipfree.files.toml.errors import Fault, names, problem_error
 from slipfree.frames import OFFSET
 from slipfree.problem import schema
-from slipfree.problem.build_ground import Ground, at
+from slipfree.problem.build_ground import Ground, at, ground_facts
 from slipfree.problem.build_vehicle import build_vehicle as build_vehicle
-from slipfree.problem.load import Problem, S
+from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.problem.unit_checks import check_units
 from slipfree.records import Array, leaves
 from slipfree.regular_files import read_bytes
 from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 NEAR = 1e-9  # times closer than this part of the duration are one
@@ -60,6 +60,12 @@ class Setup:
     inputs: Any
     t: Array
     driven: str
+
+    @property
+    def facts(self) -> Facts:
+        """Names and words about ground, vehicle and drive."""
+        drive = ("driven by", self.driven)
+        return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
 
 
 def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
@@ -167,3 +173,10 @@ def vehicle_facts(vehicle: Vehicle) -> Facts:
     if vehicle.notes:
         facts.append(("vehicle file", "; ".join(vehicle.notes)))
     return facts
+
+
+def wheel_angles_at(run: Trajectory, t: Array) -> Column:
+    """Return the angles of the wheels of a motion at given times."""
+    turns = run.columns["wheel_angle"]
+    values = [np.interp(t, run.t, each) for each in turns.values.T]
+    return Column(turns.label, np.stack(values, axis=1))

@@ -14,7 +14,7 @@ from slipfree.files.maps.elevation import NEEDED_BY, Frame, Map, jacksboro, read
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import Place
 from slipfree.problem import schema
-from slipfree.problem.load import A, Problem, S
+from slipfree.problem.problem import A, Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.terrain.base import Grid
 from slipfree.terrain.friction import check_friction

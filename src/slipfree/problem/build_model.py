@@ -14,7 +14,7 @@ from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.problem import schema
 from slipfree.problem.build_ground import at
-from slipfree.problem.load import Problem, S
+from slipfree.problem.problem import Problem, S
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from slipfree.errors import DataError
 from slipfree.files.vehicle_toml import open_file
-from slipfree.problem.load import Problem
-from slipfree.problem.schema import Climb, Inverse, Motion
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import Asked
 from slipfree.regular_files import regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # that may name a file
@@ -19,17 +19,17 @@ DRAWN = ("terrain", "vehicle", "profile")  # those of them that make ground and 
 MISSING = "missing"
 
 
-def input_names(spec: Motion | Climb, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
+def input_names(spec: Asked, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
     """Return the names of the files that tables of a problem name, as they stand there."""
     found = [getattr(spec, name, None) for name in tables]
     names: list[Any] = [getattr(table, "file", None) for table in found]
     names += [getattr(table, "friction", None) for table in found]
-    if isinstance(spec, Inverse) and tables is TABLES:
-        names.append((spec.given or {}).get("file"))
+    if tables is TABLES:
+        names += spec.named_files
     return tuple(name for name in names if isinstance(name, str))
 
 
-def input_files(problem: Problem[Motion] | Problem[Climb]) -> dict[str, Path]:
+def input_files(problem: Problem[Any]) -> dict[str, Path]:
     """Return all input files of a problem by their names; those that a vehicle file names too."""
     names = list(input_names(problem.spec))
     for name in input_names(problem.spec, ["vehicle"]):

@@ -8,50 +8,18 @@ from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from matplotlib.figure import Figure
 
-from slipfree.files.netcdf import ORIGIN, read, read_arrays
+from slipfree.files.netcdf import ORIGIN
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem import schema
-from slipfree.problem.build_ground import build_ground
-from slipfree.problem.load import Problem, climbs
-from slipfree.problem.reload import problem_of
-from slipfree.problem.solve import build
-from slipfree.problem.summary import Facts, motion_facts, ranges
-from slipfree.problem.verbs.climb import build_climb
-from slipfree.problem.verbs.climb_plan import PROGRESS
-from slipfree.problem.verbs.plan import Planning, figure_options
-from slipfree.records import Array, Label
-from slipfree.show.climb_figures import climb_figures
+from slipfree.problem.result import Result, motion_facts, open_result
+from slipfree.problem.summary import Facts, ranges
+from slipfree.problem.verbs.climb_summary import ENDING
+from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.show.html_report import Report
-from slipfree.show.motion_figures import figures
-from slipfree.show.plan_figures import plan_figures
-from slipfree.trajectory import Column, Trajectory
+from slipfree.trajectory import Trajectory
 from slipfree.version import __version__
 
-CHECKS = (  # the facts that tell how far a result is to be trusted
-    "closure residual",
-    "Newton step",
-    "drift of the assembly",
-    "singular value",
-    "contact certificate",
-    "not converged",
-    "diagnostics failed",
-    "margin",
-    "simulated",
-    "round trip",
-    "replay by the direct model",
-    "replay stopped early",
-    "driven by friction",
-    "friction",
-    "  best distribution",
-    "energy",
-    "slow climb",
-    "integrator",
-    "collocation",
-)
-OF_AXLES = {"wheel_rate": "rad s-1", "friction": "N", "load": "N"}  # what figures show of a plan
 VERSION = "_version"
 ELSEWHERE = (  # attributes that are told in other places
     "problem",
@@ -83,18 +51,19 @@ def report(file: Path, folder: Path | None = None) -> Report:
     file : Path
         A result file.
     folder : Path, optional
-        Where names of files in its problem start; see `slipfree.problem.reload`.
+        Where names of files in its problem start; as for `open_result`.
 
     Raises
     ------
     DataError
         If the file cannot be read, or files that its problem names are missing.
     """
-    run = read(file)
-    drawn, facts = _drawn(file, run, folder), motion_facts(run)
+    result = open_result(file, folder)
+    run, verb = result.trajectory, find_motion_verb(result.kind)
+    facts, names = motion_facts(run), verb.checks if verb else ()
     found = run.attributes
-    told = [(name, words) for name, words in facts if name not in CHECKS]
-    checks = [(name, words) for name, words in facts if name in CHECKS]
+    told = [(name, words) for name, words in facts if name not in names]
+    checks = [(name, words) for name, words in facts if name in names]
     spans = [(name, words, run.columns[name].label.words) for name, words in ranges(run)]
     tables: dict[str, Sequence[tuple[str, ...]]] = {
         "What came of it": told,
@@ -103,15 +72,17 @@ def report(file: Path, folder: Path | None = None) -> Report:
         "Quantities": spans,
         "Versions": _versions(file, found),
     }
-    return Report(found["title"], _lead(run), run.stop is None, tables, *drawn, _texts(file, found))
+    return Report(
+        found["title"], _lead(run), run.stop is None, tables, *_drawn(result), _texts(file, found)
+    )
 
 
 def _lead(run: Trajectory) -> str:
     """Return how a motion ended in a sentence."""
     if run.stop is not None:
         return f"Stopped early at t = {run.stop.t:.6g} s: {run.stop.words}."
-    if "climb" in run.attributes:
-        return f"{run.attributes['climb'].capitalize()}."
+    if ENDING in run.attributes:
+        return f"{run.attributes[ENDING].capitalize()}."
     return f"Reached the time asked for, {run.t[-1]:g} s."
 
 
@@ -152,41 +123,11 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
     return {"Problem": found["problem"], "To run it again": again}
 
 
-def _drawn(file: Path, run: Trajectory, folder: Path | None) -> _Drawn:
+def _drawn(result: Result) -> _Drawn:
     """Return the figures that ``slipfree run`` draws, or why they cannot be drawn again."""
-    if "problem" not in run.attributes:
+    if "problem" not in result.trajectory.attributes:
         return _Drawn({}, "None: the result holds no problem file, so its ground is not known.")
     try:
-        return _Drawn(_figures(run, problem_of(file, run, folder), read_arrays(file)), "")
+        return _Drawn(verb_of(result.problem).figures(result), "")
     except ProblemError as error:
         return _Drawn({}, f"None: {error}")
-
-
-def _figures(
-    run: Trajectory,
-    problem: Problem[schema.Motion] | Problem[schema.Climb],
-    arrays: Mapping[str, Array],
-) -> dict[str, Figure]:
-    """Return the figures of a motion, on the ground that its problem makes again."""
-    if climbs(problem):
-        setup = build_climb(problem)
-        return climb_figures(run, setup.climber, setup.profile, _plan(run, arrays))
-    if not isinstance(problem.spec, schema.Plan):
-        return figures(run, build_ground(problem).grid)
-    planning = build(problem)
-    if not isinstance(planning, Planning):
-        raise TypeError(f"expected what a plan needs, found {type(planning).__name__}")
-    grid = planning.ground.grid
-    return plan_figures(run, grid, planning.layers, **figure_options(planning)) | figures(run, grid)
-
-
-def _plan(run: Trajectory, arrays: Mapping[str, Array]) -> Trajectory | None:
-    """Return the plan of a climb from what its result keeps of it; None if it has none."""
-    if "plan_time" not in arrays:
-        return None
-    columns = {PROGRESS.name: Column(PROGRESS, arrays[f"plan_{PROGRESS.name}"])}
-    for name, unit in OF_AXLES.items():
-        values = np.stack([arrays[f"plan_{name}_{axle}"] for axle in run.wheels], axis=1)
-        columns[name] = Column(Label(name, unit, f"{name} of the plan"), values)
-    statistics = {"mu": run.statistics["climb_plan_friction"]}
-    return Trajectory(arrays["plan_time"], columns, run.wheels, statistics=statistics)

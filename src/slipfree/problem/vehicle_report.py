@@ -17,7 +17,7 @@ from slipfree.geometry.frame import AXES, unit_vector
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.records import is_determinate
 from slipfree.problem.build_vehicle import is_vehicle_file, read_vehicle
-from slipfree.problem.load import read_motion
+from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build
 from slipfree.problem.summary import Facts
 from slipfree.records import leaves, unpack
@@ -63,7 +63,7 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
     """
     try:
         if not is_vehicle_file(path):
-            setup = build(read_motion(path, settings))
+            setup = build(load_problem(path, settings, command="vehicle"))
             return _told(setup.vehicle, setup.model, setup.start)
         if settings:
             raise DataError(f"--set: expected a problem file to set values in, found {path}")

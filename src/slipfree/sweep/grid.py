@@ -18,8 +18,8 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.files.toml.source_lines import key_path
 from slipfree.problem.input_files import digest, input_files
-from slipfree.problem.load import Problem, load_problem
-from slipfree.problem.schema import Climb, Motion
+from slipfree.problem.load import load_problem
+from slipfree.problem.problem import Problem
 from slipfree.version import __version__
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -96,7 +96,7 @@ class Sweep:
         SHA-256 of all input files that its problems name, by their names.
     """
 
-    problem: Problem[Motion] | Problem[Climb]
+    problem: Problem[Any]
     settings: tuple[str, ...]
     axes: tuple[Axis, ...]
     seeds: tuple[str, ...]

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from math import isfinite
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from slipfree.frames import to_problem_frame
-from slipfree.problem.schema import Climb, Motion, Plan
-from slipfree.problem.verbs.climb_summary import is_climb
+from slipfree.problem.problem import Problem
+from slipfree.problem.verbs.base import Quantity
+from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.task import COMPLETE
-from slipfree.trajectory import Trajectory, path_length
+from slipfree.trajectory import Trajectory
 
 Figures = dict[str, tuple[float, str]]
 END = ("x", "y", "z", "heading", "pitch", "roll", "yaw", "tilt_rear", "tilt_front")
@@ -39,25 +40,17 @@ LEAST = (
     "inverse_margin",
 )
 GAINED = ("work", "rubbed", "damped", "energy", "potential_energy")
-MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 CLOCK = "seconds"  # statistics with this in their names differ from run to run
 
 
-class Quantity(NamedTuple):
-    """A value and its unit."""
-
-    value: float
-    unit: str
-
-
-def figures_of(run: Trajectory, spec: Motion | Climb) -> Figures:
+def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
     """Return the figures of a motion by name: value and unit.
 
     Parameters
     ----------
     run : Trajectory
         The motion.
-    spec : Motion or Climb
+    problem : Problem
         Its problem.
 
     Returns
@@ -70,13 +63,11 @@ def figures_of(run: Trajectory, spec: Motion | Climb) -> Figures:
         simulation is complete and violates nothing by more than ``plan.accuracy``.
     """
     run = to_problem_frame(run)
+    own = verb_of(problem).metrics(run, problem.spec)
     found = {COMPLETE: Quantity(float(run.stop is None), "1")}
-    for name, quantity in (*_of_samples(run), *_of_statistics(run.statistics, run)):
+    for name, quantity in (*_of_samples(run), *own.items(), *_of_statistics(run.statistics, run)):
         if isfinite(quantity.value):
             found[name] = quantity
-    if isinstance(spec, Plan) and "plan_violation" in found:
-        kept = run.stop is None and found["plan_violation"].value <= spec.plan.accuracy
-        found["within_limits"] = Quantity(float(kept), "1")
     return {name: (float(q.value), q.unit) for name, q in found.items()}
 
 
@@ -101,20 +92,6 @@ def _of_samples(run: Trajectory) -> Iterator[tuple[str, Quantity]]:
     ]
     if tilts:
         yield "tilt_largest", Quantity(max(np.abs(run[name]).max() for name in tilts), "rad")
-    if not is_climb(run):
-        yield "path_length", Quantity(path_length(run), "m")
-        yield from _slip(run)
-
-
-def _slip(run: Trajectory) -> Iterator[tuple[str, Quantity]]:
-    slip = np.hypot(run["slip_along"], run["slip_across"])
-    yield "slip_largest", Quantity(slip.max(), "m s-1")
-    duration, length = run.t[-1] - run.t[0], path_length(run)
-    if duration > 0:
-        squares = np.trapezoid(slip**2, run.t, axis=0).mean()
-        yield "slip_rms", Quantity(np.sqrt(squares / duration), "m s-1")
-    if length > 0:
-        yield "slip_per_path", Quantity(np.trapezoid(slip, run.t, axis=0).mean() / length, "m m-1")
 
 
 def _of_statistics(counts: Mapping[str, float], run: Trajectory) -> Iterator[tuple[str, Quantity]]:
@@ -123,10 +100,3 @@ def _of_statistics(counts: Mapping[str, float], run: Trajectory) -> Iterator[tup
             of = name.removeprefix("plan_difference_").removeprefix("replay_")
             unit = run.columns[of].label.unit if of != name and of in run.columns else ""
             yield name, Quantity(value, unit)
-    for mean in MEANS:
-        parts = [counts[name] for wheel in run.wheels if (name := f"{mean}_{wheel}") in counts]
-        if parts:
-            yield mean, Quantity(float(np.mean(parts)), "1")
-    violations = [value for name, value in counts.items() if name.startswith("plan_violation_")]
-    if "plan_iterations" in counts:
-        yield "plan_violation", Quantity(max(violations, default=0.0), "")

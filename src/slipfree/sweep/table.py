@@ -13,6 +13,7 @@ import numpy as np
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
 from slipfree.problem.units import unit_of
+from slipfree.problem.verbs.registry import verb_of
 from slipfree.records import Array
 from slipfree.show.sweep_results import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
@@ -26,12 +27,6 @@ NAME = "table.csv"
 SHOWN = 3  # failures that are told in words
 MOST_VALUES = 10  # of a key whose figures are told
 MOST_LETTERS = 300  # of the words of a run; the log has all
-DEFAULT = {
-    "direct": ("slip_rms", "tilt_largest", "utilisation_largest"),
-    "inverse": ("inverse_margin_least", "slip_rms", "utilisation_largest"),
-    "plan": ("within_limits", "plan_violation", "slip_rms"),
-    "climb": ("climb_up", "climb_true_slip", "climb_limited"),
-}
 REMEDIES = {
     FAILED: "--again repeats runs that failed",
     LOST: "the same command does runs that were lost again",
@@ -93,7 +88,7 @@ def chosen(sweep: Sweep, rows: Sequence[Row], names: Sequence[str]) -> tuple[str
     """
     known = {name for row in rows for name in row.figures}
     if not names:
-        return tuple(name for name in DEFAULT[sweep.problem.spec.verb] if name in known)
+        return tuple(name for name in verb_of(sweep.problem).metrics_shown if name in known)
     for name in names:
         if name not in known:
             raise DataError(

@@ -8,11 +8,13 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from slipfree.errors import SlipfreeError
-from slipfree.problem.load import Problem, load_problem
-from slipfree.problem.schema import Climb, Motion
+from slipfree.problem.load import load_problem
+from slipfree.problem.problem import Problem
 from slipfree.problem.solve import run_problem
+from slipfree.problem.verbs.climb_summary import ENDING
 from slipfree.sweep.log import FAILED, LOST, Row
 from slipfree.sweep.metrics import figures_of
 from slipfree.sweep.task import Done, Task, own_settings, without_motion
@@ -44,25 +46,26 @@ def work(task: Task) -> Done:
 def _worked(task: Task, begin: float) -> Done:
     problem = _problem(task)
     try:
-        motion, _, arrays = run_problem(problem)
+        result = run_problem(problem)
     except SolverError as error:
         if error.trajectory is None:
             raise
         raise SolverError(f"{error} (reached t = {error.trajectory.t[-1]:.6g} s)") from error
+    motion = result.trajectory
     stop = motion.stop
     row = Row(
         task.run,
         own_settings(task),
         f"stopped by {stop.name}" if stop else "complete",
-        stop.words if stop else motion.attributes.get("climb", ""),
+        stop.words if stop else motion.attributes.get(ENDING, ""),
         float(motion.t[-1]),
-        figures_of(motion, problem.spec),
+        figures_of(motion, problem),
         time.perf_counter() - begin,
     )
-    return Done(row, motion, arrays) if task.keep else Done(row)
+    return Done(row, motion, result.arrays) if task.keep else Done(row)
 
 
-def _problem(task: Task) -> Problem[Motion] | Problem[Climb]:
+def _problem(task: Task) -> Problem[Any]:
     """Return the problem as it was when the sweep began, wherever this is done."""
     path = Path(task.file)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,12 +1,13 @@
-"""From a problem of a climb to a model, a start, a plan and a motion."""
+"""Climbs: a vehicle of two bodies over an obstacle, in the plane."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from math import degrees, isfinite
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,21 +22,43 @@ from slipfree.climb.plan_tracking import Tracking, course
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
-from slipfree.errors import ModelError
-from slipfree.files.netcdf import NOTHING
+from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
-from slipfree.problem import schema
 from slipfree.problem.build_common import read_columns, samples
 from slipfree.problem.build_ground import at
-from slipfree.problem.load import Problem
+from slipfree.problem.problem import Problem
 from slipfree.problem.summary import Facts
-from slipfree.problem.verbs.climb_plan import Planned, arrays_of, plan_climb, plan_statistics
+from slipfree.problem.verbs import climb_schema
+from slipfree.problem.verbs.base import (
+    ANIMATION,
+    MotionVerb,
+    Quantity,
+    Result,
+    Solution,
+    Viewer,
+    Watch,
+)
+from slipfree.problem.verbs.climb_plan import (
+    Planned,
+    arrays_of,
+    plan_climb,
+    plan_of,
+    plan_statistics,
+    poses_of_plan,
+)
+from slipfree.problem.verbs.climb_summary import ENDING, climb_facts
 from slipfree.records import Array
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.trajectory import SolverError, Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.show.climb_scene import Climbed
 
 OBSTACLES: Mapping[str, Callable[..., Profile]] = {
     "ramp": ramp,
@@ -47,7 +70,7 @@ SLACK = 1e-5  # by which wheels may be off their equilibrium on the floor [m]
 SUNK = 2e-3  # by which wheels at rest may sink in, so that what is up is seen to be [m]
 EVEN = 1e-6  # relative difference of times that counts as none
 MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
-Progress = Callable[[float], None]
+MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,52 +112,147 @@ class Climbing:
     plan: Trajectory | None = None
 
 
-def build_climb(problem: Problem[schema.Climb]) -> Climbing:
-    """Return the model, the start and the inputs of a problem.
+class ClimbVerb(MotionVerb):
+    """Climb of a vehicle of two bodies over an obstacle, in the plane."""
 
-    Raises
-    ------
-    ProblemError
-        If a polygon is not convex, the vehicle cannot stand at its start, the controller samples
-        too slowly, or laws and vehicle are not possible.
-    """
-    spec = problem.spec
-    profile = _profile(problem)
-    with at(problem, ("vehicle",)):
-        climber = _climber(spec.vehicle)
-    with at(problem, ("friction",)):
-        given = spec.contact.model_dump(exclude_none=True)
-        contact = CompliantContact(
-            static=spec.friction.static, dynamic=spec.friction.kinetic, **given
+    schema = climb_schema.Climb
+    options = (ANIMATION,)
+    checks = ("energy", "slow climb", "integrator")
+    metrics_shown = ("climb_up", "climb_true_slip", "climb_limited")
+
+    def build(self, problem: Problem[climb_schema.Climb]) -> Climbing:
+        """Return the model, the start and the inputs of a problem."""
+        spec = problem.spec
+        profile = _profile(problem)
+        with at(problem, ("vehicle",)):
+            climber = _climber(spec.vehicle)
+        with at(problem, ("friction",)):
+            given = spec.contact.model_dump(exclude_none=True)
+            contact = CompliantContact(
+                static=spec.friction.static, dynamic=spec.friction.kinetic, **given
+            )
+        with at(problem, ("control",)):
+            options = spec.control.model_dump(
+                exclude_none=True, exclude={"speed", "period", "noise"}
+            )
+            noise = spec.control.noise
+            sensed = None if noise is None else Noise(**noise.model_dump(exclude_none=True))
+            control = Control(**options, noise=sensed)
+        if spec.plan is not None:
+            _check_tracking(problem)
+        times = _times(problem, control, climber)
+        dae = climbing(climber, profile, control, contact, period=spec.control.period)
+        start = _start(problem, dae, climber, profile, contact)
+        held = {}
+        if spec.control.period is not None:
+            held = {
+                f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)
+            }
+        inputs = dae.inputs(speed=spec.control.speed, **held)
+        return Climbing(
+            climber,
+            profile,
+            contact,
+            control,
+            dae,
+            start,
+            inputs,
+            *times,
+            _facts(spec, climber, contact, control),
         )
-    with at(problem, ("control",)):
-        options = spec.control.model_dump(exclude_none=True, exclude={"speed", "period", "noise"})
-        noise = spec.control.noise
-        sensed = None if noise is None else Noise(**noise.model_dump(exclude_none=True))
-        control = Control(**options, noise=sensed)
-    if spec.plan is not None:
-        _check_tracking(problem)
-    times = _times(problem, control, climber)
-    dae = climbing(climber, profile, control, contact, period=spec.control.period)
-    start = _start(problem, dae, climber, profile, contact)
-    held = {}
-    if spec.control.period is not None:
-        held = {f"torque_held[{axle}]": law for axle, law in zip(AXLES, dae.y.torques, strict=True)}
-    inputs = dae.inputs(speed=spec.control.speed, **held)
-    return Climbing(
-        climber,
-        profile,
-        contact,
-        control,
-        dae,
-        start,
-        inputs,
-        *times,
-        _facts(spec, climber, contact, control),
-    )
+
+    def solve(
+        self,
+        problem: Problem[climb_schema.Climb],
+        setup: Climbing,
+        watch: Watch,
+        resume: SavedPlan | None,
+    ) -> Solution:
+        """Return the motion of a climb, its ending and its averages."""
+        spec = problem.spec
+        if spec.plan is None:
+            return Solution(_judged(_simulated(spec, setup, watch), setup), setup)
+        with at(problem, ("plan",)):
+            plan = plan_climb(
+                setup.climber, setup.profile, spec.plan, setup.contact.static, spec.control.speed
+            )
+        setup = _tracking(problem, setup, plan)
+        run = _judged(_simulated(spec, setup, watch), setup)
+        statistics = {**run.statistics, **plan_statistics(plan, run)}
+        return Solution(replace(run, statistics=statistics), setup, arrays_of(plan.run))
+
+    def describe_start(
+        self, problem: Problem[climb_schema.Climb], setup: Climbing
+    ) -> tuple[Trajectory, Facts]:
+        """Return the start, and words about it and the samples."""
+        start = setup.start
+        place = ", ".join(f"{name} {start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
+        samples = f"{setup.t.size} to {setup.t[-1]:g} s"
+        return start, [("start", f"{place} (m, m/s)"), ("samples", samples)]
+
+    def facts(self, run: Trajectory) -> Facts:
+        """Return the summary of a climb: names and words."""
+        return [*climb_facts(run)]
+
+    def metrics(self, run: Trajectory, spec: climb_schema.Climb) -> dict[str, Quantity]:
+        """Return means over the axles."""
+        found = {}
+        for mean in MEANS:
+            names = [f"{mean}_{axle}" for axle in run.wheels]
+            parts = [run.statistics[name] for name in names if name in run.statistics]
+            if parts:
+                found[mean] = Quantity(float(np.mean(parts)), "1")
+        return found
+
+    def figures(self, result: Result) -> dict[str, Figure]:
+        """Return the figures of a climb by name."""
+        from slipfree.show.climb_figures import climb_figures
+
+        climber, profile = _parts(result)
+        plan = plan_of(result.trajectory, result.arrays)
+        return climb_figures(result.trajectory, climber, profile, plan)
+
+    def viewer(self) -> Viewer:
+        """Return what draws climbs in space."""
+        from slipfree.show.climb_scene import climb_scene
+
+        return Viewer("climbs", climb_scene, _film)
+
+    def shown(self, result: Result, name: str) -> Climbed:
+        """Return the motion of a result with ground and vehicle, for the viewer."""
+        from slipfree.show.climb_scene import Climbed
+
+        climber, profile = _parts(result)
+        plan = poses_of_plan(result.trajectory, result.arrays, climber)
+        return Climbed(name, result.trajectory, climber, profile, plan)
+
+    def animate(self, result: Result, file: Path) -> None:
+        """Write a climb as a moving picture."""
+        from slipfree.show.climb_figures import animate
+
+        animate(result.trajectory, *_parts(result), file)
 
 
-def _check_tracking(problem: Problem[schema.Climb]) -> None:
+def _parts(result: Result) -> tuple[Climber, Profile]:
+    """Return vehicle and ground of a result, from its solution or built again."""
+    if result.setup is not None:
+        return result.setup.climber, result.setup.profile
+    problem = result.problem
+    with at(problem, ("vehicle",)):
+        return _climber(problem.spec.vehicle), _profile(problem)
+
+
+def _film(climbs: Sequence[Climbed], file: Path) -> str:
+    """Write a climb as a moving picture."""
+    from slipfree.show.climb_figures import animate
+
+    if len(climbs) > 1:
+        raise DataError(f"--animation: expected one climb, found {len(climbs)}")
+    animate(climbs[0].run, climbs[0].climber, climbs[0].profile, file)
+    return ""
+
+
+def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
     """Refuse what a planned climb, whose torques and rates are tracked, makes no use of."""
     spec = problem.spec
     given = spec.control.model_dump(exclude_none=True, exclude={"speed", "proportional"})
@@ -155,7 +273,7 @@ class _Times(NamedTuple):
     every: int
 
 
-def _times(problem: Problem[schema.Climb], control: Control, climber: Climber) -> _Times:
+def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Climber) -> _Times:
     """Return when samples are taken; those of a sampled controller where there is one."""
     period, time = problem.spec.control.period, problem.spec.time
     if period is None:
@@ -175,7 +293,7 @@ def _times(problem: Problem[schema.Climb], control: Control, climber: Climber) -
     return _Times(np.asarray(period * np.arange(count)), every)
 
 
-def _profile(problem: Problem[schema.Climb]) -> Profile:
+def _profile(problem: Problem[climb_schema.Climb]) -> Profile:
     """Return the ground; a polygon that cannot be is named by its line."""
     spec = problem.spec.profile
     for name, make in OBSTACLES.items():
@@ -194,7 +312,7 @@ def _profile(problem: Problem[schema.Climb]) -> Profile:
         return Profile(tuple(solids))
 
 
-def _from_file(problem: Problem[schema.Climb], name: str) -> tuple[Solid, ...]:
+def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, ...]:
     """Return the polygons of a CSV file with the columns solid, x, z: the corners in order."""
     rows = read_columns(problem.folder / name, ("solid", "x", "z"), "corners of solids")
     found: list[Solid] = []
@@ -212,7 +330,7 @@ def _from_file(problem: Problem[schema.Climb], name: str) -> tuple[Solid, ...]:
     return tuple(found)
 
 
-def _climber(spec: schema.Climber) -> Climber:
+def _climber(spec: climb_schema.Climber) -> Climber:
     """Return a vehicle of the catalogue with what the problem replaces."""
     plain = seven_wheels(spec.joint, spec.torque)
     parts = {
@@ -223,7 +341,7 @@ def _climber(spec: schema.Climber) -> Climber:
 
 
 def _start(
-    problem: Problem[schema.Climb],
+    problem: Problem[climb_schema.Climb],
     dae: Dae,
     climber: Climber,
     profile: Profile,
@@ -252,7 +370,9 @@ def _start(
     return start
 
 
-def _sunk(problem: Problem[schema.Climb], climber: Climber, contact: CompliantContact) -> Array:
+def _sunk(
+    problem: Problem[climb_schema.Climb], climber: Climber, contact: CompliantContact
+) -> Array:
     """Return how far the axles sink into a level floor; refuse what does not stand on it. [m]."""
     loads, faults = floor_loads(climber), []
     softest = float(loads.max()) / SUNK
@@ -329,47 +449,7 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
     return Fault(("start",), "a vehicle that starts outside of all solids", inside)
 
 
-class Climbed(NamedTuple):
-    """What came of a climb.
-
-    Attributes
-    ----------
-    run : Trajectory
-        The motion.
-    setup : Climbing
-        What it ran on: that of a planned climb tracks the plan.
-    arrays : mapping of str to ndarray
-        The plan, for the result file; empty if there is none.
-    """
-
-    run: Trajectory
-    setup: Climbing
-    arrays: Mapping[str, Array]
-
-
-def climbed(problem: Problem[schema.Climb], setup: Climbing, progress: Progress | None) -> Climbed:
-    """Return the motion of a climb, how it ended and what it averages to.
-
-    Raises
-    ------
-    SolverError
-        If there is no plan, or the integrator fails at the first sample; later failures are a stop
-        of the trajectory.
-    """
-    spec = problem.spec
-    if spec.plan is None:
-        return Climbed(_judged(_simulated(spec, setup, progress), setup), setup, NOTHING)
-    with at(problem, ("plan",)):
-        plan = plan_climb(
-            setup.climber, setup.profile, spec.plan, setup.contact.static, spec.control.speed
-        )
-    setup = _tracking(problem, setup, plan)
-    run = _judged(_simulated(spec, setup, progress), setup)
-    statistics = {**run.statistics, **plan_statistics(plan, run)}
-    return Climbed(replace(run, statistics=statistics), setup, arrays_of(plan.run))
-
-
-def _tracking(problem: Problem[schema.Climb], setup: Climbing, plan: Planned) -> Climbing:
+def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Planned) -> Climbing:
     """Return the same climb with its plan tracked."""
     given = problem.spec.control.model_dump(exclude_none=True, include={"proportional"})
     with at(problem, ("plan",)):
@@ -386,13 +466,13 @@ def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
     words = f"{end.name}: {end.words}"
     slow = _slow(setup)
     statistics = {**run.statistics, **_averages(run, setup), **slow[0]}
-    attributes = {**run.attributes, "climb": words, "slow_climb": slow[1]}
+    attributes = {**run.attributes, ENDING: words, "slow_climb": slow[1]}
     if setup.every:
         run = run.part(slice(0, None, setup.every), run.stop)
     return replace(run, statistics=statistics, attributes=attributes)
 
 
-def _simulated(spec: schema.Climb, setup: Climbing, progress: Progress | None) -> Trajectory:
+def _simulated(spec: climb_schema.Climb, setup: Climbing, watch: Watch) -> Trajectory:
     options = spec.solver.options
     try:
         if setup.every:
@@ -403,7 +483,7 @@ def _simulated(spec: schema.Climb, setup: Climbing, progress: Progress | None) -
             setup.inputs,
             setup.t,
             options=options,
-            progress=progress,
+            progress=watch.time,
         )
     except SolverError as error:
         if error.trajectory is None:
@@ -452,7 +532,7 @@ def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
 
 
 def _facts(
-    spec: schema.Climb, climber: Climber, contact: CompliantContact, control: Control
+    spec: climb_schema.Climb, climber: Climber, contact: CompliantContact, control: Control
 ) -> Facts:
     """Return what to tell about ground, vehicle and laws of a climb."""
     axles = ", ".join(
@@ -478,7 +558,7 @@ def _facts(
     ]
 
 
-def _control_words(spec: schema.Climb, control: Control) -> str:
+def _control_words(spec: climb_schema.Climb, control: Control) -> str:
     if spec.plan is not None:
         allowed = "" if spec.plan.friction is None else f", friction {spec.plan.friction:g}"
         return f"a plan of least {spec.plan.cost}{allowed}, its torques and rates tracked"
@@ -492,7 +572,7 @@ def _control_words(spec: schema.Climb, control: Control) -> str:
     )
 
 
-def _profile_words(spec: schema.Profile) -> str:
+def _profile_words(spec: climb_schema.Profile) -> str:
     if spec.ramp is not None:
         return f"ramp of {degrees(spec.ramp.angle):.4g} degrees, {spec.ramp.height:g} m high"
     if spec.step is not None:

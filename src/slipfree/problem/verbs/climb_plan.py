@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,10 +13,13 @@ from slipfree.climb.profile import Profile
 from slipfree.climb.time_scaling import Climb, climb, history, in_sequence
 from slipfree.climb.vehicle import Climber
 from slipfree.plan.external_nlp import solve_nlp
-from slipfree.problem import schema
+from slipfree.problem.build_common import wheel_angles_at
+from slipfree.problem.verbs import climb_schema as schema
 from slipfree.records import Array, Label
 from slipfree.trajectory import Column, SolverError, Trajectory
 
+OF_AXLES = {"wheel_rate": "rad s-1", "friction": "N", "load": "N"}  # shown in figures of a plan
+POSE = ("x", "z", "tilt_rear", "tilt_front")
 PROGRESS = Label("progress", "m", "mean of place and height of the axles")
 
 
@@ -177,3 +180,37 @@ def _check_friction(found: Sequence[Leg], least: Sequence[float], mu: float) -> 
 
 def _leg(number: int, leg: Leg) -> str:
     return f"leg {number + 1}, on which the {leg.axle} wheels climb"
+
+
+def plan_of(run: Trajectory, arrays: Mapping[str, Array]) -> Trajectory | None:
+    """Return the plan of a climb from what its result keeps of it; None if it has none."""
+    if "plan_time" not in arrays:
+        return None
+    columns = {PROGRESS.name: Column(PROGRESS, arrays[f"plan_{PROGRESS.name}"])}
+    for name, unit in OF_AXLES.items():
+        values = np.stack([arrays[f"plan_{name}_{axle}"] for axle in run.wheels], axis=1)
+        columns[name] = Column(Label(name, unit, f"{name} of the plan"), values)
+    statistics = {"mu": run.statistics["climb_plan_friction"]}
+    return Trajectory(arrays["plan_time"], columns, run.wheels, statistics=statistics)
+
+
+def poses_of_plan(
+    run: Trajectory, arrays: Mapping[str, Array], climber: Climber
+) -> Trajectory | None:
+    """Return the plan that a climb tracks, at the times when it is as far; None if there is none.
+
+    Its time counts from when the motion has come to where the plan begins.
+    """
+    if "plan_time" not in arrays:
+        return None
+    columns = {name: Column(run.columns[name].label, arrays[f"plan_{name}"]) for name in POSE}
+    x, z, rear, front = (columns[name].values for name in POSE)
+    ahead = np.array([axle.ahead for axle in climber.axles])
+    tilts = np.stack([rear, rear, front], axis=1)
+    for name, start, turned in (("axle_x", x, np.cos), ("axle_z", z, np.sin)):
+        places = start[:, None] + ahead * turned(tilts)
+        columns[name] = Column(run.columns[name].label, places)
+    come = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    begins = run.t[int((come > arrays[f"plan_{PROGRESS.name}"][0]).argmax())]
+    t = begins + arrays["plan_time"]
+    return Trajectory(t, columns | {"wheel_angle": wheel_angles_at(run, t)}, run.wheels)

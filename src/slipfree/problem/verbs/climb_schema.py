@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf, pi
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from slipfree.climb.control import Directions
 from slipfree.climb.reference import Law
 from slipfree.files.toml.angles import IN_RADIANS
+from slipfree.files.toml.source_lines import Place as KeyPath
 from slipfree.files.toml.types import (
     Count,
     NonNegative,
@@ -19,6 +21,8 @@ from slipfree.files.toml.types import (
     Positive,
     Record,
 )
+from slipfree.problem.schema import TOLERANCE, VERB, Runnable, Solver
+from slipfree.solve.options import MIN_TOLERANCE, Method
 
 
 class Incline(Record):
@@ -208,3 +212,32 @@ class Legs(Record):
     speed: Positive | None = Field(
         default=None, description="largest of an axle; default: that of the control [m/s]"
     )
+
+
+class Stiff(Solver):
+    """What is asked of the integrator of a stiff motion."""
+
+    tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
+        default=1e-6, description=TOLERANCE
+    )
+    method: Method | None = Field(default=None, description="which integrator")
+
+
+class Climb(Runnable):
+    """A vehicle of two bodies climbs an obstacle: the motion under control of its wheels."""
+
+    verb: Literal["climb"] = Field(description=VERB)
+    solver: Stiff = Field(default=Stiff(), description="what is asked of the integrator")
+    profile: Profile = Field(description="the ground, in the plane")
+    vehicle: Climber = Field(description="what climbs")
+    friction: Friction = Field(description="between wheels and ground")
+    contact: Compliance = Field(default=Compliance(), description="how contacts give way")
+    control: Control = Field(description="how wheels are driven")
+    start: Approach = Field(description="where it begins")
+    plan: Legs | None = Field(
+        default=None, description="what it is planned for; without it it is not"
+    )
+
+    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
+        ("profile",): ("ramp", "step", "kerb", "stairs", "solids", "file")
+    }

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from slipfree.climb.plan_tracking import SLOWEST
+from slipfree.problem.summary import duration_fact, end_fact
 from slipfree.trajectory import Trajectory
 
+ENDING = "climb"  # attribute of a result
 UNBALANCED = 1e-3  # of the motors' work that the balance may miss before it is said
 
 AVERAGES = {
@@ -23,16 +25,10 @@ WINDOW = (
 )
 
 
-def is_climb(run: Trajectory) -> bool:
-    """Return whether a trajectory is the motion of a climb."""
-    return "torque_scale" in run.columns
-
-
 def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     """Yield name and value of what matters about a climb, ready to print."""
-    yield "climb", run.attributes["climb"]
-    duration = run.t[-1] - run.t[0]
-    yield "duration", f"{duration:g} s, {run.t.size} samples"
+    yield "climb", run.attributes[ENDING]
+    yield duration_fact(run)
     tilts = ", ".join(
         f"{name} body {run[f'tilt_{name}'].min():.3f} to {run[f'tilt_{name}'].max():.3f}"
         for name in ("rear", "front")
@@ -43,10 +39,7 @@ def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "slow climb", _slippery(run)
     yield "energy", _energy(run)
     yield "integrator", _cost(run)
-    if run.stop is not None:
-        yield "stopped early", f"at {run.stop.t:.6g} s by {run.stop.name}: {run.stop.words}"
-    else:
-        yield "end", "reached the time asked for"
+    yield end_fact(run)
 
 
 def _averages(run: Trajectory) -> Iterator[tuple[str, str]]:

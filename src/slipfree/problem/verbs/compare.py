@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from slipfree.dae import Dae
+from slipfree.files.toml.angles import Quantity
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.slip import measured_slip
-from slipfree.problem import schema
 from slipfree.problem.build_common import (
     build_start,
     build_terrain,
@@ -18,9 +19,12 @@ from slipfree.problem.build_common import (
     check_names,
     samples,
 )
+from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import Ground, at, build_ground
-from slipfree.problem.load import Problem
-from slipfree.problem.verbs.direct import build_law
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import INPUTS, VERB, Driver, Task
+from slipfree.problem.schema import Vehicle as VehicleTable
+from slipfree.problem.verbs.base import Verb
 from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
@@ -29,6 +33,30 @@ from slipfree.trajectory import SolverError, Stop, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 RANK = 1e-9  # singular values below this part of the largest are zero
+
+
+class Compared(VehicleTable):
+    """One of several vehicles, and what to call it."""
+
+    name: Annotated[str, Field(min_length=1)] = Field(description="of the vehicle")
+
+
+class Compare(Task):
+    """Several vehicles on one ground: at the same rates, and at those of a driving law."""
+
+    verb: Literal["compare"] = Field(description=VERB)
+    vehicles: Annotated[tuple[Compared, ...], Field(strict=False, min_length=1)] = Field(
+        description="what is compared"
+    )
+    inputs: dict[str, Quantity] = Field(description=INPUTS)
+    driver: Driver = Field(description="the driving law")
+
+
+class CompareVerb(Verb):
+    """Comparison of several vehicles on one ground."""
+
+    schema = Compare
+    commands = ("compare",)
 
 
 class Drive(NamedTuple):
@@ -82,9 +110,7 @@ class Row(NamedTuple):
     fitting: Drive
 
 
-def compare(
-    problem: Problem[schema.Compare], progress: Callable[[str], None]
-) -> tuple[Ground, list[Row]]:
+def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple[Ground, list[Row]]:
     """Return the ground and a row for each vehicle; ``progress`` is told the next one's name.
 
     Raises
@@ -103,7 +129,7 @@ def compare(
 
 
 def _row(
-    problem: Problem[schema.Compare],
+    problem: Problem[Compare],
     name: str,
     vehicle: Vehicle,
     dae: Dae,

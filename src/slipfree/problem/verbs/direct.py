@@ -1,78 +1,106 @@
-"""From a problem of direct kinematics to a model, a start and inputs."""
+"""Direct kinematics: the motion at given rates, or under a driving law."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import numpy as np
+from pydantic import Field
 
-from slipfree.control.path_following import follow, straight
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
-from slipfree.geometry.path import Path
-from slipfree.models.montana import montana_kinematics
-from slipfree.problem import schema
+from slipfree.files.netcdf import NOTHING
+from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.files.toml.types import PiecewiseConstant
+from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.problem.build_common import (
     Setup,
     build_start,
     build_terrain,
     build_vehicle,
     check_names,
-    read_columns,
     samples,
 )
+from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model, slip_law
-from slipfree.problem.load import Problem, S
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
+from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch
+from slipfree.problem.verbs.driving import DriveVerb, integrate, model_attributes
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory
-from slipfree.vehicle.tree import Vehicle
+
+if TYPE_CHECKING:
+    from slipfree.plan.warm_start import SavedPlan
 
 
-def build_direct(problem: Problem[S], spec: schema.Direct) -> Setup:
-    """Return the model, the settled start and the inputs of a problem."""
-    ground = build_ground(problem)
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem.folder)
-    terrain = build_terrain(problem, ground)
-    dae: Dae
-    model = dae = build_model(problem, spec, vehicle, terrain)
-    check_names(problem, dae, spec.inputs)
-    start = build_start(problem, dae)
-    t, rates = samples(spec.time, spec.inputs or {})
-    if spec.formulation == "montana":
-        with at(problem, ("formulation",)):
-            if spec.model != "kinematics":
-                raise ModelError(f"'montana' expects model = 'kinematics', found {spec.model!r}")
-            dae = montana_kinematics(vehicle, terrain, slip=slip_law(problem, spec))
-    if spec.driver is None:
-        driven = "inputs " + ", ".join(spec.inputs or {})
-        with at(problem, ("inputs",)):
-            inputs = dae.inputs(**rates)
-    else:
-        driven = f"driver {spec.driver.name}"
-        inputs = build_law(problem, spec.driver, dae, vehicle, start)
-    return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven)
+class Direct(Modelled):
+    """Direct kinematics: given rates, or a driving law; the motion is asked for."""
+
+    verb: Literal["direct"] = Field(description=VERB)
+    inputs: dict[str, PiecewiseConstant] | None = Field(default=None, description=INPUTS)
+    driver: Driver | None = Field(default=None, description="a driving law")
+    formulation: Literal["closure", "montana"] = Field(
+        default="closure", description="of contact: by positions, or by Montana's rates"
+    )
+
+    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
+        **Task.alternatives,
+        (): ("inputs", "driver"),
+    }
 
 
-def build_law(
-    problem: Problem[S],
-    driver: schema.Driver,
-    dae: Dae,
-    vehicle: Vehicle,
-    start: Trajectory,
-) -> Any:
-    """Return the inputs of the driving law of a problem."""
-    with at(problem, ("driver",)):
-        if driver.name == "straight":
-            if driver.path is not None or driver.file is not None:
-                raise ModelError("driver: 'straight' takes no path; use name = 'follow'")
-            return straight(dae, vehicle, start, speed=driver.speed)
-        return follow(dae, vehicle, Path(way_of(problem, driver)), speed=driver.speed)
+class DirectVerb(DriveVerb):
+    """Motion of a vehicle at given rates, or under a driving law."""
 
+    schema = Direct
+    options = (CROSS_CHECK,)
 
-def way_of(problem: Problem[S], driver: schema.Driver) -> Array:
-    """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
-    if (driver.path is None) == (driver.file is None):
-        raise ModelError("driver: 'follow' needs either path, an array of [x, y], or file")
-    return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))
+    def build(self, problem: Problem[Direct]) -> Setup:
+        """Return the model, the settled start and the inputs of a problem."""
+        spec, ground = problem.spec, build_ground(problem)
+        with at(problem, ("vehicle",)):
+            vehicle = build_vehicle(spec.vehicle, problem.folder)
+        terrain = build_terrain(problem, ground)
+        dae: Dae
+        model = dae = build_model(problem, spec, vehicle, terrain)
+        check_names(problem, dae, spec.inputs)
+        start = build_start(problem, dae)
+        t, rates = samples(spec.time, spec.inputs or {})
+        if spec.formulation == "montana":
+            with at(problem, ("formulation",)):
+                if spec.model != "kinematics":
+                    raise ModelError(
+                        f"'montana' expects model = 'kinematics', found {spec.model!r}"
+                    )
+                dae = montana_kinematics(vehicle, terrain, slip=slip_law(problem, spec))
+        if spec.driver is None:
+            driven = "inputs " + ", ".join(spec.inputs or {})
+            with at(problem, ("inputs",)):
+                inputs = dae.inputs(**rates)
+        else:
+            driven = f"driver {spec.driver.name}"
+            inputs = build_law(problem, spec.driver, dae, vehicle, start)
+        return Setup(ground, terrain, vehicle, model, dae, start, inputs, t, driven)
+
+    def drive(
+        self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the motion that the integrator finds."""
+        return integrate(setup, problem.spec.solver.options, watch), NOTHING
+
+    def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
+        """Return also the model and the law."""
+        return super().attributes(problem, setup) | model_attributes(problem.spec)
+
+    def cross_check(self, result: Result) -> CrossCheck:
+        """Return the differences from the motion in the other formulation of contact."""
+        problem = result.problem
+        other = "montana" if problem.spec.formulation == "closure" else "closure"
+        again = replace(problem, spec=problem.spec.model_copy(update={"formulation": other}))
+        setup = self.build(again)
+        with at(problem, ("start",)):
+            motion = self.solve(again, setup, Watch(), None).trajectory
+        return CrossCheck(other, cross_check(result.trajectory, motion))

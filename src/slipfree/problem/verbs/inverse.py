@@ -1,16 +1,17 @@
-"""From a problem of inverse kinematics to a model, a start and inputs, and to a motion."""
+"""Inverse kinematics: rates of wheels and steering for a given motion of the platform."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
+from slipfree.files.netcdf import NOTHING
 from slipfree.files.toml.angles import unit_faults
 from slipfree.files.toml.errors import Fault, names, problem_error
 from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
@@ -26,7 +27,6 @@ from slipfree.models.inverse import (
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.steering_guide import STOP_CLEARANCE, steering_effects
 from slipfree.models.wheel_authority import check_authority
-from slipfree.problem import schema
 from slipfree.problem.build_common import (
     Setup,
     build_start,
@@ -38,17 +38,34 @@ from slipfree.problem.build_common import (
     turned,
 )
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.commands import ROBOT, are_commands, read_commands
-from slipfree.problem.load import Problem, S
+from slipfree.problem.problem import Problem, S
+from slipfree.problem.summary import Facts, integrator_fact
+from slipfree.problem.verbs.base import Watch
+from slipfree.problem.verbs.drive_facts import trust_facts
+from slipfree.problem.verbs.driving import DriveVerb, integrate
+from slipfree.problem.verbs.inverse_commands import ROBOT, are_commands, read_commands
+from slipfree.problem.verbs.inverse_facts import (
+    CHECKS,
+    COLLOCATION,
+    METHOD,
+    collocation_fact,
+    inverse_facts,
+    is_collocated,
+    replay_facts,
+    steering_warning,
+)
+from slipfree.problem.verbs.inverse_schema import Inverse
 from slipfree.records import Array, leaves
 from slipfree.solve.collocation import drive
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import replay, round_trip, spline_inputs
-from slipfree.solve.simulate import simulate
 from slipfree.solve.trim import apply_inputs, trim_states
-from slipfree.trajectory import SolverError, Trajectory
+from slipfree.trajectory import Trajectory
 from slipfree.vehicle.formula import evaluate
 from slipfree.vehicle.tree import Coordinate, Vehicle
+
+if TYPE_CHECKING:
+    from slipfree.plan.warm_start import SavedPlan
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
@@ -57,43 +74,92 @@ MIN_SAMPLES = 4  # between jumps of the given rates, for a replay
 GUESS_SPEED = 0.1  # of the initial guess of a motion whose velocity is not given [m/s]
 
 
-def build_inverse(problem: Problem[S], spec: schema.Inverse) -> Setup:
-    """Return the models, the start and the inputs of a problem."""
-    points = _points(problem, spec)
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem.folder)
-    given, words = _given(problem, spec, vehicle, points)
-    place = ("given",) if points is None else ("path",)
-    is_rolling_path = points is not None and not are_commands(given)
-    options: dict[str, Any] = {
-        "given": tuple(given),
-        "solve_for": "rates" if is_rolling_path or spec.steering == "rate" else "angles",
-        "exact": len(given) < len(COMMANDS) if spec.exact is None else spec.exact,
-    }
-    with at(problem, place):
-        check_inverse(vehicle, **options)
-    ground = build_ground(problem)
-    with at(problem, ("vehicle",)):
-        terrain = build_terrain(problem, ground)
-        direct = direct_kinematics(vehicle, terrain, slip=slip_law(options["given"]))
-    least_margin = 0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN
-    dae = invert(vehicle, direct, **options, least_margin=least_margin)
-    check_names(problem, direct, None)
-    _check_units(problem, spec)
-    stand = build_start(problem, direct)
-    t, inputs, first = _inputs(spec, dae, given)
-    with at(problem, place):
-        if is_rolling_path and points is not None:
-            inputs = first = path_inputs(dae, stand, *points[1:], t=points[0])
-        elif points is not None:
-            dae, inputs = track_path(dae, *points)
-            first = inputs
-        setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, words)
-        return replace(setup, start=_start(spec, setup, first, exact=options["exact"]))
+class InverseVerb(DriveVerb):
+    """Rates of wheels and steering that move the platform in a given way."""
+
+    schema = Inverse
+    checks = (*DriveVerb.checks, *CHECKS)
+    metrics_shown = ("inverse_margin_least", "slip_rms", "utilisation_largest")
+
+    def build(self, problem: Problem[Inverse]) -> Setup:
+        """Return the models, the start and the inputs of a problem."""
+        spec = problem.spec
+        points = _points(problem, spec)
+        with at(problem, ("vehicle",)):
+            vehicle = build_vehicle(spec.vehicle, problem.folder)
+        given, words = _given(problem, spec, vehicle, points)
+        place = ("given",) if points is None else ("path",)
+        is_rolling_path = points is not None and not are_commands(given)
+        options: dict[str, Any] = {
+            "given": tuple(given),
+            "solve_for": "rates" if is_rolling_path or spec.steering == "rate" else "angles",
+            "exact": len(given) < len(COMMANDS) if spec.exact is None else spec.exact,
+        }
+        with at(problem, place):
+            check_inverse(vehicle, **options)
+        ground = build_ground(problem)
+        with at(problem, ("vehicle",)):
+            terrain = build_terrain(problem, ground)
+            direct = direct_kinematics(vehicle, terrain, slip=slip_law(options["given"]))
+        least_margin = 0.0 if is_rolling_path and spec.steering == "angle" else LEAST_MARGIN
+        dae = invert(vehicle, direct, **options, least_margin=least_margin)
+        check_names(problem, direct, None)
+        _check_units(problem, spec)
+        stand = build_start(problem, direct)
+        t, inputs, first = _inputs(spec, dae, given)
+        with at(problem, place):
+            if is_rolling_path and points is not None:
+                inputs = first = path_inputs(dae, stand, *points[1:], t=points[0])
+            elif points is not None:
+                dae, inputs = track_path(dae, *points)
+                first = inputs
+            setup = Setup(ground, terrain, vehicle, direct, dae, stand, inputs, t, words)
+            return replace(setup, start=_start(spec, setup, first, exact=options["exact"]))
+
+    def drive(
+        self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the motion, or the part that was reached, with its replay."""
+        spec, options, inputs = problem.spec, problem.spec.solver.options, None
+        if _is_collocated(spec, setup):
+            run, inputs = _collocate(setup, options, watch)
+        else:
+            run = integrate(setup, options, watch)
+        run = _with_steering(setup.vehicle, run)
+        return _with_replay(setup, run, inputs, options), NOTHING
+
+    def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
+        """Return also the method by which the motion was found."""
+        is_collocated = _is_collocated(problem.spec, setup)
+        method = COLLOCATION if is_collocated else "integration"
+        return super().attributes(problem, setup) | {METHOD: method}
+
+    def own_facts(self, run: Trajectory) -> Facts:
+        """Return rates, steering and margins."""
+        return [*inverse_facts(run)]
+
+    def trust_facts(self, run: Trajectory) -> Facts:
+        """Return residuals; the tolerance of a collocation is that of the steering."""
+        return [*trust_facts(run, None)] if is_collocated(run) else super().trust_facts(run)
+
+    def cost_facts(self, run: Trajectory) -> Facts:
+        """Return the cost of the solution and its difference from a replay."""
+        fact = collocation_fact(run) if is_collocated(run) else integrator_fact(run)
+        return [fact, *replay_facts(run)]
+
+    def warnings(self, run: Trajectory) -> Sequence[str]:
+        """Return the warning that an integrated steering is unstable."""
+        warning = steering_warning(run)
+        return [warning] if warning and not (run.stop and warning in run.stop.words) else []
+
+    def verification(self, run: Trajectory) -> dict[str, float]:
+        """Return the differences of the round trip and of the replay by the direct model."""
+        prefixes = ("round_trip_", "replay_")
+        return {k: size for k, size in run.statistics.items() if k.startswith(prefixes)}
 
 
 def _given(
-    problem: Problem[S], spec: schema.Inverse, vehicle: Vehicle, points: Array | None
+    problem: Problem[S], spec: Inverse, vehicle: Vehicle, points: Array | None
 ) -> tuple[dict[str, Any], str]:
     """Return the given rates, zero for those of a path, and the words for them.
 
@@ -120,7 +186,7 @@ def _given(
     return given, f"{words}; the steering {spec.steering} is unknown"
 
 
-def _check_units(problem: Problem[S], spec: schema.Inverse) -> None:
+def _check_units(problem: Problem[S], spec: Inverse) -> None:
     """Raise for given rates in units of another kind."""
     units = dict.fromkeys(VELOCITY, "m s-1") | dict.fromkeys((*OMEGA, *EULER), "rad s-1")
     units |= {name: label.unit for name, label in COMMANDS.items()}
@@ -156,7 +222,7 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
         yield Fault(("given",), expected, ", ".join(angular))
 
 
-def _points(problem: Problem[S], spec: schema.Inverse) -> Array | None:
+def _points(problem: Problem[S], spec: Inverse) -> Array | None:
     """Return times, places and headings of the way-points, shape (4, n), if there is a path."""
     path = spec.path
     if path is None:
@@ -196,7 +262,7 @@ def _turns(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
         yield Fault(place, expected, f"{after:g} after {before:g}")
 
 
-def _inputs(spec: schema.Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
+def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
     """Return the times of the samples, the inputs, and those at the start."""
     texts = {name: value for name, value in given.items() if isinstance(value, str)}
     formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
@@ -208,7 +274,7 @@ def _inputs(spec: schema.Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[A
     return t, dae.inputs(**rates, **formulas), dae.inputs(**first, **formulas)
 
 
-def _start(spec: schema.Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
+def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
     """Return the start as the first rates move it.
 
     The steering is at the angles that the first commands lead to, but for those in `[start]`; along
@@ -242,7 +308,7 @@ def _is_commanded(setup: Setup) -> bool:
     return are_commands(_input_names(setup.dae))
 
 
-def _is_collocated(spec: schema.Inverse, setup: Setup) -> bool:
+def _is_collocated(spec: Inverse, setup: Setup) -> bool:
     """Return whether the steering is found along a whole path by collocation."""
     return spec.path is not None and spec.steering == "angle" and not _is_commanded(setup)
 
@@ -257,31 +323,15 @@ def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: Mapping[str,
     return direct.inputs(**rates, **commanded)
 
 
-def solve_inverse(
-    spec: schema.Inverse,
-    setup: Setup,
-    options: SolverOptions,
-    progress: Callable[[float], None] | None,
-) -> Trajectory:
-    """Return the motion, or the part that the integrator reached, with its replay."""
-    dae, start, inputs = setup.dae, setup.start, None
-    if _is_collocated(spec, setup):
-        sought = [c.name for c in setup.vehicle.of("commanded")]
-        found = drive(dae, start, setup.inputs, setup.t, sought=sought, options=options)
-        run = replace(
-            found.run, statistics={**found.run.statistics, "tolerance": options.tolerance}
-        )
-        inputs = spline_inputs(setup.model, found.t, found.unknowns)
-        if progress is not None:
-            progress(float(run.t[-1]))
-    else:
-        try:
-            run = simulate(dae, start, setup.inputs, setup.t, options=options, progress=progress)
-        except SolverError as error:
-            if error.trajectory is None:
-                raise
-            run = error.trajectory
-    return _with_replay(setup, _with_steering(setup.vehicle, run), inputs, options)
+def _collocate(setup: Setup, options: SolverOptions, watch: Watch) -> tuple[Trajectory, Any]:
+    """Return the motion along a path, steering included, and its inputs as functions of time."""
+    sought = [c.name for c in setup.vehicle.of("commanded")]
+    found = drive(setup.dae, setup.start, setup.inputs, setup.t, sought=sought, options=options)
+    statistics = {**found.run.statistics, "tolerance": options.tolerance}
+    if watch.time is not None:
+        watch.time(float(found.run.t[-1]))
+    inputs = spline_inputs(setup.model, found.t, found.unknowns)
+    return replace(found.run, statistics=statistics), inputs
 
 
 def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:

@@ -1,11 +1,11 @@
-"""From a problem of planning to a plan, and the motion that it leads to."""
+"""Plans: inputs that lead to a goal at the least cost, and the motion under them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from slipfree.plan.ipopt import Iterate
 from slipfree.plan.plan import STOPPED_STATUS, Plan, plan
 from slipfree.plan.problem import limits_of, task_of
 from slipfree.plan.verification import simulate_plan
-from slipfree.plan.warm_start import SavedPlan
-from slipfree.problem import schema
+from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.problem.build_common import (
     Setup,
     build_start,
@@ -29,10 +28,18 @@ from slipfree.problem.build_common import (
     build_vehicle,
     check_names,
     samples,
+    wheel_angles_at,
 )
+from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model
-from slipfree.problem.goals import (
+from slipfree.problem.problem import Problem, S
+from slipfree.problem.summary import Facts
+from slipfree.problem.verbs import plan_schema
+from slipfree.problem.verbs.base import RESUME, Quantity, Result, Watch
+from slipfree.problem.verbs.driving import DriveVerb, model_attributes
+from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
+from slipfree.problem.verbs.plan_goals import (
     Place,
     Wanted,
     facing,
@@ -43,8 +50,6 @@ from slipfree.problem.goals import (
     way_points_of,
     ways_of,
 )
-from slipfree.problem.load import Problem, S
-from slipfree.problem.verbs.direct import build_law
 from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.regions import Region
@@ -52,9 +57,15 @@ from slipfree.routing.traversability import Traversability, extents, traversabil
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import SolverError, Stop, Trajectory, path_length
+from slipfree.trajectory import Column, SolverError, Stop, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from slipfree.show.drive_scene import Driven
+
+MAX_SAMPLES = 401  # of a plan in space
 ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
 FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
 GO_ON = "go on with --resume OUT.nc"  # its own result file
@@ -88,111 +99,166 @@ class Planning(Setup):
     keep_out: tuple[Region, ...]
     ways: tuple[Array, ...]
     starts: tuple[tuple[Any, float], ...]
-    spec: schema.Plan
+    spec: plan_schema.Plan
     between: Mapping[float, Wanted]
 
 
-def build_plan(problem: Problem[S], spec: schema.Plan) -> Planning:
-    """Return the model, the settled start and the inputs that start the search."""
-    ground = build_ground(problem)
-    with at(problem, ("vehicle",)):
-        vehicle = build_vehicle(spec.vehicle, problem.folder)
-    terrain = build_terrain(problem, ground)
-    dae: Dae = build_model(problem, spec, vehicle, terrain)
-    check_names(problem, dae, spec.inputs)
-    keep_out, between = regions(problem, spec), way_points_of(problem, spec)
-    places, exact = places_of(problem, spec, between, terrain.domain)
-    layers = traversability(terrain, vehicle, keep_out=keep_out)
-    wrong = [each for each in unreachable(layers, places) if each.sure and each.place in exact]
-    if wrong:
-        where = problem.source.where((key_of(wrong[0].place),))
-        raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
-    start = build_start(problem, dae)
-    t, rates = samples(spec.time, spec.inputs or {})
-    ways = ways_of(problem, spec, layers, places)
-    if spec.driver is None:
-        with at(problem, ("inputs",)):
-            starts = [(dae.inputs(**rates), float(t[-1]))]
-    elif ways:
-        with at(problem, ("driver",)):
-            starts = [_along(dae, vehicle, way, spec.driver.speed) for way in ways]
-    else:
-        starts = [(build_law(problem, spec.driver, dae, vehicle, start), float(t[-1]))]
-    with at(problem, ("plan",)):
-        task_of(
+class PlanVerb(DriveVerb):
+    """Inputs that lead to a goal at the least cost."""
+
+    schema = plan_schema.Plan
+    options = (RESUME,)
+    is_timed = False
+    checks = (*DriveVerb.checks, *CHECKS)
+    metrics_shown = ("within_limits", "plan_violation", "slip_rms")
+
+    def build(self, problem: Problem[plan_schema.Plan]) -> Planning:
+        """Return the model, the settled start and the inputs that start the search."""
+        spec = problem.spec
+        ground = build_ground(problem)
+        with at(problem, ("vehicle",)):
+            vehicle = build_vehicle(spec.vehicle, problem.folder)
+        terrain = build_terrain(problem, ground)
+        dae: Dae = build_model(problem, spec, vehicle, terrain)
+        check_names(problem, dae, spec.inputs)
+        keep_out, between = regions(problem, spec), way_points_of(problem, spec)
+        places, exact = places_of(problem, spec, between, terrain.domain)
+        layers = traversability(terrain, vehicle, keep_out=keep_out)
+        wrong = [each for each in unreachable(layers, places) if each.sure and each.place in exact]
+        if wrong:
+            where = problem.source.where((key_of(wrong[0].place),))
+            raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
+        start = build_start(problem, dae)
+        t, rates = samples(spec.time, spec.inputs or {})
+        ways = ways_of(problem, spec, layers, places)
+        if spec.driver is None:
+            with at(problem, ("inputs",)):
+                starts = [(dae.inputs(**rates), float(t[-1]))]
+        elif ways:
+            with at(problem, ("driver",)):
+                starts = [_along(dae, vehicle, way, spec.driver.speed) for way in ways]
+        else:
+            starts = [(build_law(problem, spec.driver, dae, vehicle, start), float(t[-1]))]
+        with at(problem, ("plan",)):
+            task_of(
+                dae,
+                start,
+                **_asked(problem, spec, keep_out, (dae, vehicle, terrain), between),
+                duration=spec.plan.duration or spec.time.duration,
+            )
+        goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
+        return Planning(
+            ground,
+            terrain,
+            vehicle,
+            dae,
             dae,
             start,
-            **_asked(problem, spec, keep_out, (dae, vehicle, terrain), between),
-            duration=spec.plan.duration or spec.time.duration,
+            starts[0][0],
+            t,
+            f"plan to {goal}",
+            layers,
+            places,
+            keep_out,
+            ways,
+            tuple(starts),
+            spec,
+            between,
         )
-    goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
-    return Planning(
-        ground,
-        terrain,
-        vehicle,
-        dae,
-        dae,
-        start,
-        starts[0][0],
-        t,
-        f"plan to {goal}",
-        layers,
-        places,
-        keep_out,
-        ways,
-        tuple(starts),
-        spec,
-        between,
-    )
+
+    def drive(
+        self,
+        problem: Problem[plan_schema.Plan],
+        setup: Planning,
+        watch: Watch,
+        resume: SavedPlan | None,
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the motion that a plan leads to, simulated, and the plan for a warm start."""
+        spec = problem.spec
+        with at(problem, ("driver" if spec.driver else "inputs",)):
+            guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
+        length = resume.motion.duration if resume else float(guesses[0].t[-1])
+        with at(problem, ("plan",)):
+            found = plan(
+                setup.dae,
+                setup.start,
+                guesses,
+                **_asked(
+                    problem,
+                    spec,
+                    setup.keep_out,
+                    (setup.dae, setup.vehicle, setup.terrain),
+                    setup.between,
+                ),
+                duration=spec.plan.duration or (length, length),
+                intervals=spec.plan.intervals,
+                degree=spec.plan.degree,
+                accuracy=spec.plan.accuracy,
+                options=spec.solver.options,
+                step=spec.time.step,
+                resume=resume,
+                progress=_telling(watch.line),
+            )
+        run, stop = found.replay, found.run.stop
+        if stop is not None and not found.success:
+            words = (
+                f"{stop.words}; {GO_ON}" if found.solution.status == STOPPED_STATUS else stop.words
+            )
+            run = replace(run, stop=stop._replace(t=float(run.t[-1]), words=words))
+        elif run.stop is None and not found.accurate:
+            run = replace(run, stop=_inaccurate(spec, found))
+        attributes = {**run.attributes, **_by_friction(setup, found)}
+        statistics = {**run.statistics, **_statistics(found)}
+        return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
+
+    def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
+        """Return also the model and the law."""
+        return super().attributes(problem, setup) | model_attributes(problem.spec)
+
+    def describe_samples(self, problem: Problem[plan_schema.Plan], setup: Setup) -> str:
+        """Return the sampling of the result in words; the duration may be the plan's choice."""
+        return f"{problem.spec.time.step:g} s apart or less, as the intervals of the plan need"
+
+    def own_facts(self, run: Trajectory) -> Facts:
+        """Return costs of the plan and differences of its simulation."""
+        return [*plan_facts(run)]
+
+    def verification(self, run: Trajectory) -> dict[str, float]:
+        """Return differences of the simulation from the plan, and violations of limits."""
+        prefixes = ("plan_difference_", "plan_violation_")
+        return {k: size for k, size in run.statistics.items() if k.startswith(prefixes)}
+
+    def metrics(self, run: Trajectory, spec: plan_schema.Plan) -> dict[str, Quantity]:
+        """Return also the largest violation, and whether the motion is complete without any."""
+        found = super().metrics(run, spec)
+        sizes = [v for k, v in run.statistics.items() if k.startswith("plan_violation_")]
+        violation = max(sizes, default=0.0)
+        is_kept = run.stop is None and violation <= spec.plan.accuracy
+        found["plan_violation"] = Quantity(violation, "")
+        found["within_limits"] = Quantity(float(is_kept), "1")
+        return found
+
+    def figures(self, result: Result) -> dict[str, Figure]:
+        """Return the figures of a plan and of its motion by name."""
+        from slipfree.show.plan_figures import plan_figures
+
+        setup = result.setup or self.build(result.problem)
+        drawn = plan_figures(
+            result.trajectory, setup.ground.grid, setup.layers, **figure_options(setup)
+        )
+        return drawn | super().figures(replace(result, setup=setup))
+
+    def shown(self, result: Result, name: str) -> Driven:
+        """Return the motion of a result with ground, vehicle, keep-outs and plan."""
+        found, problem = super().shown(result, name), result.problem
+        planned = poses_of_plan(result.trajectory, result.arrays, found.terrain)
+        return found._replace(keep_out=regions(problem, problem.spec), plan=planned)
 
 
 def _along(dae: Dae, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
     """Return the law that follows a path, and how long that lasts."""
     path = Path(way)
     return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
-
-
-def planned(
-    problem: Problem[S],
-    spec: schema.Plan,
-    setup: Planning,
-    tell: Tell | None,
-    resume: SavedPlan | None,
-) -> tuple[Trajectory, Mapping[str, Array]]:
-    """Return the motion that a plan leads to, simulated, and what another plan may start from."""
-    with at(problem, ("driver" if spec.driver else "inputs",)):
-        guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
-    length = resume.motion.duration if resume else float(guesses[0].t[-1])
-    with at(problem, ("plan",)):
-        found = plan(
-            setup.dae,
-            setup.start,
-            guesses,
-            **_asked(
-                problem,
-                spec,
-                setup.keep_out,
-                (setup.dae, setup.vehicle, setup.terrain),
-                setup.between,
-            ),
-            duration=spec.plan.duration or (length, length),
-            intervals=spec.plan.intervals,
-            degree=spec.plan.degree,
-            accuracy=spec.plan.accuracy,
-            options=spec.solver.options,
-            step=spec.time.step,
-            resume=resume,
-            progress=_telling(tell),
-        )
-    run, stop = found.replay, found.run.stop
-    if stop is not None and not found.success:
-        words = f"{stop.words}; {GO_ON}" if found.solution.status == STOPPED_STATUS else stop.words
-        run = replace(run, stop=stop._replace(t=float(run.t[-1]), words=words))
-    elif run.stop is None and not found.accurate:
-        run = replace(run, stop=_inaccurate(spec, found))
-    attributes = {**run.attributes, **_by_friction(setup, found)}
-    statistics = {**run.statistics, **_statistics(found)}
-    return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
 
 
 def figure_options(setup: Planning) -> dict[str, Any]:
@@ -208,7 +274,7 @@ def figure_options(setup: Planning) -> dict[str, Any]:
 
 def _asked(
     problem: Problem[S],
-    spec: schema.Plan,
+    spec: plan_schema.Plan,
     keep_out: tuple[Region, ...],
     model: tuple[Dae, Vehicle, Bicubic],
     between: Mapping[float, Wanted],
@@ -245,7 +311,7 @@ def _kept_out(
     ]
 
 
-def _inaccurate(spec: schema.Plan, found: Plan) -> Stop:
+def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
     """Return in words that a plan is solved, but simulated less exactly than was asked for."""
     parts = {
         name: size
@@ -362,3 +428,34 @@ def _statistics(found: Plan) -> dict[str, float]:
         "plan_compiled": float(found.program.compiled),
         "plan_intervals": float(found.motion.mesh.ends.size - 1),
     }
+
+
+def poses_of_plan(
+    run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic
+) -> Trajectory | None:
+    """Return the plan that a motion simulates, as far as its poses go; None if there is none.
+
+    States and algebraic unknowns of a plan are the first quantities of its simulation, in order,
+    up to the contacts. The turns of its wheels are those of the simulation.
+    """
+    if f"{ARRAY_PREFIX}unknowns" not in arrays:
+        return None
+    saved = from_arrays(arrays, "result")
+    course = saved.motion
+    places = np.linspace(0, 1, min(MAX_SAMPLES, 10 * course.mesh.ends.size))
+    rows = np.concatenate([course.states(places), course.algebraic(places)])
+    rows = rows + saved.shift[: len(rows), None]
+    columns, t, first = {}, run.t[0] + places * course.duration, 0
+    for name, column in run.columns.items():
+        if name == "contact_x":
+            break
+        columns[name] = Column(column.label, rows[first])
+        first += 1
+    # Contacts are unknowns wheel by wheel: x and y of the first one, then those of the next.
+    pairs = rows[first : first + 2 * len(run.wheels)].reshape(len(run.wheels), 2, -1)
+    for axis, name in enumerate(("contact_x", "contact_y")):
+        columns[name] = Column(run.columns[name].label, pairs[:, axis].T)
+    columns["wheel_angle"] = wheel_angles_at(run, t)
+    height = terrain.elevation(columns["contact_x"].values, columns["contact_y"].values)
+    columns["contact_z"] = Column(run.columns["contact_z"].label, height)
+    return Trajectory(t, columns, run.wheels)

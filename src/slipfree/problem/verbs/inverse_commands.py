@@ -12,15 +12,16 @@ import numpy as np
 
 from slipfree.errors import DataError, ModelError
 from slipfree.files.toml.errors import Fault, problem_error
+from slipfree.files.toml.types import Piecewise
 from slipfree.models.given_rates import COMMANDS
-from slipfree.problem import schema
 from slipfree.problem.build_common import read_columns, samples
 from slipfree.problem.build_ground import at
-from slipfree.problem.load import Problem, S
+from slipfree.problem.problem import Problem, S
+from slipfree.problem.schema import Time
+from slipfree.problem.verbs.inverse_schema import FILE, Inverse
 from slipfree.regular_files import read_bytes
 from slipfree.vehicle.formula import evaluate
 
-FILE = "file"
 ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
 
 
@@ -30,7 +31,7 @@ def are_commands(given: Collection[str]) -> bool:
     return FILE in names or (bool(names) and (names <= set(COMMANDS) or names <= set(ROBOT)))
 
 
-def read_commands(problem: Problem[S], spec: schema.Inverse) -> tuple[dict[str, Any], str]:
+def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], str]:
     """Return the commands of a problem by the names of `COMMANDS`, and in words.
 
     Raises
@@ -59,7 +60,7 @@ def read_commands(problem: Problem[S], spec: schema.Inverse) -> tuple[dict[str, 
     return found, ", ".join(words)
 
 
-def _read_file(file: Path) -> dict[str, schema.Piecewise]:
+def _read_file(file: Path) -> dict[str, Piecewise]:
     """Return the columns of a CSV file; a command holds until the next one."""
     header = read_bytes(file, "commands as CSV").decode("utf-8-sig", "replace").partition("\n")[0]
     names = [name.strip() for name in header.split(",")]
@@ -84,9 +85,7 @@ def _read_file(file: Path) -> dict[str, schema.Piecewise]:
     }
 
 
-def _faults(
-    spec: schema.Inverse, given: Mapping[str, Any], columns: Collection[str]
-) -> Iterator[Fault]:
+def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -> Iterator[Fault]:
     """Yield what keeps rates from being commands."""
     if spec.steering != "angle":
         expected = f"'angle', which the steering follows with {', '.join(COMMANDS)}"
@@ -102,7 +101,7 @@ def _faults(
         yield Fault(place, expected, f"{robot[0]} in the frame {spec.frame!r}")
 
 
-def _check_formula(text: str, time: schema.Time) -> None:
+def _check_formula(text: str, time: Time) -> None:
     """Raise ModelError for a rate that is not a formula of the time, or not finite at a sample."""
     t, symbol = samples(time, {})[0], ca.SX.sym("t")
     try:
@@ -121,7 +120,7 @@ def _negative(value: Any) -> Any:
     return f"-({value})" if isinstance(value, str) else -value
 
 
-def _words(value: float | schema.Piecewise | str) -> str:
+def _words(value: float | Piecewise | str) -> str:
     if isinstance(value, tuple):
         return " then ".join(f"{rate:g}" for _, rate in value)
     return value if isinstance(value, str) else f"{value:g}"

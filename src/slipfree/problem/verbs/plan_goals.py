@@ -9,11 +9,11 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem import schema
 from slipfree.problem.build_common import turned
+from slipfree.problem.build_driver import way_of
 from slipfree.problem.build_ground import at
-from slipfree.problem.load import Problem, S
-from slipfree.problem.verbs.direct import way_of
+from slipfree.problem.problem import Problem, S
+from slipfree.problem.verbs.plan_schema import Guide, Plan
 from slipfree.records import Array
 from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
@@ -25,7 +25,7 @@ Domain = tuple[float, float, float, float]
 
 
 def places_of(
-    problem: Problem[S], spec: schema.Plan, between: Mapping[float, Wanted], domain: Domain
+    problem: Problem[S], spec: Plan, between: Mapping[float, Wanted], domain: Domain
 ) -> tuple[tuple[Place, ...], set[str]]:
     """Return where the vehicle starts and is to go, in map coordinates, as far as known.
 
@@ -65,7 +65,7 @@ def key_of(place: str) -> str:
     return place if place in ("start", "goal") else "way_points"
 
 
-def way_points_of(problem: Problem[S], spec: schema.Plan) -> dict[float, Wanted]:
+def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Wanted]:
     """Return what is asked for on the way, by the fraction of the duration."""
     found: dict[float, Wanted] = {}
     for index, each in enumerate(spec.way_points):
@@ -94,7 +94,7 @@ def facing(problem: Problem[S], wanted: Wanted) -> Wanted:
 
 
 def ways_of(
-    problem: Problem[S], spec: schema.Plan, layers: Traversability, places: tuple[Place, ...]
+    problem: Problem[S], spec: Plan, layers: Traversability, places: tuple[Place, ...]
 ) -> tuple[Array, ...]:
     """Return the paths that start the search: given ones, or routes over the ground."""
     driver = spec.driver
@@ -113,7 +113,7 @@ def ways_of(
 
 
 def _routes(
-    problem: Problem[S], driver: schema.Guide, layers: Traversability, places: list[Array]
+    problem: Problem[S], driver: Guide, layers: Traversability, places: list[Array]
 ) -> tuple[Array, ...]:
     """Return ways over the ground through all places; several of them only without way-points."""
     with at(problem, ("driver",)):
@@ -131,7 +131,7 @@ def _routes(
         return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
 
 
-def regions(problem: Problem[S], spec: schema.Plan) -> tuple[Region, ...]:
+def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
     """Return the places to keep out of."""
     found: list[Region] = []
     for index, each in enumerate(spec.keep_out):

@@ -1,0 +1,97 @@
+"""Settings: values of the command line that replace those of a TOML file."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from typing import Any
+
+from slipfree.files.toml.errors import ProblemError
+from slipfree.files.toml.source_lines import Place, key_path
+from slipfree.regular_files import escape_name
+
+BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that may stand without quotes
+
+
+def replace_values(data: dict[str, Any], settings: Sequence[str]) -> dict[Place, str]:
+    """Replace values of the tables of a file by settings, in place, and return their places.
+
+    Parameters
+    ----------
+    data : dict
+        The tables.
+    settings : sequence of str
+        ``key=value`` with dotted keys, values in TOML or bare words; ``key=`` removes the key.
+
+    Returns
+    -------
+    dict
+        The setting of each replaced key.
+
+    Raises
+    ------
+    ProblemError
+        If a setting cannot be read, or removes a key that is not there.
+    """
+    places: dict[Place, str] = {}
+    faults = []
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if (readable := escape_name(setting)) != setting:
+            faults.append(
+                f"--set {escape_name(key.strip())}: expected text in UTF-8, as in a problem file, "
+                f"found {readable}; rename the file if it is a name"
+            )
+            continue
+        try:
+            path = key_path(key)
+            if not equals:
+                raise ValueError
+            new = _put(data, path, _value(text)) if text.strip() else _taken_out(data, path)
+        except ValueError:
+            faults.append(
+                f"--set {key.strip()}: expected key=value with a value in TOML or a bare word, or "
+                f"key= to take out a key that is there, found {setting!r}"
+            )
+        else:
+            places |= dict.fromkeys(new, setting)
+    if faults:
+        raise ProblemError(*faults)
+    return places
+
+
+def _value(text: str) -> Any:
+    try:
+        found = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        if BARE.fullmatch(text.strip()):
+            return text.strip()
+        raise
+    if len(found) > 1:
+        raise ValueError(text)
+    return found["value"]
+
+
+def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
+    """Put a value into nested tables; return its place and those of new tables on the way."""
+    places: list[Place] = [path]
+    *tables, last = path
+    for depth, name in enumerate(tables, start=1):
+        if name not in data:
+            places.append(path[:depth])
+        data = data.setdefault(name, {})
+        if not isinstance(data, dict):
+            raise ValueError(name)
+    data[last] = value
+    return places
+
+
+def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
+    """Remove a key of nested tables; return its place."""
+    for name in path[:-1]:
+        data = data.get(name, {})
+    if not isinstance(data, dict) or path[-1] not in data:
+        raise ValueError(path)
+    del data[path[-1]]
+    return [path]

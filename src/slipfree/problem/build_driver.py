@@ -1,0 +1,42 @@
+"""Driving laws of problems."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slipfree.control.path_following import follow, straight
+from slipfree.dae import Dae
+from slipfree.errors import ModelError
+from slipfree.geometry.path import Path
+from slipfree.problem.build_common import read_columns
+from slipfree.problem.build_ground import at
+from slipfree.problem.problem import Problem, S
+from slipfree.problem.schema import Driver
+from slipfree.records import Array
+from slipfree.trajectory import Trajectory
+from slipfree.vehicle.tree import Vehicle
+
+
+def build_law(
+    problem: Problem[S],
+    driver: Driver,
+    dae: Dae,
+    vehicle: Vehicle,
+    start: Trajectory,
+) -> Any:
+    """Return the inputs of the driving law of a problem."""
+    with at(problem, ("driver",)):
+        if driver.name == "straight":
+            if driver.path is not None or driver.file is not None:
+                raise ModelError("driver: 'straight' takes no path; use name = 'follow'")
+            return straight(dae, vehicle, start, speed=driver.speed)
+        return follow(dae, vehicle, Path(way_of(problem, driver)), speed=driver.speed)
+
+
+def way_of(problem: Problem[S], driver: Driver) -> Array:
+    """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
+    if (driver.path is None) == (driver.file is None):
+        raise ModelError("driver: 'follow' needs either path, an array of [x, y], or file")
+    return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))

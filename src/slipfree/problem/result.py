@@ -1,0 +1,134 @@
+"""Results of problems, and result files."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from slipfree.errors import DataError
+from slipfree.files.netcdf import read, read_arrays
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem.input_files import DRAWN, input_names
+from slipfree.problem.load import load_earlier
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import Runnable
+from slipfree.problem.summary import Facts, plain_facts
+from slipfree.problem.verbs.base import VERB_ATTRIBUTE
+from slipfree.problem.verbs.base import Result as Result
+from slipfree.problem.verbs.registry import find_motion_verb, verb_of
+from slipfree.regular_files import resolve_links, unescape_name
+from slipfree.trajectory import Trajectory
+
+
+def open_result(path: str | os.PathLike[str], folder: Path | None = None) -> Result:
+    """Return the result in a file of ``slipfree run``.
+
+    Parameters
+    ----------
+    path : path
+        The result file.
+    folder : Path, optional
+        Where names of files in the problem start; by default the folder that the problem was in,
+        that of the result, or the current one, whichever has them first.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read.
+    """
+    file = Path(path)
+    run = read(file)
+    verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
+    kind, verification = (verb.name, verb.verification(run)) if verb else ("", {})
+    problem = cache(partial(problem_of, file, run, folder))
+    return Result(kind, run, verification, None, read_arrays(file), problem)
+
+
+def motion_facts(run: Trajectory) -> Facts:
+    """Return the summary of a motion: names and words."""
+    verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
+    return plain_facts(run) if verb is None else verb.facts(run)
+
+
+def shown(file: Path, name: str, folder: Path | None = None) -> Any:
+    """Return the motion in a result file for the viewer: with its ground and vehicle.
+
+    Parameters
+    ----------
+    file, folder : Path
+        As for `open_result`.
+    name : str
+        What to call the motion.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, holds no problem, or files that its problem names are missing or
+        make another ground or vehicle than that of the motion.
+    """
+    result = open_result(file, folder)
+    return verb_of(result.problem).shown(result, name)
+
+
+def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Problem[Any]:
+    """Return the problem whose text and settings a result holds.
+
+    Parameters
+    ----------
+    file, folder : Path
+        As for `open_result`.
+    run : Trajectory
+        The motion in the file.
+
+    Raises
+    ------
+    DataError
+        If the result holds no problem, or input files that it names are missing; a ProblemError if
+        it does not fit this version.
+    """
+    text = run.attributes.get("problem")
+    if text is None:
+        raise DataError(
+            f"{file}: expected a result with its problem in it, found none; give a file that "
+            "slipfree run wrote"
+        )
+    settings = run.attributes.get("settings", "").splitlines()
+    name = Path(run.attributes.get("problem_file", "problem.toml")).name
+    with tempfile.TemporaryDirectory() as scratch:
+        copy = Path(scratch) / "problem.toml"  # a name out of a file may be anything
+        copy.write_text(text, encoding="utf-8")
+        try:
+            problem = load_earlier(copy, settings)
+        except ProblemError as error:
+            faults = (fault.replace(str(copy), name) for fault in error.faults)
+            raise ProblemError(
+                f"{file}: its problem is not one of this version:", *faults
+            ) from error
+    recorded = unescape_name(run.attributes.get("problem_folder", ""))
+    place = _folder(file, problem.spec, recorded, folder)
+    source = replace(problem.source, path=place / name)
+    return replace(problem, source=source)
+
+
+def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> Path:
+    """Return the folder that holds the files which a problem names."""
+    needed = input_names(spec, DRAWN)
+    here, beside = Path.cwd(), file.absolute().parent
+    usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]
+    tried = [folder] if folder is not None else list(dict.fromkeys(usual))
+    for place in tried:
+        missing = [name for name in needed if not _is_file(place / name)]
+        if not missing:
+            return place
+    raise DataError(
+        f"{file}: its problem needs {missing[0]}, found none in {' or '.join(map(str, tried))}; "
+        "name the folder of the problem file: --folder DIR"
+    )
+
+
+def _is_file(path: Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 - False for names that are too long

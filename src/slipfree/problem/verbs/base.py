@@ -1,0 +1,294 @@
+"""Interface between commands and verbs.
+
+A verb is what a problem file can ask for. Commands know this interface and the registry alone; all
+that depends on the kind of a problem is in the verb's module.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, get_args
+
+from slipfree.files.netcdf import NOTHING
+from slipfree.outcome import Outcome
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import Asked
+from slipfree.problem.summary import Facts
+from slipfree.records import Array
+from slipfree.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from slipfree.models.montana import Difference
+    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.show.scene import Scene
+
+VERB_ATTRIBUTE = "verb"  # of result files: the name of the verb
+CROSS_CHECK, RESUME, ANIMATION = "cross-check", "resume", "animation"  # options of slipfree run
+
+
+class Quantity(NamedTuple):
+    """A value and its unit."""
+
+    value: float
+    unit: str
+
+
+class Setup(Protocol):
+    """All that a problem needs before it is solved: at least its start, its times and words."""
+
+    @property
+    def start(self) -> Trajectory:
+        """The vehicle at its start."""
+
+    @property
+    def t(self) -> Array:
+        """Times of the samples. [s]."""
+
+    @property
+    def facts(self) -> Facts:
+        """Names and words about ground, vehicle and drive."""
+
+
+class Watch(NamedTuple):
+    """Functions that are called while a problem is solved; each may raise KeyboardInterrupt.
+
+    Attributes
+    ----------
+    time : callable or None
+        Called with the time reached. [s]
+    line : callable or None
+        Called with a line about every iterate of a plan.
+    """
+
+    time: Callable[[float], None] | None = None
+    line: Callable[[str], None] | None = None
+
+
+class Solution(NamedTuple):
+    """Motion that solves a problem.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The motion, whole or to where it stopped.
+    setup : Setup
+        Model, start and inputs of the motion.
+    arrays : mapping of str to ndarray
+        Arrays for the result file besides the samples.
+    """
+
+    trajectory: Trajectory
+    setup: Setup
+    arrays: Mapping[str, Array] = NOTHING
+
+
+class CrossCheck(NamedTuple):
+    """Differences of a motion from that of another formulation.
+
+    Attributes
+    ----------
+    other : str
+        The other formulation.
+    differences : tuple of Difference
+        Largest difference of each quantity.
+    """
+
+    other: str
+    differences: tuple[Difference, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Motion of a problem, from `run_problem` or from a result file.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the verb; empty if the file that it was read from does not say it.
+    trajectory : Trajectory
+        The motion, whole or to where it stopped.
+    verification : mapping of str to float
+        Largest differences of the motion from its independent repetition, and violations of limits,
+        by name; empty for verbs that have none. Units are those of the quantities.
+    setup : Setup or None
+        Model, start and inputs of the motion; None if it was read from a file.
+    arrays : mapping of str to ndarray
+        Arrays of the result file besides the samples: the plan from which another one may start.
+    load : callable
+        Returns the problem.
+    """
+
+    kind: str
+    trajectory: Trajectory
+    verification: Mapping[str, float]
+    setup: Any
+    arrays: Mapping[str, Array]
+    load: Callable[[], Problem[Any]]
+
+    def __repr__(self) -> str:
+        return f"Result: {self.kind}, {self.outcome.title}\n{self.trajectory!r}"
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the motion."""
+        return self.trajectory.outcome
+
+    @property
+    def problem(self) -> Problem[Any]:
+        """The problem.
+
+        Raises
+        ------
+        DataError
+            If the result was read from a file that holds no problem, or input files that the
+            problem names are missing; a ProblemError if it does not fit this version.
+        """
+        return self.load()
+
+
+class Viewer(NamedTuple):
+    """Drawing of motions of one sort in space.
+
+    Attributes
+    ----------
+    noun : str
+        The motions, in words.
+    scene : callable
+        Returns the scene of several motions.
+    film : callable
+        Writes a film of several motions to a file, and returns words about it.
+    """
+
+    noun: str
+    scene: Callable[[Sequence[Any]], Scene]
+    film: Callable[[Sequence[Any], Path], str]
+
+
+class Verb(ABC):
+    """Kind of problem: its schema, and the commands that take it.
+
+    Attributes
+    ----------
+    schema : type
+        Record of its problem files.
+    commands : tuple of str
+        Commands that take it, the one that solves it first.
+    """
+
+    schema: ClassVar[type[Asked]]
+    commands: ClassVar[tuple[str, ...]] = ("run",)
+
+    @property
+    def name(self) -> str:
+        """Value of the key ``verb``."""
+        (name,) = get_args(self.schema.model_fields["verb"].annotation)
+        return str(name)
+
+
+class MotionVerb(Verb):
+    """Kind of problem whose answer is the motion of one vehicle.
+
+    Attributes
+    ----------
+    options : tuple of str
+        Options of ``slipfree run`` that it offers, of `CROSS_CHECK`, `RESUME` and `ANIMATION`.
+    is_timed : bool
+        Whether it is solved along the time of the motion.
+    checks : tuple of str
+        Names of facts about the accuracy and validity of a result.
+    metrics_shown : tuple of str
+        Metrics that a sweep shows by default.
+    """
+
+    options: ClassVar[tuple[str, ...]] = ()
+    is_timed: ClassVar[bool] = True
+    checks: ClassVar[tuple[str, ...]] = ()
+    metrics_shown: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def build(self, problem: Problem[Any]) -> Setup:
+        """Return model, start and inputs of a problem.
+
+        Raises
+        ------
+        ProblemError
+            If they cannot be built.
+        """
+
+    @abstractmethod
+    def solve(
+        self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
+    ) -> Solution:
+        """Return the motion of a problem.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem.
+        setup : Setup
+            From `build`.
+        watch : Watch
+            Functions to call meanwhile.
+        resume : SavedPlan or None
+            The plan from which to start.
+
+        Raises
+        ------
+        SolverError
+            If there is no motion at all; later failures are a stop of the trajectory.
+        """
+
+    @abstractmethod
+    def describe_start(self, problem: Problem[Any], setup: Any) -> tuple[Trajectory, Facts]:
+        """Return the start in the frame of the problem, and words about it and the samples."""
+
+    @abstractmethod
+    def facts(self, run: Trajectory) -> Facts:
+        """Return the summary of a motion: names and words."""
+
+    @abstractmethod
+    def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
+        """Return the metrics of a motion that its samples and statistics alone do not give."""
+
+    @abstractmethod
+    def figures(self, result: Result) -> dict[str, Figure]:
+        """Return the figures of a result by name."""
+
+    @abstractmethod
+    def viewer(self) -> Viewer:
+        """Return what draws its motions in space."""
+
+    @abstractmethod
+    def shown(self, result: Result, name: str) -> Any:
+        """Return the motion of a result with ground and vehicle, for the viewer.
+
+        Raises
+        ------
+        DataError
+            If ground or vehicle are not those of the motion.
+        """
+
+    def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
+        """Return the attributes of a result file that this verb reads back."""
+        return {}
+
+    def warnings(self, run: Trajectory) -> Sequence[str]:
+        """Return warnings about a motion."""
+        return ()
+
+    def verification(self, run: Trajectory) -> dict[str, float]:
+        """Return differences from an independent repetition, and violations of limits, by name."""
+        return {}
+
+    def cross_check(self, result: Result) -> CrossCheck:
+        """Return the differences from the other formulation; for verbs that offer it."""
+        raise NotImplementedError(CROSS_CHECK)
+
+    def animate(self, result: Result, file: Path) -> None:
+        """Write a film of a result; for verbs that offer it."""
+        raise NotImplementedError(ANIMATION)

@@ -1,0 +1,171 @@
+"""Summary of a motion over terrain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from slipfree.contact.certify import NONE
+from slipfree.problem.summary import duration_fact
+from slipfree.trajectory import Trajectory, path_length
+
+UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
+CHECKS = (
+    "closure residual",
+    "Newton step",
+    "drift of the assembly",
+    "singular value",
+    "contact certificate",
+    "not converged",
+    "diagnostics failed",
+    "friction",
+    "  best distribution",
+    "integrator",
+)  # facts about accuracy and validity
+
+
+def path_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield duration, path and end of a motion."""
+    z = run["z"]
+    yield duration_fact(run)
+    yield "path length", f"{path_length(run):.6g} m"
+    yield "height along the path", f"{z.min():.4f} to {z.max():.4f} m"
+    place = ", ".join(f"{name} {run[name][-1]:.3f} m" for name in "xyz")
+    if "filled_ground" in run.attributes:
+        yield "filled ground", run.attributes["filled_ground"]
+    yield "end place", place
+    angles = ", ".join(f"{name} {run[name][-1]:.6g} rad" for name in ("heading", "pitch", "roll"))
+    yield "end attitude", f"{angles} (yaw from the x axis {run['yaw'][-1]:.6g} rad)"
+
+
+def is_quasi_static(run: Trajectory) -> bool:
+    """Return whether a wheel-ground law determined a motion."""
+    return run.attributes.get("model") == "quasi-static"
+
+
+def slip_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the slip of each wheel, and the law that determined it."""
+    law = run.attributes.get("law", "least")
+    if is_quasi_static(run):
+        yield "slip", f"a quasi-static prediction by the wheel-ground law {law!r}"
+    elif law == "least":
+        yield "least slip", "what kinematics allows: a lower bound, not a prediction"
+    else:
+        yield "slip", f"of the slip law {law!r}, not a prediction"
+    for wheel in run.wheels:
+        along, across = run["slip_along", wheel], run["slip_across", wheel]
+        rms = np.sqrt(np.mean(along**2 + across**2))
+        yield (
+            f"  wheel {wheel}",
+            f"largest along {np.abs(along).max():.2e}, across {np.abs(across).max():.2e}, "
+            f"rms {rms:.2e} m/s",
+        )
+
+
+def angle_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the largest angles of the platform and the tilting joints."""
+    largest = {name: np.abs(run[name]).max() for name in ("pitch", "roll")}
+    largest |= {
+        name: np.abs(run[name]).max()
+        for name in run
+        if name.startswith("tilt_") and not name.endswith(("_rate", "_stop"))
+    }
+    yield "largest angles", ", ".join(f"{name} {value:.4g} rad" for name, value in largest.items())
+
+
+def force_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield what the motion takes of the ground and of the drives, quasi-statically."""
+    if "utilisation" not in run.columns:
+        return
+    yield "friction", friction_words(run)
+    if "utilisation_best" in run.columns:
+        best = run["utilisation_best"]
+        if not np.isnan(best).all():
+            k = int(np.nanargmax(best))
+            yield "  best distribution", f"{best[k]:.4g} at most (t = {run.t[k]:.4g} s)"
+    normal, margin = run["force_normal"], run["tip_over_margin"]
+    yield "normal forces", f"{normal.min():.4g} to {normal.max():.4g} N"
+    yield "tip-over margin", f"{margin.min():.4g} rad at least"
+    torque = np.abs(run["drive_torque"]).max()
+    gained = run["potential_energy"][-1] - run["potential_energy"][0]
+    yield (
+        "drives",
+        f"torque {torque:.4g} N m at most, power {run['power'].max():.4g} W at most, work "
+        f"{run['work'][-1] - run['work'][0]:.6g} J, potential energy gained {gained:.6g} J",
+    )
+
+
+def friction_words(run: Trajectory) -> str:
+    """Return the largest use of friction, where and when, and what it means."""
+    used = run["utilisation"]
+    k, i = np.unravel_index(int(used.argmax()), used.shape)
+    where = f"at most (wheel {run.wheels[i]}, t = {run.t[k]:.4g} s)"
+    value = f"{used[k, i]:.4g}"
+    if "ground_friction" not in run.attributes:
+        return f"coefficient needed {value} {where}; the ground's is not given"
+    words = f"utilisation {value} {where}, of a coefficient of {run.attributes['ground_friction']}"
+    spread = " in the load-weighted distribution" if "utilisation_best" in run.columns else ""
+    spread = f" by the law {run.attributes['law']!r}" if is_quasi_static(run) else spread
+    return f"{words}{spread}" + ("" if used[k, i] <= 1 else "; friction does not hold this motion")
+
+
+def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str, str]]:
+    """Yield residuals, the singular value and the contact certificate.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    tolerance : float or None
+        Tolerance of its integrator; None if it was not integrated.
+    """
+    if "drift_position" in run.columns:
+        drift, turned = (run[f"drift_{name}"].max() for name in ("position", "rotation"))
+        yield "drift of the assembly", f"{drift:.2e} m, {turned:.2e} rad at most"
+    else:
+        yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
+        step = run["newton_step"].max()
+        of_it = f", {step / tolerance:.3g} x the tolerance" if tolerance else ""
+        yield "Newton step", f"{step:.2e} m at most{of_it}"
+    yield "singular value", f"{np.fmin.reduce(run['singular_value']):.4g} at least"
+    yield "contact certificate", certificate(run)
+    yield from _missing(run)
+
+
+def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the diagnostics that did not converge, with the number of samples, or failed."""
+    counts = {}
+    for name, column in run.columns.items():
+        unknown = np.isnan(column.values).reshape(run.t.size, -1).any(axis=1)
+        counts[name] = int(unknown.sum())
+    listed = [
+        f"{name} at {count} of {run.t.size} samples" for name, count in counts.items() if count
+    ]
+    if listed:
+        yield "not converged", ", ".join(listed)
+    if "failed_diagnostics" in run.attributes:
+        yield "diagnostics failed", run.attributes["failed_diagnostics"]
+
+
+def certificate(run: Trajectory) -> str:
+    """Return whether every wheel touched the ground at one point only, and by what margin."""
+    clearance, curvature = (run[name].min() for name in UNIQUE)
+    clean = "clean" if min(clearance, curvature) >= 0 else "broken"
+    if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
+        clean += " up to the stop"
+    room = (
+        "no second place where the ground comes near"
+        if clearance >= NONE
+        else f"clearance beside the contacts {clearance:.4g} m at least"
+    )
+    words = f"{clean}: {room}, relative curvature {curvature:.4g} 1/m at least"
+    if run.t.size == 1:
+        return words
+    return f"{words}; a sample every {_apart(run):.3g} m of way or less"
+
+
+def _apart(run: Trajectory) -> float:
+    """Return the largest distance between the platform's places at two samples [m]."""
+    steps = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
+    return float(steps.max(initial=0.0))

@@ -1,0 +1,251 @@
+"""Verbs that move one vehicle over terrain: what they share."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from slipfree.errors import DataError
+from slipfree.frames import STORED, WANTED, to_problem_frame
+from slipfree.models.friction_feasibility import BEST, best_utilisation
+from slipfree.models.poses import wheel_poses
+from slipfree.models.records import is_determinate
+from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
+from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
+from slipfree.problem.build_model import law_name
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import Modelled, Motion
+from slipfree.problem.summary import Facts, end_fact, integrator_fact
+from slipfree.problem.verbs.base import MotionVerb, Quantity, Result, Solution, Viewer, Watch
+from slipfree.problem.verbs.drive_facts import (
+    CHECKS,
+    angle_facts,
+    certificate,
+    force_facts,
+    path_facts,
+    slip_facts,
+    trust_facts,
+)
+from slipfree.records import Array, leaves
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.simulate import simulate
+from slipfree.terrain.base import Grid
+from slipfree.terrain.bicubic import Bicubic
+from slipfree.trajectory import SolverError, Trajectory, path_length
+from slipfree.vehicle.tree import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from slipfree.plan.warm_start import SavedPlan
+    from slipfree.show.drive_scene import Driven
+
+SAME = 1e-3  # largest distance of wheels from their places and from the ground, in radii
+
+
+class DriveVerb(MotionVerb):
+    """Kind of problem whose answer is the motion of one vehicle over terrain."""
+
+    commands = ("run", "vehicle")
+    checks: ClassVar[tuple[str, ...]] = CHECKS
+    metrics_shown = ("slip_rms", "tilt_largest", "utilisation_largest")
+
+    @abstractmethod
+    def build(self, problem: Problem[Any]) -> Setup:
+        """Return model, start and inputs of a problem."""
+
+    @abstractmethod
+    def drive(
+        self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the motion without diagnostics, and arrays for the result file."""
+
+    def solve(
+        self, problem: Problem[Any], setup: Any, watch: Watch, resume: SavedPlan | None
+    ) -> Solution:
+        """Return the motion of a problem with its diagnostics."""
+        run, arrays = self.drive(problem, setup, watch, resume)
+        return Solution(_with_diagnostics(setup, run), setup, arrays)
+
+    def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Facts]:
+        """Return the start in the frame of the problem, and words about it and the samples."""
+        spec = problem.spec
+        start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
+        names = dict.fromkeys([*spec.start, "z", "pitch", "roll"])
+        pose = ", ".join(f"{name} {start[name][0]:.10g}" for name in names)
+        return start, [
+            ("start", f"{pose} (m, rad)"),
+            ("contact certificate", certificate(start)),
+            ("samples", self.describe_samples(problem, setup)),
+        ]
+
+    def describe_samples(self, problem: Problem[Any], setup: Setup) -> str:
+        """Return the sampling of the result in words."""
+        return f"{setup.t.size} to {setup.t[-1]:g} s"
+
+    def facts(self, run: Trajectory) -> Facts:
+        """Return the summary of a motion: names and words."""
+        run = to_problem_frame(run)
+        return [
+            *path_facts(run),
+            *self.own_facts(run),
+            *slip_facts(run),
+            *angle_facts(run),
+            *force_facts(run),
+            *self.trust_facts(run),
+            *self.cost_facts(run),
+            end_fact(run),
+        ]
+
+    def own_facts(self, run: Trajectory) -> Facts:
+        """Return names and words that other verbs do not have."""
+        return []
+
+    def trust_facts(self, run: Trajectory) -> Facts:
+        """Return residuals, the singular value and the contact certificate: names and words."""
+        return [*trust_facts(run, run.statistics.get("tolerance"))]
+
+    def cost_facts(self, run: Trajectory) -> Facts:
+        """Return the cost of the solution: names and words."""
+        return [integrator_fact(run)]
+
+    def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
+        """Return path length and slip of a motion."""
+        slip = np.hypot(run["slip_along"], run["slip_across"])
+        duration, length = run.t[-1] - run.t[0], path_length(run)
+        found = {
+            "path_length": Quantity(length, "m"),
+            "slip_largest": Quantity(slip.max(), "m s-1"),
+        }
+        if duration > 0:
+            squares = np.trapezoid(slip**2, run.t, axis=0).mean()
+            found["slip_rms"] = Quantity(np.sqrt(squares / duration), "m s-1")
+        if length > 0:
+            mean = np.trapezoid(slip, run.t, axis=0).mean() / length
+            found["slip_per_path"] = Quantity(mean, "m m-1")
+        return found
+
+    def figures(self, result: Result) -> dict[str, Figure]:
+        """Return the figures of a motion by name."""
+        from slipfree.show.motion_figures import figures
+
+        return figures(result.trajectory, ground_of(result).grid)
+
+    def viewer(self) -> Viewer:
+        """Return what draws motions over terrain in space."""
+        from slipfree.show.drive_film import animate_drives
+        from slipfree.show.drive_scene import drive_scene
+
+        return Viewer("motions over terrain", drive_scene, animate_drives)
+
+    def shown(self, result: Result, name: str) -> Driven:
+        """Return the motion of a result with ground and vehicle, for the viewer."""
+        from slipfree.show.drive_scene import Driven
+
+        run, problem = result.trajectory, result.problem
+        terrain = build_terrain(problem, ground_of(result))
+        with at(problem, ("vehicle",)):
+            vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+        _check_vehicle(run, vehicle, problem)
+        _check_ground(run, terrain, vehicle, problem)
+        return Driven(name, run, terrain, vehicle)
+
+    def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
+        """Return the inputs, the frames, the model and the law of a motion."""
+        return {
+            "inputs": " ".join(label.full for label in leaves(setup.model.labels.u)),
+            STORED: "paper",
+            WANTED: problem.spec.frame,
+        }
+
+
+def model_attributes(spec: Modelled) -> dict[str, str]:
+    """Return the model and the law of a problem, for its result file."""
+    return {"model": spec.model, "law": law_name(spec)}
+
+
+def ground_of(result: Result) -> Ground:
+    """Return the ground of a result: that of its solution, or built again."""
+    return build_ground(result.problem) if result.setup is None else result.setup.ground
+
+
+def integrate(setup: Setup, options: SolverOptions, watch: Watch) -> Trajectory:
+    """Return the motion, or the part that the integrator reached."""
+    try:
+        return simulate(
+            setup.dae, setup.start, setup.inputs, setup.t, options=options, progress=watch.time
+        )
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory
+
+
+def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
+    """Return a motion with its diagnostics; those that fail are named in its attributes."""
+    diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
+        "filled_ground": partial(_with_filled, setup.ground.grid),
+    }
+    if setup.vehicle.mass and not is_determinate(setup.vehicle):
+        diagnostics[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
+    failures = []
+    for name, diagnose in diagnostics.items():
+        try:
+            run = diagnose(run)
+        except Exception as error:  # whatever it is, the motion is not lost with it
+            failures.append(f"{name}: {type(error).__name__}: {error}")
+    if not failures:
+        return run
+    return replace(run, attributes={**run.attributes, "failed_diagnostics": "; ".join(failures)})
+
+
+def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
+    """Return a motion that states how far its wheels roll on filled ground, if they do."""
+    words = filled_words(grid, run)
+    return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
+
+
+def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) -> None:
+    """Refuse a vehicle whose parts were not where the motion has its wheels and their contacts."""
+    named = problem.spec.vehicle.file or str(problem.spec.vehicle.catalog)
+    wheels = tuple(wheel.name for wheel in vehicle.wheels)
+    if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
+        raise _changed("vehicle", named, "its wheels or joints have other names")
+    placed = wheel_poses(vehicle, run)
+    center, contact = (
+        np.stack([run[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
+        for name in ("center", "contact")
+    )
+    away = np.linalg.norm(placed.origins - center, axis=-1)
+    along = np.einsum("nki,nki->nk", contact - center, placed.rotations[..., 0])
+    out = np.sqrt(np.maximum(((contact - center) ** 2).sum(axis=-1) - along**2, 0))
+    columns = zip(vehicle.wheels, run["wheel_u"].T, strict=True)
+    x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
+    off = max(away.max(), np.hypot(along - x, out - rho).max())
+    if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
+        raise _changed("vehicle", named, f"its wheels are {off:.2g} m from the motion's")
+
+
+def _check_ground(
+    run: Trajectory,
+    terrain: Bicubic,
+    vehicle: Vehicle,
+    problem: Problem[Motion],
+) -> None:
+    """Refuse a ground that is not where the wheels of the motion touched it."""
+    off = np.abs(terrain.elevation(run["contact_x"], run["contact_y"]) - run["contact_z"]).max()
+    if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
+        words = f"it is up to {off:.2g} m from the contact points"
+        raise _changed("ground", problem.spec.terrain.file or "that is made", words)
+
+
+def _changed(what: str, named: str, words: str) -> DataError:
+    return DataError(
+        f"expected the {what} that it was run with, found another one ({named}): {words}; "
+        "put the file back as it was, name the folder that has it by --folder DIR, or run again"
+    )

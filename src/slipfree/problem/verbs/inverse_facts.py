@@ -1,0 +1,124 @@
+"""Summary of inverse kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from slipfree.models.given_rates import COMMANDS
+from slipfree.models.inverse import steering_note
+from slipfree.records import Mask
+from slipfree.trajectory import Trajectory
+
+METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and a value of it
+STEERED = 0.02  # error of a steering angle within which it is at its target [rad, m]
+CHECKS = (
+    "margin",
+    "round trip",
+    "replay by the direct model",
+    "replay stopped early",
+    "collocation",
+)  # facts about accuracy and validity
+
+
+def is_collocated(run: Trajectory) -> bool:
+    """Return whether the steering was found along a whole path by collocation."""
+    return run.attributes.get(METHOD) == COLLOCATION
+
+
+def steering_warning(run: Trajectory) -> str:
+    """Return the warning that the steering was integrated and is unstable; empty if not so."""
+    if "steering_growth" not in run.columns or is_collocated(run):
+        return ""
+    return steering_note(run)
+
+
+def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield what an inverse motion was sought for, and how well it is determined."""
+    commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
+    for wheel in run.wheels:
+        if (name := f"{wheel}_rate") in run.columns:
+            first, last = run[name][[0, -1]]
+            yield f"rate of wheel {wheel}", f"{first:.6g} at the start, {last:.6g} rad/s at the end"
+    for name in ("steer", "steer_rate"):
+        if name in run.columns:
+            low, high, unit = run[name].min(), run[name].max(), run.columns[name].label.unit
+            words = "steering angle" if unit == "rad" else "steering rate"
+            yield words, f"{low:.6g} to {high:.6g} {unit.replace(' s-1', '/s')}"
+    if "inverse_margin" in run.columns:
+        margin = run["inverse_margin"]
+        worst = int(margin.argmin())
+        words = run.columns["inverse_margin"].label.words
+        yield "margin", f"{margin[worst]:.4g} at least (t = {run.t[worst]:.4g} s): {words}"
+    known = {*COMMANDS, "path", "heading"}
+    steered = [name for name in run if f"{name}_error" in run.columns and name not in known]
+    for name in steered:
+        low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
+        unit = run.columns[name].label.unit
+        held = (
+            "; held at its stop" if name in run.attributes.get("held_at_stop", "").split() else ""
+        )
+        words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{held}"
+        yield f"steering {name}", words
+    errors = [np.abs(run[f"{name}_error"]) for name in steered]
+    is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
+    for name in commanded:
+        yield f"error of {name}", _largest_error(run, f"{name}_error", is_turning)
+    for name in ("path_error", "heading_error"):
+        if name in run.columns:
+            yield name.replace("_", " "), _largest_error(run, name)
+    if "steering_slip" in run.columns:
+        yield "steering slip", f"{run['steering_slip'].max():.2e} m/s at most: lever times rate"
+    if warning := steering_warning(run):
+        yield "warning", warning
+    trip = [size for name, size in run.statistics.items() if name.startswith("round_trip_")]
+    if trip:
+        yield (
+            "round trip",
+            f"{max(trip):.1e} at most: rates of the direct model at the samples, from those of "
+            "wheels and joints",
+        )
+
+
+def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
+    """Return the largest error and its time, and the largest with the steering at its target.
+
+    Errors along a path accumulate: the last one instead.
+    """
+    error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
+    worst = int(error.argmax())
+    words = f"{error[worst]:.1e} {unit} at most (t = {run.t[worst]:.4g} s)"
+    if is_turning is None:
+        return f"{words}, {error[-1]:.1e} {unit} at the end"
+    if is_turning.all():
+        return f"{words}; the steering is never within {STEERED:g} rad of its target"
+    if is_turning.any():
+        return f"{words}, {error[~is_turning].max():.1e} {unit} while the steering is at its target"
+    return words
+
+
+def collocation_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the cost of the collocation along a path."""
+    counts = run.statistics
+    return (
+        "collocation",
+        f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
+        f"{counts['cpu_seconds']:.3g} s CPU, steering to {counts['sought_error']:.1e} rad",
+    )
+
+
+def replay_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield how far a replay by the direct model is from the motion, if there was one."""
+    gaps = {
+        name.removeprefix("replay_"): size
+        for name, size in run.statistics.items()
+        if name.startswith("replay_")
+    }
+    listed = ", ".join(
+        f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps.items()
+    )
+    if gaps:
+        yield "replay by the direct model", f"differs by at most {listed}"
+    if "replay_stopped" in run.attributes:
+        yield "replay stopped early", run.attributes["replay_stopped"]

@@ -1,0 +1,73 @@
+"""Keys of the problems with ``verb = "inverse"``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from slipfree.files.toml.angles import bare_words
+from slipfree.files.toml.errors import Fault, format_value
+from slipfree.files.toml.source_lines import Place as KeyPath
+from slipfree.files.toml.types import Angles, Column, Record, TimeFunction
+from slipfree.problem.schema import VERB, Motion, Task
+
+FILE = "file"  # the key of [given] that names a CSV file
+
+
+class Path(Record):
+    """A path in time: place and heading of the platform's centre, here or in a file."""
+
+    t: Column | None = Field(default=None, description="times, ascending from 0 [s]")
+    x: Column | None = Field(default=None, description="at these times [m]")
+    y: Column | None = Field(default=None, description="at these times [m]")
+    heading: Angles | None = Field(default=None, description="at these times [rad]")
+    file: str | None = Field(default=None, description="a file with these four columns")
+
+
+class Inverse(Motion):
+    """Inverse kinematics: given rates of the platform, or its path; wheel rates are asked for."""
+
+    verb: Literal["inverse"] = Field(description=VERB)
+    given: dict[str, TimeFunction] | None = Field(
+        default=None,
+        description="rates of the platform by name, or the name of a CSV file of them in "
+        "time [m/s, rad/s]",
+    )
+    exact: bool | None = Field(
+        default=None,
+        description="whether rates in the heading frame are met exactly or refused; else their "
+        "errors are the least; by default unless all three are given",
+    )
+    path: Path | None = Field(default=None, description="a path in time instead")
+    steering: Literal["rate", "angle"] = Field(default="angle", description="what of it is unknown")
+
+    alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
+        **Task.alternatives,
+        (): ("given", "path"),
+        ("path",): ("t", "file"),
+    }
+
+    @property
+    def named_files(self) -> tuple[str, ...]:
+        """The CSV file of commands, if there is one."""
+        file = (self.given or {}).get(FILE)
+        return (file,) if isinstance(file, str) else ()
+
+    def faults(self) -> Iterator[Fault]:
+        """Yield also the errors of a path: columns beside a file, missing, of other lengths."""
+        yield from super().faults()
+        path = self.path
+        if path is None:
+            return
+        times = path.t or ()
+        if path.heading and (words := bare_words(path.heading[0])):
+            yield Fault(("path", "heading"), words, format_value(path.heading[0]))
+        for name in ("x", "y", "heading"):
+            place, column = ("path", name), getattr(path, name)
+            if path.file is not None and column is not None:
+                yield Fault(place, "no array beside a file", format_value(list(column)))
+            elif path.file is None and len(column or ()) != len(times):
+                expected = f"an array of {len(times)} numbers, one for each of t"
+                yield Fault(place, expected, f"{len(column)}" if column is not None else "none")

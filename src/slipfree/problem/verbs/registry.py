@@ -1,0 +1,59 @@
+"""Verbs of problem files."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from slipfree.files.toml.errors import ProblemError
+from slipfree.problem.problem import Problem
+from slipfree.problem.schema import Runnable
+from slipfree.problem.verbs.base import MotionVerb, Verb
+from slipfree.problem.verbs.climb import ClimbVerb
+from slipfree.problem.verbs.compare import CompareVerb
+from slipfree.problem.verbs.direct import DirectVerb
+from slipfree.problem.verbs.inverse import InverseVerb
+from slipfree.problem.verbs.plan import PlanVerb
+
+VERBS: tuple[Verb, ...] = (DirectVerb(), InverseVerb(), PlanVerb(), CompareVerb(), ClimbVerb())
+
+
+def verbs_of(command: str) -> tuple[Verb, ...]:
+    """Return the verbs that a command takes."""
+    return tuple(verb for verb in VERBS if command in verb.commands)
+
+
+def find_verb(name: object) -> Verb | None:
+    """Return the verb of a name; None if there is none."""
+    return next((verb for verb in VERBS if verb.name == name), None)
+
+
+def motion_verbs() -> tuple[MotionVerb, ...]:
+    """Return the verbs that ``slipfree run`` takes."""
+    return cast("tuple[MotionVerb, ...]", verbs_of("run"))
+
+
+def find_motion_verb(name: object) -> MotionVerb | None:
+    """Return the verb of ``slipfree run`` of a name; None if there is none."""
+    return next((verb for verb in motion_verbs() if verb.name == name), None)
+
+
+def verb_of(problem: Problem[Runnable]) -> MotionVerb:
+    """Return the verb of a problem of ``slipfree run``."""
+    return next(verb for verb in motion_verbs() if verb.name == problem.spec.verb)
+
+
+def check_option(problem: Problem[Any], option: str) -> None:
+    """Raise for an option of ``slipfree run`` that the verb of a problem does not offer.
+
+    Raises
+    ------
+    ProblemError
+        With the line of the verb, and the verbs that offer the option.
+    """
+    if option in verb_of(problem).options:
+        return
+    able = [verb.name for verb in motion_verbs() if option in verb.options]
+    raise ProblemError(
+        f"{problem.source.where(('verb',))}: expected {' or '.join(map(repr, able))} for "
+        f"--{option}, found {problem.spec.verb!r}"
+    )
