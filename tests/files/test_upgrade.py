@@ -38,6 +38,28 @@ def test_ending_of_a_climb_gets_its_own_key() -> None:
     assert upgrade_0_1(old) == {"outcome": "complete", "climb": old["outcome"]}
 
 
+@pytest.mark.parametrize(
+    ("problem", "settings", "expected"),
+    [
+        ('verb = "direct"', "", {"verb": "direct", "model": "kinematics", "law": "least"}),
+        (
+            'verb = "plan"',
+            "slip=traction",
+            {"verb": "plan", "model": "quasi-static", "law": "coulomb"},
+        ),
+        ('verb = "inverse"', "", {"verb": "inverse", "solved_by": "integration"}),
+        ('verb = "inverse"', "path.file=p.csv", {"verb": "inverse", "solved_by": "collocation"}),
+        ('verb = "climb"', "", {"verb": "climb"}),
+        ("verb =", "", {}),
+    ],
+)
+def test_verb_and_model_follow_from_the_problem(
+    problem: str, settings: str, expected: dict[str, str]
+) -> None:
+    old = {"problem": problem, "settings": settings}
+    assert upgrade_0_1(old) == {**old, **expected, "outcome": "complete"}
+
+
 @pytest.fixture
 def files(tmp_path: Path) -> list[Path]:
     """Return a result for each outcome."""
