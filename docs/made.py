@@ -18,13 +18,13 @@ DOCS = Path(__file__).parent
 LISTED = r"<!-- {kind}: ([\w.,\s]+?) -->"
 TAKES = {
     "SlipName": ", ".join(f'`"{name}"`' for name in SLIP_LAWS),
-    "Positive": "a number above 0",
-    "NonNegative": "a number from 0 on",
-    "NonNegativeAngle": "a number from 0 on",
-    "NonNegativeRate": "a number from 0 on",
-    "Count": "a whole number from 0 on",
+    "Positive": "a positive number",
+    "NonNegative": "a number, at least 0",
+    "NonNegativeAngle": "a number, at least 0",
+    "NonNegativeRate": "a number, at least 0",
+    "Count": "an integer, at least 0",
     "float": "a number",
-    "int": "a whole number",
+    "int": "an integer",
     "bool": "`true` or `false`",
     "str": "text",
     "Pair": "`[a, b]`",
@@ -32,13 +32,13 @@ TAKES = {
     "Window": "`[x_min, x_max, y_min, y_max]`",
     "Range": "a number, or `[low, high]`",
     "PiecewiseConstant": "a number, or `[[time, value], ...]`",
-    "float | str": "a number, or a file's name",
+    "float | str": "a number, or a file name",
     "tuple[Pair, ...]": "`[[x, y], ...]`",
     "tuple[Annotated[tuple[Pair, ...]": "`[[[x, y], ...], ...]`",
     "tuple[str, ...]": "`[names]`",
     "tuple[Rock, ...]": "`[[x, y, diameter, height], ...]`",
     "dict[str, float]": "a table of numbers by name",
-    "dict[str, Quantity]": 'a table of numbers by name, angles also as `"30 deg"`',
+    "dict[str, Quantity]": 'a table of numbers by name; angles also as `"30 deg"`',
     "Angles": '`[numbers]`, or text as in `"30 deg"`',
     "dict[str, NonNegative]": "a table of numbers by name",
     "dict[str, Range]": "a table by name: numbers, or `[low, high]`",
@@ -46,7 +46,7 @@ TAKES = {
     "dict[str, TimeFunction]": (
         "a table by name: numbers, `[[time, value], ...]`, or formulas of `t`"
     ),
-    "tuple[dict[str, Range], ...]": "an array of tables by name, each with its `at`",
+    "tuple[dict[str, Range], ...]": "an array of tables by name, each with `at`",
 }
 
 
@@ -107,7 +107,7 @@ def _modules(package: str) -> str:
 
 
 def _commands(_: str) -> str:
-    """Return a section for every command: what it says about itself."""
+    """Return a section for each command with its help text."""
     import typer
     from typer.testing import CliRunner
 
@@ -119,7 +119,7 @@ def _commands(_: str) -> str:
 
 
 def _keys(_: str) -> str:
-    """Return a section for every verb: its keys, then those of tables not described before."""
+    """Return a section for each verb: its keys, then those of tables not described before."""
     seen: set[tuple[str, ...]] = set()
     parts = []
     for verb in VERBS:
@@ -130,8 +130,8 @@ def _keys(_: str) -> str:
 def _tables(
     record: type[schema.Record], path: tuple[str, ...], seen: set[tuple[str, ...]]
 ) -> Iterator[str]:
-    """Yield the table of a record's keys, and those of the records in it."""
-    rows = ["| key | meaning | unit | what it takes | default |", "| --- | --- | --- | --- | --- |"]
+    """Yield the table of the keys of a record, and those of the records in it."""
+    rows = ["| key | meaning | unit | value | default |", "| --- | --- | --- | --- | --- |"]
     inner = []
     for key, field in record.model_fields.items():
         found, place = _record_in(field.annotation), (*path, key)
@@ -151,33 +151,33 @@ def _tables(
 
 
 def _meaning(field: Any) -> tuple[str, str]:
-    """Return what a key means, and its unit."""
+    """Return the meaning and the unit of a key."""
     words, _, unit = field.description.removesuffix("]").partition(" [")
     return words, unit
 
 
 def _titled(place: tuple[str, ...], field: Any) -> str:
-    """Return how a table, or an array of tables, is begun."""
+    """Return the heading of a table, or of an array of tables."""
     name = ".".join(place)
     return f"tables `[[{name}]]`" if "tuple" in str(field.annotation) else f"table `[{name}]`"
 
 
 def _record_in(annotation: Any) -> type[schema.Record] | None:
-    """Return the record that a key takes, alone or in an array, if it takes one."""
+    """Return the record that a key accepts, alone or in an array; None if it accepts none."""
     if isinstance(annotation, type) and issubclass(annotation, schema.Record):
         return annotation
     return next(filter(None, map(_record_in, get_args(annotation))), None)
 
 
 def _options(annotation: Any) -> tuple[str, ...]:
-    """Return the names that a key takes, if it takes names."""
+    """Return the names that a key accepts, if any."""
     if get_origin(annotation) is Literal:
         return get_args(annotation)
     return next(filter(None, map(_options, get_args(annotation))), ())
 
 
 def _words(record: type[schema.Record], key: str, annotation: Any) -> str:
-    """Return what a key takes: names, or its annotation as it is written, in words."""
+    """Return the description of the values of a key: names, or its annotation in words."""
     if names := _options(annotation):
         return ", ".join(f'`"{name}"`' for name in names)
     written = next(w for w in map(get_annotations, record.__mro__) if key in w)[key]
