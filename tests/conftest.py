@@ -16,6 +16,12 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ["SLIPFREE_CACHE"] = ""  # nothing that was compiled before
 
 
+@pytest.fixture(autouse=True)
+def _no_progress_lines(monkeypatch):
+    """Keep slow runs from printing lines that fast ones do not print."""
+    monkeypatch.setattr("slipfree.cli.progress.FIRST_LINE", np.inf)
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(20261121)

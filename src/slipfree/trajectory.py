@@ -22,6 +22,7 @@ WHEELS = {"long_name": "name of the wheel"}
 STATISTICS = "statistics_"  # prefix of the solver's counts among the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
 OUTCOME = "outcome"
+PLAN, PLAN_ACCURACY = "plan", "plan_accuracy"  # names of the stops of plans
 
 
 class Stop(NamedTuple):
@@ -266,6 +267,23 @@ def joined(*runs: Trajectory) -> Trajectory:
     t = np.concatenate([run.t for run in runs])
     events = {k: np.concatenate([run.events[k] for run in runs]) for k in runs[0].events}
     return replace(runs[0], t=t, columns=columns, stop=runs[-1].stop, events=events)
+
+
+def outcome_title(run: Trajectory) -> str:
+    """Return the outcome of a motion, with time and name of a stop that has a time.
+
+    Plans are solved as a whole: the stop of one that was not solved has no time.
+    """
+    stop, title = run.stop, run.outcome.title
+    if stop is None or stop.name in (PLAN, PLAN_ACCURACY):
+        return title
+    name = "" if stop.name.replace("_", " ") in title else f" ({stop.name})"
+    return f"{title} at t = {stop.t:.6g} s{name}"
+
+
+def outcome_words(run: Trajectory) -> str:
+    """Return the outcome of a motion with its reason."""
+    return f"{outcome_title(run)}: {run.stop.words}" if run.stop else outcome_title(run)
 
 
 def path_length(run: Trajectory) -> float:

@@ -65,7 +65,7 @@ def test_run_writes_the_result_and_draws(folder: Path) -> None:
         "certificate  ",
         "; a sample every ",
         "steps, ",
-        "reached the time asked for",
+        "outcome                complete\n",
         "wrote p.nc",
     ):
         assert words in result.stdout, words
@@ -97,8 +97,9 @@ def test_the_problem_names_the_result(folder: Path) -> None:
 def test_leaving_the_map_saves_the_motion_to_the_edge(folder: Path) -> None:
     result = _invoke("run", "p.toml", "--no-draw", "--set", "time.duration=3")
     assert result.exit_code == 1
-    assert "wheel front leaves the map" in result.stderr
-    assert "stopped early" in result.stdout
+    title = "limit reached at t = 1.25 s (map_margin[front])"
+    assert re.match(rf"outcome +{re.escape(title)}: wheel front leaves the map", result.stdout)
+    assert result.stderr == f"{title}; p.nc holds what was reached\n"
     motion = netcdf.read(folder / "p.nc")
     assert motion.stop is not None
     assert motion.stop.name == "map_margin[front]"
@@ -117,7 +118,8 @@ def test_a_failing_integrator_saves_what_was_reached(
     _broken("verbs.driving.simulate", monkeypatch, error)
     result = _invoke("run", "p.toml", "--no-draw", "-o", "q.nc")
     assert result.exit_code == 1
-    assert "stopped early at t = 0.2 s: gave up; q.nc holds the motion to there" in result.stderr
+    assert re.match("outcome +solver failure at t = 0.2 s: gave up\n", result.stdout)
+    assert result.stderr == "solver failure at t = 0.2 s; q.nc holds what was reached\n"
     found = netcdf.read(folder / "q.nc")
     assert found.t.size == 3
     assert found.attributes["title"] == "Überfahrt"

@@ -184,7 +184,8 @@ def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch
     assert stop.name == "plan_accuracy"
     assert stop.outcome is Outcome.INACCURATE
     assert "the plan is solved, but its simulation misses x by" in stop.words
-    assert "where an accuracy of 1e-07 was asked for: its mesh was not refined" in stop.words
+    assert " m, " in stop.words
+    assert "plan.accuracy allows 1e-07: its mesh was not refined any further" in stop.words
 
 
 def test_work_of_the_drives_is_planned_with():

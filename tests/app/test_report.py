@@ -156,7 +156,7 @@ def test_a_large_drawing_becomes_pixels(rng: np.random.Generator) -> None:
 def test_an_early_end_comes_first(tmp_path: Path) -> None:
     found = report(_result("direct", tmp_path, "time.duration=30", "time.step=1"))
     assert not found.good
-    assert found.lead.startswith("Stopped early at t = ")
+    assert found.lead.startswith("Limit reached at t = ")
     assert "leaves the map" in found.lead
     assert 'class="lead bad"' in page(found)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ from slipfree.files import netcdf
 from slipfree.outcome import Outcome
 from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
+from slipfree.problem.report import report
 from slipfree.problem.solve import run_problem
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -67,39 +71,77 @@ def test_a_file_keeps_what_a_plan_leaves(solved):
     assert_array_equal(saved.arrays["plan_unknowns"], saved.unknowns)
 
 
-def test_a_search_that_is_interrupted_leaves_a_file_to_go_on_from(tmp_path):
-    told = []
+def interrupt_search(monkeypatch, calls):
+    """Press Ctrl-C at one of the reports of progress."""
 
-    def interrupt(line):
-        told.append(line)
-        if len(told) == 5:
-            raise KeyboardInterrupt
+    @contextmanager
+    def interruptible():
+        left = iter(range(calls))
 
-    outcome = run_problem(load_problem(HILLS, list(SMALL)), tell=interrupt)
-    stop = outcome.trajectory.stop
-    assert stop.name == "plan"
-    assert stop.outcome is Outcome.INTERRUPTED
-    assert "the search was stopped" in stop.words
-    assert stop.words.endswith("; go on with --resume OUT.nc")
-    file = tmp_path / "stopped.nc"
-    netcdf.write(file, outcome.trajectory, outcome.arrays)
+        def poll():
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+
+        yield poll
+
+    monkeypatch.setattr("slipfree.cli.progress.interruptible", interruptible)
+
+
+@pytest.fixture
+def stopped(tmp_path, monkeypatch):
+    """Return the file of an interrupted search and what the command prints."""
+    file = tmp_path / "stopped here.nc"
+    with monkeypatch.context() as patch:
+        interrupt_search(patch, 5)
+        return file, command(file)
+
+
+def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(stopped):
+    file, result = stopped
+    assert result.exit_code == 130
+    begin = "the search was stopped (IPOPT: User_Requested_Stop) after 5 iterations; kept is"
+    assert re.match(rf"outcome +interrupted: {re.escape(begin)}", result.stdout)
+    assert "\niterate  " in result.stdout
+    assert "\nplan  " not in result.stdout
+    assert "stopped early" not in result.output
+    first, second = result.stderr.splitlines()
+    assert first == f"interrupted; {file} holds what was reached"
+    go_on = second.removeprefix("to go on: ")
+    settings = " ".join(f"--set {each}" for each in SMALL)
+    end = f"-o '{file}' --no-draw --resume '{file}'"
+    assert go_on == f"slipfree run {HILLS} {settings} {end}"
+    info = CliRunner().invoke(app, ["info", str(file)])
+    assert info.stdout.startswith("outcome ")
+    assert f"to go on: slipfree run {HILLS} {settings} --resume '{file}'" in info.stdout
+    assert begin in report(file).lead
+    again = CliRunner().invoke(app, shlex.split(go_on)[1:])
+    assert again.exit_code == 0, again.output
+    assert re.match("outcome +complete\n", again.stdout)
+    assert netcdf.read(file).outcome is Outcome.COMPLETE
+
+
+def test_an_interrupted_plan_is_kept(stopped):
+    file, _ = stopped
     kept = from_arrays(netcdf.read_arrays(file), str(file))
     assert np.isfinite(kept.unknowns).all()
     assert netcdf.read(file).stop.name == "plan"
     assert netcdf.read(file).outcome is Outcome.INTERRUPTED
-    assert command(tmp_path / "on.nc", "--resume", str(file)).exit_code == 0
 
 
 def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
-    def interrupt(line):
-        if "intervals: iteration" in line:
+    def interrupt(phase, _):
+        if phase.endswith("intervals"):
             raise KeyboardInterrupt
 
     outcome = run_problem(load_problem(HILLS, [*SMALL, "plan.accuracy=1e-7"]), tell=interrupt)
     stop = outcome.trajectory.stop
     assert stop.name == "plan_accuracy"
     assert stop.outcome is Outcome.INTERRUPTED
-    assert stop.words.endswith("was asked for: interrupted; go on with --resume OUT.nc")
+    pattern = (
+        r"the plan is solved, but its simulation misses x by [\d.e-]+ m, .* rad.*, "
+        "plan.accuracy allows 1e-07: the refinement of its mesh was stopped"
+    )
+    assert re.fullmatch(pattern, stop.words)
 
 
 @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ def test_quiet_prints_errors_alone() -> None:
     assert _invoke("-q", "check", "p.toml").output == ""
     result = _invoke("run", "p.toml", "--no-draw", "--quiet", "--set", "time.duration=3")
     assert (result.exit_code, result.stdout) == (1, "")
-    assert "stopped early at t = 1.25 s" in result.stderr
+    assert "limit reached at t = 1.25 s (map_margin[front]): wheel front leaves" in result.stderr
     assert _invoke("check", "no.toml", "-q").stderr.startswith("no.toml: expected a problem file")
     assert _invoke("check", "p.toml").stdout.endswith("ok\n")  # it is not remembered
 
@@ -186,7 +186,10 @@ def test_early_ends_and_bad_input_in_json() -> None:
     found = _json("run", "p.toml", "--no-draw", "--set", "time.duration=3", code=1)
     assert found["result"]["stop"]["name"] == "map_margin[front]"
     assert found["result"]["stop"]["time"] == pytest.approx(1.25, abs=1e-5)
-    assert "leaves the map" in found["errors"][0]
+    assert (found["outcome"], found["exit_code"]) == ("limit", 1)
+    title = "limit reached at t = 1.25 s (map_margin[front])"
+    assert found["errors"] == [f"{title}; p.nc holds what was reached"]
+    assert found["facts"]["outcome"] == f"{title}: {found['result']['stop']['words']}"
     found = _json("check", "p.toml", "--set", "time.step=0", "--set", "solver.tol=1", code=2)
     assert [each.split(":")[0] for each in found["errors"]] == [
         "--set time.step",

@@ -301,7 +301,7 @@ def test_problem_file() -> None:
         "round trip  ",
         "wheel middle_left  ",
         "replay by the direct model  differs by at most x ",
-        "reached the time asked for",
+        "outcome ",
     ):
         assert words in result.stdout, words
     run = netcdf.read("out.nc")
@@ -385,5 +385,5 @@ def test_what_the_integrator_reached_is_kept(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("slipfree.problem.verbs.driving.simulate", fail)
     result = _invoke(*CAR)
     assert result.exit_code == 1
-    assert "stopped early at t = 0 s: gave up" in result.stderr
+    assert "solver failure at t = 0 s: gave up\n" in result.stdout
     assert netcdf.read("out.nc").t.size == 1

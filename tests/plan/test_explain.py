@@ -71,8 +71,10 @@ def test_a_goal_beyond_the_reach_of_the_input_names_what_must_give():
     assert held["duration", "duration", "at most"].share == pytest.approx(2.0, rel=1e-2)
     states = given.solution[program.layout.states[:, -1, 0]]
     np.testing.assert_allclose(states[-1], 4.0, atol=1e-6)
-    told = explanation(program, found, first)
-    assert told.startswith("the constraints contradict each other where the search ended (Infea")
+    told = explanation(program, found, first).words
+    assert told.startswith(
+        "the constraints contradict each other where the search ended (IPOPT: Infea"
+    )
     assert "x0 at the goal is 3 m below 4 m at t = 1 s" in told
     assert (
         "relaxed bounds (one sufficient set; others may exist):\n  input drive: 4 m instead of 1 m"
@@ -171,7 +173,7 @@ def test_times_and_places_of_violations_are_those_of_the_mesh():
     assert [name for _, name in found if name in sizes] == list(sizes)
     assert (
         violation_words(found["equation", "x0_motion"])
-        == "equation x0_motion of the vehicle is not met by 0.5 m at t = 2 s"
+        == "equation x0_motion of the vehicle (motion of state 0) is not met by 0.5 m at t = 2 s"
     )
     assert (
         violation_words(found["input", "drive_change"])
@@ -198,10 +200,14 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     assert given.success
     assert given.relaxed == []
     assert given.held == []
-    assert explanation(program, found, first).startswith("the plan is solved (Solve_Succeeded")
+    assert explanation(program, found, first).words.startswith(
+        "the plan is solved (IPOPT: Solve_Succeeded"
+    )
     stuck = solve_program(program, np.array([1.0, 0.0]), first, iterations=0)
-    told = explanation(program, stuck, first)
-    assert told.startswith("the search did not end within its iterations (Maximum_Iterations")
+    told = explanation(program, stuck, first).words
+    assert told.startswith(
+        "the search did not end within its iterations (IPOPT: Maximum_Iterations"
+    )
     assert "no bound must be relaxed" in told
 
 
@@ -210,14 +216,14 @@ def test_equations_without_a_solution_are_said_to_be_so():
     dae = toy(1, lambda _t, _x, z, u: [u + ca.sqrt(-1 - z)])
     asked = task(dae, [0.0], places=[at_end(dae.x.values[0], 0.5)], inputs=(-1, 1))
     program, found, first = attempted(asked)
-    assert "no relaxation of the bounds was found" in explanation(program, found, first)
+    assert "no relaxation of the bounds was found" in explanation(program, found, first).words
 
 
 def test_who_stops_a_search_does_not_wait_for_another():
     dae = integrator()
     asked = task(dae, [0.0], places=[at_end(dae.x.values[0], 4.0)], inputs=(-1, 1))
-    told = explanation(*attempted(asked, look=lambda _: False))
-    assert told.startswith("the search was stopped (User_Requested_Stop")
+    told = explanation(*attempted(asked, look=lambda _: False)).words
+    assert told.startswith("the search was stopped (IPOPT: User_Requested_Stop")
     assert "x0 at the goal is" in told
     assert "suffices" not in told
 
@@ -260,7 +266,7 @@ def test_values_are_told_in_map_coordinates():
     (told,) = conflicts(asked, None)
     assert told.startswith("x0 at the goal must be 104 m, but x0 of the vehicle must be 99 to 102")
     program, found, first = attempted(asked)
-    told = explanation(program, found, first)
+    told = explanation(program, found, first).words
     assert "of the vehicle: 104 m instead of 102 m at t = 1 s" in told
     assert "x0 at the goal: 104 m" in told
 
@@ -303,7 +309,7 @@ def test_a_vehicle_is_told_that_its_goal_is_too_far_for_its_wheels():
     (one,) = given.relaxed
     assert (one.label.full, one.role, one.bound, one.t) == ("y", "goal", 3.0, 5.0)
     assert one.value == pytest.approx(0.75, abs=0.05)
-    told = explanation(program, found, first)
+    told = explanation(program, found, first).words
     assert "  y at the goal is 2.2" in told
     assert "m instead of 3 m at t = 5 s" in told
     for name in ("right_rate", "left_rate"):

@@ -22,6 +22,7 @@ from slipfree.cli.common import (
 )
 from slipfree.cli.json_output import motion_answer, quantities, row_answer
 from slipfree.cli.messages import complain, detail, has_bar, put, put_file, say, visible
+from slipfree.cli.outcomes import resume_command
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def info(
     with reported(), about(file):
         from slipfree.files.netcdf import read
         from slipfree.problem.result import motion_facts
-        from slipfree.problem.summary import ranges
+        from slipfree.problem.summary import outcome_fact, ranges
 
         motion = read(file)
         attributes = dict(motion.attributes)
@@ -126,8 +127,11 @@ def info(
             return
         facts = motion_facts(motion)
         words = [(name.replace("_", " "), value) for name, value in attributes.items()]
-        tell([each for each in words if each not in facts] + facts)
+        tell([outcome_fact(motion), *(each for each in words if each not in facts), *facts])
+        if go_on := resume_command(motion, file):
+            say(f"to go on: {go_on}")
         say()
+        put("outcome", motion.outcome.name.lower)
         put("attributes", lambda: attributes)
         put("result", lambda: motion_answer(motion))
         show(ranges(motion))

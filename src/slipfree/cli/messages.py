@@ -242,6 +242,11 @@ def has_bar() -> bool:
     return not any(_said().voice)
 
 
+def is_quiet() -> bool:
+    """Return whether only errors are wanted."""
+    return _said().voice.quiet
+
+
 def is_verbose() -> bool:
     """Return whether details are wanted."""
     return _said().voice.verbose

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,37 +13,29 @@ from slipfree.cli.common import (
     Settings,
     check_default_places,
     check_places,
-    interruptible,
     read_problem,
     reported,
     show,
     tell,
-    throttled,
 )
 from slipfree.cli.json_output import motion_answer
 from slipfree.cli.messages import (
-    complain,
     detail,
-    has_bar,
-    is_verbose,
     put,
     put_file,
     say,
-    visible,
     warn,
 )
+from slipfree.cli.outcomes import resume_command, say_incomplete
+from slipfree.cli.progress import reporting
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.problem.problem import Problem
     from slipfree.problem.result import Result
     from slipfree.problem.verbs.base import MotionVerb
-    from slipfree.trajectory import Stop
 
-SELDOM = 1.0  # between two lines on the time reached [s]
 
 Out = Annotated[
     Path | None,
@@ -99,6 +89,8 @@ def run(
 
         problem = read_problem(file, settings)
         verb = verb_of(problem)
+        options = [] if out is None else ["-o", str(out)]
+        options += [] if draw else ["--no-draw"]
         out, folder = _places(problem, out, figures, draw=draw)
         check_places([out, csv, animation], folder, problem)
         _check_options(problem, cross_check, resume, animation)
@@ -113,9 +105,10 @@ def run(
         if animation is not None:
             verb.animate(result, animation)
             _wrote(animation)
-        if result.trajectory.stop is not None:
-            say_stopped(result.trajectory.stop, out)
-            raise typer.Exit(result.trajectory.outcome.exit_code)
+        if result.outcome.exit_code:
+            go_on = resume_command(result.trajectory, out, *options)
+            say_incomplete(result.trajectory, out, go_on)
+            raise typer.Exit(result.outcome.exit_code)
 
 
 def _places(
@@ -152,58 +145,12 @@ def output_of(problem: Problem[Any]) -> str:
 
 
 def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) -> Result:
-    """Return the result; show a bar meanwhile if somebody is looking."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import Progress
-
+    """Return the result; report the progress meanwhile."""
     from slipfree.problem.solve import run_problem
 
-    console = Console(file=sys.stderr)  # as it is now: messages of integrators are kept from it
-    with interruptible() as poll:
-        if is_verbose():
-            return _told(run_problem(problem, *_telling(poll, problem.spec.time.duration), former))
-        if not (console.is_terminal and has_bar()):
-            return run_problem(problem, lambda _: poll(), lambda _: poll(), former)
-        with Progress(console=console, transient=True) as bar:
-            total = problem.spec.time.duration if verb.is_timed else None
-            task = bar.add_task("solving", total=total)
-            show = throttled(lambda t: bar.update(task, completed=t))
-            show_line = throttled(lambda line: bar.update(task, description=escape(visible(line))))
-
-            def progress(t: float) -> None:
-                poll()
-                show(t)
-
-            def show_what(line: str) -> None:
-                poll()
-                show_line(line)
-
-            return run_problem(problem, progress, show_what, former)
-
-
-def _telling(
-    poll: Callable[[], None], duration: float
-) -> tuple[Callable[[float], None], Callable[[str], None]]:
-    """Return what says the time reached, and every iterate of a plan, as details."""
-    last = 0.0
-
-    def progress(t: float) -> None:
-        nonlocal last
-        poll()
-        now = time.monotonic()
-        if not last:
-            last = now
-            detail("stood the vehicle on its start; integrates")
-        elif now - last > SELDOM:
-            last = now
-            detail(f"integrated to {t:.4g} of {duration:g} s")
-
-    def line(words: str) -> None:
-        poll()
-        detail(words)
-
-    return progress, line
+    duration = problem.spec.time.duration if verb.is_timed else None
+    with reporting(duration) as reports:
+        return _told(run_problem(problem, *reports, former))
 
 
 def _told(result: Result) -> Result:
@@ -276,13 +223,11 @@ def _cross_check(result: Result) -> None:
 
 
 def _print_summary(result: Result, verb: MotionVerb) -> None:
+    from slipfree.problem.summary import outcome_fact
+
     motion = result.trajectory
-    tell([*result.setup.facts, *verb.facts(motion)])
+    tell([outcome_fact(motion), *result.setup.facts, *verb.facts(motion)])
+    put("outcome", motion.outcome.name.lower)
     put("result", lambda: motion_answer(motion))
     for words in verb.warnings(motion):
         warn(words)
-
-
-def say_stopped(stop: Stop, out: Path) -> None:
-    """Say why a motion ends early, and where it is kept."""
-    complain(f"stopped early at t = {stop.t:.6g} s: {stop.words}; {out} holds the motion to there")

@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.settings import replace_values
 from slipfree.outcome import Outcome
-from slipfree.trajectory import OUTCOME, STOP
+from slipfree.trajectory import OUTCOME, STATISTICS, STOP
+
+ROUNDING = 1e-6  # of a limit that a plan meets, in its unit
 
 OUTCOMES = {  # of the names of stops; limits and checks have their own
     "solver": Outcome.SOLVER_FAILURE,
@@ -35,6 +37,8 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
     if OUTCOME in found:
         found["climb"] = found[OUTCOME]
     found[OUTCOME] = _outcome(found).name.lower()
+    if violated := _violations(found):
+        found["plan_violations"] = violated
     return {**_question(found), **found}
 
 
@@ -69,3 +73,13 @@ def _outcome(attributes: Mapping[str, str | float]) -> Outcome:
     if name.endswith("_residual"):
         return Outcome.SOLVER_FAILURE
     return OUTCOMES.get(name, Outcome.LIMIT)
+
+
+def _violations(attributes: Mapping[str, str | float]) -> str:
+    """Return the violations of a plan, which version 0.1 stored without units."""
+    prefix = f"{STATISTICS}plan_violation_"
+    return ", ".join(
+        f"{name.removeprefix(prefix)} by {size:.1e}"
+        for name, size in attributes.items()
+        if name.startswith(prefix) and not isinstance(size, str) and size > ROUNDING
+    )

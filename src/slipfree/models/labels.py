@@ -126,12 +126,13 @@ def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, 
 
 
 def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
-    """Return the labels of the equations of equilibrium, one for each rate."""
+    """Return the labels of the equations of equilibrium, one for each rate, over the weight."""
     return tuple(
         Label(
             f"equilibrium_{label.name.removesuffix('_rate')}",
             "1" if label.unit == "m s-1" else "m",
-            f"equilibrium with respect to {label.words.removeprefix('rate of ')}",
+            f"{'force' if label.unit == 'm s-1' else 'moment'} over weight, equilibrium with "
+            f"respect to {label.words.removeprefix('rate of ')}",
         )
         for label in leaves(rates.motion)
     )

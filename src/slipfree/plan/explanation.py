@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from slipfree.outcome import Outcome
 from slipfree.plan.constraints import EQUATION, VIOLATION_TOLERANCE, Violation, worst_violations
 from slipfree.plan.elastic import Relaxation, relax
-from slipfree.plan.ipopt import Solution
+from slipfree.plan.ipopt import INFEASIBLE_STATUS, STOPPED_STATUS, Solution
 from slipfree.plan.messages import number, subject
 from slipfree.plan.transcription import Program
 from slipfree.records import Array
+from slipfree.solver_codes import ipopt_words
 
 MAX_NAMED_VIOLATIONS = 5  # violations that an explanation names
-STATUS_WORDS = {  # meaning of IPOPT's status for a plan
-    "Solve_Succeeded": "the plan is solved",
-    "Solved_To_Acceptable_Level": "the plan is solved, to a lesser accuracy",
-    "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
-    "Restoration_Failed": "the search found no way back to the constraints",
-    "Maximum_Iterations_Exceeded": "the search did not end within its iterations",
-    "Maximum_CpuTime_Exceeded": "the search did not end within its time",
-    "Maximum_WallTime_Exceeded": "the search did not end within its time",
-    "User_Requested_Stop": "the search was stopped",
-    "Diverging_Iterates": "the search ran away: something that pays has no bound",
-    "Search_Direction_Becomes_Too_Small": "the search made no more progress",
-    "Error_In_Step_Computation": "the search found no next step",
-    "Not_Enough_Degrees_Of_Freedom": "there are more equations than unknowns",
-    "Invalid_Number_Detected": "a function of the model has no value where the search looked",
-}
+
+
+class Explanation(NamedTuple):
+    """Outcome of a search without a plan, and its explanation.
+
+    Attributes
+    ----------
+    outcome : Outcome
+        Infeasible if IPOPT found so, or the bounds must be relaxed; interrupted; or a failure of
+        the solver.
+    words : str
+        Lines of text.
+    """
+
+    outcome: Outcome
+    words: str
 
 
 def violations(
@@ -59,13 +64,13 @@ def violation_words(violation: Violation) -> str:
     label, role, at = violation.label, violation.role, f"at t = {violation.t:.4g} s"
     size = number(label, violation.size)
     if role == EQUATION:
-        return f"{subject(label, role)} is not met by {size} {at}"
+        return f"{subject(label, role)} ({label.words}) is not met by {size} {at}"
     side = "below" if violation.value < violation.bound else "above"
     return f"{subject(label, role)} is {size} {side} {number(label, violation.bound)} {at}"
 
 
-def explanation(program: Program, solution: Solution, first: Array) -> str:
-    """Return lines that state how a search ended, its violations, and the relaxed bounds.
+def explanation(program: Program, solution: Solution, first: Array) -> Explanation:
+    """Explain how a search ended, what is kept of it, its violations, and which bounds to relax.
 
     Parameters
     ----------
@@ -76,24 +81,32 @@ def explanation(program: Program, solution: Solution, first: Array) -> str:
     first : ndarray, shape (n_w,)
         Where it began, not scaled.
     """
-    meant = STATUS_WORDS.get(solution.status, "the search ended")
-    lines = [f"{meant} ({solution.status}, after {solution.iterations} iterations)"]
     found = violations(program, solution)
+    is_infeasible = solution.status == INFEASIBLE_STATUS
     if found:
-        lines.append(f"violated most there, of {len(found)} constraints:")
+        kept = "the last iterate" if is_infeasible else "the iterate of least violation"
+    else:
+        kept = "a motion that meets all constraints, not the one of least cost"
+    words = ipopt_words(solution.status)
+    lines = [f"{words} after {solution.iterations} iterations; kept is {kept}"]
+    if found:
+        lines.append(f"largest violations there, of {len(found)} violated constraints:")
         lines += [f"  {violation_words(each)}" for each in found[:MAX_NAMED_VIOLATIONS]]
-    # Who stopped a search does not wait for another.
-    if not solution.success and solution.status != "User_Requested_Stop":
-        lines += _relaxation_lines(relax(program, first))
-    return "\n".join(lines)
+    if solution.status == STOPPED_STATUS:  # who stops a search does not wait for another
+        return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
+    relaxation = relax(program, first)
+    lines += _relaxation_lines(relaxation)
+    if relaxation.success:
+        is_infeasible = bool(relaxation.relaxed)
+    outcome = Outcome.INFEASIBLE if is_infeasible else Outcome.SOLVER_FAILURE
+    return Explanation(outcome, "\n".join(lines))
 
 
 def _relaxation_lines(relaxation: Relaxation) -> list[str]:
     if not relaxation.success:
-        meant = STATUS_WORDS.get(relaxation.status, "it ended")
         return [
-            f"no relaxation of the bounds was found: {meant} ({relaxation.status}), even with all "
-            "bounds but the start and the duration free; try another guess"
+            f"no relaxation of the bounds was found: {ipopt_words(relaxation.status)}, even with "
+            "all bounds but the start and the duration free; try another guess"
         ]
     if not relaxation.relaxed:
         return [

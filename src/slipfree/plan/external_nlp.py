@@ -10,6 +10,7 @@ import numpy as np
 from slipfree.interrupt import heeded
 from slipfree.nlp import Nlp
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, MAX_ITERATIONS, Solution
+from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import SolverError
 
 
@@ -54,7 +55,7 @@ def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
     status, count = str(stats["return_status"]), int(stats["iter_count"])
     if not stats["success"]:
         raise SolverError(
-            f"no solution of the nonlinear program was found: IPOPT ended with {status} after "
+            f"no solution of the nonlinear program was found: {ipopt_words(status)} after "
             f"{count} iterations; loosen its limits if they cannot be met together"
         )
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}

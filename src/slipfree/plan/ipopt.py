@@ -13,6 +13,8 @@ from slipfree.plan.transcription import Program, completed
 from slipfree.records import Array, field_overview
 
 INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
+SOLVED_STATUS = "Solve_Succeeded"
+STOPPED_STATUS = "User_Requested_Stop"  # where the progress callable returns False
 MAX_ITERATIONS = 500
 MAX_VIOLATION_GROWTH = (
     100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4

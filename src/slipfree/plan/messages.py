@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from slipfree.plan.constraints import EQUATION, INPUT, LIMIT
@@ -35,6 +37,13 @@ def number(label: Label, value: float) -> str:
     """Return a value with its unit."""
     unit = _unit(label.unit)
     return f"{_digits(value)}{unit and ' '}{unit}"
+
+
+def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Return by how much quantities are missed, as in ``x at the goal by 3.1e-04 m``."""
+    return ", ".join(
+        f"{name} by {size:.1e} {_unit(units[name])}".rstrip() for name, size in sizes.items()
+    )
 
 
 def _digits(value: float) -> str:

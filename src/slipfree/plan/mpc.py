@@ -31,6 +31,7 @@ from slipfree.plan.transcription import (
 )
 from slipfree.plan.verification import inputs_along
 from slipfree.records import Array, field_overview
+from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import SolverError
 
 TIME_TOLERANCE = 1e-6  # times that are nearer are one [s]
@@ -254,13 +255,13 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         lam_g0=rows,
         lam_x0=bounds,
     )
-    status = window.solver.stats()["return_status"]
+    status = str(window.solver.stats()["return_status"])
     # IPOPT's own rows are those of its last accepted iterate, which may differ from those returned.
     g = np.array(window.rows(found["x"], window.weights)).ravel()
     if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
-            f"horizon: no step at t = {t:g} s from the state {x}: {status}; the former cycle may "
-            "be driven on"
+            f"horizon: no step at t = {t:g} s from the state {x}: {ipopt_words(status)}; "
+            "the former cycle may be driven on"
         )
     unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     asked = replace(program, g_lower=g_lower, g_upper=g_upper)

@@ -19,12 +19,11 @@ from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.interrupt import heeded
-from slipfree.outcome import Outcome
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.explanation import explanation
 from slipfree.plan.ipopt import (
     CAUTIOUS_VIOLATION_GROWTH,
-    INFEASIBLE_STATUS,
+    STOPPED_STATUS,
     STUCK_STATUSES,
     Iterate,
     Solution,
@@ -46,13 +45,12 @@ from slipfree.plan.verification import Verification, inputs_along, refine_mesh, 
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
 from slipfree.records import Array, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
-from slipfree.trajectory import Stop, Trajectory
+from slipfree.trajectory import PLAN, Stop, Trajectory
 
 SLIP_STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
 MAX_LIMIT_ROUNDS = 4  # of adding limits that a plan violates
 MAX_REFINEMENTS = 6  # of the mesh at most
-STOPPED_STATUS = "User_Requested_Stop"  # IPOPT's words when progress returns False
 LIMIT_CLEARANCE = 1e-5  # by which plans keep clear of the model's limits, which end a simulation
 SAMPLE_STEP = 0.25  # between samples of the simulation at most [s]
 PlanProgress = Callable[[str, Iterate], bool]
@@ -103,6 +101,8 @@ class Plan:
         Largest difference between plan and replay in every state. [m, rad]
     violation : dict of str to float
         Violations of limits, goal and way-points by the replay, by name, each in its unit.
+    units : dict of str to str
+        Units of differences and violations, by name.
     costs : dict of str to float
         Integrals of the terms of the cost, in their units; that of the squared rates of the
         inputs as ``"smoothness"``.
@@ -125,6 +125,7 @@ class Plan:
     replay: Trajectory
     difference: dict[str, float]
     violation: dict[str, float]
+    units: dict[str, str]
     costs: dict[str, float]
     success: bool
     accurate: bool
@@ -519,15 +520,8 @@ def _to_plan(search: _SearchState, verification: Verification) -> Plan:
         costs["smoothness"] = float(values(found.unknowns / program.scale, units[-1]))
     run = sample_plan(program, found.unknowns) if run is None else run
     if not found.success:
-        words = (
-            f"the plan is not solved; this is its last iterate: "
-            f"{explanation(program, found, first)}"
-        )
-        outcome = {
-            INFEASIBLE_STATUS: Outcome.INFEASIBLE,
-            STOPPED_STATUS: Outcome.INTERRUPTED,
-        }.get(found.status, Outcome.SOLVER_FAILURE)
-        run = replace(run, stop=Stop("plan", float(run.t[-1]), words, outcome))
+        why = explanation(program, found, first)
+        run = replace(run, stop=Stop(PLAN, float(run.t[-1]), why.words, why.outcome))
     motion = motion_of(program, found.unknowns)
     return Plan(
         run,
@@ -536,6 +530,7 @@ def _to_plan(search: _SearchState, verification: Verification) -> Plan:
         verification.replay,
         verification.difference,
         verification.violation,
+        verification.units,
         costs,
         found.success,
         verification.accurate,

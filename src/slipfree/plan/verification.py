@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.dae import Dae, Limit, PiecewiseLinear
 from slipfree.plan.polynomial_motion import FRACTION_TOLERANCE, PolynomialMotion, motion_of
-from slipfree.plan.transcription import CollocationMesh, Index, Program
+from slipfree.plan.transcription import CollocationMesh, Index, PlanTask, Program
 from slipfree.records import Array, Mask, leaves
 from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.simulate import simulate
@@ -38,6 +38,8 @@ class Verification(NamedTuple):
         Largest difference of every state from the plan. [m, rad]
     violation : dict of str to float
         Violations of limits, goal and way-points of the plan by the simulation, each in its unit.
+    units : dict of str to str
+        Units of differences and violations, by name.
     worse : ndarray of bool, shape (n,)
         Intervals on which the accuracy is missed, to be refined.
     accurate : bool
@@ -47,6 +49,7 @@ class Verification(NamedTuple):
     replay: Trajectory
     difference: dict[str, float]
     violation: dict[str, float]
+    units: dict[str, str]
     worse: Mask
     accurate: bool
 
@@ -104,9 +107,31 @@ def verify_plan(
         replay,
         dict(zip(names, np.abs(gaps).max(axis=1).tolist(), strict=True)),
         violation,
+        _units(program.task),
         worse,
         met and replay.stop is None and not worse.any(),
     )
+
+
+def _units(task: PlanTask) -> dict[str, str]:
+    """Return the units of the states, limits, and conditions of a task, by name."""
+    return (
+        {label.full: label.unit for label in leaves(task.dae.labels.x)}
+        | {_limit_name(limit): limit.label.unit for limit in task.limits}
+        | {
+            f"{_limit_name(limit)} at the {_role(condition.fraction)}": limit.label.unit
+            for condition in task.conditions
+            for limit in condition.limits
+        }
+    )
+
+
+def _limit_name(limit: Limit) -> str:
+    return limit.label.full.replace("_limit", "")
+
+
+def _role(fraction: float) -> str:
+    return "goal" if fraction == 1 else f"way-point at {fraction:g}"
 
 
 def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
@@ -114,7 +139,7 @@ def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
     found: dict[str, float] = {}
     for limit, size in zip(limits, most, strict=True):
         if size > 0:
-            name = limit.label.full.replace("_limit", "")
+            name = _limit_name(limit)
             found[name] = max(found.get(name, 0.0), float(size))
     return found
 
@@ -129,10 +154,9 @@ def _condition_excess(
         if abs(parts[k] - condition.fraction) > 1e-6:  # the simulation ended before
             continue
         t, x, z, u = (rows[..., k : k + 1] for rows in samples)
-        role = "goal" if condition.fraction == 1 else f"way-point at {condition.fraction:g}"
         over = _limit_excess(program.task.dae, condition.limits, (t, x, z, u))[:, 0]
         found |= {
-            f"{name} at the {role}": size
+            f"{name} at the {_role(condition.fraction)}": size
             for name, size in _excess_by_name(condition.limits, over).items()
         }
     return found

@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from slipfree.files.netcdf import ORIGIN
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.result import Result, motion_facts, open_result
-from slipfree.problem.summary import Facts, ranges
+from slipfree.problem.summary import Facts, outcome_fact, ranges
 from slipfree.problem.verbs.climb_summary import ENDING
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.show.html_report import Report
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Trajectory, outcome_words
 from slipfree.version import __version__
 
 VERSION = "_version"
@@ -27,6 +27,7 @@ ELSEWHERE = (  # attributes that are told in other places
     "history",
     "title",
     "climb",
+    "plan_violations",
     "slow_climb",
     "by_friction",
     "replay_stopped",
@@ -60,7 +61,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
     """
     result = open_result(file, folder)
     run, verb = result.trajectory, find_motion_verb(result.kind)
-    facts, names = motion_facts(run), verb.checks if verb else ()
+    facts, names = [outcome_fact(run), *motion_facts(run)], verb.checks if verb else ()
     found = run.attributes
     told = [(name, words) for name, words in facts if name not in names]
     checks = [(name, words) for name, words in facts if name in names]
@@ -79,11 +80,10 @@ def report(file: Path, folder: Path | None = None) -> Report:
 
 def _lead(run: Trajectory) -> str:
     """Return how a motion ended in a sentence."""
-    if run.stop is not None:
-        return f"Stopped early at t = {run.stop.t:.6g} s: {run.stop.words}."
-    if ENDING in run.attributes:
-        return f"{run.attributes[ENDING].capitalize()}."
-    return f"Reached the time asked for, {run.t[-1]:g} s."
+    words = outcome_words(run)
+    if run.stop is None and ENDING in run.attributes:
+        words = run.attributes[ENDING]
+    return f"{words[0].upper()}{words[1:]}."
 
 
 def _set_up(found: Mapping[str, str]) -> Facts:

@@ -40,7 +40,7 @@ def build(problem: Problem[Any]) -> Any:
 def run_problem(
     problem: Problem[Any],
     progress: Callable[[float], None] | None = None,
-    tell: Callable[[str], None] | None = None,
+    tell: Callable[[str, str], None] | None = None,
     resume: SavedPlan | None = None,
 ) -> Result:
     """Solve a problem.
@@ -52,7 +52,7 @@ def run_problem(
     progress : callable, optional
         Called with the time reached. [s]
     tell : callable, optional
-        Called with one line about every iterate of a plan.
+        Called with the phase of the search and one line about every iterate of a plan.
     resume : SavedPlan, optional
         The plan from which to start.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slipfree.frames import to_problem_frame
-from slipfree.trajectory import Trajectory
+from slipfree.trajectory import Trajectory, outcome_words
 
 Facts = list[tuple[str, str]]
 
@@ -33,20 +33,18 @@ def has_friction(run: Trajectory) -> bool:
 
 
 def plain_facts(run: Trajectory) -> Facts:
-    """Return duration, cost and end of a motion."""
-    return [duration_fact(run), integrator_fact(run), end_fact(run)]
+    """Return duration and cost of a motion."""
+    return [duration_fact(run), integrator_fact(run)]
+
+
+def outcome_fact(run: Trajectory) -> tuple[str, str]:
+    """Return the outcome of a motion, the first line of every summary."""
+    return "outcome", outcome_words(run)
 
 
 def duration_fact(run: Trajectory) -> tuple[str, str]:
     """Return the duration of a motion and its number of samples."""
     return "duration", f"{run.t[-1] - run.t[0]:g} s, {run.t.size} samples"
-
-
-def end_fact(run: Trajectory) -> tuple[str, str]:
-    """Return how a motion ended."""
-    if run.stop is not None:
-        return "stopped early", f"at {run.stop.t:.6g} s by {run.stop.name}: {run.stop.words}"
-    return "end", "reached the time asked for"
 
 
 def integrator_fact(run: Trajectory) -> tuple[str, str]:

@@ -27,6 +27,7 @@ from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples,
 from slipfree.solve.settle import first_violation
 from slipfree.solve.stop_diagnosis import diagnose_stop
 from slipfree.solve.system import System, with_inputs
+from slipfree.solver_codes import NO_START, sundials_words
 from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
@@ -37,7 +38,6 @@ LIMIT_TOLERANCE = 1e-6  # of a limit's unit or size, by which a step may exceed 
 MAX_STEPS = 10_000  # of the integrator between two samples
 MAX_RESTARTS = 20  # after failures of the integrator, per interval of the inputs
 ROUNDING = 1e-13  # of an input's terms, up to which it does not jump
-NO_START = "no consistent start was found"
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 Progress = Callable[[float], bool | None]
 
@@ -297,7 +297,7 @@ def _call_integrator(
             break
         except RuntimeError as error:
             solver.guard.check()
-            words, start = failure_reason(str(error)), None
+            words, start = sundials_words(str(error)), None
             if NO_START in words and not given:
                 start = _make_consistent(system, at, u[:, 0], continuation=False)
             if start is None:
@@ -451,30 +451,6 @@ def suppress_messages() -> Iterator[None]:
             yield
     finally:
         sys.excepthook = hook
-
-
-def failure_reason(message: str) -> str:
-    """Return the reason of a failure in words, from CasADi's error message."""
-    words = {
-        "CV_CONV_FAILURE": "the equations of a step could not be solved",
-        "CV_ERR_FAILURE": "the error test failed at the smallest step",
-        "CV_TOO_MUCH_WORK": "too many steps between two samples",
-        "CV_TOO_CLOSE": "the samples are too close for the digits of the time",
-        "RHSFUNC": "the rates have no finite value",
-        "IDA_CONV_FAIL": "the algebraic equations could not be solved",
-        "IDA_ERR_FAIL": "the error test failed at the smallest step",
-        "IDA_TOO_MUCH_WORK": "too many steps between two samples",
-        "IDA_LSETUP_FAIL": "the Jacobian is singular",
-        "IDA_LSOLVE_FAIL": "the Jacobian is singular",
-        "IDA_REP_RES_ERR": "the equations have no finite value",
-        "IDA_LINESEARCH_FAIL": NO_START,
-        "IDA_NO_RECOVERY": NO_START,
-        "IDA_ILL_INPUT": "the equations are not usable at the start",
-    }
-    for flag, meaning in words.items():
-        if flag in message:
-            return f"{meaning} ({flag})"
-    return message.strip().splitlines()[-1]
 
 
 class _StepObserver(ca.Callback):

@@ -18,6 +18,7 @@ from slipfree.rearrange import blocks, rearrange, variables
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.settle import settle
+from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import Trajectory
 
 
@@ -224,8 +225,9 @@ def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
     centre = np.where(counts, 0.0, wish)
     found = solver(x0=first, lbx=centre - bound, ubx=centre + bound, lbg=0.0, ubg=0.0)
     if not solver.stats()["success"]:
+        status = str(solver.stats()["return_status"])
         raise ModelError(
             "settle_nearest: the vehicle cannot stand near the given pose "
-            f"({solver.stats()['return_status']}); give one that is nearer to the ground"
+            f"({ipopt_words(status)}); give one that is nearer to the ground"
         )
     return np.array(found["x"]).ravel()

@@ -22,10 +22,10 @@ from slipfree.solve.simulate import (
     COUNTS,
     MAX_STEPS,
     check_times,
-    failure_reason,
     suppress_messages,
 )
 from slipfree.solve.system import System, with_inputs
+from slipfree.solver_codes import sundials_words
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
 PERIOD_TOLERANCE = 1e-6  # relative difference between sample times that counts as none
@@ -141,7 +141,7 @@ def _integrate_periods(
             with suppress_messages():
                 found = integrator(x0=x[:, k], p=np.append(u[:, k], t[k]))
         except RuntimeError as error:
-            failure = failure_reason(str(error))
+            failure = sundials_words(str(error))
             break
         guard.check()
         x[:, k + 1] = np.array(found["xf"]).ravel()

@@ -62,11 +62,11 @@ class Watch(NamedTuple):
     time : callable or None
         Called with the time reached. [s]
     line : callable or None
-        Called with a line about every iterate of a plan.
+        Called with the phase of the search and a line about every iterate of a plan.
     """
 
     time: Callable[[float], None] | None = None
-    line: Callable[[str], None] | None = None
+    line: Callable[[str, str], None] | None = None
 
 
 class Solution(NamedTuple):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from slipfree.climb.plan_tracking import SLOWEST
-from slipfree.problem.summary import duration_fact, end_fact
+from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory
 
 ENDING = "climb"  # attribute of a result
@@ -39,7 +39,6 @@ def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     yield "slow climb", _slippery(run)
     yield "energy", _energy(run)
     yield "integrator", _cost(run)
-    yield end_fact(run)
 
 
 def _averages(run: Trajectory) -> Iterator[tuple[str, str]]:

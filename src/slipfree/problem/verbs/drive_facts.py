@@ -105,7 +105,9 @@ def friction_words(run: Trajectory) -> str:
     if "ground_friction" not in run.attributes:
         return f"coefficient needed {value} {where}; the ground's is not given"
     words = f"utilisation {value} {where}, of a coefficient of {run.attributes['ground_friction']}"
-    spread = " in the load-weighted distribution" if "utilisation_best" in run.columns else ""
+    spread = ", of the forces that this motion needs"
+    if "utilisation_best" in run.columns:
+        spread += ", distributed by load"
     spread = f" by the law {run.attributes['law']!r}" if is_quasi_static(run) else spread
     return f"{words}{spread}" + ("" if used[k, i] <= 1 else "; friction does not hold this motion")
 

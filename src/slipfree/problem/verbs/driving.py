@@ -20,7 +20,7 @@ from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
 from slipfree.problem.build_model import law_name
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, Motion
-from slipfree.problem.summary import Facts, end_fact, integrator_fact
+from slipfree.problem.summary import Facts, integrator_fact
 from slipfree.problem.verbs.base import MotionVerb, Quantity, Result, Solution, Viewer, Watch
 from slipfree.problem.verbs.drive_facts import (
     CHECKS,
@@ -99,7 +99,6 @@ class DriveVerb(MotionVerb):
             *force_facts(run),
             *self.trust_facts(run),
             *self.cost_facts(run),
-            end_fact(run),
         ]
 
     def own_facts(self, run: Trajectory) -> Facts:

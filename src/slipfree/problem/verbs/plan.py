@@ -16,8 +16,9 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.outcome import Outcome
-from slipfree.plan.ipopt import Iterate
-from slipfree.plan.plan import STOPPED_STATUS, Plan, plan
+from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
+from slipfree.plan.messages import missed_words
+from slipfree.plan.plan import Plan, plan
 from slipfree.plan.problem import limits_of, task_of
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
@@ -56,8 +57,17 @@ from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, extents, traversability
 from slipfree.solve.settle import settle
 from slipfree.solve.simulate import simulate
+from slipfree.solver_codes import ipopt_words
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.trajectory import Column, SolverError, Stop, Trajectory, path_length
+from slipfree.trajectory import (
+    PLAN_ACCURACY,
+    Column,
+    SolverError,
+    Stop,
+    Trajectory,
+    outcome_words,
+    path_length,
+)
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
@@ -66,10 +76,11 @@ if TYPE_CHECKING:
     from slipfree.show.drive_scene import Driven
 
 MAX_SAMPLES = 401  # of a plan in space
+ROUNDING = 1e-6  # of a limit that a plan meets, in its unit
+SLIDING = 0.95  # utilisation from which a wheel slides rather than rolls
 ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
 FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
-GO_ON = "go on with --resume OUT.nc"  # its own result file
-Tell = Callable[[str], None]
+Tell = Callable[[str, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,13 +212,14 @@ class PlanVerb(DriveVerb):
             )
         run, stop = found.replay, found.run.stop
         if stop is not None and not found.success:
-            words = (
-                f"{stop.words}; {GO_ON}" if found.solution.status == STOPPED_STATUS else stop.words
-            )
-            run = replace(run, stop=stop._replace(t=float(run.t[-1]), words=words))
+            run = replace(run, stop=stop._replace(t=float(run.t[-1])))
         elif run.stop is None and not found.accurate:
             run = replace(run, stop=_inaccurate(spec, found))
-        attributes = {**run.attributes, **_by_friction(setup, found)}
+        attributes = {
+            **run.attributes,
+            **_violations(found, spec.plan.accuracy),
+            **_by_friction(setup, found),
+        }
         statistics = {**run.statistics, **_statistics(found)}
         return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
 
@@ -311,26 +323,32 @@ def _kept_out(
     ]
 
 
+def _violations(found: Plan, accuracy: float) -> dict[str, str]:
+    """Return the violations by the simulation in words, as an attribute; none if it has none."""
+    sizes = {name: size for name, size in found.violation.items() if size > ROUNDING}
+    if not sizes:
+        return {}
+    words = missed_words(sizes, found.units)
+    return {"plan_violations": f"{words}; plan.accuracy allows {accuracy:g}"}
+
+
 def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
-    """Return in words that a plan is solved, but simulated less exactly than was asked for."""
-    parts = {
-        name: size
-        for name, size in (found.difference | found.violation).items()
-        if size > spec.plan.accuracy
-    }
-    worst = ", ".join(f"{name} by {size:.1e}" for name, size in parts.items())
+    """Return the stop of a plan that is solved, but simulated less exactly than required."""
+    sizes = found.difference | found.violation
+    parts = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
+    worst = missed_words(parts, found.units) or "a narrow limit"
     last = found.stages[-1]
     advice = "raise plan.intervals or plan.accuracy"
     why = {
-        "Solve_Succeeded": f"its mesh was not refined any further; {advice}",
-        STOPPED_STATUS: f"interrupted; {GO_ON}",
-    }.get(last.status, f"its mesh of {last.words} was not solved ({last.status}); {advice}")
+        SOLVED_STATUS: f"its mesh was not refined any further; {advice}",
+        STOPPED_STATUS: "the refinement of its mesh was stopped",
+    }.get(last.status, f"with {last.words} {ipopt_words(last.status)}; {advice}")
     words = (
-        f"the plan is solved, but its simulation misses {worst or 'a narrow limit'}, where an "
-        f"accuracy of {spec.plan.accuracy:g} was asked for: {why}"
+        f"the plan is solved, but its simulation misses {worst}, plan.accuracy allows "
+        f"{spec.plan.accuracy:g}: {why}"
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
-    return Stop("plan_accuracy", float(found.replay.t[-1]), words, outcome)
+    return Stop(PLAN_ACCURACY, float(found.replay.t[-1]), words, outcome)
 
 
 def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
@@ -366,7 +384,7 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
         )
         try:
             if tell is not None:
-                tell(line)
+                tell(words, line)
         except KeyboardInterrupt:
             if not begun:
                 raise
@@ -400,14 +418,15 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     except (SlipfreeError, np.linalg.LinAlgError) as error:  # a plan stands without it
         return {"by_friction": f"not simulated: {error}"}
     if run.stop is not None:
-        return {"by_friction": f"stops at {run.t[-1]:.6g} s: {run.stop.words}"}
+        return {"by_friction": outcome_words(run)}
     apart = np.hypot(*(run[name][-1] - found.replay[name][-1] for name in "xy"))
     slip = np.hypot(run["slip_along"], run["slip_across"])
     sliding = 1e3 * np.trapezoid(slip, run.t, axis=0).mean() / path_length(run)
     used = run["utilisation"].max()
+    slides = ", that of a sliding wheel" if used > SLIDING else ""
     words = (
-        f"ends {apart:.3g} m from the plan, slips {sliding:.3g} mm a wheel and metre, uses at most "
-        f"{used:.3g} of the friction"
+        f"ends {apart:.3g} m from the plan, slips {sliding:.3g} mm per wheel and metre, "
+        f"utilisation {used:.3g} at most{slides}"
     )
     return {"by_friction": words}
 

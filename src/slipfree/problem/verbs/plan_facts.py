@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slipfree.trajectory import Trajectory, path_length
+from slipfree.trajectory import PLAN, Trajectory, path_length
 
-ROUNDING = 1e-6  # of a limit that a plan keeps to, in its unit
-CHECKS = ("simulated", "driven by friction")  # facts about accuracy and validity
+CHECKS = ("simulated", "simulated with friction")  # facts about accuracy and validity
 
 
 def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -20,8 +19,10 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         for name, value in counts.items()
         if name.startswith("plan_cost_")
     }
+    solved = run.stop is None or run.stop.name != PLAN
+    plan = "plan" if solved else "iterate"
     yield (
-        "plan",
+        plan,
         ", ".join(f"{name} {value:.6g}" for name, value in costs.items())
         + (
             f"; {counts['plan_iterations']:.0f} iterations, {counts['plan_seconds']:.3g} s, of it "
@@ -34,23 +35,19 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         if name.startswith("plan_difference_")
     ]
     listed = ", ".join(f"{name} {size:.1e} {run.columns[name].label.unit}" for name, size in gaps)
-    over = [
-        f"{name.removeprefix('plan_violation_')} by {size:.1e}"
-        for name, size in counts.items()
-        if name.startswith("plan_violation_") and size > ROUNDING
-    ]
-    kept = f"; it goes beyond {', '.join(over)}" if over else "; it keeps to all limits"
-    if run.stop is not None and run.stop.name == "plan":
-        kept = ""  # which limits matter the reasons say
-    yield "simulated", f"differs from the plan by at most {listed}{kept}"
+    violated = run.attributes.get("plan_violations", "")
+    kept = f"; violates {violated}" if violated else "; meets all constraints"
+    if not solved:
+        kept = ""  # the outcome names the violations
+    yield "simulated", f"differs from the {plan} by at most {listed}{kept}"
     slip = np.hypot(run["slip_along"], run["slip_across"])
     duration, length = run.t[-1] - run.t[0], path_length(run)
     total = np.trapezoid(slip, run.t, axis=0)
     squares = np.trapezoid(slip**2, run.t, axis=0)
     yield (
-        "slip of the plan",
-        f"rms {np.sqrt(squares.mean() / duration):.3g} m/s a wheel, "
-        f"{1e3 * total.mean() / length:.3g} mm a wheel and metre",
+        f"slip of the {plan}",
+        f"rms {np.sqrt(squares.mean() / duration):.3g} m/s per wheel, "
+        f"{1e3 * total.mean() / length:.3g} mm per wheel and metre",
     )
     if "by_friction" in run.attributes:
-        yield "driven by friction", run.attributes["by_friction"]
+        yield "simulated with friction", run.attributes["by_friction"]

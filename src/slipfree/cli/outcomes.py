@@ -1,0 +1,40 @@
+"""Motions that are not complete: messages, and the command that goes on with a plan."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from slipfree.cli.messages import complain, is_quiet
+from slipfree.outcome import Outcome
+
+if TYPE_CHECKING:
+    from slipfree.trajectory import Trajectory
+
+
+def say_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
+    """Print that a motion is not complete, where it is kept, and the command that goes on.
+
+    The reason is the first line of the summary, and printed here if the summary is not.
+    """
+    from slipfree.trajectory import outcome_title, outcome_words
+
+    words = outcome_words(run) if is_quiet() else outcome_title(run)
+    complain(f"{words}; {out} holds what was reached")
+    if go_on:
+        complain(f"to go on: {go_on}")
+
+
+def resume_command(run: Trajectory, out: Path, *options: str) -> str:
+    """Return the command that goes on with an interrupted plan; empty for other motions."""
+    from slipfree.problem.verbs.base import RESUME, VERB_ATTRIBUTE
+    from slipfree.problem.verbs.registry import find_motion_verb
+
+    found = run.attributes
+    verb = find_motion_verb(found.get(VERB_ATTRIBUTE))
+    if run.outcome is not Outcome.INTERRUPTED or verb is None or RESUME not in verb.options:
+        return ""
+    file = Path(found["problem_folder"]) / found["problem_file"]
+    settings = [part for each in found.get("settings", "").splitlines() for part in ("--set", each)]
+    return shlex.join(["slipfree", "run", str(file), *settings, *options, "--resume", str(out)])

@@ -1,0 +1,80 @@
+"""Meanings of the codes with which IPOPT and SUNDIALS report how they ended."""
+
+from __future__ import annotations
+
+import re
+
+NO_START = "no consistent start was found"
+SINGULAR = "the Jacobian is singular"
+NOT_FINITE = "the equations have no finite value"
+RATES_NOT_FINITE = "the rates have no finite value"
+INTEGRAL_NOT_FINITE = "an integrated quantity has no finite value"
+TOO_LONG = "the search did not end within its time"
+MALFORMED = "the program is malformed: please report it"
+
+IPOPT_STATUSES = {
+    "Solve_Succeeded": "the plan is solved",
+    "Solved_To_Acceptable_Level": "the plan is solved, to a lesser accuracy",
+    "Feasible_Point_Found": "a motion that meets the constraints was found, not the best one",
+    "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
+    "Restoration_Failed": "the search found no way back to the constraints",
+    "Maximum_Iterations_Exceeded": "the search did not end within its iterations",
+    "Maximum_CpuTime_Exceeded": TOO_LONG,
+    "Maximum_WallTime_Exceeded": TOO_LONG,
+    "User_Requested_Stop": "the search was stopped",
+    "Diverging_Iterates": "the unknowns grow without bound: a cost rewards what no bound limits",
+    "Search_Direction_Becomes_Too_Small": "the search made no more progress",
+    "Error_In_Step_Computation": "the search found no next step",
+    "Not_Enough_Degrees_Of_Freedom": "there are more equations than unknowns",
+    "Invalid_Number_Detected": "a function of the model has no value where the search looked",
+    "Invalid_Problem_Definition": MALFORMED,
+    "Invalid_Option": MALFORMED,
+    "Insufficient_Memory": "there is not enough memory: use fewer intervals",
+}
+SUNDIALS_FLAGS = {  # of IDAS and CVODES, without their prefixes
+    "TOO_MUCH_WORK": "too many steps between two samples",
+    "TOO_MUCH_ACC": "the tolerance is smaller than rounding allows",
+    "ERR_FAIL": "the error test failed at the smallest step",
+    "ERR_FAILURE": "the error test failed at the smallest step",
+    "CONV_FAIL": "the equations of a step could not be solved",
+    "CONV_FAILURE": "the equations of a step could not be solved",
+    "LINIT_FAIL": SINGULAR,
+    "LSETUP_FAIL": SINGULAR,
+    "LSOLVE_FAIL": SINGULAR,
+    "RES_FAIL": NOT_FINITE,
+    "FIRST_RES_FAIL": NOT_FINITE,
+    "REP_RES_ERR": NOT_FINITE,
+    "RHSFUNC_FAIL": RATES_NOT_FINITE,
+    "FIRST_RHSFUNC_ERR": RATES_NOT_FINITE,
+    "REPTD_RHSFUNC_ERR": RATES_NOT_FINITE,
+    "UNREC_RHSFUNC_ERR": RATES_NOT_FINITE,
+    "QRHS_FAIL": INTEGRAL_NOT_FINITE,
+    "FIRST_QRHS_ERR": INTEGRAL_NOT_FINITE,
+    "REP_QRHS_ERR": INTEGRAL_NOT_FINITE,
+    "QRHSFUNC_FAIL": INTEGRAL_NOT_FINITE,
+    "FIRST_QRHSFUNC_ERR": INTEGRAL_NOT_FINITE,
+    "REPTD_QRHSFUNC_ERR": INTEGRAL_NOT_FINITE,
+    "LINESEARCH_FAIL": NO_START,
+    "NO_RECOVERY": NO_START,
+    "BAD_EWT": "an unknown has no finite value",
+    "ILL_INPUT": "the equations are not usable at the start",
+    "TOO_CLOSE": "the samples are too close for the digits of the time",
+    "MEM_FAIL": "there is not enough memory",
+}
+FLAG = re.compile(r"\b(IDA|CV)_([A-Z_]+)\b")
+SOURCE = re.compile(r"^\S+\.[ch]pp:\d+: ")  # where in CasADi's sources an error arose
+
+
+def ipopt_words(status: str) -> str:
+    """Return the meaning of a status of IPOPT, and the status."""
+    return f"{IPOPT_STATUSES.get(status, 'the search failed')} (IPOPT: {status})"
+
+
+def sundials_words(message: str) -> str:
+    """Return the meaning of the flag of SUNDIALS in an error message of CasADi, and the flag.
+
+    Of a message without a flag, the last line is returned.
+    """
+    if found := FLAG.search(message):
+        return f"{SUNDIALS_FLAGS.get(found[2], 'the integrator failed')} ({found[0]})"
+    return SOURCE.sub("", message.strip().splitlines()[-1])

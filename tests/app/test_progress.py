@@ -1,0 +1,50 @@
+"""Progress without a terminal: lines on stderr, few and far between."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app, progress
+
+PROBLEMS = Path(__file__).parents[2] / "problems"
+PLAN = ["run", str(PROBLEMS / "plan_rigid_hills.toml"), "-o", "p.nc", "--no-draw"]
+PLAN += ["--set", "plan.intervals=8", "--set", "costs.slip=1e3", "--set", "time.step=0.5"]
+DIRECT = ["run", str(PROBLEMS / "paper_direct.toml"), "-o", "p.nc", "--no-draw"]
+DIRECT += ["--set", "time.duration=1.5"]
+ITERATE = r"iteration \d+, cost [\d.e+-]+, violation [\d.e+-]+"
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("FIRST_LINE", "NEW_PHASE"):
+        monkeypatch.setattr(progress, name, 0.0)
+
+
+def test_a_line_when_a_phase_of_a_search_begins() -> None:
+    result = CliRunner().invoke(app, PLAN)
+    assert result.exit_code == 0
+    lines = result.stderr.splitlines()
+    assert re.fullmatch(f"slip left out: {ITERATE}", lines[0])
+    assert re.fullmatch(f"with slip: {ITERATE}", lines[1])
+    phases = [line.partition(":")[0] for line in lines]
+    assert len(phases) == len(set(phases))  # it took no ten seconds
+
+
+def test_more_lines_of_a_phase_that_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "SAME_PHASE", 0.0)
+    result = CliRunner().invoke(app, DIRECT)
+    lines = result.stderr.splitlines()
+    times = [float(re.fullmatch(r"integrated to ([\d.e-]+) of 1.5 s", line)[1]) for line in lines]
+    assert len(times) > 5
+    assert times == sorted(times)
+
+
+@pytest.mark.parametrize("option", ["--quiet", "--json"])
+@pytest.mark.parametrize("words", [PLAN, DIRECT])
+def test_no_lines_where_they_are_not_wanted(words: list[str], option: str) -> None:
+    assert CliRunner().invoke(app, [*words, option]).stderr == ""

@@ -1,0 +1,50 @@
+"""Codes of solvers are printed with their meaning."""
+
+import casadi as ca
+import pytest
+
+from slipfree.solver_codes import IPOPT_STATUSES, SUNDIALS_FLAGS, ipopt_words, sundials_words
+
+CASADI = "casadi/interfaces/sundials/idas_interface.cpp:620: IDASolve returned "
+
+
+@pytest.mark.parametrize(
+    ("flag", "meaning"),
+    [
+        ("IDA_CONV_FAIL", "the equations of a step could not be solved"),
+        ("IDA_ILL_INPUT", "the equations are not usable at the start"),
+        ("CV_CONV_FAILURE", "the equations of a step could not be solved"),
+        ("CV_REPTD_RHSFUNC_ERR", "the rates have no finite value"),
+        ("IDA_UNHEARD_OF", "the integrator failed"),
+    ],
+)
+def test_flags_of_sundials(flag: str, meaning: str) -> None:
+    message = f'Error in Function::call\n{CASADI}"{flag}". Consult IDAS documentation.'
+    assert sundials_words(message) == f"{meaning} ({flag})"
+
+
+def test_messages_without_a_flag_lose_the_place_in_the_sources() -> None:
+    assert sundials_words("a\ncasadi/core/function.cpp:12: it is wrong\n") == "it is wrong"
+
+
+def test_flags_that_casadi_raises_have_a_meaning() -> None:
+    x = ca.SX.sym("x")
+    for method in ("idas", "cvodes"):
+        options = {"max_num_steps": 2, "disable_internal_warnings": True}
+        f = ca.integrator("f", method, {"x": x, "ode": -x}, 0.0, [9.0], options)
+        with pytest.raises(RuntimeError) as error:
+            f(x0=1.0)
+        words = sundials_words(str(error.value))
+        assert words.startswith("too many steps between two samples ("), words
+        assert words.endswith("_TOO_MUCH_WORK)")
+
+
+def test_statuses_of_ipopt() -> None:
+    assert ipopt_words("Restoration_Failed") == (
+        "the search found no way back to the constraints (IPOPT: Restoration_Failed)"
+    )
+    assert ipopt_words("Unheard_Of") == "the search failed (IPOPT: Unheard_Of)"
+
+
+def test_no_meaning_is_empty() -> None:
+    assert all((IPOPT_STATUSES | SUNDIALS_FLAGS).values())
