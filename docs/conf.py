@@ -81,9 +81,13 @@ def _copy_notebooks(*_: Any) -> None:
             shutil.copyfile(source, target)
 
 
-def _fill(_app: Any, _page: str, source: list[str]) -> None:
-    """Generate the parts of a page that come from the package."""
-    source[0] = fill(source[0])
+def _fill(app: Any, _page: str, source: list[str]) -> None:
+    """Generate the parts of a page that come from the package and from lists of other pages."""
+    text = fill(source[0])
+    if text != source[0]:
+        for page in (DOCS / "made.py", *(DOCS / "reference").glob("*.md")):
+            app.env.note_dependency(page)
+    source[0] = text
 
 
 def _leave_out(_app: Any, _what: str, _name: str, obj: Any, _skip: bool, _options: Any) -> Any:
