@@ -14,12 +14,12 @@ dispatches
     Tests of the kind of a problem or result: ``isinstance`` on schemas of verbs, their set-ups or
     shown motions, comparisons of ``.verb``, calls of predicates of a kind.
 guesses
-    Tests whether a name is in the columns, statistics, attributes or arrays of a result, from which
-    its kind was inferred. Names in `OPTIONAL` do not depend on the kind; tests in the modules of verbs
-    are counted apart: there a verb reads optional quantities of its own results.
+    Tests whether a name is in the columns, statistics, attributes or arrays of a result, as if to
+    infer its kind. Names in `OPTIONAL` do not depend on the kind; tests in the modules of verbs are
+    counted apart: there a verb reads optional quantities of its own results.
 
-and of all modules the first lines of docstrings with the word "what", and the lines of README.md beside
-the folder.
+and of all modules the docstrings with the word "what" in the first line, and the lines of README.md
+beside the folder.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ KINDS = {  # schemas of verbs, their set-ups, shown motions
 }
 PREDICATES = {"climbs", "is_climb"}
 RECORDS = {"columns", "statistics", "attributes", "counts", "arrays"}  # of results
-OPTIONAL = {  # in results of any kind: of grounds with friction, of files, of integrated motions
-    *("ground_friction", "problem", "steps", "tolerance"),
+OPTIONAL = {  # of grounds with friction, files, integrated motions, climbs that reach an obstacle
+    *("ground_friction", "problem", "steps", "tolerance", "climb_from"),
 }
 WHAT = re.compile(r"\bwhat\b", re.IGNORECASE)
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)

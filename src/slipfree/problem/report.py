@@ -14,7 +14,7 @@ from slipfree.files.netcdf import ORIGIN
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.result import Result, motion_facts, open_result
 from slipfree.problem.summary import Facts, outcome_fact, ranges
-from slipfree.problem.verbs.climb_summary import ENDING
+from slipfree.problem.verbs.base import MotionVerb
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.show.html_report import Report
 from slipfree.trajectory import Trajectory, outcome_words
@@ -74,15 +74,20 @@ def report(file: Path, folder: Path | None = None) -> Report:
         "Versions": _versions(file, found),
     }
     return Report(
-        found["title"], _lead(run), run.stop is None, tables, *_drawn(result), _texts(file, found)
+        found["title"],
+        _lead(run, verb),
+        run.stop is None,
+        tables,
+        *_drawn(result),
+        _texts(file, found),
     )
 
 
-def _lead(run: Trajectory) -> str:
+def _lead(run: Trajectory, verb: MotionVerb | None) -> str:
     """Return how a motion ended in a sentence."""
     words = outcome_words(run)
-    if run.stop is None and ENDING in run.attributes:
-        words = run.attributes[ENDING]
+    if run.stop is None and verb is not None:
+        words = verb.describe_end(run) or words
     return f"{words[0].upper()}{words[1:]}."
 
 

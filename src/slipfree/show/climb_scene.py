@@ -125,7 +125,10 @@ def _actor(
 ) -> Actor:
     climber, color = each.climber, scene.color_of(k)
     bodies = [*_bodies(climber, run, origin, color), *_wheels(climber, run, origin, color)]
-    contacts, arrows = _contacts(each, run, origin)
+    contacts = np.full((run.t.size, 1, 3), np.nan)
+    arrows: tuple[Arrows, ...] = ()
+    if not ghost:  # plans have no loads
+        contacts, arrows = _contacts(each, run, origin)
     return Actor(name, color, run.t, tuple(bodies), contacts, arrows, ghost, scene.stopped(run))
 
 
@@ -178,8 +181,6 @@ def _wheels(climber: Climber, run: Trajectory, origin: Array, color: Color) -> I
 
 def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tuple[Arrows, ...]]:
     """Return contact points of all wheels with all solids that bear them, slip and forces there."""
-    if "load_0" not in run.columns:
-        return np.full((run.t.size, 1, 3), np.nan), ()
     points, slips, forces = [], [], []
     for number, solid in enumerate(each.profile.solids):
         normals = solid.distance(run["axle_x"], run["axle_z"])[1]

@@ -234,7 +234,7 @@ def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) ->
     frame = {"along": along, "across": np.cross(along, normals), "normal": normals}
     found = []
     for name, directions in (("slip", ("along", "across")), ("force", tuple(frame))):
-        if all(f"{name}_{each}" in run.columns for each in directions):
+        if {f"{name}_{each}" for each in directions} <= run.columns.keys():
             vectors = sum(run[f"{name}_{each}"][..., None] * frame[each] for each in directions)
             found.append(Arrows(name, contacts, np.asarray(vectors)))
     return found

@@ -14,7 +14,7 @@ from slipfree.errors import SlipfreeError
 from slipfree.problem.load import load_problem
 from slipfree.problem.problem import Problem
 from slipfree.problem.solve import run_problem
-from slipfree.problem.verbs.climb_summary import ENDING
+from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.log import FAILED, LOST, Row
 from slipfree.sweep.metrics import figures_of
 from slipfree.sweep.task import Done, Task, own_settings, without_motion
@@ -57,7 +57,7 @@ def _worked(task: Task, begin: float) -> Done:
         task.run,
         own_settings(task),
         f"stopped by {stop.name}" if stop else "complete",
-        stop.words if stop else motion.attributes.get(ENDING, ""),
+        stop.words if stop else verb_of(problem).describe_end(motion),
         float(motion.t[-1]),
         figures_of(motion, problem),
         time.perf_counter() - begin,

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, get_args
 
+import numpy as np
+
 from slipfree.files.netcdf import NOTHING
 from slipfree.outcome import Outcome
 from slipfree.problem.problem import Problem
@@ -112,9 +114,9 @@ class Result:
         Name of the verb; empty if the file that it was read from does not say it.
     trajectory : Trajectory
         The motion, whole or to where it stopped.
-    verification : mapping of str to float
+    verification : mapping of str to Quantity
         Largest differences of the motion from its independent repetition, and violations of limits,
-        by name; empty for verbs that have none. Units are those of the quantities.
+        by name; empty for verbs that have none.
     setup : Setup or None
         Model, start and inputs of the motion; None if it was read from a file.
     arrays : mapping of str to ndarray
@@ -125,7 +127,7 @@ class Result:
 
     kind: str
     trajectory: Trajectory
-    verification: Mapping[str, float]
+    verification: Mapping[str, Quantity]
     setup: Any
     arrays: Mapping[str, Array]
     load: Callable[[], Problem[Any]]
@@ -253,7 +255,11 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return the metrics of a motion that its samples and statistics alone do not give."""
+        """Return the numbers by which a sweep compares motions, besides statistics, by name."""
+
+    def describe_end(self, run: Trajectory) -> str:
+        """Return words about the end of a motion that did not stop early, if it has any."""
+        return ""
 
     @abstractmethod
     def figures(self, result: Result) -> dict[str, Figure]:
@@ -281,7 +287,7 @@ class MotionVerb(Verb):
         """Return warnings about a motion."""
         return ()
 
-    def verification(self, run: Trajectory) -> dict[str, float]:
+    def verification(self, run: Trajectory) -> dict[str, Quantity]:
         """Return differences from an independent repetition, and violations of limits, by name."""
         return {}
 
@@ -292,3 +298,62 @@ class MotionVerb(Verb):
     def animate(self, result: Result, file: Path) -> None:
         """Write a film of a result; for verbs that offer it."""
         raise NotImplementedError(ANIMATION)
+
+
+class Extremes(NamedTuple):
+    """Names of quantities whose ends and extremes are metrics; those that a motion has count.
+
+    Attributes
+    ----------
+    end : tuple of str
+        Quantities whose last value counts, as ``end_x``.
+    largest : tuple of str
+        Quantities whose largest size counts, as ``pitch_largest``.
+    least : tuple of str
+        Quantities whose least value counts, as ``clearance_least``.
+    gained : tuple of str
+        Quantities whose difference from start to end counts, as ``work``.
+    """
+
+    end: tuple[str, ...] = ()
+    largest: tuple[str, ...] = ()
+    least: tuple[str, ...] = ()
+    gained: tuple[str, ...] = ()
+
+    def of(self, run: Trajectory) -> dict[str, Quantity]:
+        """Return the metrics of a motion by name."""
+        found = {f"end_{name}": (name, run[name][-1]) for name in _shared(self.end, run)}
+        for name in _shared(self.largest, run):
+            found[f"{name}_largest"] = name, np.abs(run[name]).max()
+        for name in _shared(self.least, run):
+            found[f"{name}_least"] = name, run[name].min()
+        for name in _shared(self.gained, run):
+            found[name] = name, run[name][-1] - run[name][0]
+        return {
+            key: Quantity(value, run.columns[name].label.unit)
+            for key, (name, value) in found.items()
+        }
+
+
+def _shared(names: Sequence[str], run: Trajectory) -> list[str]:
+    """Return the names that a motion has."""
+    return [name for name in names if name in run.columns]
+
+
+def differences(run: Trajectory, *prefixes: str) -> dict[str, Quantity]:
+    """Return the statistics with some prefixes, with the units of the quantities behind these."""
+    found = {}
+    for prefix in prefixes:
+        for name, size in run.statistics.items():
+            if name.startswith(prefix):
+                column = run.columns.get(name.removeprefix(prefix))
+                found[name] = Quantity(size, column.label.unit if column else "")
+    return found
+
+
+def largest_tilt(run: Trajectory) -> dict[str, Quantity]:
+    """Return the largest tilt of all tilting parts; empty without any."""
+    rates = ("_rate", "_stop", "_torque")
+    names = [name for name in run if name.startswith("tilt_") and not name.endswith(rates)]
+    sizes = [float(np.abs(run[name]).max()) for name in names]
+    return {"tilt_largest": Quantity(max(sizes), "rad")} if sizes else {}

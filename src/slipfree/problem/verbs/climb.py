@@ -32,12 +32,14 @@ from slipfree.problem.summary import Facts
 from slipfree.problem.verbs import climb_schema
 from slipfree.problem.verbs.base import (
     ANIMATION,
+    Extremes,
     MotionVerb,
     Quantity,
     Result,
     Solution,
     Viewer,
     Watch,
+    largest_tilt,
 )
 from slipfree.problem.verbs.climb_plan import (
     Planned,
@@ -70,6 +72,11 @@ SLACK = 1e-5  # by which wheels may be off their equilibrium on the floor [m]
 SUNK = 2e-3  # by which wheels at rest may sink in, so that what is up is seen to be [m]
 EVEN = 1e-6  # relative difference of times that counts as none
 MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
+EXTREMES = Extremes(
+    end=("x", "z", "tilt_rear", "tilt_front"),
+    largest=("torque", "power"),
+    gained=("work", "rubbed", "damped", "energy"),
+)
 MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 
 
@@ -195,14 +202,18 @@ class ClimbVerb(MotionVerb):
         return [*climb_facts(run)]
 
     def metrics(self, run: Trajectory, spec: climb_schema.Climb) -> dict[str, Quantity]:
-        """Return means over the axles."""
-        found = {}
+        """Return ends, extremes, and means over the axles."""
+        found = EXTREMES.of(run) | largest_tilt(run)
         for mean in MEANS:
             names = [f"{mean}_{axle}" for axle in run.wheels]
             parts = [run.statistics[name] for name in names if name in run.statistics]
             if parts:
                 found[mean] = Quantity(float(np.mean(parts)), "1")
         return found
+
+    def describe_end(self, run: Trajectory) -> str:
+        """Return how a climb ended."""
+        return run.attributes[ENDING]
 
     def figures(self, result: Result) -> dict[str, Figure]:
         """Return the figures of a climb by name."""

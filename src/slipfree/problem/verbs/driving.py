@@ -21,7 +21,16 @@ from slipfree.problem.build_model import law_name
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Modelled, Motion
 from slipfree.problem.summary import Facts, integrator_fact
-from slipfree.problem.verbs.base import MotionVerb, Quantity, Result, Solution, Viewer, Watch
+from slipfree.problem.verbs.base import (
+    Extremes,
+    MotionVerb,
+    Quantity,
+    Result,
+    Solution,
+    Viewer,
+    Watch,
+    largest_tilt,
+)
 from slipfree.problem.verbs.drive_facts import (
     CHECKS,
     angle_facts,
@@ -45,6 +54,17 @@ if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.show.drive_scene import Driven
 
+EXTREMES = Extremes(
+    end=("x", "y", "z", "heading", "pitch", "roll", "yaw"),
+    largest=(
+        *("pitch", "roll", "utilisation", "utilisation_best", "friction_needed", "drive_torque"),
+        *("power", "drift_position", "closure_residual", "newton_step"),
+    ),
+    least=(
+        *("tip_over_margin", "force_normal", "clearance", "relative_curvature", "singular_value"),
+    ),
+    gained=("work", "potential_energy"),
+)
 SAME = 1e-3  # largest distance of wheels from their places and from the ground, in radii
 
 
@@ -114,13 +134,12 @@ class DriveVerb(MotionVerb):
         return [integrator_fact(run)]
 
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return path length and slip of a motion."""
+        """Return ends, extremes, path length and slip of a motion."""
         slip = np.hypot(run["slip_along"], run["slip_across"])
         duration, length = run.t[-1] - run.t[0], path_length(run)
-        found = {
-            "path_length": Quantity(length, "m"),
-            "slip_largest": Quantity(slip.max(), "m s-1"),
-        }
+        found = EXTREMES.of(run) | largest_tilt(run)
+        found["path_length"] = Quantity(length, "m")
+        found["slip_largest"] = Quantity(slip.max(), "m s-1")
         if duration > 0:
             squares = np.trapezoid(slip**2, run.t, axis=0).mean()
             found["slip_rms"] = Quantity(np.sqrt(squares / duration), "m s-1")

@@ -40,7 +40,7 @@ from slipfree.problem.build_common import (
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts, integrator_fact
-from slipfree.problem.verbs.base import Watch
+from slipfree.problem.verbs.base import Extremes, Quantity, Watch, differences
 from slipfree.problem.verbs.drive_facts import trust_facts
 from slipfree.problem.verbs.driving import DriveVerb, integrate
 from slipfree.problem.verbs.inverse_commands import ROBOT, are_commands, read_commands
@@ -152,10 +152,14 @@ class InverseVerb(DriveVerb):
         warning = steering_warning(run)
         return [warning] if warning and not (run.stop and warning in run.stop.words) else []
 
-    def verification(self, run: Trajectory) -> dict[str, float]:
+    def verification(self, run: Trajectory) -> dict[str, Quantity]:
         """Return the differences of the round trip and of the replay by the direct model."""
-        prefixes = ("round_trip_", "replay_")
-        return {k: size for k, size in run.statistics.items() if k.startswith(prefixes)}
+        return differences(run, "round_trip_", "replay_")
+
+    def metrics(self, run: Trajectory, spec: Inverse) -> dict[str, Quantity]:
+        """Return also the margin and the slip of the steering."""
+        own = Extremes(largest=("steering_slip",), least=("inverse_margin",))
+        return super().metrics(run, spec) | own.of(run)
 
 
 def _given(

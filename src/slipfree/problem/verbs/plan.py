@@ -37,7 +37,7 @@ from slipfree.problem.build_model import build_model
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.problem.verbs import plan_schema
-from slipfree.problem.verbs.base import RESUME, Quantity, Result, Watch
+from slipfree.problem.verbs.base import RESUME, Quantity, Result, Watch, differences
 from slipfree.problem.verbs.driving import DriveVerb, model_attributes
 from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
 from slipfree.problem.verbs.plan_goals import (
@@ -235,10 +235,9 @@ class PlanVerb(DriveVerb):
         """Return costs of the plan and differences of its simulation."""
         return [*plan_facts(run)]
 
-    def verification(self, run: Trajectory) -> dict[str, float]:
+    def verification(self, run: Trajectory) -> dict[str, Quantity]:
         """Return differences of the simulation from the plan, and violations of limits."""
-        prefixes = ("plan_difference_", "plan_violation_")
-        return {k: size for k, size in run.statistics.items() if k.startswith(prefixes)}
+        return differences(run, "plan_difference_", "plan_violation_")
 
     def metrics(self, run: Trajectory, spec: plan_schema.Plan) -> dict[str, Quantity]:
         """Return also the largest violation, and whether the motion is complete without any."""

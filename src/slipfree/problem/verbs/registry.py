@@ -39,7 +39,7 @@ def find_motion_verb(name: object) -> MotionVerb | None:
 
 def verb_of(problem: Problem[Runnable]) -> MotionVerb:
     """Return the verb of a problem of ``slipfree run``."""
-    return next(verb for verb in motion_verbs() if verb.name == problem.spec.verb)
+    return cast("MotionVerb", find_verb(problem.spec.verb))
 
 
 def check_option(problem: Problem[Any], option: str) -> None:

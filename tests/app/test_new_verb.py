@@ -1,0 +1,140 @@
+"""Add a verb of problem files: one module and one entry of the registry.
+
+`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (25 lines without docstrings and
+imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/verbs/registry.py``: two files.
+Problem files, commands, sweeps, reports and result files accept the verb without other changes.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from matplotlib.figure import Figure
+from pydantic import Field
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.files.netcdf import NOTHING
+from slipfree.models.kinematics import direct_kinematics
+from slipfree.problem.build_common import Setup, build_start, build_terrain, build_vehicle
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.result import open_result
+from slipfree.problem.schema import VERB, Motion, Time
+from slipfree.problem.verbs import registry
+from slipfree.problem.verbs.base import Quantity
+from slipfree.problem.verbs.driving import DriveVerb
+from slipfree.records import leaves
+from slipfree.sweep.worker import work
+
+
+class Stand(Motion):
+    """Standing: the pose of the vehicle at its start, and the loads on its wheels."""
+
+    verb: Literal["stand"] = Field(description=VERB)
+    time: Time = Field(default=Time(duration=1.0, step=1.0), description="of no importance")
+
+
+class StandVerb(DriveVerb):
+    """Pose at the start, and loads on the wheels."""
+
+    schema = Stand
+    metrics_shown = ("load_least",)
+
+    def build(self, problem: Any) -> Setup:
+        """Return the model and the settled start."""
+        ground = build_ground(problem)
+        with at(problem, ("vehicle",)):
+            vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+        terrain = build_terrain(problem, ground)
+        dae = direct_kinematics(vehicle, terrain)
+        start = build_start(problem, dae)
+        inputs = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
+        return Setup(
+            ground, terrain, vehicle, dae, dae, start, inputs, start.t, "nothing"
+        )
+
+    def drive(self, problem: Any, setup: Setup, watch: Any, resume: Any) -> Any:
+        """Return the start."""
+        return setup.start, NOTHING
+
+    def own_facts(self, run: Any) -> Any:
+        """Return the load on each wheel."""
+        return [(f"load on wheel {w}", f"{run['force_normal', w][0]:.4g} N") for w in run.wheels]
+
+    def metrics(self, run: Any, spec: Any) -> dict[str, Quantity]:
+        """Return the least load."""
+        return {"load_least": Quantity(run["force_normal"].min(), "N")}
+
+    def figures(self, result: Any) -> dict[str, Figure]:
+        """Return a bar for each wheel."""
+        figure, run = Figure(), result.trajectory
+        figure.subplots().bar(run.wheels, run["force_normal"][0])
+        return {"loads": figure}
+
+
+PROBLEM = """\
+verb = "stand"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 3]
+spacing = 0.25
+
+[vehicle]
+catalog = "three_wheeler"
+mass = 30.0
+
+[start]
+heading = 0.5
+"""
+
+
+@pytest.fixture(autouse=True)
+def _added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("p.toml").write_text(PROBLEM)
+    monkeypatch.setattr(registry, "VERBS", (*registry.VERBS, StandVerb()))
+
+
+def _called(*words: str, code: int = 0) -> str:
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == code, done.output
+    return str(done.output)
+
+
+def test_commands_take_a_new_verb() -> None:
+    found = _called("run", "p.toml")
+    assert "load on wheel front" in found
+    assert "drew 1 figures" in found
+    assert "ok" in _called("check", "p.toml")
+    assert "wheel front" in _called("vehicle", "p.toml")
+    assert "load on wheel front" in _called("info", "p.nc")
+    assert "figures: " not in _called("report", "p.nc")
+    assert "load on wheel front" in Path("p.html").read_text()
+
+
+def test_its_results_are_of_its_kind() -> None:
+    _called("run", "p.toml", "--no-draw")
+    result = open_result("p.nc")
+    assert (result.kind, result.verification) == ("stand", {})
+    assert result.problem.spec.start == {"heading": 0.5}
+    assert result.trajectory["force_normal"].sum() == pytest.approx((30 + 3 * 2) * 9.81)
+
+
+def test_options_of_other_verbs_are_refused_by_name() -> None:
+    error = _called("run", "p.toml", "--cross-check", code=2)
+    assert "p.toml:1: verb: expected 'direct' for --cross-check, found 'stand'" in error
+    assert "expected 'plan' for --resume, found 'stand'" in _called(
+        "run", "p.toml", "--resume", "p.nc", code=2
+    )
+
+
+def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def in_process(tasks: Any, _: Any) -> Iterator[Any]:
+        yield from map(work, tasks)
+
+    monkeypatch.setattr("slipfree.sweep.pools.processes", lambda _: in_process)
+    found = _called("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
+    assert "load_least" in found
+    assert len(Path("p_sweep/table.csv").read_text().splitlines()) == 4
