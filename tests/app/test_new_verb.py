@@ -50,9 +50,7 @@ class StandVerb(DriveVerb):
         dae = direct_kinematics(vehicle, terrain)
         start = build_start(problem, dae)
         inputs = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
-        return Setup(
-            ground, terrain, vehicle, dae, dae, start, inputs, start.t, "nothing"
-        )
+        return Setup(ground, terrain, vehicle, dae, dae, start, inputs, start.t, "nothing")
 
     def drive(self, problem: Any, setup: Setup, watch: Any, resume: Any) -> Any:
         """Return the start."""
