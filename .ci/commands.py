@@ -20,7 +20,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 SLIPFREE = Path(sys.executable).with_name("slipfree")
-STOPS_EARLY = ("paper_inverse", "traction_ice")  # exit code 1, as the README says
+STOPS_EARLY = ("paper_inverse", "traction_ice")  # exit code 1 (docs/problems.md)
 PACKAGES = (
     "slipfree",
     "casadi",

@@ -1,10 +1,10 @@
 """Forces: closed forms, energy, creep, the limits of friction, and which axle stands where.
 
-``python benchmarks/forces.py`` prints the figures of README and of the tests on forces: errors
-against closed forms; the work of the drives against the energy gained; creep across a slope; how
-fast three limits of friction are approached; random starts; steps against creep; the least
+``python benchmarks/forces.py`` prints the figures of ``docs/accuracy.md`` and ``docs/papers.md``:
+errors against closed forms; the work of the drives against the energy gained; creep across a slope;
+the convergence towards three limits of friction; random starts; steps against creep; the least
 coefficient of friction on which four axles stand, from the best distribution of forces and from
-the existence of an equilibrium with friction; and what the paper's direct run needs of the ground.
+the existence of an equilibrium with friction; and the friction that the paper's direct run needs.
 """
 
 from __future__ import annotations
