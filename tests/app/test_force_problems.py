@@ -257,7 +257,7 @@ def test_no_equilibrium_tells_how_far_a_wheel_leans():
         (["vehicle.stiffness=60"], "the fixed axle has no free joint for a spring"),
         (
             ["vehicle.actuated=['tilt_right']"],
-            "expected one of the passive coordinates (there is none), found 'tilt_right'",
+            "expected one of the passive coordinates (the vehicle has none), found 'tilt_right'",
         ),
         (["vehicle.mass=-1"], "vehicle.mass: expected a number of at least 0, found -1"),
         (

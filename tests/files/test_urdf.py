@@ -366,7 +366,7 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         (
             'urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
             "wheels = { caster_axle = { driven = false } }",
-            "cart.toml:1: coordinate caster: its rate is commanded, so that it takes no spring",
+            "cart.toml:1: coordinate caster: a commanded coordinate cannot have a spring",
         ),
         (
             'urdf = "cart.urdf"\njoints = { caster = "passive", bracket = "suspension" }',
@@ -458,7 +458,10 @@ def test_limits_of_the_vehicle_file_override_those_of_the_urdf(in_urdf, in_roles
             ", lower = 0.5",
             "joint 'caster': expected limits of caster that ascend, found 0.5 to 0.2; write",
         ),
-        (", lower = 0, upper = 0", "cart.toml:1: coordinate caster: stops must ascend, found 0"),
+        (
+            ", lower = 0, upper = 0",
+            "cart.toml:1: coordinate caster: the lower stop must be below the upper one",
+        ),
     ],
 )
 def test_limits_that_contradict_are_refused(in_roles, words, tmp_path):

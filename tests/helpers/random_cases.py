@@ -379,7 +379,10 @@ FAULTS = {
     "times": Fault(_set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected .* ascending times"),
     "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be a radius"),
     "track": Fault(_set("build", half_track=np.nan), r"half_track must be a positive length"),
-    "stops": Fault(_set("build", tilt_stop=-0.1), r"stops must ascend, found 0.1 to -0.1"),
+    "stops": Fault(
+        _set("build", tilt_stop=-0.1),
+        r"the lower stop must be below the upper one, found 0.1 and -0.1",
+    ),
     "spacing": Fault(_set("map", shortest=0.1), r"power_law: expected twice the spacing"),
     "no height": Fault(_set("map", gap=True), r"all heights must be finite, .* z\[3, 5\] = nan"),
     "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a rate of zero or more"),

@@ -242,7 +242,7 @@ def test_a_path_is_checked():
     t = np.arange(6.0)
     with pytest.raises(ModelError, match="expected 6 or more times and as many values"):
         track_path(dae, t[:5], t[:5], t[:5], t[:5])
-    with pytest.raises(ModelError, match="expected finite values at times that ascend"):
+    with pytest.raises(ModelError, match="expected finite values at increasing times"):
         track_path(dae, t[::-1], t, t, t)
 
 

@@ -168,7 +168,7 @@ def test_laws_name_what_they_need():
         ),
     )
     dae = closure_model(trailer, FLAT)
-    with pytest.raises(ModelError, match="trailer has no steered wheel, nor driven wheels on both"):
+    with pytest.raises(ModelError, match="driven wheels on both sides; trailer has neither"):
         follow(dae, trailer, Path(WAY), speed=1.0)
 
 

@@ -516,7 +516,7 @@ def test_seven_wheels_follow_and_are_given_three_rates():
 
 
 def test_seven_rigid_wheels_are_too_many():
-    with pytest.raises(ModelError, match="seven rigid contacts are too many for five freedoms"):
+    with pytest.raises(ModelError, match="seven rigid contacts are too many for five degrees"):
         seven_wheels(stiffness=0.0)
 
 
@@ -528,7 +528,7 @@ def test_seven_rigid_wheels_are_too_many():
         (lambda: skid_steer(wheelbase=np.inf), "skid_steer: wheelbase must be a positive length"),
         (lambda: articulated(rear=0.0), "articulated: rear must be a positive length"),
         (lambda: rocky7(steered="all"), "rocky7: steered must be 'front' or 'corners', found 'all"),
-        (lambda: rocky7(r1=0.1), "r2 must be a radius of zero or more"),
+        (lambda: rocky7(r1=0.1), "r2 must be zero or a positive radius"),
     ],
 )
 def test_what_is_no_vehicle_is_refused(build, words):

@@ -1041,25 +1041,25 @@ WHEEL = {
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: Body(-1.0), "body: mass must be zero or more kilograms, found -1.0"),
-        (lambda: Body(np.nan), "body: mass must be zero or more kilograms, found nan"),
+        (lambda: Body(-1.0), "body: mass must be zero or positive, found -1.0 kg"),
+        (lambda: Body(np.nan), "body: mass must be zero or positive, found nan kg"),
         (lambda: Body(1.0, (0.0, np.inf, 0.0)), "its centre of mass must be three finite"),
         (lambda: Body(1.0, (0.0, 0.0)), "its centre of mass must be three finite"),
-        (lambda: Wheel(**WHEEL, mass=-2.0), "wheel w: mass must be zero or more kilograms"),
-        (lambda: Wheel(**WHEEL, mass=np.inf), "wheel w: mass must be zero or more kilograms"),
+        (lambda: Wheel(**WHEEL, mass=-2.0), "wheel w: mass must be zero or positive"),
+        (lambda: Wheel(**WHEEL, mass=np.inf), "wheel w: mass must be zero or positive"),
         (lambda: Wheel(**WHEEL, grip=0.0), "wheel w: grip must be positive, found 0.0"),
         (lambda: Wheel(**WHEEL, grip=np.nan), "wheel w: grip must be positive, found nan"),
         (
             lambda: Coordinate("c", "passive", "c", stiffness=-1.0),
-            "coordinate c: stiffness must be zero or more, found -1.0",
+            "coordinate c: stiffness must be zero or positive, found -1.0",
         ),
         (
             lambda: Coordinate("c", "passive", "c", damping=np.inf),
-            "coordinate c: damping must be zero or more, found inf",
+            "coordinate c: damping must be zero or positive, found inf",
         ),
         (
             lambda: Coordinate("c", "passive", "c", bump=np.nan),
-            "coordinate c: bump must be zero or more, found nan",
+            "coordinate c: bump must be zero or positive, found nan",
         ),
         (lambda: Coordinate("c", "passive", "c", rest=np.inf), "coordinate c: rest must be finite"),
         (
@@ -1068,7 +1068,7 @@ WHEEL = {
         ),
         (
             lambda: Coordinate("c", "commanded", "c", stiffness=1.0),
-            "coordinate c: its rate is commanded, so that it takes no spring",
+            "coordinate c: a commanded coordinate cannot have a spring",
         ),
         (
             lambda: actuated(VEHICLE, "steer"),
@@ -1076,7 +1076,7 @@ WHEEL = {
         ),
         (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), "there is none"),
         (lambda: three_wheeler(axle="fixed", stiffness=1.0), "fixed axle has no free joint"),
-        (lambda: three_wheeler(mass=-1.0), "mass must be zero or more kilograms, found -1.0"),
+        (lambda: three_wheeler(mass=-1.0), "mass must be zero or positive, found -1.0 kg"),
     ],
 )
 def test_what_cannot_be_is_refused(build, words):

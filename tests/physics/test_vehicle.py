@@ -128,22 +128,25 @@ def changed(**parts):
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: three_wheeler(r1=-0.1), "r1 must be a radius of zero or more"),
+        (lambda: three_wheeler(r1=-0.1), "r1 must be zero or a positive radius"),
         (lambda: three_wheeler(r1=0.0, r2=0.0), "r1 \\+ r2 must be positive"),
         (lambda: three_wheeler(wheelbase=0.0), "wheelbase must be a positive length, found 0.0"),
         (lambda: three_wheeler(half_track=-1.0), "half_track must be a positive length"),
-        (lambda: three_wheeler(tilt_stop=-0.1), "stops must ascend"),
-        (changed(wheels=VEHICLE.wheels[:2]), "three wheels or more to stand, found 2"),
-        (changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])), "two wheels are called 'right'"),
+        (lambda: three_wheeler(tilt_stop=-0.1), "the lower stop must be below the upper one"),
+        (changed(wheels=VEHICLE.wheels[:2]), "at least three wheels, found 2"),
+        (
+            changed(wheels=(VEHICLE.wheels[0], *VEHICLE.wheels[:2])),
+            "two wheels have the name 'right'",
+        ),
         (
             changed(joints=(*VEHICLE.joints[:2], replace(VEHICLE.joints[2], value="tilt_left"))),
             "coordinate steer moves no joint",
         ),
         (
             changed(joints=(*VEHICLE.joints, replace(VEHICLE.joints[2], name="x", motion="slide"))),
-            "coordinate steer both turns and slides",
+            "coordinate steer is the value of both a turning and a sliding",
         ),
-        (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts are called 'fork'"),
+        (changed(joints=VEHICLE.joints[::-1][:1] * 2), "two parts have the name 'fork'"),
         (
             changed(joints=(replace(VEHICLE.joints[0], parent="boom"), *VEHICLE.joints[1:])),
             "joint right_hub: its parent 'boom' is not known; known so far: platform",
@@ -228,7 +231,7 @@ def test_a_joint_follows_a_formula_of_coordinates():
     [
         (
             lambda: Joint("boom", "platform", (0, 0, 0), (0, 0, 0), "a"),
-            "joint boom: an axis must be x, y, z or a vector other than zero",
+            "joint boom: an axis must be x, y, z or a nonzero vector",
         ),
         (lambda: Joint("boom", "platform", "w", (0, 0, 0), "a"), "joint boom: an axis must be"),
         (

@@ -1,7 +1,7 @@
 """Carts and cars of the catalogue.
 
-The platform's axes are x right, y forward, z up. Masses are round figures; ``mass = 0`` and
-``wheel_mass = 0`` leave the kinematics alone.
+The platform's axes are x right, y forward, z up. Masses are round figures; with ``mass = 0`` and
+``wheel_mass = 0`` only kinematics is available.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def differential_drive(
     r1, r2 : float
         Of the driven wheels. [m]
     caster_scale : float
-        Size of the caster's wheel over theirs. [1]
+        Size of the caster's wheel relative to the driven wheels. [1]
     mass, center_of_mass, wheel_mass, grip
         As in `three_wheeler`.
 
@@ -84,11 +84,11 @@ def ackermann(
     wheel_mass: float = 2.0,
     grip: float = 1.0,
 ) -> Vehicle:
-    """Return a car whose front axle rocks and whose rear wheels are driven.
+    """Return a car with a rocking front axle and driven rear wheels.
 
-    One steering angle, that of a wheel in the middle of the front axle, turns both front wheels
-    such that their axles meet on the rear one. The platform's centre is the middle of the rear
-    axle.
+    The steering angle is that of a virtual wheel in the middle of the front axle. It turns both
+    front wheels such that their axles intersect on the line of the rear axle (Ackermann steering).
+    The platform's centre is the middle of the rear axle.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def ackermann(
     r1, r2 : float
         Of the wheels. [m]
     steer_stop : float
-        Largest steering angle, either way. [rad]
+        Largest steering angle, to either side. [rad]
     mass, center_of_mass, wheel_mass, grip
         As in `three_wheeler`.
 
@@ -162,7 +162,7 @@ def skid_steer(
     wheel_mass: float = 2.0,
     grip: float = 1.0,
 ) -> Vehicle:
-    """Return a cart with four driven wheels, those of the right side on a rocker.
+    """Return a cart with four driven wheels, the right ones on a rocker.
 
     Parameters
     ----------
@@ -217,10 +217,10 @@ def articulated(
     wheel_mass: float = 4.0,
     grip: float = 1.0,
 ) -> Vehicle:
-    """Return a loader bent by a driven joint between its halves, which also twist freely.
+    """Return an articulated loader with a driven steering joint and a free twist joint.
 
-    All four wheels are driven. The platform is the front half, its centre the middle of the front
-    axle.
+    All four wheels are driven. The platform is the front half; its centre is the middle of the
+    front axle.
 
     Parameters
     ----------
@@ -229,9 +229,9 @@ def articulated(
     r1, r2 : float
         Of the wheels. [m]
     bend_stop : float
-        Largest angle between the halves, either way. [rad]
+        Largest angle between the halves, to either side. [rad]
     mass, center_of_mass : float, tuple of 3 floats
-        Of each half; place in the half's frame, from the middle of its axle. [kg, m]
+        Mass of each half, and its centre in the half's frame, from the middle of its axle. [kg, m]
     wheel_mass, grip
         As in `three_wheeler`.
 
@@ -272,7 +272,7 @@ def _pair(
     mass: float,
     grip: float,
 ) -> tuple[Wheel, ...]:
-    """Return driven wheels right and left of a part."""
+    """Return the driven wheels on the right and on the left of a part."""
     return tuple(
         Wheel(
             f"{prefix}{side}",

@@ -1,7 +1,7 @@
-"""Vehicles of the catalogue beside the three-wheeler: carts, cars and rovers.
+"""Rovers of the catalogue, with rocker-bogie suspensions.
 
-The platform's axes are x right, y forward, z up. Masses are round figures; ``mass = 0`` and
-``wheel_mass = 0`` leave the kinematics alone.
+The platform's axes are x right, y forward, z up. Masses are round figures; with ``mass = 0`` and
+``wheel_mass = 0`` only kinematics is available.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 
 class Station(NamedTuple):
-    """Where a pair of wheels of a rocker-bogie is, at rest on level ground. [m].
+    """Position of a pair of wheels of a rocker-bogie, at rest on level ground. [m].
 
     Attributes
     ----------
     half_track, ahead, above : float
-        Of the wheels' centres, from the platform's centre.
+        Position of the wheels' centres relative to the platform's centre.
     on_bogie : bool
-        Whether they are on the bogies, and not on the rockers.
+        Whether the bogies carry the wheels; otherwise the rockers do.
     steered : bool
-        Whether they steer, about a vertical axis through their centres.
+        Whether the wheels steer, about a vertical axis through their centres.
     """
 
     half_track: float
@@ -50,32 +50,32 @@ def rocker_bogie(
     wheel_mass: float,
     grip: float,
 ) -> Vehicle:
-    """Return a rover on two rockers that a differential couples, each with a bogie.
+    """Return a rocker-bogie rover, with two rockers coupled by a differential.
 
     Parameters
     ----------
     name : str
-        What it is called.
+        Name of the vehicle.
     stations : dict of str to Station
         Front, middle and rear wheels.
     differential, bogie : tuple of 2 floats
-        Axes of the rockers on the platform, and of the bogies on the rockers: ahead and above, at
-        rest on level ground. [m]
+        Axes of the rockers on the platform, and of the bogies on the rockers: distances ahead of
+        and above the platform's centre, at rest on level ground. [m]
     radius, r1 : float
-        Of the wheels, and of their tubes. [m]
+        Rolling radius of the wheels, and radius of their tubes. [m]
     mass, center_of_mass, wheel_mass, grip
         As in `three_wheeler`.
 
     Raises
     ------
     ModelError
-        If a radius or a place is not one.
+        If a radius is not positive or a position is not finite.
     """
     coordinates = [
         Coordinate(
             "rocker",
             "suspension",
-            "right rocker, front up positive; the left one turns the other way",
+            "angle of the right rocker, front up positive; the left rocker has the opposite angle",
         )
     ]
     joints, wheels = [], []
@@ -83,7 +83,9 @@ def rocker_bogie(
     for side, way in SIDES.items():
         coordinates.append(
             Coordinate(
-                f"bogie_{side}", "suspension", f"{side} bogie on its rocker, front up positive"
+                f"bogie_{side}",
+                "suspension",
+                f"angle of the {side} bogie on its rocker, front up positive",
             )
         )
         joints.append(
@@ -134,22 +136,22 @@ def rocky7(
 ) -> Vehicle:
     """Return the Rocky 7 rover of JPL [1]_, with the dimensions used by [2]_.
 
-    Six driven wheels of 65 mm radius; its front pair steers. The masses are rounded from the 15 kg
-    of the whole rover, the platform's centre of mass lies on the rockers' axis.
+    It has six driven wheels of 65 mm radius; the front pair is steered. The masses are rounded
+    from the 15 kg of the whole rover. The platform's centre of mass lies on the rockers' axis.
 
     Parameters
     ----------
     steered : {"front", "corners"}
-        As built, or with the rear pair steered too.
+        Steered wheels: the front pair, as built, or the front and rear pairs.
     r1 : float
-        Radius of the wheels' tubes; zero for discs. [m]
+        Radius of the wheels' tubes; zero for thin discs. [m]
     mass, center_of_mass, wheel_mass, grip
         As in `three_wheeler`.
 
     Raises
     ------
     ModelError
-        If ``steered`` is not known or a number is not allowed.
+        If ``steered`` is unknown or a number is out of range.
 
     References
     ----------
@@ -193,11 +195,12 @@ def open_source_rover(
     wheel_mass: float = 0.8,
     grip: float = 1.0,
 ) -> Vehicle:
-    """Return the JPL Open Source Rover [1]_, whose bogies carry the front wheels.
+    """Return the JPL Open Source Rover [1]_, with the front wheels on the bogies.
 
-    Six driven wheels of 75 mm radius, the four at the corners steered. Wheels in plan are those of
-    its configuration file, pivots those of its simulation model, both rounded to 5 mm where they
-    differ. The platform's centre is above the middle axle, at the height of the rockers' axis.
+    It has six driven wheels of 75 mm radius; the four at the corners are steered. Horizontal
+    positions of the wheels are those of its configuration file, pivots those of its simulation
+    model, both rounded to 5 mm where they differ. The platform's centre is above the middle axle,
+    at the height of the rockers' axis.
 
     Parameters
     ----------
@@ -209,7 +212,7 @@ def open_source_rover(
     Raises
     ------
     ModelError
-        If a number is not allowed.
+        If a number is out of range.
 
     References
     ----------

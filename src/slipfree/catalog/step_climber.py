@@ -1,4 +1,4 @@
-"""The seven-wheeled step climber of the catalogue, which is symmetric in its plane."""
+"""Seven-wheeled step climber of the catalogue."""
 
 from __future__ import annotations
 
@@ -21,34 +21,35 @@ def seven_wheels(
     preload: float = 20.0,
     grip: float = 1.0,
 ) -> Vehicle:
-    """Return the step climber of Chugo et al. [1]_ on seven driven wheels with free rollers.
+    """Return the step climber of Chugo et al. [1]_, with seven driven omni wheels.
 
-    The platform is the rear body, its centre the middle wheel's. Pairs of wheels roll forward at
-    the rear and at the front, one in the middle; between each pair one rolls sideways. The front
-    body pitches and rolls on two passive joints. So there are seven contacts, but five freedoms for
-    the ground to decide: rigid, the vehicle stands only where its axles' wheels happen to find the
-    ground at one height, as where that varies forward alone. Here the wheels that roll sideways are
-    pressed down by springs, and it stands anywhere.
+    The platform is the rear body; its centre is that of the middle wheel. A pair of wheels at the
+    rear, a pair at the front and the single middle wheel roll forward; between the wheels of each
+    pair another wheel rolls sideways. The front body pitches and rolls on two passive joints.
+    Seven contacts thus constrain five degrees of freedom: a rigid vehicle would stand only where
+    the wheels of each axle have ground of equal height, as where the height varies only in the
+    forward direction. Here springs press the sideways wheels down, and the vehicle stands anywhere.
 
-    Radii, spacings and masses are the paper's, the masses with their wheels. What its text leaves
-    open is assumed: the track from its width, wheels between pairs on their axle, centres of mass
-    in the middle of bodies whose ends are flush with the tyres, 50 mm above the axles.
+    Radii, spacings and masses are those of the paper; the masses include the wheels. Assumed, since
+    the paper does not give them: the track, from the overall width; the sideways wheels on the
+    axles of the pairs; and centres of mass 50 mm above the axles in the middle of bodies whose ends
+    are flush with the tyres.
 
     Parameters
     ----------
     joint : float
-        How far the joints are ahead of the middle wheel. [m]
+        Distance of the joints ahead of the middle wheel. [m]
     half_track : float
         From the middle to a wheel of a pair. [m]
     stiffness, preload : float
-        Of the springs, and their force on level ground. [N/m, N]
+        Stiffness of the springs, and their force on level ground. [N/m, N]
     grip
         As in `three_wheeler`.
 
     Raises
     ------
     ModelError
-        If the springs are not, or a number is not allowed.
+        If the stiffness is not positive or a number is out of range.
 
     References
     ----------
@@ -58,15 +59,15 @@ def seven_wheels(
     _positive("seven_wheels", half_track=half_track)
     if not 0 < stiffness < inf:
         raise ModelError(
-            "seven_wheels: seven rigid contacts are too many for five freedoms; expected springs "
-            f"with a positive stiffness, found {stiffness} N/m"
+            "seven_wheels: expected a positive stiffness of the springs, since seven rigid "
+            f"contacts are too many for five degrees of freedom; found {stiffness} N/m"
         )
     radius, behind, ahead, lengths, above = 0.066, 0.215, 0.255, (0.400, 0.195), 0.05
     pressed = [
         Coordinate(
             f"press_{end}",
             "suspension",
-            f"height of the wheel between the {end} pair on its springs",
+            f"height of the wheel between the {end} pair, on its spring",
             stiffness=stiffness,
             rest=-preload / stiffness,
         )

@@ -1,4 +1,4 @@
-"""Vehicles that come with the package."""
+"""Tilting three-wheeler of the catalogue and its variants."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from slipfree.vehicle.wheel import Wheel
 
 Axle = Literal["tilting", "sliding", "prismatic_undriven", "prismatic", "actuated", "fixed"]
 Ends = tuple[tuple[Coordinate, ...], tuple[Joint, ...]]
-HERE = (0.0, 0.0, 0.0)
-UPRIGHT = 1.5  # tilt beyond which a wheel lies on its side [rad]
+ORIGIN = (0.0, 0.0, 0.0)
+MAX_TILT = 1.5  # a wheel with a larger tilt lies on its side [rad]
 
 
 def three_wheeler(
@@ -25,21 +25,21 @@ def three_wheeler(
     wheelbase: float = 1.5,
     r1: float = 0.05,
     r2: float = 0.25,
-    tilt_stop: float = UPRIGHT,
+    tilt_stop: float = MAX_TILT,
     slide_stop: float = inf,
     stiffness: float = 0.0,
     damping: float = 0.0,
     bump: float = 0.0,
     mass: float = 30.0,
-    center_of_mass: tuple[float, float, float] = HERE,
+    center_of_mass: tuple[float, float, float] = ORIGIN,
     wheel_mass: float = 2.0,
     grip: float = 1.0,
 ) -> Vehicle:
-    """Return the three-wheeler of Chakraborty and Ghosal [1]_, or one with another rear axle.
+    """Return the three-wheeler of Chakraborty and Ghosal [1]_ with one of six rear axles.
 
-    Two rear wheels and one free front wheel that is steered. The platform's centre lies on the
+    It has two rear wheels and one free, steered front wheel. The platform's centre lies on the
     centre line, a third of the wheelbase ahead of the rear axle, at the height of the wheel
-    centres. The defaults are the paper's vehicle; the other axles are those it compares with.
+    centres. The defaults describe the vehicle of the paper, the other axles its alternatives.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ def three_wheeler(
         ``"tilting"``: both rear wheels are driven and tilt freely about their forward axes;
         ``"sliding"``: both driven, each half of the axle slides freely;
         ``"prismatic"``: both driven, the right half slides freely;
-        ``"prismatic_undriven"``: the same, with the right wheel free;
-        ``"actuated"``: both driven, the rate of the right half's sliding is an input;
-        ``"fixed"``: both driven, rigid.
+        ``"prismatic_undriven"``: the same with a free right wheel;
+        ``"actuated"``: both driven, the sliding rate of the right half is an input;
+        ``"fixed"``: both driven, a rigid axle.
     half_track : float
         Half the length of the rear axle, ``l_a``. [m]
     wheelbase : float
@@ -57,21 +57,24 @@ def three_wheeler(
     r1, r2 : float
         Radius of the wheels' tube, zero for discs, and of the circle of tube centres. [m]
     tilt_stop, slide_stop : float
-        Largest lateral tilt, and largest sliding of half an axle, either way. [rad, m]
+        Largest lateral tilt, and largest sliding of half an axle, to either side. [rad, m]
     stiffness, damping, bump : float
-        Of a spring and a damper in every free joint of the axle, and of its stops (zero: rigid).
-        A tilt is an inverted pendulum: only a spring stiffer than the load on the wheel times
-        ``r2`` holds it upright; where rates force a tilt, a stiffer one needs more friction.
+        Stiffness of a spring, constant of a damper, and stiffness of the stops (zero: rigid) in
+        every free joint of the axle. A tilting wheel is an inverted pendulum: only a spring with
+        a stiffness above the wheel load times ``r2`` keeps it upright; where the rates force a
+        tilt, a stiffer spring needs more friction.
         [N m/rad or N/m, and the same times s]
     mass, center_of_mass : float, tuple of 3 floats
-        Of the platform, in its frame. The paper gives none. [kg, m]
+        Mass of the platform, and its centre in the platform's frame; the paper gives neither.
+        [kg, m]
     wheel_mass, grip : float
-        Of every wheel: its mass [kg], and what its tread makes of the ground's friction [1].
+        Mass of every wheel [kg], and the factor of its tread on the ground's friction
+        coefficient [1].
 
     Raises
     ------
     ModelError
-        If a length is not positive or the axle is not known.
+        If a length is not positive or the axle is unknown.
 
     References
     ----------
@@ -88,7 +91,7 @@ def three_wheeler(
     rear, front, section = -wheelbase / 3, 2 * wheelbase / 3, section_of_radii(r1, r2)
     ends = {"right": (half_track, rear, 0.0), "left": (-half_track, rear, 0.0)}
     coordinates, joints = _rear(axle, ends, tilt_stop, slide_stop)
-    coordinates = _loaded(axle, coordinates, stiffness, damping, bump)
+    coordinates = _add_springs(axle, coordinates, stiffness, damping, bump)
     steer = Coordinate("steer", "commanded", "steering angle of the front wheel, left positive")
     return Vehicle(
         "three_wheeler" if axle == "tilting" else f"three_wheeler with {axle} axle",
@@ -105,15 +108,15 @@ def three_wheeler(
 def _wheels(
     axle: Axle, ends: dict[str, tuple[float, float, float]], joints: tuple[Joint, ...]
 ) -> Iterator[tuple[str, str, tuple[float, float, float], bool]]:
-    """Yield name, carrier and place of the wheels, and whether they are driven."""
+    """Yield name, carrier and position of the wheels, and whether they are driven."""
     hubs = {joint.name.partition("_")[0]: joint.name for joint in joints}
     for side, at in ends.items():
         drives = not (axle == "prismatic_undriven" and side == "right")
-        yield side, hubs.get(side, "platform"), HERE if side in hubs else at, drives
-    yield "front", "fork", HERE, False
+        yield side, hubs.get(side, "platform"), ORIGIN if side in hubs else at, drives
+    yield "front", "fork", ORIGIN, False
 
 
-def _loaded(
+def _add_springs(
     axle: Axle, coordinates: tuple[Coordinate, ...], stiffness: float, damping: float, bump: float
 ) -> tuple[Coordinate, ...]:
     """Return the coordinates of an axle with their springs, dampers and stops."""
@@ -132,7 +135,7 @@ def _rear(
     tilt_stop: float,
     slide_stop: float,
 ) -> Ends:
-    """Return the coordinates and joints of a rear axle with ends at the given places."""
+    """Return the coordinates and joints of a rear axle with ends at given positions."""
     if axle == "fixed":
         return (), ()
     if axle == "tilting":

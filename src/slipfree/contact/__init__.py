@@ -1,1 +1,1 @@
-"""How wheels touch the ground."""
+"""Contact of the wheels with the ground."""

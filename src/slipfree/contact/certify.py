@@ -1,8 +1,8 @@
-"""A certificate that a wheel touches the ground at one point only.
+"""Certificate that a wheel touches the ground at one point only.
 
-Closure knows the ground at the contact point. Elsewhere the ground may still reach into the wheel
-- a rock beside it, a step ahead of it - and then the motion is not that of a rigid wheel. So the
-wheel's surface is compared with the ground all around its lower part.
+The closure equations hold at the contact point. Elsewhere the ground may still penetrate the wheel
+(a rock beside it, a step ahead of it); the computed motion is then not that of a rigid wheel.
+Therefore the surface of the wheel is compared with the ground around its lower part.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections.base import arc_lengths
 from slipfree.vehicle.wheel import Wheel
 
-RIM = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # around the wheel, from the contact
-SPACING = np.deg2rad(3.0)  # of points on the tread, in rolling radii
-CHUNK = 256  # samples looked at together, for the sake of memory
-TOLERANCE = 1e-7  # penetration that counts as touching [size]
-NONE = 1.0  # clearance reported where the ground comes near at no second place [m]
+RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # around the wheel, zero at the contact
+SPACING = np.deg2rad(3.0)  # distance of neighbouring points on the tread [rolling radii]
+CHUNK = 256  # samples evaluated together; limits the memory
+TOLERANCE = 1e-7  # penetration that counts as contact [size]
+NONE = 1.0  # clearance reported where there is no second local minimum of the gap [m]
 
 
 @dataclass(frozen=True, eq=False)
-class SecondTouch:
-    """Clearance between a wheel and the ground at the nearest place that is not its contact.
+class SecondContact:
+    """Clearance between a wheel and the ground, apart from the contact point.
 
-    The clearance is vertical, over points of the tread a twentieth of the rolling radius apart
-    either way, refined by a parabola at its local minima; narrower things may be missed. It is a
-    check, not an expression, since the place moves by jumps.
+    The clearance is the smallest vertical gap over a grid of points on the tread, whose spacing is
+    a twentieth of the rolling radius; a parabola refines each local minimum. Narrower obstacles may
+    be missed. The clearance is a numeric check, not an expression, since the nearest point jumps.
 
     Attributes
     ----------
@@ -39,9 +39,10 @@ class SecondTouch:
     wheel : Wheel
         The wheel.
     pose : casadi Function
-        Centre, local, rotation, column by column, and the ground's normal from ``x`` and ``z``.
+        Centre in local coordinates, rotation matrix (by columns) and ground normal as functions of
+        ``x`` and ``z``.
     size : float
-        Length in which `TOLERANCE` counts. [m]
+        Typical length of the vehicle, the unit of `TOLERANCE`. [m]
     """
 
     terrain: Terrain
@@ -51,10 +52,10 @@ class SecondTouch:
 
     @property
     def label(self) -> Label:
-        """Name, unit and words of the clearance."""
+        """Name, unit and description of the clearance."""
         words = (
-            f"clearance of wheel {self.wheel.name} at the nearest place beside its contact; "
-            "1: the ground comes near at no second place"
+            f"smallest clearance between wheel {self.wheel.name} and the ground apart from the "
+            "contact point; 1 where no second point is near the ground"
         )
         return Label("clearance", "m", words, self.wheel.name)
 
@@ -66,11 +67,11 @@ class SecondTouch:
         )
 
     def describe(self, x: Array, z: Array) -> str:
-        """Return where the wheel touches a second time, in map coordinates."""
+        """Return a message that locates the second contact, in map coordinates."""
         spot = self._nearest(x[:, None], z[:, None])[1][0]
         return (
             f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m; "
-            "terrain.rolled(radius) gives the ground as the wheel feels it"
+            "terrain.rolled(radius) fills the hollows that are too narrow for the wheel"
         )
 
     def _nearest(self, x: Array, z: Array) -> tuple[Array, Array]:
@@ -78,7 +79,7 @@ class SecondTouch:
         height = self.terrain.elevation(points[..., 0], points[..., 1])
         gap = points[..., 2] - height
         low = _second_minima(gap)
-        # what lies in the ground counts wherever it is, also right beside the contact
+        # points inside the ground count everywhere, also next to the contact point
         touching = TOLERANCE * self.size
         values = np.where(low | (gap < -touching), gap, NONE)
         for k, i, j in zip(*np.nonzero(low & (gap < self.wheel.radius / 10)), strict=True):
@@ -93,7 +94,7 @@ class SecondTouch:
         center, rotation, normal = (out.full() for out in self.pose.map(x.shape[1])(x, z))
         axes = rotation.T.reshape(-1, 3, 3)  # axle, forward, up; column by column
         down = -(axes @ normal.T[..., None])[..., 0]
-        v = np.arctan2(down[:, 2], down[:, 1])[:, None] + RIM
+        v = np.arctan2(down[:, 2], down[:, 1])[:, None] + RIM_ANGLES
         u_0 = np.arctan2(np.hypot(down[:, 1], down[:, 2]), down[:, 0])
         along, rho = self.wheel.section.outline(self._angles(u_0))
         axle, forward, up = np.moveaxis(axes[:, None], 2, 0)
@@ -102,7 +103,7 @@ class SecondTouch:
         return np.asarray(middles[:, None] + rho[:, None, :, None] * spokes[:, :, None])
 
     def _angles(self, u_0: Array) -> Array:
-        """Return angles of normals at equal distances around given ones, shape (n, section)."""
+        """Return normal angles equally spaced in arc length around ``u_0``, shape (n, section)."""
         angles, lengths = arc_lengths(self.wheel.section)
         half = int(np.ceil(lengths[-1] / 2 / (SPACING * self.wheel.radius)))
         steps = np.linspace(-0.5, 0.5, 2 * half + 1) * lengths[-1] if half else np.zeros(1)
@@ -111,7 +112,7 @@ class SecondTouch:
 
 
 def _second_minima(gap: Array) -> Mask:
-    """Return where the gap is no larger than at all neighbours, but for the contact itself."""
+    """Return the mask of local minima of the gap, without the contact point itself."""
     rim, tube = gap.shape[1:]
     padded = np.pad(gap, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
     low = np.ones(gap.shape, dtype=bool)

@@ -19,7 +19,7 @@ from slipfree.vehicle.wheel import Wheel
 
 
 class ContactFrame(NamedTuple):
-    """Where and how a wheel touches the ground, in the terrain's local coordinates.
+    """Contact point of a wheel and the directions there, in the terrain's local coordinates.
 
     Attributes
     ----------
@@ -83,16 +83,16 @@ def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.S
 
 
 def relative_curvature(wheel: Wheel, contact: ContactFrame) -> ca.SX:
-    """Return a measure that is positive where the contact is locally unique. [1/m].
+    """Return the margin of local uniqueness of the contact; unique where positive. [1/m].
 
     The contact is unique nearby if the wheel's curvature exceeds the ground's in every
     direction, that is, if Montana's relative curvature form is positive definite. Along the wheel
     its curvature is ``k = m / rho``, with ``m`` its uprightness and ``rho`` the distance of the
     contact point from the axle; across it ``1 / r``. The form is positive definite if
     ``1 + r K_ll`` and the Schur complement ``k + K_tt - r K_tl^2 / (1 + r K_ll)`` are positive,
-    with ``K`` the ground's form for the upward normal, valleys negative. Written so, it holds for
-    the edge of a disc too, ``r = 0``. The smaller of the two is returned, the first divided by the
-    rolling radius.
+    with ``K`` the ground's form for the upward normal, negative in valleys. In this form the
+    condition also holds for the edge of a disc, ``r = 0``. The smaller of the two is returned, the
+    first divided by the rolling radius.
     """
     second = contact.hessian * contact.normal[2]  # second fundamental form, in (x, y)
     t, s = contact.along[:2], contact.across[:2]

@@ -1,9 +1,9 @@
 """Contact of a wheel with the ground at rate level: Montana's contact equations [1]_.
 
-Five contact coordinates place a wheel that touches the ground: the contact point on the ground
-``u_g, v_g``, the same on the wheel ``u_w, v_w``, and the angle ``psi`` between the two Gauss
-frames. The equations say how they change when the wheel moves [2]_. They need the curvature of the
-tread, hence a section without edges.
+Five contact coordinates determine the pose of a wheel that touches the ground: the contact point on
+the ground ``u_g, v_g``, the contact point on the wheel ``u_w, v_w``, and the angle ``psi`` between
+the two Gauss frames. The equations give their rates from the twist of the wheel [2]_. They need the
+curvature of the tread, hence a wheel section without edges.
 
 References
 ----------
@@ -26,7 +26,7 @@ from slipfree.vehicle.wheel import Wheel
 
 
 class ContactCoordinates(NamedTuple):
-    """Where a wheel touches the ground, on both surfaces, and how it is turned.
+    """Coordinates of a contact on both surfaces, and the angle between their Gauss frames.
 
     ``x, y`` are the ground's coordinates ``u_g, v_g`` [m]; ``u, v`` those of the wheel
     ``u_w, v_w`` (``Section.point``); ``psi`` is the angle that takes the wheel's Gauss x axis to
@@ -41,12 +41,12 @@ class ContactCoordinates(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A wheel and the ground at their common point.
+    """Surfaces of a wheel and of the ground at their contact point.
 
     Attributes
     ----------
     wheel, ground : Patch
-        The two surfaces, in the axes of the wheel and in fixed axes.
+        The wheel's surface in the axes of the wheel, and the ground in fixed axes.
     psi : SX, shape (1, 1)
         Angle from the wheel's Gauss x axis to the ground's. [rad]
     """
@@ -68,13 +68,13 @@ class Pair(NamedTuple):
 
 
 def pair(wheel: Wheel, terrain: Terrain, at: ContactCoordinates, lookups: LookupTable) -> Pair:
-    """Return both surfaces at the contact point; local coordinates of the terrain."""
+    """Return the surfaces of wheel and ground at a contact, in local coordinates."""
     tread = patch(wheel.section.point(at.u, at.v), ca.vertcat(at.u, at.v))
     return Pair(tread, _ground(terrain.jet(at.x, at.y, lookups), at.x, at.y), at.psi)
 
 
 def _ground(jet: Jet, x: ca.SX, y: ca.SX) -> Patch:
-    """Return the ground ``c(x, y) = (x, y, h)`` near a point."""
+    """Return the ground ``c(x, y) = (x, y, h)`` as a surface patch at a point."""
     h, (h_x, h_y), hessian = jet.height, ca.vertsplit(jet.gradient), jet.hessian
     tangents = ca.vertcat(1, 0, h_x), ca.vertcat(0, 1, h_y)
     h_xx, h_xy, h_yy = (ca.vertcat(0, 0, hessian[k]) for k in (0, 1, 3))
@@ -82,7 +82,10 @@ def _ground(jet: Jet, x: ca.SX, y: ca.SX) -> Patch:
 
 
 def alignment(psi: ca.SX) -> ca.SX:
-    """Return the wheel's Gauss frame in the axes of the ground's, shape (3, 3); symmetric."""
+    """Return the wheel's Gauss frame in the axes of the ground's Gauss frame, shape (3, 3).
+
+    The matrix is symmetric.
+    """
     c, s = ca.cos(psi), ca.sin(psi)
     return ca.blockcat([[c, -s, 0], [-s, -c, 0], [0, 0, -1]])
 
@@ -93,9 +96,9 @@ class ContactRates(NamedTuple):
     Attributes
     ----------
     wheel, ground : SX, shape (2, 1)
-        Of the parameters of the two surfaces. [1/s times their unit]
+        Rates of the parameters of the two surfaces. [1/s times their unit]
     psi : SX, shape (1, 1)
-        Of the angle between the Gauss frames. [rad/s]
+        Rate of the angle between the Gauss frames. [rad/s]
     """
 
     wheel: ca.SX
@@ -104,10 +107,10 @@ class ContactRates(NamedTuple):
 
 
 def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.SX) -> ContactRates:
-    """Return how the contact point moves over both surfaces (eq. 2 of the paper).
+    """Return the rates of the contact coordinates (eq. 2 of the paper).
 
-    The forms are not those printed there: with ``K`` and ``T`` as printed, factors ``1/|c_u|``
-    and ``1/|c_v|`` are missing, and a diagonal ``M`` does not hold on a height map
+    The forms differ from the printed ones: in the paper's ``K`` and ``T`` the factors ``1/|c_u|``
+    and ``1/|c_v|`` are missing, and a diagonal ``M`` is wrong on a height map
     (``test_surface.py``: ``test_printed_forms_fail``).
 
     Parameters

@@ -1,1 +1,1 @@
-"""Laws that drive a vehicle."""
+"""Driving laws."""

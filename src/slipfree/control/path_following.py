@@ -1,4 +1,4 @@
-"""Driving laws: feedback in the model's own symbols that keeps a vehicle on its way."""
+"""Path following: feedback laws in the symbols of a model."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-LARGEST_STEER = 0.5  # steering angle that the law asks for at most [rad]
-STEER_GAIN = 4.0  # rate of the steering per base length driven
-NEAR = 1e-9  # lengths and effects below this are none [m, 1]
-SLOW = 0.1  # part of the speed below which the steering no longer follows the turning wanted
+MAX_STEER_ANGLE = 0.5  # largest steering angle of the law [rad]
+STEER_GAIN = 4.0  # decay of the steering error per base length driven
+ZERO_TOLERANCE = 1e-9  # smaller lengths and derivatives count as zero [m, 1]
+LOW_SPEED_RATIO = 0.1  # fraction of the speed below which the steering angle is blended to zero
 TILT_GAIN = 2.0  # decay of the mean tilt per base length driven
 
 
-class _Foot(NamedTuple):
-    """A wheel in the plan of the vehicle, as expressions of the commanded coordinates.
+class _PlanarWheel(NamedTuple):
+    """A wheel in the plan view of the vehicle, as expressions of the commanded coordinates.
 
     Attributes
     ----------
     wheel : Wheel
         The wheel.
     right, forward : SX
-        Where it is, from the middle of the turning axis. [m]
+        Its position from the middle of the turning axis. [m]
     angle : SX
         Heading of the wheel in the platform's plan, left positive. [rad]
     effects : mapping of str to SX
-        How much each commanded coordinate turns it. [rad/rad, rad/m]
+        Derivative of that angle with respect to each commanded coordinate. [rad/rad, rad/m]
     leans : str or None
-        The passive coordinate that leans it sideways, if it is driven.
+        The passive coordinate that tilts it sideways, if the wheel is driven.
     """
 
     wheel: Wheel
@@ -49,70 +49,73 @@ class _Foot(NamedTuple):
     leans: str | None
 
 
-class _Plan(NamedTuple):
-    """The plan of a vehicle.
+class _PlanarGeometry(NamedTuple):
+    """Plan view of a vehicle.
 
     Attributes
     ----------
-    feet, steered : tuple of _Foot
-        Its wheels, and those whose steering makes it turn.
+    wheels, steered : tuple of _PlanarWheel
+        All wheels, and those whose steering turns the vehicle.
     base : float
-        Its base length. [m]
+        Base length: distance of the farthest steered wheel from the turning axis, or, without
+        steering, the largest distance of a wheel from the centre line. [m]
     ahead : float
-        How far its centre lies ahead of the turning axis. [m]
+        Distance of the platform's centre ahead of the turning axis. [m]
     gain : float
-        Difference of the wheels' speeds for that of a vehicle that turns without slip: above one
-        where unsteered wheels have to slip across. [1]
+        Ratio of the difference of wheel speeds to that of a vehicle that turns without slip: above
+        one where unsteered wheels must slip sideways. [1]
     """
 
-    feet: tuple[_Foot, ...]
-    steered: tuple[_Foot, ...]
+    wheels: tuple[_PlanarWheel, ...]
+    steered: tuple[_PlanarWheel, ...]
     base: float
     ahead: float
     gain: float
 
 
 def straight(dae: Dae, vehicle: Vehicle, start: Trajectory, *, speed: float) -> Any:
-    """Return inputs that drive a vehicle straight on, along its heading at the start.
+    """Return inputs that drive a vehicle straight along its heading at the start.
 
-    Parameters, errors and law are those of `follow`, on the line ahead of the last sample of
-    ``start``, or behind it if the speed is negative.
+    The law, its parameters and its errors are those of `follow`. The path is the line ahead of the
+    last sample of ``start``, or behind it if the speed is negative.
     """
     x, y, heading = (start[name][-1] for name in ("x", "y", "heading"))
-    way = -1.0 if speed < 0 else 1.0
-    ahead = (x - way * np.sin(heading), y + way * np.cos(heading))
+    sign = -1.0 if speed < 0 else 1.0
+    ahead = (x - sign * np.sin(heading), y + sign * np.cos(heading))
     return follow(dae, vehicle, Path(np.array([(x, y), ahead])), speed=speed)
 
 
 def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     """Return inputs that keep the platform's centre on a path.
 
-    A point runs along the path at the given speed, from its beginning at t = 0. Heading,
-    cross-track and along-track errors against it decay within a base length. The wheels turn at
-    the rates that fit the steering on a plane, corrected so that the mean of passive tilts
-    decays: tilts take up whatever does not fit, and would else drift until the wheels lie down.
+    A reference point moves along the path at the given speed, from its beginning at t = 0. The
+    heading, cross-track and along-track errors decay within a base length. The wheel rates are
+    those of the plane motion with the current steering. A correction makes the mean of the passive
+    tilts decay: tilts absorb the mismatch of the rates, and without the correction they would
+    drift until the wheels lie flat.
 
     Parameters
     ----------
     dae : Dae
         The vehicle's direct kinematics.
     vehicle : Vehicle
-        With steered wheels, or with driven wheels left and right.
+        It has steered wheels, or driven wheels on both sides.
     path : Path
-        Where to go.
+        Path of the platform's centre.
     speed : float
         Speed over the map; negative drives backwards along the path. [m/s]
 
     Returns
     -------
     record
-        Inputs as expressions of the symbols of ``dae``. Commanded coordinates that steer nothing
-        are held.
+        Inputs as expressions of the symbols of ``dae``. Commanded coordinates that steer no wheel
+        are held constant.
 
     Raises
     ------
     ModelError
-        If the speed is zero or not finite, or the vehicle can be made to turn by neither.
+        If the speed is zero or not finite, or the vehicle has neither steered wheels nor driven
+        wheels on both sides.
 
     Examples
     --------
@@ -127,86 +130,92 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     ends at (-0.01, 3.98)
     """
     if not np.isfinite(speed) or speed == 0:
-        raise ModelError(f"driver: the speed must be finite and not zero, found {speed} m/s")
+        raise ModelError(f"driver: the speed must be finite and nonzero, found {speed} m/s")
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
-    plan = _plan(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
-    v, wanted = _guidance(dae, path, plan, speed)
+    plan = _planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
+    v, wanted = _guidance_rates(dae, path, plan, speed)
     pace, turning = abs(speed) / plan.base, wanted
     rates = dict.fromkeys((c.name for c in vehicle.of("commanded")), ca.SX(0))
     if plan.steered:
-        turning = _turning(plan, v)
-        rates |= _steering(plan, v, wanted, speed)
-    tilts = [states[foot.leans] for foot in plan.feet if foot.leans]
+        turning = _turning_rate(plan, v)
+        rates |= _steering_rates(plan, v, wanted, speed)
+    tilts = [states[each.leans] for each in plan.wheels if each.leans]
     if tilts:
-        radius = float(np.mean([foot.wheel.radius for foot in plan.feet if foot.leans]))
+        radius = float(np.mean([each.wheel.radius for each in plan.wheels if each.leans]))
         turning -= TILT_GAIN * pace * radius / plan.base * sum(tilts) / len(tilts)
     moving = {states[name]: rate for name, rate in rates.items()}
     wheels = [
-        _rate(foot, v, plan.gain * turning, moving) for foot in plan.feet if foot.wheel.driven
+        _wheel_rate(each, v, plan.gain * turning, moving)
+        for each in plan.wheels
+        if each.wheel.driven
     ]
     return unpack(dae.u, [*wheels, *rates.values()])
 
 
-def _guidance(dae: Dae, path: Path, plan: _Plan, speed: float) -> tuple[ca.SX, ca.SX]:
-    """Return the speed and the turning rate that lead to the point that runs along the path."""
-    place = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
-    way, base = np.sign(speed), plan.base
-    curvature = way * place.curvature
-    direction = place.heading + (0 if way > 0 else np.pi)
+def _guidance_rates(
+    dae: Dae, path: Path, plan: _PlanarGeometry, speed: float
+) -> tuple[ca.SX, ca.SX]:
+    """Return the speed and the turning rate that track the reference point of the path."""
+    reference = path.symbolic(abs(speed) * dae.t, (dae.shift[0][0], dae.shift[0][1]))
+    sign, base = np.sign(speed), plan.base
+    curvature = sign * reference.curvature
+    direction = reference.heading + (0 if sign > 0 else np.pi)
     forward = (-ca.sin(direction), ca.cos(direction))
-    d_x, d_y = dae.x.x - place.x, dae.x.y - place.y
+    d_x, d_y = dae.x.x - reference.x, dae.x.y - reference.y
     along, left = d_x * forward[0] + d_y * forward[1], d_y * forward[0] - d_x * forward[1]
-    # the centre moves to the left of the vehicle's heading, by its distance from the turning axis
+    # the centre's velocity points left of the heading, as it lies ahead of the turning axis
     turned = dae.x.heading - direction + ca.atan(plan.ahead * curvature)
     v = speed * ca.cos(turned) - abs(speed) / base * along
     # left' = v sin, turned' = turning - v curvature: critically damped over a base length
-    error = ca.sin(turned)  # smooth, where an angle would jump
+    error = ca.sin(turned)  # smooth where the angle wraps around
     turning = speed * curvature - (2 * abs(speed) * error + speed * left / base) / base
     return v, turning
 
 
-def _steering(plan: _Plan, v: ca.SX, wanted: ca.SX, speed: float) -> dict[str, ca.SX]:
-    """Return rates that turn the steered wheels to where the turning wanted needs them."""
+def _steering_rates(
+    plan: _PlanarGeometry, v: ca.SX, wanted: ca.SX, speed: float
+) -> dict[str, ca.SX]:
+    """Return the rates of the steering coordinates for a wanted turning rate."""
     errors: dict[str, ca.SX] = {}
     sizes: dict[str, ca.SX] = {}
-    for foot in plan.steered:
-        way = v + foot.right * wanted
-        # the slope wanted / way, but smooth where the way changes its sign
-        slope = foot.forward * wanted * way / (way**2 + (SLOW * speed) ** 2)
+    for each in plan.steered:
+        ahead = v + each.right * wanted
+        # sideways over forward velocity, regularised where the forward velocity changes its sign
+        slope = each.forward * wanted * ahead / (ahead**2 + (LOW_SPEED_RATIO * speed) ** 2)
         angle = ca.atan(slope)
-        error = LARGEST_STEER * ca.tanh(angle / LARGEST_STEER) - foot.angle
-        for name, effect in foot.effects.items():
+        error = MAX_STEER_ANGLE * ca.tanh(angle / MAX_STEER_ANGLE) - each.angle
+        for name, effect in each.effects.items():
             errors[name] = errors.get(name, 0) + effect * error
             sizes[name] = sizes.get(name, 0) + effect**2
     pace = abs(speed) / plan.base
     return {name: STEER_GAIN * pace * error / sizes[name] for name, error in errors.items()}
 
 
-def _turning(plan: _Plan, v: ca.SX) -> ca.SX:
-    """Return the rate at which the steered wheels make the vehicle turn on a plane. [rad/s]."""
+def _turning_rate(plan: _PlanarGeometry, v: ca.SX) -> ca.SX:
+    """Return the turning rate on a plane with the current steering angles. [rad/s]."""
     total = ca.SX(0)
-    for foot in plan.steered:
-        slope = ca.tan(foot.angle)
-        total += v * slope / (foot.forward - foot.right * slope)
+    for each in plan.steered:
+        slope = ca.tan(each.angle)
+        total += v * slope / (each.forward - each.right * slope)
     return total / len(plan.steered)
 
 
-def _rate(foot: _Foot, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:
-    """Return the rate of a driven wheel that fits a plane motion. [rad/s]."""
-    place = ca.vertcat(foot.right, foot.forward)
+def _wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:
+    """Return the rate of a driven wheel in a plane motion. [rad/s]."""
+    place = ca.vertcat(each.right, each.forward)
     shift = ca.SX.zeros(2)
     for coordinate, rate in moving.items():
         shift += ca.jacobian(place, coordinate) * rate
-    v_forward, v_left = v + foot.right * turning + shift[1], foot.forward * turning - shift[0]
-    along = ca.cos(foot.angle) * v_forward + ca.sin(foot.angle) * v_left
-    return along / foot.wheel.radius
+    v_forward, v_left = v + each.right * turning + shift[1], each.forward * turning - shift[0]
+    along = ca.cos(each.angle) * v_forward + ca.sin(each.angle) * v_left
+    return along / each.wheel.radius
 
 
-def _plan(vehicle: Vehicle, states: dict[str, ca.SX]) -> _Plan:
-    """Return the plan of a vehicle in its zero configuration, or say why it cannot be driven.
+def _planar_geometry(vehicle: Vehicle, states: dict[str, ca.SX]) -> _PlanarGeometry:
+    """Return the plan view of a vehicle in its zero configuration.
 
-    The vehicle turns about an axis through the wheels that are neither steered nor castors nor
-    have rollers; if there are none, through its centre.
+    The vehicle turns about an axis through the wheels that are neither steered nor casters nor
+    have rollers; without such wheels, about an axis through its centre.
 
     Parameters
     ----------
@@ -214,45 +223,52 @@ def _plan(vehicle: Vehicle, states: dict[str, ca.SX]) -> _Plan:
         The vehicle.
     states : dict of str to SX
         Symbols of its commanded coordinates.
+
+    Raises
+    ------
+    ModelError
+        If the vehicle has neither steered wheels nor driven wheels on both sides.
     """
-    feet, fixed = [], []
+    planar, fixed = [], []
     for wheel, (pose, effects, leans, swivels) in zip(
-        vehicle.wheels, _placed(vehicle, states), strict=True
+        vehicle.wheels, _wheel_mobility(vehicle, states), strict=True
     ):
         angle = ca.atan2(-pose.rotation[0, 1], pose.rotation[1, 1])
-        foot = _Foot(wheel, pose.origin[0], pose.origin[1], angle, effects, leans)
-        feet.append(foot)
+        each = _PlanarWheel(wheel, pose.origin[0], pose.origin[1], angle, effects, leans)
+        planar.append(each)
         if not (effects or swivels or wheel.rollers):
-            fixed.append(foot)
+            fixed.append(each)
     zeros = ca.vertcat(ca.SX(0, 1), *states.values()), ca.DM.zeros(len(states))
 
     def now(value: ca.SX) -> float:
         return float(ca.evalf(ca.substitute(value, *zeros)))
 
-    axis = float(np.mean([now(foot.forward) for foot in fixed])) if fixed else 0.0
-    feet = [foot._replace(forward=foot.forward - axis) for foot in feet]
-    steered = tuple(f for f in feet if f.effects and abs(now(f.forward)) > NEAR)
-    sides = {np.sign(now(f.right)) for f in feet if f.wheel.driven and not f.effects}
+    axis = float(np.mean([now(each.forward) for each in fixed])) if fixed else 0.0
+    planar = [each._replace(forward=each.forward - axis) for each in planar]
+    steered = tuple(f for f in planar if f.effects and abs(now(f.forward)) > ZERO_TOLERANCE)
+    sides = {np.sign(now(f.right)) for f in planar if f.wheel.driven and not f.effects}
     if not steered and not {-1.0, 1.0} <= sides:
         raise ModelError(
-            f"driver: {vehicle.name} has no steered wheel, nor driven wheels on both sides"
+            f"driver: expected a vehicle with steered wheels, or with driven wheels on both sides; "
+            f"{vehicle.name} has neither"
         )
-    lengths = [abs(now(f.forward)) for f in steered] or [abs(now(f.right)) for f in feet]
+    lengths = [abs(now(f.forward)) for f in steered] or [abs(now(f.right)) for f in planar]
     gain = 1.0
     if not steered and fixed:
-        fixed = [foot._replace(forward=foot.forward - axis) for foot in fixed]
+        fixed = [each._replace(forward=each.forward - axis) for each in fixed]
         rights = sum(now(f.right) ** 2 for f in fixed)
         gain = (rights + sum(now(f.forward) ** 2 for f in fixed)) / rights
-    return _Plan(tuple(feet), steered, float(max(lengths)), -axis, gain)
+    return _PlanarGeometry(tuple(planar), steered, float(max(lengths)), -axis, gain)
 
 
-def _placed(
+def _wheel_mobility(
     vehicle: Vehicle, states: dict[str, ca.SX]
 ) -> Iterator[tuple[Pose, dict[str, ca.SX], str | None, bool]]:
-    """Yield, for every wheel, its pose in the level platform's frame and what turns it.
+    """Yield the pose of every wheel in the level platform's frame, and its steering and tilting.
 
-    What commanded coordinates turn it by; the passive coordinate that leans it, if it is driven;
-    and whether it swivels about the vertical by a passive one.
+    The second value maps commanded coordinates to their effect on the wheel's heading; the third
+    is the passive coordinate that tilts the wheel sideways, if the wheel is driven; the last is
+    whether a passive coordinate swivels the wheel about the vertical.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     passive = {c.name: ca.SX.sym(c.name) for c in vehicle.of("passive")}
@@ -267,13 +283,15 @@ def _placed(
 
         turns = at_zero(ca.jacobian(angle, symbols)).ravel()
         tilts = at_zero(ca.jacobian(pose.rotation[0, 2], level)).ravel()
-        leaning = [name for name, tilt in zip(passive, tilts, strict=True) if abs(tilt) > NEAR]
+        leaning = [
+            name for name, tilt in zip(passive, tilts, strict=True) if abs(tilt) > ZERO_TOLERANCE
+        ]
         upright = Pose(*ca.substitute(list(pose), [level], [ca.SX.zeros(level.numel())]))
         angle = ca.atan2(-upright.rotation[0, 1], upright.rotation[1, 1])
         effects = {
             name: ca.jacobian(angle, symbol)
             for (name, symbol), turn in zip(states.items(), turns[: len(states)], strict=True)
-            if abs(turn) > NEAR
+            if abs(turn) > ZERO_TOLERANCE
         }
         leans = leaning[0] if leaning and wheel.driven else None
-        yield upright, effects, leans, bool((np.abs(turns[len(states) :]) > NEAR).any())
+        yield upright, effects, leans, bool((np.abs(turns[len(states) :]) > ZERO_TOLERANCE).any())

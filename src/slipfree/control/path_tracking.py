@@ -1,4 +1,4 @@
-"""Rates of the platform that lead it along a path in time, with or without feedback."""
+"""Path tracking: platform rates along a path in time, with or without feedback."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from slipfree.rearrange import with_outputs
 from slipfree.records import Array, Label, leaves
 from slipfree.trajectory import Trajectory
 
-GAIN = 1.0  # at which errors of place and heading decay [1/s]
-DEGREE = 5  # of the splines through the way-points
-MAX_START_DISTANCE = 1e-6  # distance of path and start that counts [size, rad]
+GAIN = 1.0  # decay rate of the errors of position and heading [1/s]
+DEGREE = 5  # degree of the splines through the way-points
+MAX_START_DISTANCE = 1e-6  # largest distance between path and start [size, rad]
 
 
 def path_inputs(
@@ -29,21 +29,21 @@ def path_inputs(
     t: Array | None = None,
     begin: float = 0.0,
 ) -> Any:
-    """Return the inputs of an inverse model that lead along a path in time.
+    """Return the inputs of an inverse model along a path in time.
 
     Parameters
     ----------
     dae : Dae
         The inverse model, with the given rates velocity_x, velocity_y and heading_rate.
     start : Trajectory
-        Its last sample is where the path must start.
+        The path must start at its last sample.
     x, y, heading : SX, or ndarray of shape (n,)
-        Place and heading of the platform's centre as expressions of ``dae.t``, or their values at
-        the times ``t``, through which a spline of degree five goes. [m, rad]
+        Position and heading of the platform's centre as expressions of ``dae.t``, or their values
+        at the times ``t``, which a spline of degree five interpolates. [m, rad]
     t : ndarray, shape (n,), optional
-        Six or more ascending times of the values; beyond them the rates keep their last values. [s]
+        Times of the values, at least six, increasing; beyond them the rates stay constant. [s]
     begin : float
-        Time at which the path starts, if it is not given by values. [s]
+        Start time of a path that is given by expressions. [s]
 
     Returns
     -------
@@ -53,18 +53,19 @@ def path_inputs(
     Raises
     ------
     ModelError
-        If the model has other inputs, the path depends on more than time or has too few or
-        unsuitable values, or it starts elsewhere than the start.
+        If the model has other inputs; if the path depends on other symbols than time, or has too
+        few or unsuitable values; or if it does not begin at the start.
     """
     names = tuple(label.full for label in leaves(dae.labels.u))
     if set(names) != set(PLANAR):
         raise ModelError(
-            f"path: the model must be given {', '.join(PLANAR)}, found {', '.join(names)}"
+            f"path: expected a model with the given rates {', '.join(PLANAR)}, "
+            f"found {', '.join(names)}"
         )
     if t is None:
         path = ca.vertcat(x, y, heading)
         if not all(ca.is_equal(symbol, dae.t) for symbol in ca.symvar(path)):
-            raise ModelError(f"path: it may depend on the model's time alone, found {path}")
+            raise ModelError(f"path: expected expressions of dae.t only, found {path}")
         first = np.array(ca.Function("first", [dae.t], [path])(begin)).ravel()
         velocity = ca.jacobian(path, dae.t)
     else:
@@ -79,15 +80,17 @@ def path_inputs(
         if not abs(gap) < MAX_START_DISTANCE
     ]
     if wrong:
-        raise ModelError(f"path: it starts elsewhere than the start: {'; '.join(wrong)}")
+        raise ModelError(
+            f"path: expected the position and heading of the start, found {'; '.join(wrong)}"
+        )
     return dae.inputs(**dict(zip(PLANAR, ca.vertsplit(velocity), strict=True)))
 
 
 def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[Dae, Any]:
-    """Return a model with its errors along a path, and the commands that lead along it.
+    """Return a model with tracking errors as outputs, and the commands that track a path.
 
     Commands are the velocity of the path in the platform's heading frame plus `GAIN` times the
-    errors of place and heading, so that transients of the steering do not accumulate.
+    errors of position and heading, so that transients of the steering do not accumulate.
 
     Parameters
     ----------
@@ -95,22 +98,23 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
         From `slipfree.models.inverse.inverse_kinematics`, given ``forward``, ``right`` and
         ``yaw_rate``.
     t : ndarray, shape (n,)
-        Six or more ascending times of the way-points. [s]
+        Times of the way-points, at least six, increasing. [s]
     x, y, heading : ndarray, shape (n,)
-        Place and heading of the platform's centre in map coordinates, heading from the y axis. A
-        spline of degree five goes through them. [m, rad]
+        Position and heading of the platform's centre in map coordinates, heading from the y axis.
+        A spline of degree five interpolates them. [m, rad]
 
     Returns
     -------
     Dae
-        With the outputs ``path_error``, distance to the place on the path, and ``heading_error``.
+        The model with the outputs ``path_error``, distance to the point of the path at that time,
+        and ``heading_error``.
     record
-        Its inputs.
+        Inputs of the model.
 
     Raises
     ------
     ModelError
-        If there are fewer than six way-points, a value is not finite or times do not ascend.
+        If there are fewer than six way-points, a value is not finite or times do not increase.
     """
     t, points = _checked_points(t, x, y, heading)
     place, velocity = _splines(t, points.T, dae.t)
@@ -122,7 +126,7 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     inputs = dae.inputs(
         forward=c * v_y - s * v_x, right=c * v_x + s * v_y, yaw_rate=velocity[2] + GAIN * turn
     )
-    apart = Label("path_error", "m", "distance of the platform's centre to its place on the path")
+    apart = Label("path_error", "m", "distance of the platform's centre from its path")
     turned = Label("heading_error", "rad", "heading of the path minus that of the platform")
     return with_outputs(dae, [(apart, ca.hypot(east, north)), (turned, turn)]), inputs
 
@@ -137,13 +141,13 @@ def _checked_points(t: Any, x: Any, y: Any, heading: Any) -> tuple[Array, Array]
             f"found {t.size} times and values of shapes {', '.join(str(v.shape) for v in values)}"
         )
     if not (np.isfinite(values).all() and np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise ModelError("path: expected finite values at times that ascend")
+        raise ModelError("path: expected finite values at increasing times")
     return t, np.array(values)
 
 
 def _splines(t: Array, values: Array, time: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return splines through columns of values, and their rates, as expressions of time."""
-    from scipy.interpolate import make_interp_spline  # imported where it is used: it takes 0.2 s
+    """Return interpolating splines of columns of values, and their rates, in terms of time."""
+    from scipy.interpolate import make_interp_spline  # imported here: the import takes 0.2 s
 
     spline, inside = make_interp_spline(t, values, k=DEGREE), ca.fmin(ca.fmax(time, t[0]), t[-1])
     found = []

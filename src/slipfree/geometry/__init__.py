@@ -1,1 +1,1 @@
-"""Poses of frames and their twists."""
+"""Poses and twists of frames, surfaces, meshes and paths."""

@@ -1,4 +1,4 @@
-"""Poses of frames, and the twists that follow from them by differentiation."""
+"""Poses of frames, and their twists by differentiation."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ AXES: dict[str, Vector] = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0
 
 
 def unit_vector(axis: Axis) -> Vector:
-    """Return the unit vector of an axis, by its name or along any vector.
+    """Return the unit vector of an axis given by its name or by a vector.
 
     Raises
     ------
     ModelError
-        If the name is unknown or the vector has no direction.
+        If the name is unknown, or the vector is zero or not finite.
     """
     given = AXES.get(axis) if isinstance(axis, str) else axis
     size = hypot(*given) if given is not None and len(given) == 3 else 0.0
     if given is None or not 0 < size < inf:
-        raise ModelError(f"an axis must be x, y, z or a vector other than zero, found {axis!r}")
+        raise ModelError(f"an axis must be x, y, z or a nonzero vector, found {axis!r}")
     x, y, z = (each / size for each in given)
     return x, y, z
 
@@ -67,22 +67,22 @@ class Pose(NamedTuple):
     origin: ca.SX
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Return the pose of ``other``, which is given in this frame, in fixed axes."""
+        """Return the pose in fixed axes of ``other``, which is given in this frame."""
         return Pose(self.rotation @ other.rotation, self.origin + self.rotation @ other.origin)
 
     def twist(self, q: ca.SX, rates: ca.SX) -> Twist:
-        """Return the twist of a pose that depends on ``q`` when ``q`` changes at ``rates``."""
+        """Return the twist of a pose that depends on ``q``, for given rates of ``q``."""
         turning = ca.jtimes(self.rotation, q, rates) @ self.rotation.T
         return Twist(ca.jtimes(self.origin, q, rates), ca.inv_skew(turning))
 
 
 def translation(x: ca.SX | float, y: ca.SX | float, z: ca.SX | float) -> Pose:
-    """Return the pose of a frame that is only displaced, by metres along the fixed axes."""
+    """Return the pose of a frame translated along the fixed axes. [m]."""
     return Pose(ca.SX.eye(3), ca.SX(ca.vertcat(x, y, z)))
 
 
 def turn(axis: Axis, angle: ca.SX | float) -> Pose:
-    """Return the pose of a frame turned about a fixed axis.
+    """Return the pose of a frame rotated about a fixed axis.
 
     Parameters
     ----------
@@ -101,8 +101,8 @@ def platform(
 ) -> Pose:
     """Return the pose of a platform: ``R = Rz(heading) Ry(roll) Rx(pitch)``.
 
-    The platform's axes are x right, y forward, z up. Heading counts counter-clockwise from the
-    fixed y axis; roll is positive with the right side down, pitch with the nose up. [m, rad]
+    The platform's axes are x right, y forward, z up. Heading is counter-clockwise from the fixed
+    y axis; roll is positive with the right side down, pitch with the nose up. [m, rad]
     """
     place = translation(x, y, z)
     return place @ turn("z", heading) @ turn("y", roll) @ turn("x", pitch)
@@ -111,7 +111,7 @@ def platform(
 def quaternion(rotation: ca.SX) -> ca.SX:
     """Return the unit quaternion ``(x, y, z, w)`` of a rotation, ``w >= 0``, shape (4, 1).
 
-    The largest of the four components is found first, so that no division loses digits.
+    The largest of the four components is computed first, which avoids cancellation.
     """
     r = rotation
     trace = r[0, 0] + r[1, 1] + r[2, 2]

@@ -1,4 +1,4 @@
-"""Surfaces of triangles."""
+"""Triangle meshes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Faces = npt.NDArray[np.uint32]
 
 
 class Mesh(NamedTuple):
-    """A surface of triangles.
+    """A triangle mesh.
 
     Attributes
     ----------
     vertices : ndarray, shape (n, 3)
-        Its corners. [m]
+        Vertices. [m]
     faces : ndarray, shape (m, 3)
-        Three corners each, counter-clockwise as seen from outside.
+        Indices of the three vertices of each triangle, counter-clockwise seen from outside.
     """
 
     vertices: Array
@@ -28,14 +28,14 @@ class Mesh(NamedTuple):
 
 
 def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
-    """Return the surface through a grid of points.
+    """Return the mesh through a grid of points.
 
     Parameters
     ----------
     points : ndarray, shape (n, m, 3)
         The grid. [m]
     closed : tuple of 2 bools
-        Whether its last line joins the first, in either direction.
+        Whether the last line of points connects to the first, for each direction of the grid.
     """
     n, m, _ = points.shape
     i, j = (

@@ -1,4 +1,4 @@
-"""A smooth curve in the plan, for vehicles to follow."""
+"""Smooth paths in the horizontal plane."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.records import Array
 
-FAR = 1e12  # no map reaches there [m]
-NODES = 64  # of the arc-length table, for each way-point
+MAX_COORDINATE = 1e12  # larger way-points are input errors [m]
+NODES = 64  # nodes of the arc-length table per way-point
 
 
-class Place(NamedTuple):
+class PathPoint(NamedTuple):
     """A point of a path.
 
     Attributes
     ----------
     x, y : SX or ndarray
-        Where it is, in map coordinates. [m]
+        Map coordinates. [m]
     heading : SX or ndarray
         Direction of the path, counter-clockwise from +y. [rad]
     curvature : SX or ndarray
-        Rate of the heading with arc length, left positive. [1/m]
+        Derivative of the heading with respect to arc length, positive in left turns. [1/m]
     """
 
     x: Any
@@ -37,17 +37,19 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """The cubic spline through way-points, by its arc length; beyond its ends it goes straight on.
+    """Cubic spline through way-points, parametrised by arc length.
+
+    Beyond its ends the path continues straight.
 
     Attributes
     ----------
     points : ndarray, shape (n, 2)
-        Way-points in map coordinates, two or more, no two neighbours alike. [m]
+        Way-points in map coordinates, at least two; consecutive points must differ. [m]
 
     Raises
     ------
     ModelError
-        If the points are too few, coincide, or are not finite.
+        If there are fewer than two points, two consecutive points coincide, or one is not finite.
 
     Examples
     --------
@@ -69,8 +71,10 @@ class Path:
             raise ModelError(
                 f"path: expected two or more points (x, y), found shape {points.shape}"
             )
-        if not (np.abs(points) < FAR).all():
-            raise ModelError(f"path: way-points must be finite, and below {FAR:g} m in size")
+        if not (np.abs(points) < MAX_COORDINATE).all():
+            raise ModelError(
+                f"path: coordinates of way-points must be finite and below {MAX_COORDINATE:g} m"
+            )
         gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if not (gaps > 0).all():
             k = int(gaps.argmin())
@@ -79,42 +83,47 @@ class Path:
 
     @property
     def length(self) -> float:
-        """Arc length [m]."""
+        """Arc length. [m]."""
         return float(self._table[0][-1])
 
-    def at(self, s: Array) -> Place:
-        """Return the places at arc lengths, shape (n,). [m]."""
+    def at(self, s: Array) -> PathPoint:
+        """Return the points at arc lengths of shape (n,). [m]."""
         symbol = ca.SX.sym("s")
-        f = ca.Function("place", [symbol], list(self.symbolic(symbol)))
-        return Place(*(np.array(row).ravel() for row in f.map(np.size(s))(np.reshape(s, (1, -1)))))
+        f = ca.Function("point", [symbol], list(self.symbolic(symbol)))
+        return PathPoint(
+            *(np.array(row).ravel() for row in f.map(np.size(s))(np.reshape(s, (1, -1))))
+        )
 
-    def symbolic(self, s: ca.SX, origin: tuple[float, float] = (0.0, 0.0)) -> Place:
-        """Return the place at an arc length as an expression.
+    def symbolic(self, s: ca.SX, origin: tuple[float, float] = (0.0, 0.0)) -> PathPoint:
+        """Return the point at an arc length as an expression.
 
         Parameters
         ----------
         s : SX, shape (1, 1)
             Arc length. [m]
         origin : tuple of 2 floats
-            Map coordinates of where ``x`` and ``y`` count from; near the path, it saves digits. [m]
+            Map coordinates of the origin of ``x`` and ``y``; an origin near the path avoids loss
+            of digits. [m]
         """
         x_0, y_0 = self.points[0] - np.array(origin)
-        if len(self.points) == 2:  # a line, which takes no table
+        if len(self.points) == 2:  # a straight line needs no table
             x, y = self.points[1] - self.points[0]
             heading = ca.SX(np.arctan2(-x, y))
-            return Place(x_0 - s * ca.sin(heading), y_0 + s * ca.cos(heading), heading, ca.SX(0))
+            return PathPoint(
+                x_0 - s * ca.sin(heading), y_0 + s * ca.cos(heading), heading, ca.SX(0)
+            )
         inside = ca.fmin(ca.fmax(s, 0), self.length)
         x, y, heading, curvature = ca.vertsplit(self._spline(inside))
         beyond = s - inside
         on_path = ca.if_else(ca.fabs(beyond) > 0, 0, curvature)
-        return Place(
+        return PathPoint(
             x_0 + x - beyond * ca.sin(heading), y_0 + y + beyond * ca.cos(heading), heading, on_path
         )
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
-        """Arc length at even steps, and x, y (from the first point), heading, curvature there."""
-        from scipy.interpolate import CubicSpline  # imported where a path is used: it takes 0.2 s
+        """Equally spaced arc lengths, and x, y (from the first point), heading and curvature."""
+        from scipy.interpolate import CubicSpline  # imported here, since the import takes 0.2 s
 
         chord = np.concatenate(
             [[0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))]

@@ -1,7 +1,7 @@
 """Differential geometry of a parametrised surface ``c(u, v)``.
 
-The forms are those of Montana [1]_ for a Gauss frame made by Gram-Schmidt, so that they also hold
-where ``c_u`` and ``c_v`` are not orthogonal, as on a height map.
+The forms are those of Montana [1]_ for a Gauss frame from Gram-Schmidt orthogonalisation; they also
+hold where ``c_u`` and ``c_v`` are not orthogonal, as on a height map.
 
 References
 ----------
@@ -35,7 +35,7 @@ class Forms(NamedTuple):
 
 
 class Patch(NamedTuple):
-    """A surface near a point.
+    """Point, Gauss frame and forms of a surface.
 
     Attributes
     ----------
@@ -60,8 +60,7 @@ def patch(c: ca.SX, uv: ca.SX) -> Patch:
     c : SX, shape (3, 1)
         The surface, twice continuously differentiable and regular. [m]
     uv : SX, shape (2, 1)
-        Its parameters, symbols.
-
+        Symbols of its parameters.
     """
     c_u, c_v = ca.horzsplit(ca.densify(ca.jacobian(c, uv)))
     c_uu, c_uv = ca.horzsplit(ca.densify(ca.jacobian(c_u, uv)))
@@ -83,8 +82,8 @@ def patch_of(c: ca.SX, tangents: tuple[ca.SX, ca.SX], seconds: tuple[ca.SX, ca.S
 
     Notes
     -----
-    Since ``n`` is normal to ``c_u`` and ``c_v``, and ``y`` to ``c_u``, no frame need be
-    differentiated: ``K = -M^-T II M^-1`` with the second fundamental form
+    The frame is not differentiated, since ``n`` is normal to ``c_u`` and ``c_v``, and ``y`` to
+    ``c_u``: ``K = -M^-T II M^-1`` with the second fundamental form
     ``II = n . [c_uu c_uv; c_uv c_vv]``, and ``y . x_u = y . c_uu / |c_u|``.
     """
     (c_u, c_v), (c_uu, c_uv, c_vv) = tangents, seconds

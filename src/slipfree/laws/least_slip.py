@@ -1,4 +1,4 @@
-"""Least slip: the rates whose slip velocities have the least sum of squares."""
+"""Least slip: rates that minimise the sum of squared slip velocities."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from slipfree.vehicle.tree import Vehicle
 
 
 class Multipliers(NamedTuple):
-    """Lagrange multipliers of the contacts, one for each wheel. [m/s]."""
+    """Lagrange multipliers of the contact conditions, one per wheel. [m/s]."""
 
     multipliers: tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class LeastSlip:
-    """Least slip that the contacts allow, for every vehicle.
+    """Least slip that the contacts allow; suits every vehicle.
 
-    The rates are the stationary point of ``L = 1/2 sum s.s + sum lambda n.s``: the slip velocities
-    ``s`` are least in the mean square while no wheel leaves or enters the ground. Since ``n.s``
-    vanishes, only the tangential slip counts. On real ground the motion also depends on friction:
-    this is a lower bound of the slip, not a prediction.
+    The rates are the stationary point of ``L = 1/2 sum s.s + sum lambda n.s``: they minimise the
+    sum of squares of the slip velocities ``s`` while no wheel leaves or enters the ground. Since
+    ``n.s`` vanishes, only the tangential slip counts. On real ground the motion also depends on
+    friction: this law gives a lower bound of the slip, not a prediction.
     """
 
     def check(self, vehicle: Vehicle) -> None:
@@ -45,7 +45,7 @@ class LeastSlip:
 def stationarity(
     cost: ca.SX, motion: Motion, unknowns: Multipliers, labels: Multipliers
 ) -> Equations:
-    """Return the conditions for the least cost of rates at which all wheels keep contact.
+    """Return the conditions for the rates of least cost at which all wheels keep contact.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def stationarity(
         lagrangian += multiplier * ca.dot(contact.normal, slip)
     return Equations(
         tuple(
-            Label("least_slip", slip_unit(label.unit), f"least slip with respect to {label.full}")
+            Label("least_slip", slip_unit(label.unit), f"least-slip condition for {label.full}")
             for label in (*motion.labels, *labels.multipliers)
         ),
         ca.gradient(lagrangian, ca.vertcat(motion.rates, pack(unknowns))),
@@ -71,5 +71,5 @@ def stationarity(
 
 
 def slip_unit(unit: str) -> str:
-    """Return the unit of the derivative of a squared slip velocity in a rate of another unit."""
+    """Return the unit of the derivative of a squared slip velocity with respect to a rate."""
     return {"m s-1": "m s-1", "rad s-1": "m2 s-1", "m2 s-1": "rad s-1"}[unit]

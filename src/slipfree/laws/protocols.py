@@ -34,7 +34,7 @@ class Equations(NamedTuple):
     Attributes
     ----------
     labels : tuple of Label
-        Name, unit and words of each residual.
+        Name, unit and description of each residual.
     rows : SX, shape (n, 1)
         The residuals, in the labels' units.
     """
@@ -44,7 +44,7 @@ class Equations(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Rates of a vehicle and the slip that they cause, in the symbols of a model.
+    """Rates of a vehicle and the resulting slip, in the symbols of a model.
 
     Attributes
     ----------
@@ -71,8 +71,8 @@ class Motion(NamedTuple):
 class SlipLaw(Protocol):
     """Condition on the slip velocities of a kinematic model.
 
-    The unknowns of a law are a ``NamedTuple`` of tuples, or an empty tuple; the equations number
-    as many as the rates and the unknowns together.
+    The unknowns of a law are a ``NamedTuple`` of tuples, or an empty tuple. There is one equation
+    for each rate and for each unknown.
     """
 
     def check(self, vehicle: Vehicle) -> None:
@@ -99,8 +99,8 @@ class SlidingContacts(NamedTuple):
     driven : tuple of SX
         Rates of the driven wheels. [rad/s]
     diagnose : callable
-        ``diagnose(x, z)`` returns why a state has no equilibrium, in words; empty if friction is
-        not the reason.
+        ``diagnose(x, z)`` returns the reason why a state has no equilibrium, as text; empty if
+        friction is not the reason.
     """
 
     vehicle: Vehicle
@@ -113,18 +113,18 @@ class SlidingContacts(NamedTuple):
 
 
 class Reaction(NamedTuple):
-    """Forces of the ground on the wheels by a law, and the equations of the law's unknowns.
+    """Forces of the ground on the wheels, and the equations of the law's unknowns.
 
     Attributes
     ----------
     along, across, normal : tuple of SX
         Components of the force on each wheel. [N]
     equations : Equations
-        As many as the law has unknowns.
+        One equation for each unknown of the law.
     limits : tuple of Limit
         Limits of the law's validity.
     continuation : Continuation or None
-        Parameter that leads a start from an easier law to this one.
+        Parameter of a continuation from a simpler law to this one, for the start.
     """
 
     along: tuple[ca.SX, ...]
@@ -154,12 +154,12 @@ class GroundLaw(Protocol):
 
 
 def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
-    """Return the labels of a quantity that each wheel has."""
+    """Return the labels of a quantity, one per wheel."""
     return tuple(Label(name, unit, words, wheel.name) for wheel in vehicle.wheels)
 
 
 def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
-    """Return the labels of a vector that each wheel has, wheel by wheel."""
+    """Return the labels of the components of a vector, wheel by wheel."""
     return tuple(
         Label(name, unit, f"{axis} component of the {words}", wheel.name)
         for wheel in vehicle.wheels
@@ -168,13 +168,13 @@ def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tupl
 
 
 def check_law(law: object, protocol: type, expected: str) -> None:
-    """Raise ModelError if an argument is not a law of the given kind."""
+    """Raise ModelError if an argument does not implement the protocol of a law."""
     if not isinstance(law, protocol) or isinstance(law, type):
         raise ModelError(f"expected {expected}, found {law!r}")
 
 
 def check_bounds(law: Any) -> None:
-    """Raise ModelError if a field of a law is outside the bounds of its annotation."""
+    """Raise ModelError if a field of a law is outside its annotated bounds."""
     hints = get_type_hints(type(law), include_extras=True)
     for field in fields(law):
         value, annotation = getattr(law, field.name), hints[field.name]

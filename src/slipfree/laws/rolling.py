@@ -15,7 +15,7 @@ from slipfree.vehicle.tree import Vehicle
 class Rolling:
     """No slip at any wheel.
 
-    For vehicles whose passive joints and free wheels number as many as the conditions of rolling,
+    The law suits vehicles with as many passive joints and free wheels as rolling conditions,
     ``2 n_wheels - 3``, such as the tilting three-wheeler.
     """
 
@@ -30,7 +30,7 @@ class Rolling:
         if found != needed:
             raise ModelError(
                 f"{vehicle.name} cannot roll without slip: expected {needed} passive joints and "
-                f"free wheels, as many as the conditions of rolling, found {found}; use least "
+                f"free wheels, one per rolling condition, found {found}; use least "
                 "slip: LeastSlip(), slip = 'least'"
             )
 
@@ -45,6 +45,6 @@ class Rolling:
 
 
 def rolling_counts(vehicle: Vehicle) -> tuple[int, int]:
-    """Return the number of passive joints and free wheels, and that of the rolling conditions."""
+    """Return the numbers of passive joints and free wheels, and of rolling conditions."""
     free = sum(not wheel.driven for wheel in vehicle.wheels)
     return len(vehicle.of("passive")) + free, 2 * len(vehicle.wheels) - 3

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from slipfree.contact.certify import SecondTouch
+from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import closure, contact_frame
 from slipfree.dae import Continuation, Dae, Labels, Limit
 from slipfree.geometry.frame import Pose
@@ -107,7 +107,7 @@ def closure_dae(
         labels=labels._replace(alg=(labels.alg[0], law.labels, labels.alg[2])),
         limits=(*limits_of(q), *limits),
         checks=tuple(
-            SecondTouch(terrain, wheel, pose, size)
+            SecondContact(terrain, wheel, pose, size)
             for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
         ),
         guess=guess,

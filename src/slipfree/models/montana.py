@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.certify import SecondTouch
+from slipfree.contact.certify import SecondContact
 from slipfree.contact.closure import ContactFrame, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.dae import Dae, Labels, Limit
@@ -208,7 +208,7 @@ def montana_kinematics(
             *limits_of(q),
         ),
         checks=tuple(
-            SecondTouch(terrain, wheel, pose, size)
+            SecondContact(terrain, wheel, pose, size)
             for wheel, pose in zip(vehicle.wheels, wheels, strict=True)
         ),
         guess=at_rest(vehicle, labels.z),

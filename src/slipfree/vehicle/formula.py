@@ -1,4 +1,4 @@
-"""Formulas: the value of a joint as an expression of coordinates, written as text."""
+"""Formulas: text expressions for the values of joints in terms of coordinates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "abs": (1, ca.fabs),
 }
 CONSTANTS = {"pi": math.pi}
-LARGEST = 1e300  # number that a formula may hold
+MAX_NUMBER = 1e300  # largest number in a formula
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: lambda a, b: a + b,
     ast.Sub: lambda a, b: a - b,
@@ -37,8 +37,8 @@ OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.UAdd: lambda a: a,
     ast.USub: lambda a: -a,
 }
-LONGEST = 1000  # characters of a formula
-DEEPEST = 50  # nesting of a formula
+MAX_LENGTH = 1000  # largest number of characters of a formula
+MAX_DEPTH = 50  # deepest nesting of a formula
 
 
 def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
@@ -50,41 +50,41 @@ def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
         Numbers, names, ``+ - * / **``, parentheses, ``pi`` and the functions ``sin cos tan asin
         acos atan atan2 sqrt exp log abs``. Angles in radians.
     values : mapping of str to SX
-        What the names stand for. [rad or m]
+        Values of the names. [rad or m]
 
     Raises
     ------
     ModelError
-        If the text is no such formula, or a name is unknown.
+        If the text is not such a formula, or a name is unknown.
     """
-    return ca.SX(_value(_parsed(text), text, values, DEEPEST))
+    return ca.SX(_evaluate_node(_parse(text), text, values, MAX_DEPTH))
 
 
 @cache
 def names_in(text: str) -> frozenset[str]:
-    """Return the names that a formula depends on; ModelError if it is none."""
-    tree = _parsed(text)
+    """Return the names in a formula; raise ModelError if the text is not a formula."""
+    tree = _parse(text)
     found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     names = frozenset(found - set(CONSTANTS) - set(FUNCTIONS))
-    _value(tree, text, {name: ca.SX.sym(name) for name in names}, DEEPEST)
+    _evaluate_node(tree, text, {name: ca.SX.sym(name) for name in names}, MAX_DEPTH)
     return names
 
 
-def _parsed(text: str) -> ast.expr:
+def _parse(text: str) -> ast.expr:
     try:
-        if len(text) <= LONGEST:
+        if len(text) <= MAX_LENGTH:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of what is refused anyway, such as '\\d' or 1if
+                warnings.simplefilter("ignore")  # text such as '\\d' or 1if is refused below
                 return ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         pass
-    raise _refused(text, text[:60])
+    raise _formula_error(text, text[:60])
 
 
-def _value(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
-    """Return the value of a node of a formula, nested no deeper than given."""
+def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
+    """Return the value of a node of a formula, with at most ``depth`` nested levels."""
     if depth == 0:
-        raise _refused(text, f"parts nested {DEEPEST} deep")
+        raise _formula_error(text, f"more than {MAX_DEPTH} nested levels")
     match node:
         case ast.Constant(value=int() | float() as number) if _is_number(number):
             return float(number)
@@ -97,24 +97,24 @@ def _value(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -
                 f"formula {text!r}: {name!r} is not known; known: {', '.join(sorted(values))}"
             )
         case ast.UnaryOp(op=op, operand=only) if type(op) in OPERATORS:
-            return OPERATORS[type(op)](_value(only, text, values, depth - 1))
+            return OPERATORS[type(op)](_evaluate_node(only, text, values, depth - 1))
         case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
-            pair = (_value(each, text, values, depth - 1) for each in (left, right))
+            pair = (_evaluate_node(each, text, values, depth - 1) for each in (left, right))
             return OPERATORS[type(op)](*map(ca.SX, pair))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
             count, function = FUNCTIONS[name]
             if len(args) == count:
-                return function(*(_value(each, text, values, depth - 1) for each in args))
-    found = ast.get_source_segment(text.strip(), node) or text  # as it stands there, however deep
-    raise _refused(text, found[:60])
+                return function(*(_evaluate_node(each, text, values, depth - 1) for each in args))
+    found = ast.get_source_segment(text.strip(), node) or text
+    raise _formula_error(text, found[:60])
 
 
 def _is_number(value: float) -> bool:
-    """Return whether a constant is a finite number; integers may exceed all floats."""
-    return not isinstance(value, bool) and abs(value) < math.inf and abs(value) <= LARGEST
+    """Return whether a constant is a number within limits; integers may exceed all floats."""
+    return not isinstance(value, bool) and abs(value) < math.inf and abs(value) <= MAX_NUMBER
 
 
-def _refused(text: str, part: str) -> ModelError:
+def _formula_error(text: str, part: str) -> ModelError:
     return ModelError(
         f"formula {text!r}: expected numbers, coordinates, + - * / **, pi and "
         f"{', '.join(FUNCTIONS)}, found {part!r}"

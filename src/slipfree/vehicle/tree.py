@@ -1,4 +1,4 @@
-"""A vehicle as a tree of joints with wheels at its ends."""
+"""Vehicle: a tree of joints and wheels."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ GRAVITY = 9.81  # [m/s^2]
 
 @dataclass(frozen=True)
 class Body:
-    """The mass of a part.
+    """Mass of a part.
 
     Attributes
     ----------
     mass : float
-        Zero for a part without one. [kg]
+        Mass; may be zero. [kg]
     at : tuple of 3 floats
         Centre of mass in the part's frame. [m]
     """
@@ -39,31 +39,32 @@ class Body:
 
     def __post_init__(self) -> None:
         if not 0 <= self.mass < math.inf:
-            raise ModelError(f"body: mass must be zero or more kilograms, found {self.mass}")
+            raise ModelError(f"body: mass must be zero or positive, found {self.mass} kg")
         check_vector("body: its centre of mass", self.at)
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """An angle or a length that one or more joints follow.
+    """Angle or length of one or more joints.
 
     Attributes
     ----------
     name : str
         Unique in the vehicle.
     kind : {"commanded", "passive", "suspension"}
-        Its rate is an input; or follows from rolling; or its value follows from the ground.
+        ``"commanded"``: its rate is an input; ``"passive"``: its rate follows from rolling;
+        ``"suspension"``: its value follows from the contact of the wheels with the ground.
     words : str
-        One line that says what it is.
+        Description in one line.
     lower, upper : float
         Stops. [rad or m]
     stiffness, rest : float
-        Of a spring, and the value at which it is slack. [N m/rad or N/m; rad or m]
+        Stiffness of a spring, and the value without spring force. [N m/rad or N/m; rad or m]
     damping : float
-        Of a viscous damper. [N m s/rad or N s/m]
+        Constant of a viscous damper. [N m s/rad or N s/m]
     bump : float
-        Stiffness of the stops. Zero if they are rigid: then reaching one ends the motion, and what
-        goes on from there is the vehicle with that joint locked (`actuated`). [N m/rad or N/m]
+        Stiffness of the stops; zero for rigid stops. A rigid stop ends the motion; to continue from
+        there, use the vehicle with that joint locked (`actuated`). [N m/rad or N/m]
     max_rate : float
         Largest rate of its actuator, which steering laws respect. [rad/s or m/s]
     """
@@ -85,26 +86,30 @@ class Coordinate:
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ModelError(
-                f"coordinate {self.name}: stops must ascend, found {self.lower} to {self.upper}"
+                f"coordinate {self.name}: the lower stop must be below the upper one, "
+                f"found {self.lower} and {self.upper}"
             )
         for key in ("stiffness", "damping", "bump"):
             value = getattr(self, key)
             if not 0 <= value < math.inf:
                 raise ModelError(
-                    f"coordinate {self.name}: {key} must be zero or more, found {value}"
+                    f"coordinate {self.name}: {key} must be zero or positive, found {value}"
                 )
         if not self.max_rate > 0:
             raise ModelError(
                 f"coordinate {self.name}: max_rate must be positive, found {self.max_rate}"
             )
         if self.bump and not (math.isfinite(self.lower) or math.isfinite(self.upper)):
-            raise ModelError(f"coordinate {self.name}: bump needs a stop, found none")
+            raise ModelError(
+                f"coordinate {self.name}: bump, the stiffness of the stops, needs a lower or an "
+                "upper stop, found none"
+            )
         if not math.isfinite(self.rest):
             raise ModelError(f"coordinate {self.name}: rest must be finite, found {self.rest}")
         if self.kind == "commanded" and self.is_loaded:
             raise ModelError(
-                f"coordinate {self.name}: its rate is commanded, so that it takes no spring, "
-                "damper or elastic stop"
+                f"coordinate {self.name}: a commanded coordinate cannot have a spring, a damper or "
+                "elastic stops, since its rate is an input; remove stiffness, damping and bump"
             )
 
     @property
@@ -113,7 +118,7 @@ class Coordinate:
         return any((self.stiffness, self.damping, self.bump))
 
     def potential(self, value: ca.SX) -> ca.SX:
-        """Return the energy in its spring and its stops at a value. [J]."""
+        """Return the potential energy of its spring and its stops at a value. [J]."""
         energy = ca.SX(0.5 * self.stiffness * (value - self.rest) ** 2)
         for stop, outward in ((self.upper, 1), (self.lower, -1)):
             if math.isfinite(stop):
@@ -123,7 +128,7 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Joint:
-    """A part that turns about, or slides along, an axis.
+    """A part that rotates about an axis or slides along it.
 
     Attributes
     ----------
@@ -139,12 +144,12 @@ class Joint:
         The right-handed angle or the length: a coordinate, or a formula of coordinates such as
         ``"-rocker"`` (see `slipfree.vehicle.formula.evaluate`); ``"0"`` for a rigid joint.
     motion : {"turn", "slide"}
-        Which of the two.
+        Rotation or sliding.
     body : Body
-        Its mass, that of the wheels apart.
+        Mass of the part without its wheels.
     turned : tuple of 3 floats
-        How the part is turned in the parent's frame at value zero: angles about the parent's x,
-        then y, then z. [rad]
+        Orientation of the part in the parent's frame at value zero: angles about the parent's x,
+        then y, then z axis (roll, pitch, yaw). [rad]
     """
 
     name: str
@@ -170,11 +175,11 @@ class Joint:
 
     @property
     def coordinates(self) -> frozenset[str]:
-        """The coordinates that move it."""
+        """Names of the coordinates in its value."""
         return names_in(self.value)
 
     def pose(self, values: Mapping[str, ca.SX]) -> Pose:
-        """Return the pose of the part in its parent's frame at values of the coordinates."""
+        """Return the pose of the part in its parent's frame at given coordinates."""
         value = evaluate(self.value, values)
         x, y, z = self.turned
         place = translation(*self.at)
@@ -187,29 +192,31 @@ class Joint:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A platform, its joints and its wheels; the order of the tuples is the order everywhere.
+    """A vehicle: platform, joints and wheels.
+
+    Models and results keep the order of coordinates, joints and wheels.
 
     Attributes
     ----------
     name : str
-        What it is called in results.
+        Name in results.
     coordinates : tuple of Coordinate
-        Its internal freedoms.
+        Internal degrees of freedom.
     joints : tuple of Joint
         Parents before children.
     wheels : tuple of Wheel
         At least three.
     body : Body
-        Mass of the platform. A vehicle without any mass moves, but bears no forces.
+        Mass of the platform. A vehicle without mass has kinematics only, no forces.
     notes : tuple of str
-        What to know about how it was read from a file.
+        Remarks on how it was read from a file.
 
     Raises
     ------
     ModelError
-        If a name is used twice or is unknown, or if the wheels and the suspension coordinates do
-        not match: every wheel leaves one constraint, three of them place the platform, and each
-        further one needs a suspension coordinate to yield.
+        If a name is used twice or is unknown, or if the numbers of wheels and suspension
+        coordinates do not match: each wheel adds one constraint; three constraints determine the
+        pose of the platform, and each further one needs a suspension coordinate.
     """
 
     name: str
@@ -230,28 +237,32 @@ class Vehicle:
         )
 
     def __post_init__(self) -> None:
-        _unique("coordinate", (c.name for c in self.coordinates))
-        _unique("part", ["platform", *(j.name for j in self.joints)])
-        _unique("wheel", (w.name for w in self.wheels))
+        _check_unique("coordinate", (c.name for c in self.coordinates))
+        _check_unique("part", ["platform", *(j.name for j in self.joints)])
+        _check_unique("wheel", (w.name for w in self.wheels))
         known, names = {"platform"}, {c.name for c in self.coordinates}
         for joint in self.joints:
-            _found("joint", joint.name, "parent", joint.parent, known)
+            _check_known("joint", joint.name, "parent", joint.parent, known)
             for used in sorted(joint.coordinates):
-                _found("joint", joint.name, "coordinate", used, names)
+                _check_known("joint", joint.name, "coordinate", used, names)
             known.add(joint.name)
         for wheel in self.wheels:
-            _found("wheel", wheel.name, "parent", wheel.parent, known)
+            _check_known("wheel", wheel.name, "parent", wheel.parent, known)
         turning = {c for j in self.joints if j.motion == "turn" for c in j.coordinates}
         sliding = {c for j in self.joints if j.motion == "slide" for c in j.coordinates}
         if turning & sliding:
-            raise ModelError(f"coordinate {min(turning & sliding)} both turns and slides: use two")
+            raise ModelError(
+                f"coordinate {min(turning & sliding)} is the value of both a turning and a sliding "
+                "joint: use two coordinates"
+            )
         unused = names - turning - sliding
         if unused:
-            raise ModelError(f"coordinate {min(unused)} moves no joint: remove it or use it")
-        if len(self.wheels) < 3:
             raise ModelError(
-                f"a vehicle needs three wheels or more to stand, found {len(self.wheels)}"
+                f"coordinate {min(unused)} moves no joint: remove it, or use it in the value of "
+                "a joint"
             )
+        if len(self.wheels) < 3:
+            raise ModelError(f"a vehicle needs at least three wheels, found {len(self.wheels)}")
         given, needed = len(self.of("suspension")), len(self.wheels) - 3
         if given != needed:
             have = ", ".join(c.name for c in self.of("suspension")) or "none"
@@ -265,19 +276,19 @@ class Vehicle:
         return tuple(c for c in self.coordinates if c.kind == kind)
 
     def unit(self, name: str) -> Literal["rad", "m"]:
-        """Return the unit of a coordinate, as its joints use it."""
+        """Return the unit of a coordinate, from the joints that use it."""
         slides = any(name in j.coordinates and j.motion == "slide" for j in self.joints)
         return "m" if slides else "rad"
 
     @property
     def mass(self) -> float:
-        """Mass of all parts. [kg]."""
+        """Total mass, wheels included. [kg]."""
         bodies = [self.body, *(joint.body for joint in self.joints)]
         return sum(body.mass for body in bodies) + sum(wheel.mass for wheel in self.wheels)
 
     @property
     def weight(self) -> float:
-        """Weight of all parts. [N]."""
+        """Total weight, wheels included. [N]."""
         return self.mass * GRAVITY
 
     def carriers(self, platform: Pose, values: Mapping[str, ca.SX]) -> tuple[Pose, ...]:
@@ -296,7 +307,7 @@ class Vehicle:
     def masses(
         self, platform: Pose, values: Mapping[str, ca.SX]
     ) -> Iterator[tuple[str, float, ca.SX]]:
-        """Yield name, mass and centre of every part that has a mass, wheels by themselves. [kg, m].
+        """Yield name, mass and centre of mass of every part and wheel with a mass. [kg, m].
 
         Parameters are those of `carriers`.
         """
@@ -308,7 +319,7 @@ class Vehicle:
                 yield part, body.mass, (parts[part] @ translation(*body.at)).origin
 
     def parts(self, platform: Pose, values: Mapping[str, ca.SX]) -> dict[str, Pose]:
-        """Return the poses of the platform and of all joints' parts, by name.
+        """Return the poses of the platform and of the parts of all joints, by name.
 
         Parameters are those of `carriers`.
         """
@@ -319,22 +330,22 @@ class Vehicle:
 
 
 def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
-    """Return the vehicle with actuators in passive joints: their rates become inputs.
+    """Return a vehicle with actuators in passive joints, whose rates become inputs.
 
-    An actuator at rate zero is a lock. The torque that either has to bear is an output. Springs,
-    dampers and elastic stops of these joints are taken out.
+    An actuator with rate zero locks its joint. The torque of the actuator is an output. Springs,
+    dampers and elastic stops of these joints are removed.
 
     Raises
     ------
     ModelError
-        If a name is not that of a passive coordinate.
+        If a name is not the name of a passive coordinate.
     """
     passive = [c.name for c in vehicle.of("passive")]
     for name in names:
         if name not in passive:
             raise ModelError(
                 f"actuated: expected one of the passive coordinates "
-                f"({', '.join(passive) or 'there is none'}), found {name!r}"
+                f"({', '.join(passive) or 'the vehicle has none'}), found {name!r}"
             )
     coordinates = tuple(
         replace(c, kind="commanded", stiffness=0.0, damping=0.0, bump=0.0) if c.name in names else c
@@ -343,17 +354,17 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
     return replace(vehicle, coordinates=coordinates)
 
 
-def _unique(what: str, names: Iterable[str]) -> None:
+def _check_unique(kind: str, names: Iterable[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise ModelError(f"two {what}s are called {name!r}: names must be unique")
+            raise ModelError(f"two {kind}s have the name {name!r}: names must be unique")
         seen.add(name)
 
 
-def _found(what: str, name: str, role: str, wanted: str, known: set[str]) -> None:
+def _check_known(kind: str, name: str, role: str, wanted: str, known: set[str]) -> None:
     if wanted not in known:
         raise ModelError(
-            f"{what} {name}: its {role} {wanted!r} is not known; known so far: "
+            f"{kind} {name}: its {role} {wanted!r} is not known; known so far: "
             + ", ".join(sorted(known))
         )

@@ -1,4 +1,4 @@
-"""Wheels: where they are, how they are driven, and their cross-section."""
+"""Wheels: position, drive, cross-section and mass."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ class Wheel:
     name : str
         Unique in the vehicle.
     parent : str
-        The joint that carries it, or ``"platform"``.
+        Name of the joint that carries it, or ``"platform"``.
     at : tuple of 3 floats
-        Its centre in the parent's frame. [m]
+        Centre of the wheel in the parent's frame. [m]
     section : Section
-        Its cross-section, such as ``Torus(0.05, 0.25)``; on free rollers ``Omni(...)``.
+        Cross-section, such as ``Torus(0.05, 0.25)``; ``Omni(...)`` for a wheel with free rollers.
     driven : bool
-        Whether its rate is an input; a free wheel turns as the ground makes it.
+        Whether its rate is an input; the rate of a free wheel follows from the motion.
     grip : float
-        What its tread makes of the ground's coefficient of friction, as a factor. [1]
+        Factor of its tread on the ground's coefficient of friction. [1]
     mass : float
-        Mass, at its centre. [kg]
+        Mass, concentrated at the centre. [kg]
     axle : {"x", "y", "z"} or tuple of 3 floats
         Direction of its axle in the parent's frame, to the right of its forward direction.
     """
@@ -56,15 +56,15 @@ class Wheel:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[\w-]+", self.name):
             raise ModelError(
-                f"wheel {self.name!r}: expected a name of letters, digits, _ and -, as results "
-                "use it"
+                f"wheel {self.name!r}: expected a name of letters, digits, _ and -, since it is "
+                "part of names in results"
             )
         check_vector(f"wheel {self.name}: at", self.at)
         if not 0 < self.grip < math.inf:
             raise ModelError(f"wheel {self.name}: grip must be positive, found {self.grip}")
         if not 0 <= self.mass < math.inf:
             raise ModelError(
-                f"wheel {self.name}: mass must be zero or more kilograms, found {self.mass}"
+                f"wheel {self.name}: mass must be zero or positive, found {self.mass} kg"
             )
 
         try:
@@ -74,9 +74,9 @@ class Wheel:
 
     @property
     def mount(self) -> Pose:
-        """Pose of its carrier, at its centre with the axle as x axis, in the parent's frame.
+        """Pose of its carrier in the parent's frame: origin at its centre, x axis along the axle.
 
-        The parent's axes, turned the shortest way.
+        The smallest rotation of the parent's axes that aligns x with the axle.
         """
         x, y, z = unit_vector(self.axle)
         across = math.hypot(y, z)

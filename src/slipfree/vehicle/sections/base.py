@@ -1,8 +1,8 @@
-"""Cross-section of a wheel: a convex curve that turns about the axle.
+"""Cross-section of a wheel: a convex curve that generates a surface of revolution about the axle.
 
-The outward unit normal of a wheel has a component along the axle and one away from it. The section
-maps them to the point of the wheel with that normal. Contact, Montana's equations, the certificate
-of a single contact and drawings all follow from this map.
+The outward unit normal of a wheel has an axial and a radial component. The section maps them to the
+point of the wheel with that normal. Contact, Montana's equations, the certificate of a single
+contact and drawings all follow from this map.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from slipfree.errors import ModelError
 from slipfree.geometry.mesh import Mesh, sheet
 from slipfree.records import Array
 
-AXLE = ca.SX(ca.DM([1, 0, 0]))  # in the wheel's axes
-AROUND, ACROSS = 36, 6  # faces of a mesh around the wheel, and across its tread
-DRAWN_HALF_WIDTH = 0.04  # least half-width of a mesh, in rolling radii
-CLOSED = 1e-9  # radius of the tread's edge that closes on the axle, in rolling radii
-FINE = 721  # points of a table of arc lengths
+AXLE = ca.SX(ca.DM([1, 0, 0]))  # direction of the axle in the wheel's axes
+FACES_AROUND, FACES_ACROSS = 36, 6  # faces of a mesh around the wheel, and across its tread
+MIN_DRAWN_HALF_WIDTH = 0.04  # smallest half-width of a mesh [rolling radii]
+CLOSED_EDGE_RADIUS = 1e-9  # a tread's edge with a smaller radius is on the axle [rolling radii]
+ARC_LENGTH_POINTS = 721  # points of a table of arc lengths
 
 
 @dataclass(frozen=True)
 class Section(ABC):
     """Cross-section of a wheel, a body of revolution about its axle.
 
-    A subclass is a frozen dataclass. It defines `profile`; its numbers are positive. The other
-    methods follow; a subclass overrides one where a closed form has fewer operations.
+    A subclass is a frozen dataclass of positive numbers that defines `profile`. The other methods
+    follow from it; a subclass overrides one where a closed form has fewer operations.
 
     Attributes
     ----------
     rollers : bool
-        Whether free rollers let the wheel move along its axle: slip across it then costs nothing,
-        and no force acts across it.
+        Whether free rollers let the wheel move along its axle. Slip across the wheel then has no
+        cost, and no force acts across it.
 
     Raises
     ------
     ModelError
-        If a number is not positive.
+        If a dimension is not positive.
     """
 
     rollers: ClassVar[bool] = False
@@ -68,12 +68,13 @@ class Section(ABC):
         Parameters
         ----------
         axial, radial : SX, shape (1, 1)
-            Components of the unit normal along the axle and away from it, ``radial >= 0``. [1]
+            Components of the unit normal along the axle and perpendicular to it,
+            ``radial >= 0``. [1]
 
         Returns
         -------
         tuple of 2 SX, shape (1, 1)
-            Coordinates of the point along the axle and away from it, from the wheel's centre. [m]
+            Axial and radial coordinates of the point, from the wheel's centre. [m]
         """
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
@@ -89,14 +90,14 @@ class Section(ABC):
         Returns
         -------
         SX, shape (3, 1)
-            In the axes of the normal. [m]
+            The point, in the axes of the normal. [m]
         """
         axial, radial, away = components(normal, axle)
         x, rho = self.profile(axial, radial)
         return x * axle + rho * away
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
-        """Return the point of the surface at angles of its outward normal, shape (3, 1). [m].
+        """Return the point of the surface for angles of the outward normal, shape (3, 1). [m].
 
         Parameters
         ----------
@@ -107,7 +108,7 @@ class Section(ABC):
 
         Notes
         -----
-        In the wheel's axes; ``c_u x c_v`` points outward.
+        The point is in the wheel's axes; ``c_u x c_v`` points outward.
         """
         x, rho = self.profile(ca.cos(u), ca.sin(u))
         return ca.vertcat(x, ca.cos(v) * rho, ca.sin(v) * rho)
@@ -124,51 +125,51 @@ class Section(ABC):
         return ca.substitute(bend, normal, ca.vertcat(axial, radial))
 
     def outline(self, u: Array) -> tuple[Array, Array]:
-        """Return points of the section at angles from the axle to the normal, 0 to pi.
+        """Return points of the section at given angles of the normal.
 
         Parameters
         ----------
         u : ndarray, shape (n, ...)
-            The angles. [rad]
+            Angles from the axle to the normal, 0 to pi. [rad]
 
         Returns
         -------
         x, rho : ndarray, shape (n, ...)
-            Coordinates along the axle and away from it. [m]
+            Axial and radial coordinates. [m]
         """
         flat = np.ravel(u)[None]
         x, rho = _curve(self, flat.size)(flat)
         return x.full().reshape(np.shape(u)), rho.full().reshape(np.shape(u))
 
     def mesh(self) -> Mesh:
-        """Return the surface about the x axis, for drawings.
+        """Return a mesh of the wheel's surface about the x axis, for drawings.
 
-        If the tread ends above the axle, it is a ring, whose inside mirrors the tread at its edge,
-        as a tube does. A section narrower than 0.04 rolling radii is drawn as wide as that, inside
-        its rolling radius.
+        If the edges of the tread do not reach the axle, the mesh is a ring; its inner side mirrors
+        the tread at the edge, as in a tube. A section narrower than 0.04 rolling radii is drawn
+        with that width, within its rolling radius.
         """
         x, rho = self.outline(np.array([0, np.pi / 2, np.pi]))
-        more = max(0.0, DRAWN_HALF_WIDTH * rho[1] - np.abs(x).max())
+        more = max(0.0, MIN_DRAWN_HALF_WIDTH * rho[1] - np.abs(x).max())
 
         def drawn(u: Array) -> tuple[Array, Array]:
             x, rho = self.outline(u)
             return x + more * np.cos(u), rho + more * (np.sin(u) - 1)
 
-        fine = np.linspace(0, np.pi, FINE)
+        fine = np.linspace(0, np.pi, ARC_LENGTH_POINTS)
         arc = _lengths(*drawn(fine))
-        x, rho = drawn(np.interp(np.linspace(arc[-1], 0, ACROSS + 1), arc, fine))
+        x, rho = drawn(np.interp(np.linspace(arc[-1], 0, FACES_ACROSS + 1), arc, fine))
         edge = min(rho[0], rho[-1])
-        is_ring = edge > CLOSED * rho.max()
+        is_ring = edge > CLOSED_EDGE_RADIUS * rho.max()
         if is_ring:
             x = np.append(x, x[-2:0:-1])
             rho = np.append(rho, np.maximum(2 * edge - rho[-2:0:-1], 0))
-        v = 2 * np.pi * np.arange(AROUND)[:, None] / AROUND
+        v = 2 * np.pi * np.arange(FACES_AROUND)[:, None] / FACES_AROUND
         ring = np.broadcast_arrays(x, np.cos(v) * rho, np.sin(v) * rho)
         return sheet(np.stack(ring, axis=-1), closed=(True, is_ring))
 
 
 def components(normal: ca.SX, axle: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the components of a unit normal along and away from the axle, and the latter's axis.
+    """Return the axial and radial components of a unit normal, and the radial unit vector.
 
     Parameters are those of `Section.support`.
     """
@@ -178,19 +179,19 @@ def components(normal: ca.SX, axle: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 @lru_cache(maxsize=64)
 def arc_lengths(section: Section) -> tuple[Array, Array]:
-    """Return angles of the normal, 0 to pi, and the length of the section up to them. [rad, m]."""
-    u = np.linspace(0, np.pi, FINE)
+    """Return angles of the normal, 0 to pi, and arc lengths of the section there. [rad, m]."""
+    u = np.linspace(0, np.pi, ARC_LENGTH_POINTS)
     return u, _lengths(*section.outline(u))
 
 
 def _lengths(x: Array, rho: Array) -> Array:
-    """Return the length of a line up to each of its points. [m]."""
+    """Return the arc length of a polyline at each of its points. [m]."""
     return np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(rho))))
 
 
 @lru_cache(maxsize=64)
 def _curve(section: Section, count: int) -> ca.Function:
-    """Return the points of a section as a function of a number of angles of the normal."""
+    """Return the points of a section as a function of ``count`` angles of the normal."""
     u = ca.SX.sym("u")
     point = (ca.densify(ca.SX(each)) for each in section.profile(ca.cos(u), ca.sin(u)))
     return ca.Function("profile", [u], [*point]).map(count)

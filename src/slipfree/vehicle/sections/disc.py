@@ -1,4 +1,4 @@
-"""Disc: a wheel that touches on its edge."""
+"""Thin disc: a wheel that touches the ground with its edge."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Disc(Section):
     Attributes
     ----------
     radius : float
-        Of its edge. [m]
+        Radius of the edge. [m]
     """
 
     radius: float
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
-        """Return the edge, whatever the normal."""
+        """Return the edge, for every normal."""
         return ca.SX(0), ca.SX(self.radius)

@@ -1,4 +1,4 @@
-"""Omni wheel: free rollers on the rim of a wheel."""
+"""Omni wheel: a wheel with free rollers on its rim."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from slipfree.vehicle.sections.base import AXLE, Section
 
 @dataclass(frozen=True)
 class Omni(Section):
-    """Free rollers that together have the shape of a wheel.
+    """Free rollers whose envelope has the shape of a wheel.
 
     Attributes
     ----------
     rim : Section
-        The shape.
+        Section of the envelope.
     """
 
     rollers: ClassVar[bool] = True

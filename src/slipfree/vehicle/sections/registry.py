@@ -1,4 +1,4 @@
-"""Sections by the name that a vehicle file has for them."""
+"""Names of the wheel sections in vehicle files."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ SECTIONS: dict[str, type[Section]] = {
 
 
 def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
-    """Return the torus of two radii, or its limit: a disc for ``r1 = 0``, a sphere for ``r2 = 0``.
+    """Return the torus of two radii; a disc for ``r1 = 0``, a sphere for ``r2 = 0``.
 
     Parameters
     ----------
     r1, r2 : float
         Radii of the tube and of the circle of tube centres. [m]
     rollers : bool
-        Whether it consists of free rollers.
+        Whether the wheel has free rollers.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
     """
     for key, radius in (("r1", r1), ("r2", r2)):
         if not 0 <= radius < inf:
-            raise ModelError(f"{key} must be a radius of zero or more metres, found {radius}")
+            raise ModelError(f"{key} must be zero or a positive radius, found {radius} m")
     if r1 + r2 <= 0:
         raise ModelError(f"r1 + r2 must be positive, found {r1 + r2}")
     section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)

@@ -1,4 +1,4 @@
-"""Sphere: a wheel that touches alike on all sides."""
+"""Spherical wheel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slipfree.vehicle.sections.base import AXLE, Section
 
 @dataclass(frozen=True)
 class Sphere(Section):
-    """A ball on its axle.
+    """A ball that turns about an axle.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Sphere(Section):
         return self.radius * axial, self.radius * radial
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:  # noqa: ARG002
-        """Return the normal times the radius, whatever the axle."""
+        """Return the normal times the radius, for every axle."""
         return self.radius * normal
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant

@@ -1,4 +1,4 @@
-"""Torus: a circle beside the axle."""
+"""Torus: a wheel with a circular tread section."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slipfree.vehicle.sections.base import AXLE, Section, components
 
 @dataclass(frozen=True)
 class Torus(Section):
-    """A tube around a circle.
+    """A tube around a circle of tube centres.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Torus(Section):
         return self.r1 * axial, self.r2 + self.r1 * radial
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
-        """Return ``r1 n + r2 e``, ``e`` the direction of the normal away from the axle."""
+        """Return ``r1 n + r2 e``, with ``e`` the radial direction of the normal."""
         return self.r1 * normal + self.r2 * components(normal, axle)[2]
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
