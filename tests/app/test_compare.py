@@ -99,7 +99,7 @@ def test_measured_slip_needs_even_samples():
     rates = dae.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
     for t in ([0.0, 0.1, 0.2], [0.0, 0.1, 0.2, 0.3, 0.5]):
         run = simulate(dae, start, rates, np.array(t))
-        with pytest.raises(ModelError, match="five or more evenly spaced"):
+        with pytest.raises(ModelError, match="at least five equally spaced"):
             measured_slip(three_wheeler(), run)
 
 

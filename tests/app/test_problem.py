@@ -368,7 +368,7 @@ def test_result_knows_its_problem(tmp_path: Path) -> None:
             "--set inputs.rigth_rate: expected one of right_rate, left_rate, "
             "steer_rate, found the unknown key 'rigth_rate'; did you mean 'right_rate'?",
         ),
-        (["start.x=50"], "p.toml:13: start: .*leaves the map, which reaches from -3.00 to 3.00 m"),
+        (["start.x=50"], "p.toml:13: start: .*leaves the map, which extends from -3.00 to 3.00 m"),
         (["vehicle.r1=0", "vehicle.r2=0"], r"p.toml:9: vehicle: r1 \+ r2 must be positive"),
         (["terrain.synthetic.x=[3, -3]"], "p.toml:3: terrain.synthetic: .*x_range"),
         (["terrain.synthetic.x=[0, 1]"], "p.toml:3: terrain.synthetic: .*at least 4 nodes"),

@@ -385,7 +385,7 @@ FAULTS = {
     ),
     "spacing": Fault(_set("map", shortest=0.1), r"power_law: expected twice the spacing"),
     "no height": Fault(_set("map", gap=True), r"all heights must be finite, .* z\[3, 5\] = nan"),
-    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected a rate of zero or more"),
+    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected zero or a positive rate"),
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"cannot stand at the start: \w+\[\w+\], .* misses by [\d.e+-]+ m": "cannot stand",
@@ -395,12 +395,12 @@ CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"start is not valid: the ground under wheel \w+ is more concave": "too concave",
     r"start is not valid: wheel \w+ touches a second time at \(": "second touch",
     r"start is not valid: wheel \w+ lies flat": "wheel flat",
-    r"start is not valid: the platform is overturned": "overturned",
-    r"start is not valid: the stop of \w+ \(.*\) is reached: .*, allowed": "at a stop",
+    r"start is not valid: the platform overturns": "overturned",
+    r"start is not valid: joint \w+ \(.*\) reaches its stop: .*, allowed": "at a stop",
     r"model is singular here: nothing determines \S+ \(": "singular",
     r"cannot roll without slip: expected \d+ passive .*, found \d": "cannot roll",
     r"wheel \w+: Montana's equations need a tread": "no tread radius",
-    r"wheel \w+ is not in its place on the vehicle": "not assembled",
+    r"wheel \w+ has drifted from its position on the vehicle": "not assembled",
 }
 
 

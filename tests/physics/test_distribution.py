@@ -232,7 +232,7 @@ def test_jammed_vehicle_has_bounded_forces():
     best = least_utilisation(matrix[None], load[None], np.ones((1, 2)))
     tangential, normal = wheels(best.force[0])
     np.testing.assert_allclose(tangential, 0.5)
-    assert (normal < force_distribution.REACH).all()
+    assert (normal < force_distribution.MAX_INTERNAL_FORCE).all()
     np.testing.assert_allclose(best.utilisation, 0.5 / normal.min(), rtol=1e-6)
     assert best.utilisation < 1e-3
 

@@ -407,7 +407,7 @@ def test_steering_angle_needs_motion():
         ),
         ({"given": ("velocity_x", "omega_z", "roll_rate")}, "or Euler rates .*, not both"),
         ({"solve_for": "torques"}, "expected 'rates' or 'angles', found 'torques'"),
-        ({"least_margin": -1.0}, "least_margin: expected zero or more"),
+        ({"least_margin": -1.0}, "least_margin: expected zero or a positive"),
     ],
 )
 def test_choices_are_checked(options, words):

@@ -376,19 +376,23 @@ def test_discs_are_refused_by_name():
 
 @pytest.mark.parametrize("kappa", [-1.0, np.inf, np.nan])
 def test_kappa_is_a_rate(kappa):
-    with pytest.raises(ModelError, match="kappa: expected a rate of zero or more"):
+    with pytest.raises(ModelError, match="kappa: expected zero or a positive rate"):
         montana_model(three_wheeler(), GROUNDS["hills"], kappa=kappa)
 
 
 def test_a_vehicle_in_pieces_is_refused():
     dae = montana_model(three_wheeler(), GROUNDS["hills"])
     stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]))
-    with pytest.raises(ModelError, match="start is not valid: wheel right is not in its place"):
+    with pytest.raises(
+        ModelError, match="start is not valid: wheel right has drifted from its position"
+    ):
         simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
 
 
 def test_there_is_nothing_to_settle():
-    with pytest.raises(ModelError, match="not in its place on the vehicle; start from the closure"):
+    with pytest.raises(
+        ModelError, match="drifted from its position on the vehicle; start from the closure"
+    ):
         settle(montana_model(three_wheeler(), GROUNDS["hills"]))
 
 

@@ -1074,7 +1074,7 @@ WHEEL = {
             lambda: actuated(VEHICLE, "steer"),
             r"passive coordinates \(tilt_right, tilt_left\), found 'steer'",
         ),
-        (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), "there is none"),
+        (lambda: actuated(three_wheeler(axle="fixed"), "tilt"), "the vehicle has none"),
         (lambda: three_wheeler(axle="fixed", stiffness=1.0), "fixed axle has no free joint"),
         (lambda: three_wheeler(mass=-1.0), "mass must be zero or positive, found -1.0 kg"),
     ],

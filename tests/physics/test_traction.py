@@ -230,7 +230,7 @@ def test_ice_is_a_stop_by_name_even_where_friction_jumps():
     assert run.stop.name == "no_equilibrium"
     assert run.outcome is Outcome.NO_EQUILIBRIUM
     assert run["contact_y", "right"][-1] == pytest.approx(0.9, abs=1e-3)
-    assert "times the friction that it finds, the ground offers 0.02 to 0.6" in run.stop.words
+    assert "times the friction of the ground, the ground offers 0.02 to 0.6" in run.stop.words
 
 
 def test_the_edge_of_a_friction_map_is_a_stop_by_name():
@@ -243,9 +243,8 @@ def test_the_edge_of_a_friction_map_is_a_stop_by_name():
     assert run.stop.name == "friction_margin[front]"
     assert run.outcome is Outcome.LIMIT
     assert run.stop.t == pytest.approx(0.5 / 0.15, abs=2e-4)
-    assert (
-        "wheel front leaves the map of friction, which reaches from -3.00 to 3.00 m in x and "
-        in (run.stop.words)
+    assert "wheel front leaves the friction map, which extends from -3.00 to 3.00 m in x and " in (
+        run.stop.words
     )
 
 

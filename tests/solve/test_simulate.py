@@ -391,7 +391,7 @@ def test_vehicle_leaves_the_map_at_the_edge():
     run = simulate(dae, settle(dae), rates, np.linspace(0, 20, 41))
     assert run.stop.name == "map_margin[front]"
     assert run.outcome is Outcome.LIMIT
-    assert "wheel front leaves the map, which reaches from -3.00 to 3.00 m in x" in run.stop.words
+    assert "wheel front leaves the map, which extends from -3.00 to 3.00 m in x" in run.stop.words
     assert_allclose(run["contact_y", "front"][-1], 1.5, atol=1e-5)
     assert run.t[-1] == run.stop.t
 

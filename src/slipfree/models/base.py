@@ -20,7 +20,7 @@ from slipfree.models.records import (
     Inputs,
     Outputs,
     Rates,
-    kept,
+    state_coordinates,
 )
 from slipfree.records import Array, leaves, pack
 from slipfree.terrain.base import Terrain
@@ -28,14 +28,14 @@ from slipfree.vehicle.tree import Vehicle
 
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
-    """Return the poses of the wheels' carriers, at the wheels' centres."""
+    """Return the poses of the wheels' carriers, with origins at the wheels' centres."""
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     return vehicle.carriers(base, values_of(vehicle, x, position))
 
 
 def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[str, ca.SX]:
     """Return the values of all coordinates by name. [rad, m]."""
-    names = (*kept(vehicle), *(c.name for c in vehicle.of("suspension")))
+    names = (*state_coordinates(vehicle), *(c.name for c in vehicle.of("suspension")))
     return dict(zip(names, (*x.joints, *position.suspension), strict=True))
 
 
@@ -113,7 +113,8 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
 def extent(vehicle: Vehicle) -> float:
     """Return the size of a vehicle, the unit of length of its models. [m].
 
-    It is the largest coordinate of a wheel's centre from the platform's, at least a radius.
+    It is the largest coordinate of a wheel's centre relative to the platform's centre, and at
+    least the largest wheel radius.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
@@ -122,6 +123,6 @@ def extent(vehicle: Vehicle) -> float:
 
 
 def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
-    """Return the guess of rates and forces: zero, and equal normal forces."""
+    """Return the initial guess of rates and forces: zero, with equal normal forces."""
     share = vehicle.weight / len(vehicle.wheels)
     return ca.SX([share if each.name == "force_normal" else 0.0 for each in leaves(labels)])

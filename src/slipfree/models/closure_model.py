@@ -1,6 +1,7 @@
 """Closure model: every wheel touches the ground at position level.
 
-Three equations hold in the two contact coordinates of each wheel and the pose of the platform.
+Each wheel adds two unknown contact coordinates and three equations, which also contain the pose of
+the platform.
 `slipfree.models.kinematics` and `slipfree.models.quasi_statics` add equations of the rates.
 """
 
@@ -79,11 +80,11 @@ def closure_dae(
     Parameters
     ----------
     labels : Labels
-        Labels of all but the law's equations.
+        Labels of the model, except those of the law's equations.
     z, q : Algebraic and Quantities
-        From `closure_quantities`, with the forces on the wheels.
+        Results of `closure_quantities`, with the forces on the wheels.
     law, forces : Equations and SX
-        Equations of the rates, and of forces that follow from them.
+        Equations of the rates, and of the forces that follow from them.
     limits : tuple of Limit
         Limits of the law.
     suppress_algebraic, continuation
@@ -121,9 +122,9 @@ def closure_dae(
 
 
 def _closures(q: Quantities) -> ca.SX:
-    """Return the closures of all wheels, from the platform's centre.
+    """Return the closures of all wheels, relative to the platform's centre.
 
-    Subtracted before anything is added to them, large coordinates cost no digits.
+    Subtracting large coordinates first avoids loss of digits.
     """
     level = q.x._replace(x=ca.SX(0), y=ca.SX(0))
     arms = [pose.origin for pose in carriers(q.vehicle, level, q.position._replace(z=ca.SX(0)))]
@@ -139,7 +140,7 @@ def _closures(q: Quantities) -> ca.SX:
 
 
 def _guess(q: Quantities, labels: Labels) -> ca.SX:
-    """Return a level platform at the mean height of its wheels, contacts below their centres."""
+    """Return the initial guess: a level platform, contacts below the wheels' centres."""
     level = Dependent(0, 0, 0, tuple(0 for _ in q.position.suspension), ())
     centers = [carrier.origin for carrier in carriers(q.vehicle, q.x, level)]
     lifts = [

@@ -1,17 +1,17 @@
-"""How well given rates of the platform determine the rates and angles that are solved for.
+"""Determinacy of inverse kinematics: singular values of its linear equations.
 
-Slip is linear in all rates. A vehicle that rolls without slip obeys ``A r = 0``, three rows a
-wheel; with some of the platform's rates given, the columns of the other rates are a square matrix.
-Its smallest singular value says how well the given rates determine the others, its singular vectors
-which ones. Where steering angles are solved for, the column of their rate is replaced by the
-derivative of the slip in the angle.
+Slip is linear in all rates. A vehicle that rolls without slip obeys ``A r = 0``, with three rows
+per wheel. With some of the platform's rates given, the columns of the other rates form a square
+matrix. Its smallest singular value measures how well the given rates determine the others; the
+singular vectors show which ones they do not determine. Where steering angles are unknown, the
+derivative of the slip with respect to an angle replaces the column of its rate.
 
-Columns are slip velocities, so that they compare: angular rates of the platform count by its
-extent, rates of wheels and joints by the rolling radius, and a steering angle by the speed of the
-platform for every 0.3 rad.
+All columns are scaled to slip velocities: angular rates of the platform by its extent, rates of
+wheels and joints by the rolling radius, and a steering angle by the speed of the platform per
+0.3 rad.
 
-Under commands, vehicles slip, and rates of the driven wheels act through the direct model of least
-slip. The matrix is then their effect on the given rates, all as velocities.
+Under commands, vehicles slip, and the rates of the driven wheels act through the direct model of
+least slip. The matrix is then their effect on the given rates, scaled to velocities.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-TYPICAL_ANGLE = 0.3  # of steering, which weighs its column [rad]
-MIN_NAMED_SHARE = 0.1  # of the largest entry of a singular vector, from which on an entry is named
-MIN_LEVER = 0.02  # lever of a contact on the steering axis, relative to the rolling radius
-LEAST_AUTHORITY = 5e-3  # smallest singular value at which wheels still impose given commands
+TYPICAL_ANGLE = 0.3  # steering angle that scales its column [rad]
+MIN_NAMED_SHARE = 0.1  # smallest entry of a singular vector in messages [largest entry]
+MIN_LEVER = 0.02  # a contact with a smaller lever lies on the steering axis [rolling radii]
+LEAST_AUTHORITY = 5e-3  # smallest singular value at which wheels can impose given commands
 MOVES = {
     "forward": "move the platform forward",
     "right": "move the platform sideways",
@@ -46,9 +46,9 @@ MIN_RELATIVE_SINGULAR_VALUE = 1e-14  # relative singular value that counts as ze
 
 
 def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
-    """Return derivatives of equations in commanded coordinates, the pose following them.
+    """Return the total derivatives of equations with respect to commanded coordinates, by name.
 
-    By the coordinates' names, each of the shape of ``rows``.
+    They include the change of the pose with the coordinates, and have the shape of ``rows``.
     """
     names = [c.name for c in vehicle.of("commanded")]
     angles = ca.vertcat(ca.SX(0, 1), *(direct.named(name)[0] for name in names))
@@ -60,15 +60,15 @@ def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]
 
 @dataclass(frozen=True, eq=False)
 class SlipColumns:
-    """The slip of a rolling vehicle by columns, as velocities, in the direct model's symbols.
+    """Columns of the slip of a rolling vehicle, scaled to velocities, in the symbols of its model.
 
     Attributes
     ----------
     rates : dict of str to SX, shape (3 n_wheels, 1)
-        Derivatives of the slip in velocities, ``omega_x`` to ``omega_z``, Euler rates, and all
-        other rates, by name.
+        Derivatives of the slip with respect to velocities, ``omega_x`` to ``omega_z``, Euler rates
+        and all other rates, by name.
     angles : dict of str to SX, shape (3 n_wheels, 1)
-        Derivatives in the commanded coordinates, by name.
+        Derivatives with respect to the commanded coordinates, by name.
     """
 
     rates: dict[str, ca.SX]
@@ -87,7 +87,7 @@ class SlipColumns:
 
 
 def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
-    """Return the slip by columns, from the direct model of rolling without slip."""
+    """Return the columns of the slip, from the direct model of rolling without slip."""
     rates, labels, law = direct.z.rates, direct.labels.z.rates, direct.alg[1]
     size, radius = extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
     platform = tuple(rates[:6])
@@ -110,21 +110,21 @@ def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
 
 @dataclass(frozen=True, eq=False)
 class Determinacy:
-    """A check that given rates of the platform determine what is solved for.
+    """Check that given rates of the platform determine the unknowns of an inverse model.
 
-    Of ``matrix @ unknowns + columns @ given = 0``, all as velocities, the smallest singular value
-    of the matrix counts.
+    The equations are ``matrix @ unknowns + columns @ given = 0``, scaled to velocities; the check
+    is on the smallest singular value of the matrix.
 
     Attributes
     ----------
     least : float
-        Smallest singular value allowed; the margin is what is above it.
+        Smallest allowed singular value; the margin is the excess over it.
     given, unknown : tuple of str
         Names of the given rates, and of the columns of the matrix.
     reasons : mapping of str to str
-        Reasons why a given rate cannot be imposed, or an unknown alone is not determined.
+        Reasons why a given rate cannot be imposed, or an unknown is not determined, by name.
     remedy : str
-        What to do; ``{}`` stands for the given rate.
+        Advice for messages; ``{}`` stands for the given rate.
     matrices : casadi Function
         ``(x, z) -> (matrix, columns)``.
     """
@@ -138,48 +138,48 @@ class Determinacy:
 
     @property
     def label(self) -> Label:
-        """Name, unit and words of the margin."""
-        words = f"smallest singular value of the inverse problem, above the least, {self.least:g}"
+        """Name, unit and description of the margin."""
+        words = f"smallest singular value of the inverse problem minus its limit {self.least:g}"
         return Label("inverse_margin", "1", words)
 
     def margin(self, x: Array, z: Array) -> Array:
         """Return the margins of states in columns, shape (n,)."""
-        matrices = stacked(self.matrices.map(x.shape[1])(x, z)[0], x.shape[1])
+        matrices = samples_first(self.matrices.map(x.shape[1])(x, z)[0], x.shape[1])
         return np.asarray(np.linalg.svd(matrices, compute_uv=False)[:, -1] - self.least)
 
     def describe(self, x: Array, z: Array) -> str:
-        """Return which given rates cannot be imposed, and what they leave undetermined."""
+        """Return the given rates that cannot be imposed and the undetermined unknowns, as text."""
         matrix, columns = (np.array(part) for part in self.matrices(x, z))
         left, values, right = np.linalg.svd(matrix)
-        bound = _named(left[:, -1] @ columns, self.given)
-        words = f"platform rate {_listed(bound)} cannot be imposed"
+        bound = _dominant_names(left[:, -1] @ columns, self.given)
+        words = f"platform rate {_quoted_list(bound)} cannot be imposed"
         if len(bound) > 1:
-            words = f"platform rates {_listed(bound)} cannot be imposed independently"
+            words = f"platform rates {_quoted_list(bound)} cannot be imposed independently"
         reason = self.reasons.get(bound[0], "")
         if not reason:
-            lost = _named(right[-1], self.unknown)
+            lost = _dominant_names(right[-1], self.unknown)
             alone = np.linalg.norm(matrix[:, self.unknown.index(lost[0])]) < MIN_LEVER
             why = self.reasons.get(lost[0], "") if alone else ""
-            reason = f"{_listed(lost)} {'is' if len(lost) == 1 else 'are'} not determined{why}"
+            reason = f"{_quoted_list(lost)} {'is' if len(lost) == 1 else 'are'} not determined{why}"
         return (
             f"{words}: {reason} (smallest singular value {values[-1]:.1e}, largest "
             f"{values[0]:.1e}). {self.remedy.format(bound[0])}"
         )
 
 
-def stacked(part: ca.DM, count: int) -> Array:
-    """Return a horizontally mapped output with the sample as first index."""
+def samples_first(part: ca.DM, count: int) -> Array:
+    """Return the output of a mapped function as an array with the sample as first index."""
     array = np.array(part)
     return array.reshape(array.shape[0], count, -1).transpose(1, 0, 2)
 
 
-def _named(vector: Array, names: Sequence[str]) -> list[str]:
+def _dominant_names(vector: Array, names: Sequence[str]) -> list[str]:
     """Return the names of the large entries, the largest first."""
     size = np.abs(vector)
     return [names[k] for k in np.argsort(-size) if size[k] >= MIN_NAMED_SHARE * size.max()]
 
 
-def _listed(names: Sequence[str]) -> str:
+def _quoted_list(names: Sequence[str]) -> str:
     quoted = [f"'{name}'" for name in names]
     return " and ".join(filter(None, [", ".join(quoted[:-1]), quoted[-1]]))
 
@@ -192,7 +192,7 @@ def rolling_determinacy(
     solve_for: str,
     least: float,
 ) -> Determinacy:
-    """Return the check for an inverse model of rolling without slip.
+    """Return the determinacy check of an inverse model of rolling without slip.
 
     Parameters
     ----------
@@ -237,13 +237,13 @@ def _reasons(vehicle: Vehicle) -> dict[str, str]:
             "the contact of wheel {} lies" if len(wheels) == 1 else "the contacts of wheels {} lie"
         )
         reasons[f"{c.name}_rate"] = (
-            f", since {lie.format(_listed(wheels))} on the axis of '{c.name}'"
+            f", since {lie.format(_quoted_list(wheels))} on the axis of '{c.name}'"
         )
     return reasons
 
 
 def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
-    """Return the effects of the inputs of a direct model on given rates and on slip.
+    """Return the effects of a direct model's inputs on given rates and on slip.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
     -------
     casadi Function
         From ``x`` and ``z`` of the model to the derivatives of the given rates and of the slip of
-        all wheels in the inputs of the direct model.
+        all wheels with respect to the inputs of the direct model.
     """
     law, rates, u = direct.alg[1], pack(direct.z.rates), pack(direct.u)
     slip, derived = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across), derived_rates(direct)
@@ -273,7 +273,7 @@ def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
 
 
 def command_sizes(vehicle: Vehicle, given: Sequence[str]) -> list[float]:
-    """Return factors that turn commands into velocities. [1 or m]."""
+    """Return factors that convert commands to velocities. [1 or m]."""
     return [extent(vehicle) if name == "yaw_rate" else 1.0 for name in given]
 
 
@@ -282,15 +282,15 @@ def command_determinacy(
 ) -> Determinacy:
     """Return the check that the driven wheels can impose given commands.
 
-    Its matrix is the effect of the driven wheels on the given rates, where the direct model moves
-    by least slip.
+    Its matrix is the effect of the driven wheels on the given rates in the direct model of least
+    slip.
 
     Parameters
     ----------
     vehicle, direct : Vehicle, Dae
         The vehicle, and its direct model of least slip.
     model : Dae
-        The model that is checked, with the symbols of the direct model.
+        The model to check, in the symbols of the direct model.
     given : sequence of str
         Names of the given rates.
     """
@@ -340,7 +340,7 @@ def conditions(
     ]
     floor, found = np.finfo(float).tiny, dict[tuple[str, ...], Array]()
     for given, part in zip(choices, function.map(count)(*rows), strict=True):
-        values = np.linalg.svd(stacked(part, count), compute_uv=False)
+        values = np.linalg.svd(samples_first(part, count), compute_uv=False)
         largest, smallest = values[:, 0], values[:, -1]
         regular = smallest > MIN_RELATIVE_SINGULAR_VALUE * largest
         found[given] = np.where(regular, largest / np.fmax(smallest, floor), np.inf)

@@ -1,4 +1,4 @@
-"""Contact forces that use friction least, where equilibrium leaves them free."""
+"""Contact forces of least utilisation, where equilibrium does not determine them."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from slipfree.records import Array, Mask
 
 Index = npt.NDArray[np.intp]
 
-ROUNDING = 1e-9  # normal forces down to minus this count as none [weight]
-RANK = 1e-9  # singular values below this part of the largest count as zero
-BALANCE = 1e-8  # largest residual of an equilibrium that has a solution [weight]
-REACH = 1e3  # internal forces stay below this, so that a jammed vehicle has an optimum [weight]
-LOADED = 0.02  # phase one ends where friction times normal force exceeds this [weight]
-STARVED = 1e6  # utilisation above this: a wheel without normal force has to hold something
-CENTRAL = 0.7  # Newton decrement below which full steps converge and the level may move
-ROUNDS = 400  # most Newton steps; 50 to 130 are usual
-ABSOLUTE, RELATIVE = 1e-9, 1e-8  # width of the bracket around the least utilisation
-STEPS = np.array([8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.03, 0.01])  # tried when not central
+NORMAL_FORCE_ROUNDING = 1e-9  # smaller negative normal forces count as zero [weight]
+RANK_TOLERANCE = 1e-9  # smaller singular values count as zero [largest singular value]
+BALANCE_TOLERANCE = 1e-8  # largest residual of an equilibrium that has a solution [weight]
+MAX_INTERNAL_FORCE = 1e3  # makes the optimum of a jammed vehicle bounded [weight]
+PHASE_ONE_FORCE = 0.02  # friction times normal force at which phase one ends [weight]
+MAX_UTILISATION = 1e6  # beyond it, a wheel without normal force would have to bear a force
+CENTRAL_DECREMENT = 0.7  # Newton decrement below which full steps converge and the level may move
+MAX_NEWTON_STEPS = 400  # 50 to 130 are usual
+ABSOLUTE, RELATIVE = 1e-9, 1e-8  # tolerances of the least utilisation
+STEPS = np.array([8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.03, 0.01])  # trial steps off the centre
 ADVANCES = 1 - np.array([0.02, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7, 0.85, 0.93, 0.97, 0.99, 1.0])
-RETREAT = 0.9  # part of the farthest advance that is taken
+RETREAT = 0.9  # used fraction of the farthest feasible advance
 
 
 class Best(NamedTuple):
-    """The distribution of contact forces that uses friction least, for n samples.
+    """Distributions of the contact forces with the least utilisation, for n samples.
 
     Attributes
     ----------
     utilisation : ndarray, shape (n,)
-        Least possible largest ratio of tangential to limiting friction force; ``inf`` where no
-        distribution exists, NaN where the search for it does not converge. [1]
+        Smallest possible value of the largest ratio of tangential force to friction limit; ``inf``
+        where no distribution exists, NaN where the optimisation does not converge. [1]
     force : ndarray, shape (n, 3 m)
-        A distribution that attains it (others may too), NaN where none was found. [weight]
+        A distribution that attains it, not always the only one; NaN where none was found. [weight]
     """
 
     utilisation: Array
@@ -45,8 +45,9 @@ class Best(NamedTuple):
 class _Contacts(NamedTuple):
     """Contact forces as affine functions of the k unknowns ``y``, wheel by wheel.
 
-    The normal forces carry the coefficient of friction, so that ``hypot(along, across) <= s
-    normal`` is Coulomb's law at utilisation ``s``. Values (n, m), slopes (n, m, k).
+    The normal forces include the factor of the friction coefficient, so that ``hypot(along,
+    across) <= s normal`` is Coulomb's law at utilisation ``s``. Values have shape (n, m), slopes
+    (n, m, k).
     """
 
     along: Array
@@ -57,14 +58,15 @@ class _Contacts(NamedTuple):
     normal_slope: Array
 
     def pick(self, index: Index | Mask) -> _Contacts:
-        """Return some of the samples."""
+        """Return a selection of the samples."""
         return _Contacts(*(item[index] for item in self))
 
 
 class _Goal(NamedTuple):
-    """What is made least: the level p of ``hypot <= (fixed + factor p) normal + shift p``.
+    """Objective: the level p in ``hypot <= (fixed + factor p) normal + shift p``.
 
-    ``absolute`` and ``relative`` bound the distance to the least level, ``enough`` ends early.
+    ``absolute`` and ``relative`` are tolerances of the least level; the optimisation stops early
+    below the level ``enough``.
     """
 
     fixed: float
@@ -76,7 +78,7 @@ class _Goal(NamedTuple):
 
 
 class _Newton(NamedTuple):
-    """A Newton step at a fixed level, the path of the centres, and how far the least level is."""
+    """Newton step at a fixed level, tangent of the central path, and gap to the least level."""
 
     step: Array
     tangent: Array
@@ -84,39 +86,39 @@ class _Newton(NamedTuple):
     gap: Array
 
 
-LIFT = _Goal(1.0, 0.0, 1.0, 1e-11, 0.2, -LOADED)  # the normal force that is missing
-USE = _Goal(0.0, 1.0, 0.0, ABSOLUTE, RELATIVE, -np.inf)  # the utilisation
+PHASE_ONE_GOAL = _Goal(1.0, 0.0, 1.0, 1e-11, 0.2, -PHASE_ONE_FORCE)  # missing normal force
+UTILISATION_GOAL = _Goal(0.0, 1.0, 0.0, ABSOLUTE, RELATIVE, -np.inf)  # utilisation
 
 
 def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
-    """Return the contact forces in equilibrium whose largest use of friction is least.
+    """Return the contact forces in equilibrium that minimise the largest utilisation.
 
-    Among all forces with ``matrix @ force + load = 0`` and no negative normal force it finds those
-    with the least ``max_i hypot(along_i, across_i) / (friction_i normal_i)``. By the limit theorems
-    of plasticity no distribution can hold the vehicle by Coulomb friction where that exceeds one;
-    one below shows only that some distribution can. Forces at a fixed utilisation form a convex
-    set; its analytic centre is followed by Newton's method while the utilisation decreases [1]_,
-    all samples at a time. Internal forces stay below a thousand weights: a vehicle that can brace
-    itself between walls has a least utilisation under that bound only.
+    Among all forces with ``matrix @ force + load = 0`` and nonnegative normal forces, it finds
+    those that minimise ``max_i hypot(along_i, across_i) / (friction_i normal_i)``. By the limit
+    theorems of plasticity, a minimum above one means that no distribution can hold the vehicle by
+    Coulomb friction; a minimum below one means only that some distribution can. The forces at
+    a fixed utilisation form a convex set. Newton's method follows its analytic centre while the
+    utilisation decreases [1]_, for all samples at once. Internal forces are bounded by a thousand
+    weights: a vehicle that can brace itself between walls has a minimum only under that bound.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, w, 3 m)
         Equations of equilibrium; columns are (along, across, normal) for every wheel. Any rank.
     load : ndarray, shape (n, w)
-        What the contact forces balance, in units of the vehicle's weight. [weight]
+        Load that the contact forces balance, in units of the vehicle's weight. [weight]
     friction : ndarray, shape (n, m)
         Available coefficients of friction, positive. [1]
 
     Returns
     -------
     Best
-        With normal forces that are nonnegative to 1e-9 weights.
+        The forces; normal forces are at least -1e-9 weights.
 
     Raises
     ------
     ModelError
-        If shapes do not fit, numbers are not finite, or a friction is not positive.
+        If shapes do not match, numbers are not finite, or a friction coefficient is not positive.
 
     References
     ----------
@@ -127,13 +129,13 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
     particular, free, solvable = _solutions(matrix, load)
     contacts = _contacts(particular, free, friction)
     y = np.zeros((len(free), free.shape[2]))
-    poor = np.flatnonzero(solvable & (_normal(contacts, y).min(1) < LOADED))
-    y[poor] = _loaded(contacts.pick(poor), y[poor])
+    poor = np.flatnonzero(solvable & (_normal(contacts, y).min(1) < PHASE_ONE_FORCE))
+    y[poor] = _feasible_unknowns(contacts.pick(poor), y[poor])
     held = np.flatnonzero(solvable & (_normal(contacts, y).min(1) > 0))
-    y[held] = _shared(contacts.pick(held), y[held])
+    y[held] = _optimal_unknowns(contacts.pick(held), y[held])
     utilisation = np.full(len(y), np.inf)
     utilisation[held] = _utilisation(contacts.pick(held), y[held])
-    utilisation[utilisation > STARVED] = np.inf
+    utilisation[utilisation > MAX_UTILISATION] = np.inf
     utilisation[np.isnan(y).any(1)] = np.nan
     force = particular + _apply(free, y)
     force[~np.isfinite(utilisation)] = np.nan
@@ -141,7 +143,7 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 
 
 def _check(matrix: Array, load: Array, friction: Array) -> None:
-    """Refuse arrays that do not fit each other."""
+    """Raise ModelError for arrays of wrong shapes or values."""
     if friction.ndim != 2 or 0 in friction.shape:
         raise ModelError(f"friction: expected shape (n, m), found {friction.shape}")
     n, m = friction.shape
@@ -158,17 +160,17 @@ def _check(matrix: Array, load: Array, friction: Array) -> None:
 
 
 def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
-    """Return the least forces in equilibrium, a basis of the internal ones, and which exist.
+    """Return the least-norm forces, a basis of the internal forces, and the mask of solvability.
 
     The basis has as many columns as the largest null space of the batch, at least one; those that
     a sample does not need are zero.
     """
     size = np.linalg.norm(matrix, axis=2)
-    size = np.where(size > 0, size, 1.0)  # equations in different units weigh the same
+    size = np.where(size > 0, size, 1.0)  # scales equations of different units alike
     rows, right = matrix / size[..., None], load / size
     u, values, vt = np.linalg.svd(rows)
     count = values.shape[1]
-    used = values > RANK * values[:, :1]
+    used = values > RANK_TOLERANCE * values[:, :1]
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=used)
     part = inverse * np.einsum("nwr,nw->nr", u[:, :, :count], right)
     particular = -np.einsum("nrf,nr->nf", vt[:, :count], part)
@@ -177,49 +179,49 @@ def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
     first = min(int(used.sum(1).min()), vt.shape[1] - 1)
     free = np.swapaxes(vt * internal[..., None], 1, 2)[:, :, first:]
     residual = np.abs(_apply(rows, particular) + right).max(1)
-    return particular, np.ascontiguousarray(free), residual < BALANCE
+    return particular, np.ascontiguousarray(free), residual < BALANCE_TOLERANCE
 
 
 def _contacts(particular: Array, free: Array, friction: Array) -> _Contacts:
-    """Return the forces wheel by wheel, normal ones times friction and free of rounding."""
+    """Return the forces wheel by wheel, with normal forces times friction, without rounding."""
     n, m = friction.shape
     values, slopes = particular.reshape(n, m, 3), free.reshape(n, m, 3, -1)
     return _Contacts(
         values[..., 0],
         values[..., 1],
-        friction * (values[..., 2] + ROUNDING),
+        friction * (values[..., 2] + NORMAL_FORCE_ROUNDING),
         slopes[..., 0, :],
         slopes[..., 1, :],
         friction[..., None] * slopes[..., 2, :],
     )
 
 
-def _loaded(contacts: _Contacts, y: Array) -> Array:
-    """Return unknowns with positive normal forces, where there are any (phase one)."""
+def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
+    """Return unknowns with positive normal forces, where they exist (phase one)."""
     none = np.zeros_like(contacts.along)
     flat = np.zeros_like(contacts.along_slope)
     upright = contacts._replace(along=none, across=none, along_slope=flat, across_slope=flat)
-    return _follow(upright, y, 1.0 - _normal(contacts, y).min(1), LIFT)
+    return _follow_center(upright, y, 1.0 - _normal(contacts, y).min(1), PHASE_ONE_GOAL)
 
 
-def _shared(contacts: _Contacts, y: Array) -> Array:
-    """Return unknowns of least utilisation, from any with positive normal forces."""
-    return _follow(contacts, y, 2.0 * _utilisation(contacts, y) + 1e-3, USE)
+def _optimal_unknowns(contacts: _Contacts, y: Array) -> Array:
+    """Return the unknowns of least utilisation, from unknowns with positive normal forces."""
+    return _follow_center(contacts, y, 2.0 * _utilisation(contacts, y) + 1e-3, UTILISATION_GOAL)
 
 
-def _follow(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
-    """Return the unknowns at the least level, from any that hold strictly at ``level``.
+def _follow_center(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
+    """Return the unknowns at the least level, from strictly feasible unknowns at ``level``.
 
     Samples that do not converge are NaN.
     """
     y, level = y.copy(), level.copy()
     active = np.arange(len(y))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_NEWTON_STEPS):
         if active.size == 0:
             return y
         now = contacts.pick(active)
         newton = _newton(now, y[active], level[active], goal)
-        central = newton.decrement < CENTRAL
+        central = newton.decrement < CENTRAL_DECREMENT
         near = newton.gap <= np.maximum(goal.absolute, goal.relative * np.abs(level[active]))
         lost = ~np.isfinite(newton.decrement)
         y[active[lost]] = np.nan
@@ -234,17 +236,18 @@ def _follow(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
 
 
 def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton:
-    """Return the Newton step of the barrier ``-sum log(c^2 - t^2) - log(REACH^2 - y^2)``.
+    """Return the Newton step of the barrier ``-sum log(c^2 - t^2) - log(y_max^2 - y^2)``.
 
-    ``c`` is the radius of a wheel's friction disc, ``t`` its tangential force. With ``a = c - t``,
-    ``b = c + t`` and e the direction of t, the Hessian is a sum of squares of the slopes of a and
-    b over their values, and of t's part across e: no digits cancel close to the cone. It is
-    factorised without being formed: a wheel that hardly bears anything has slopes 1e9 times
-    those of the others, whose squares would vanish in the sum.
+    ``c`` is the radius of a wheel's friction disc, ``t`` its tangential force and ``y_max`` the largest
+    internal force. With ``a = c - t``,
+    ``b = c + t`` and e the direction of t, the Hessian is a sum of squares of the relative slopes
+    of a and b, and of the component of t across e; there is no cancellation near the cone. It is
+    factorised without being formed: a wheel with almost no load has slopes 1e9 times those of the
+    others, whose squares would vanish in the sum.
     """
-    rows, radius_rate, normal_rate, inverse = _squares(contacts, y, level, goal)
+    rows, radius_rate, normal_rate, inverse = _hessian_rows(contacts, y, level, goal)
     k, m = y.shape[1], inverse.shape[1] // 2
-    room = REACH**2 - (y * y).sum(1)
+    room = MAX_INTERNAL_FORCE**2 - (y * y).sum(1)
     edge = 2 * y / room[:, None]
     ball = np.sqrt(2 / room)[:, None, None] * np.eye(k)
     q, r = np.linalg.qr(np.concatenate([rows, edge[:, None], ball], 1))
@@ -253,7 +256,7 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
     weight = inverse[:, :m] + inverse[:, m:]
     change = _apply(radial, np.tile(radius_rate, 2) * inverse)
     change -= _apply(np.swapaxes(normal_rate, 1, 2), weight)
-    first = q[:, : 2 * m].sum(1) - q[:, 3 * m]  # of -gradient, by the same rows
+    first = q[:, : 2 * m].sum(1) - q[:, 3 * m]  # negative gradient, in terms of the same rows
     second = np.linalg.solve(np.swapaxes(r, 1, 2), -change[..., None])[..., 0]
     solved = np.linalg.solve(r, np.stack([first, second], -1))
     step = solved[..., 0]
@@ -262,12 +265,12 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
     return _Newton(step, solved[..., 1], decrement, gap)
 
 
-def _squares(
+def _hessian_rows(
     contacts: _Contacts, y: Array, level: Array, goal: _Goal
 ) -> tuple[Array, Array, Array, Array]:
-    """Return rows whose squares sum to the Hessian, rates by the level, and 1/a and 1/b.
+    """Return rows whose squares sum to the Hessian, derivatives by the level, and 1/a and 1/b.
 
-    Shapes (n, 3 m, k), (n, m) of the radius, (n, m, k) of its slope, (n, 2 m).
+    Shapes are (n, 3 m, k); (n, m) for the radius and (n, m, k) for its slope; (n, 2 m).
     """
     along = contacts.along + _apply(contacts.along_slope, y)
     across = contacts.across + _apply(contacts.across_slope, y)
@@ -293,7 +296,7 @@ def _squares(
 def _center(
     contacts: _Contacts, y: Array, level: Array, newton: _Newton, goal: _Goal
 ) -> tuple[Array, Array]:
-    """Go along the Newton step, as far as the barrier is lowest, at the same level."""
+    """Return the best point along the Newton step, at the same level."""
     safe = 1 / (1 + newton.decrement)  # stays inside: the barrier is self-concordant
     steps = np.vstack([np.repeat(STEPS[:, None], len(y), 1), safe])
     barrier = _barrier(contacts, y + steps[..., None] * newton.step, level + 0 * steps, goal)
@@ -304,7 +307,7 @@ def _center(
 def _advance(
     contacts: _Contacts, y: Array, level: Array, newton: _Newton, goal: _Goal
 ) -> tuple[Array, Array]:
-    """Take the Newton step, then lower the level along the path of the centres."""
+    """Return the Newton step and the lowest feasible level along the central path."""
     falls = -ADVANCES[:, None] * newton.gap
     centre = y + newton.step
 
@@ -334,8 +337,8 @@ def _barrier(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
     across = at(contacts.across, contacts.across_slope)
     radius = (goal.fixed + goal.factor * level[..., None]) * normal + goal.shift * level[..., None]
     size = np.hypot(along, across)
-    room = REACH**2 - (y * y).sum(-1, keepdims=True)
-    # a negative utilisation turns the cone around: level times factor has to stay positive
+    room = MAX_INTERNAL_FORCE**2 - (y * y).sum(-1, keepdims=True)
+    # a negative utilisation would invert the cone: level times factor must stay positive
     sign = np.where(goal.factor * level < 0, -1.0, 1.0)[..., None]
     slack = np.concatenate([radius - size, radius + size, room, sign], -1)
     held = (slack > 0).all(-1)

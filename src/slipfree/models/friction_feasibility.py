@@ -1,4 +1,4 @@
-"""Whether friction can hold a vehicle at all, however the forces of its contacts distribute."""
+"""Friction feasibility: the least friction that can hold a vehicle, for any contact forces."""
 
 from __future__ import annotations
 
@@ -23,32 +23,30 @@ from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-LEVEL = 0.005  # slope that is none [rad]
-HELD = 0.99  # utilisation up to which friction is not the reason for a failure
-EXHAUSTED = 1.001  # and up to which it is just exhausted
-LEANING = 0.02  # of a wheel on the ground, below which it is upright [rad]
-BEST = Label(
-    "utilisation_best", "1", "least largest utilisation over all distributions of the forces"
-)
+MAX_LEVEL_SLOPE = 0.005  # smaller slopes count as level ground [rad]
+MAX_HELD_UTILISATION = 0.99  # below it, friction is not the reason for a failure
+MAX_EXHAUSTED_UTILISATION = 1.001  # below it, friction is just exhausted
+MAX_UPRIGHT_LEAN = 0.02  # a wheel with a smaller lean counts as upright [rad]
+BEST = Label("utilisation_best", "1", "smallest possible utilisation of the most used wheel")
 
 
 def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Trajectory:
     """Return a motion with the column ``utilisation_best``.
 
-    Of a vehicle whose contact forces equilibrium leaves open, ``utilisation`` belongs to one
-    distribution, the load-weighted one. This is the least that the most used wheel must bear in any
-    distribution; above one, friction cannot hold the vehicle. It is infinite where no contact
-    forces balance the vehicle: it tips over, or something is free to move. It is NaN where the
-    search for it does not converge.
+    If equilibrium does not determine the contact forces, ``utilisation`` is that of one
+    distribution, the load-weighted one. ``utilisation_best`` is the smallest utilisation of the
+    most used wheel over all distributions; above one, friction cannot hold the vehicle. It is
+    infinite where no contact forces balance the vehicle: it tips over, or a wheel or joint is free
+    to move. It is NaN where the optimisation does not converge.
 
     Parameters
     ----------
     vehicle : Vehicle
-        What moved, with mass.
+        The vehicle, with mass.
     terrain : Terrain
-        What it moved on.
+        The ground.
     run : Trajectory
-        Of any model of the two.
+        A motion of any model of the vehicle on this ground.
 
     Raises
     ------
@@ -56,7 +54,10 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
         If the vehicle has no mass.
     """
     if not vehicle.mass:
-        raise ModelError(f"best_utilisation: {vehicle.name} has no mass")
+        raise ModelError(
+            f"best_utilisation: expected a vehicle with mass, found none in {vehicle.name}; give "
+            "its platform or its wheels a mass"
+        )
     labels = labels_of(vehicle)
     sought = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
@@ -67,7 +68,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     ]
     parts = mechanics(vehicle, terrain, x, z.position, contacts, z.rates, u, lookups)
     given = [pack((x, z.position, z.rates.motion, u))]
-    f = lookup_function(lookups.lookups, "hold", given, _held(parts))
+    f = lookup_function(lookups.lookups, "hold", given, _equilibrium_terms(parts))
     origin = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     origin |= {f"contact_{axis}": origin[axis] for axis in ("x", "y")}
     rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(sought)])
@@ -80,15 +81,15 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     return replace(run, columns={**run.columns, BEST.name: Column(BEST, best)})
 
 
-def _held(parts: Mechanics) -> list[ca.SX]:
-    """Return equilibrium's matrix and load, over the weight, and friction at the wheels."""
+def _equilibrium_terms(parts: Mechanics) -> list[ca.SX]:
+    """Return matrix and load of the equilibrium, over the weight, and the wheels' friction."""
     return [parts.free.T, parts.load / parts.weight, ca.vertcat(*parts.friction)]
 
 
 def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
     """Return a function of a state that reports the friction needed to hold the vehicle there.
 
-    It reports also the lean of a wheel, and is empty where friction holds the vehicle.
+    Its text also gives the lean of a wheel; it is empty where friction holds the vehicle.
     """
     x, contacts = q.x, q.contacts
     normal = sum((each.normal for each in contacts), ca.SX.zeros(3))
@@ -98,7 +99,7 @@ def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
     aside = ca.fabs(uphill[0] * forward[1] - uphill[1] * forward[0])
     angles = [slope, ca.atan2(aside, ca.dot(uphill, forward))]
     lean = ca.acos(ca.fmin(ca.mmin(ca.vertcat(*(each.uprightness for each in contacts))), 1))
-    results = [*_held(q.mechanics), *angles, q.tip_over_margin, lean]
+    results = [*_equilibrium_terms(q.mechanics), *angles, q.tip_over_margin, lean]
     f = lookup_function(q.lookups.lookups, "hold", [pack(x), pack(z)], results)
 
     def describe(x: Array, z: Array) -> str:
@@ -107,34 +108,38 @@ def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
         if not all(np.isfinite(each).all() for each in (matrix, load, friction)):
             return ""
         factor = float(least_utilisation(matrix[None], load.T, friction.T).utilisation[0])
-        way = f"headed {np.degrees(aside):.0f} degrees from uphill on a slope of "
-        place = f"{way}{np.degrees(slope):.1f} degrees" if slope > LEVEL else "on level ground"
-        words = _needed(factor, friction, tips=margin < 0)
-        leans = f"; a wheel leans by {lean:.3g} rad" if lean > LEANING else ""
+        place = "on level ground"
+        if slope > MAX_LEVEL_SLOPE:
+            place = (
+                f"headed {np.degrees(aside):.0f} degrees from uphill on a slope of "
+                f"{np.degrees(slope):.1f} degrees"
+            )
+        words = _friction_words(factor, friction, tips=margin < 0)
+        leans = f"; a wheel leans by {lean:.3g} rad" if lean > MAX_UPRIGHT_LEAN else ""
         return f"no quasi-static equilibrium: {place} {words}{leans}" if words else ""
 
     return describe
 
 
-def _needed(factor: float, friction: Array, *, tips: bool) -> str:
-    """Return which friction it takes; nothing where friction is not the reason."""
+def _friction_words(factor: float, friction: Array, *, tips: bool) -> str:
+    """Return the friction that is needed, as text; empty if friction is not the reason."""
     if tips:
         return "the vehicle tips over"
     if np.isinf(factor):
         return (
-            "no contact forces balance the vehicle: something is free to move, a wheel without "
-            "drive or a passive joint"
+            "no contact forces balance the vehicle: a wheel without drive or a passive joint is "
+            "free to move"
         )
     low, high = friction.min(), friction.max()
     even = high - low < 1e-9 * high
     offered = f"{low:.4g}" if even else f"{low:.4g} to {high:.4g}"
-    if not factor >= HELD:  # or it was not found
+    if not factor >= MAX_HELD_UTILISATION:  # also for NaN
         return ""
-    if factor < EXHAUSTED:
+    if factor < MAX_EXHAUSTED_UTILISATION:
         return f"the vehicle needs all the friction that the ground offers, {offered}"
     needed = (
         f"a coefficient of friction of at least {factor * low:.4g}"
         if even
-        else f"{factor:.4g} times the friction that it finds"
+        else f"{factor:.4g} times the friction of the ground"
     )
     return f"the vehicle needs {needed}, the ground offers {offered}"

@@ -1,4 +1,4 @@
-"""Rates of the platform that inverse models are given, and the equations that impose them."""
+"""Given rates of the platform in inverse models, and the equations that impose them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ COMMANDS = {
 
 
 class Derived(NamedTuple):
-    """A rate of the platform that is no unknown of the direct model, in its symbols."""
+    """A platform rate that the direct model expresses by its unknowns."""
 
     label: Label
     expression: ca.SX
 
 
 class Imposed(NamedTuple):
-    """The direct model's equations of motion under given rates of the platform.
+    """Equations of motion of the direct model under given rates of the platform.
 
     Attributes
     ----------
@@ -43,9 +43,9 @@ class Imposed(NamedTuple):
     rates : tuple of Variable
         Unknown rates of the direct model that are not given.
     rows : SX, shape (n, 1)
-        The direct model's equations, and one for each given rate that is no unknown of it.
+        Equations of the direct model, and one for each given rate that is not among its unknowns.
     labels : tuple of Label
-        Their labels.
+        Labels of the equations.
     """
 
     inputs: tuple[Variable, ...]
@@ -71,9 +71,9 @@ def impose(direct: Dae, given: Sequence[str]) -> Imposed:
 
 
 def derived_rates(direct: Dae) -> dict[str, Derived]:
-    """Return the rates of the platform that are no unknowns of a direct model, by name.
+    """Return the platform rates that a direct model expresses by its unknowns, by name.
 
-    The angular velocity, and the velocity in the heading frame with the rate of the heading.
+    These are the angular velocity, the velocity in the heading frame and the yaw rate.
     """
     rates, c, s = direct.z.rates, ca.cos(direct.x.heading), ca.sin(direct.x.heading)
     euler = ca.vertcat(rates.heading, rates.roll, rates.pitch)
@@ -103,11 +103,11 @@ class Minimum(NamedTuple):
     Attributes
     ----------
     unknowns : tuple of Variable
-        Those that are sought, and the multipliers of the constraints.
+        Optimisation variables and multipliers of the constraints.
     rows : SX, shape (n, 1)
         The conditions, one for each unknown.
     labels : tuple of Label
-        Their labels.
+        Labels of the conditions.
     """
 
     unknowns: tuple[Variable, ...]
@@ -123,22 +123,22 @@ def minimum(
     multipliers: Sequence[Label],
     label: Label,
 ) -> Minimum:
-    """Return the conditions for the least squared slip, or another goal, under constraints.
+    """Return the conditions for the minimum of an objective under equality constraints.
 
     Parameters
     ----------
     direct : Dae
         The model whose symbols are used.
     goal : SX, shape (1, 1)
-        What is to be least. [m2/s2]
+        The objective, such as the squared slip. [m2/s2]
     constraints : SX, shape (n, 1)
         Expressions that vanish at the minimum.
     unknowns : sequence of Variable
-        Variables that are sought.
+        Optimisation variables.
     multipliers : sequence of n Label
         Labels of the multipliers of the constraints.
     label : Label
-        Name and words of the conditions.
+        Name and description of the conditions.
     """
     new = tuple(new_variable(direct, each) for each in multipliers)
     found = (*unknowns, *new)
@@ -155,7 +155,7 @@ def minimum(
 
 
 def check_rates(given: Sequence[str]) -> None:
-    """Raise ModelError for given rates that are not three different known ones in map axes."""
+    """Raise ModelError unless the given rates are three different known rates in map axes."""
     known = (*VELOCITY, *OMEGA, *EULER)
     if isinstance(given, str) or len(given) != 3 or len(set(given)) != 3:
         raise ModelError(
@@ -173,7 +173,7 @@ def check_rates(given: Sequence[str]) -> None:
 
 
 def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = True) -> None:
-    """Raise ModelError for given rates that are not known, or more than driven wheels."""
+    """Raise ModelError for unknown or repeated commands, or more commands than driven wheels."""
     for name in given:
         if name not in COMMANDS:
             raise ModelError(f"given: {name!r} is not known; known: {', '.join(COMMANDS)}")
@@ -181,14 +181,14 @@ def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = Tr
         raise ModelError(f"given: expected different rates, found {', '.join(given) or 'none'}")
     if "right" not in given and all(wheel.rollers for wheel in vehicle.wheels if wheel.driven):
         raise ModelError(
-            f"{vehicle.name} also moves across its heading, since all its driven wheels have "
-            "rollers: give right as well, right = 0 to go straight"
+            f"{vehicle.name}: expected a given rate 'right', since all driven wheels have rollers "
+            "and the vehicle can move sideways; set right = 0 to drive straight"
         )
     driven = [wheel.name for wheel in vehicle.wheels if wheel.driven]
     if exact and len(given) > len(driven):
         raise ModelError(
-            f"{vehicle.name} has {len(driven)} driven wheels, which determine as many rates of the "
-            f"platform at most, found {', '.join(given)}; leave out "
+            f"{vehicle.name}: expected at most {len(driven)} given rates, one per driven wheel, "
+            f"found {', '.join(given)}; remove "
             f"{'right' if 'right' in given else given[-1]}, or set exact = false for the nearest "
             "motion"
         )

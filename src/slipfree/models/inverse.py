@@ -1,30 +1,33 @@
-"""Inverse kinematics: which wheel rates and steering give the platform some given rates.
+"""Inverse kinematics: wheel rates and steering for given rates of the platform.
 
-All forms are the direct model with given rates of the platform as inputs, and its former inputs
-among the unknowns.
+All inverse models are direct models with given rates of the platform as inputs; the inputs of the
+direct model become unknowns.
 
-**Vehicles that roll without slip** and have three inputs: any three of the platform's rates may be
-given [1]_. As there, the rate of the steering may be unknown, and that is delicate: it acts on the
-ground only through the lever of the contact about the steering axis. Where the contact lies on the
-axis, as on flat ground, nothing determines it; where the contact trails, the steering follows the
-platform; where it leads, the steering runs away from it. The steering angle, in contrast, is well
-determined as long as the vehicle moves.
+**Vehicles that roll without slip** and have three inputs: any three rates of the platform may be
+given [1]_. As in that paper, the rate of the steering may be the unknown, but this is delicate: the
+steering acts on the ground only through the lever of the contact about the steering axis. Where the
+contact lies on the axis, as on flat ground, the rate is not determined. Where the contact trails
+the axis, the steering follows the platform; where it leads the axis, the steering is unstable. The
+steering angle as unknown, in contrast, is well determined as long as the vehicle moves.
 
-**All other vehicles** cannot roll without slip, or have more inputs than the platform has freedoms.
-They are given commands, some of the platform's rates in its heading frame, which are met exactly,
-or with the least error where the steering angles do not allow them. The steering follows a guiding
-motion (`slipfree.models.steering_guide`). Rates of the driven wheels, exact: those of least slip
-among all that make the direct model move as is given. The direct model's own equations, least slip
-under its inputs, are constraints. So the answer round-trips, exactly and whatever the steering
-does: its lag costs slip, not accuracy. Without these constraints it would not: the least slip of a
-given motion is in general not the motion of least slip under given inputs.
+**All other vehicles** cannot roll without slip, or have more inputs than the platform has degrees
+of freedom. They take commands: some of the platform's rates in its heading frame. Commands are met
+exactly or, on request, with the least error where the steering angles do not allow them. The
+steering follows a guiding motion (`slipfree.models.steering_guide`).
 
-Rates of the driven wheels, nearest: the least of squared slip along them in the guiding motion and
-of `ERROR_WEIGHT` times the squared errors of the given rates, subject to the same equations. On
-ground where the wheels can roll along the guiding motion both vanish. Else the weight is a
-compromise: the Open Source Rover, whose middle wheels do not steer, misses 0.3 m/s forward and 0.1
-m/s to the right by 0.031, 0.023 and 0.007 m/s if it is 10, 100 and 1000, and its wheels slip by
-0.05, 0.08 and 0.18 m/s.
+Exact commands: the rates of the driven wheels are those of least slip among all rates with which
+the direct model has the given motion. The equations of the direct model (least slip under its
+inputs) are constraints. Therefore the direct model with these rates reproduces the commands
+exactly, for any steering: the lag of the steering costs slip, not accuracy. Without the
+constraints it would not, since the least slip of a given motion is in general not the motion of
+least slip under given inputs.
+
+Nearest commands: the rates of the driven wheels minimise the squared slip along the wheels in the
+guiding motion plus `ERROR_WEIGHT` times the squared errors of the given rates, subject to the same
+equations. Both terms vanish where the wheels can roll along the guiding motion. Elsewhere the
+weight is a compromise: the Open Source Rover, whose middle wheels do not steer, misses 0.3 m/s
+forward and 0.1 m/s to the right by 0.031, 0.023 and 0.007 m/s for weights 10, 100 and 1000, and its
+wheels slip by 0.05, 0.08 and 0.18 m/s.
 
 References
 ----------
@@ -82,9 +85,9 @@ from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 SolveFor = Literal["rates", "angles"]
-LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates still count as determining
+LEAST_MARGIN = 1e-3  # smallest singular value at which the given rates determine the unknowns
 MIN_STEERABLE_SPEED = 1e-6  # speed below which a steering angle has no effect [size/s]
-ERROR_WEIGHT = 10.0  # of errors of the given rates beside slip along the wheels [1]
+ERROR_WEIGHT = 10.0  # weight of the errors of given rates relative to slip along the wheels [1]
 
 
 def inverse_kinematics(
@@ -96,7 +99,7 @@ def inverse_kinematics(
     exact: bool = True,
     least_margin: float = LEAST_MARGIN,
 ) -> Dae:
-    """Return the motion of a vehicle under given rates of its platform.
+    """Return the model of a vehicle's motion under given rates of its platform.
 
     Parameters
     ----------
@@ -105,40 +108,41 @@ def inverse_kinematics(
     terrain : Terrain
         The ground; contacts keep to its domain.
     given : sequence of str
-        Either commands, for any vehicle: some of ``forward``, ``right`` and ``yaw_rate``, velocity
-        of the platform's centre over the map along its heading and across it, and rate of the
-        heading. All three are seldom free of slip where wheels are not steered. Or three rates, for
-        vehicles that roll without slip and have three inputs, driven wheels and commanded
-        coordinates: of ``velocity_x``, ``velocity_y``, ``velocity_z`` and of either ``omega_x``,
-        ``omega_y``, ``omega_z`` or ``heading_rate``, ``roll_rate``, ``pitch_rate``.
+        Either commands, for any vehicle: some of ``forward``, ``right`` and ``yaw_rate``, the
+        velocity of the platform's centre along its heading and across it, and the rate of the
+        heading. All three together usually cause slip if a wheel is not steered. Or three rates,
+        for vehicles that roll without slip and have three inputs (driven wheels and commanded
+        coordinates): some of ``velocity_x``, ``velocity_y``, ``velocity_z`` and of either
+        ``omega_x``, ``omega_y``, ``omega_z`` or ``heading_rate``, ``roll_rate``, ``pitch_rate``.
     solve_for : {"angles", "rates"}
         Unknowns of the steering. Under commands these are angles: commanded coordinates that turn
         wheels about the platform's up axis are steered towards angles of little slip, within their
-        stops and rates; others are held. Under three rates, the angles make the contact of a
-        steered wheel slip by its lever times the rate of the steering: see `steering_slip`. A start
-        then comes from the direct model, since a vehicle at rest may be steered anyhow. With the
-        rates, such a vehicle rolls exactly, but the model is singular on flat ground and the
-        steering may run away: see ``steering_growth`` and `steering_note`.
+        stops and rates; other coordinates are held. Under three rates, ``"angles"`` lets the
+        contact of a steered wheel slip by its lever times the rate of the steering: see
+        `steering_slip`. The start then comes from the direct model, since the steering angles of
+        a vehicle at rest are arbitrary. With ``"rates"`` the vehicle rolls exactly, but the model
+        is singular on flat ground and the steering may be unstable: see ``steering_growth`` and
+        `steering_note`.
     exact : bool
-        Whether commands are met exactly; otherwise their errors ``forward_error`` and so on, given
-        minus actual, are outputs, and as small as wheel rates close to those of rolling make them.
-        Without steering and rollers, all but the velocity across are met exactly even so.
+        Whether commands are met exactly. Otherwise their errors, given minus actual, are the
+        outputs ``forward_error`` and so on; wheel rates near those of rolling make them small.
+        Vehicles without steering and rollers meet all commands exactly except ``right``.
     least_margin : float
-        Smallest singular value down to which three rates count as determining the others; zero to
-        go through crossings, as collocation can.
+        Smallest singular value at which three rates determine the unknowns; zero to allow a motion
+        through singular configurations, as collocation can compute.
 
     Returns
     -------
     Dae
-        Inputs are the given rates: constants, one value an interval or expressions of time. Unless
-        commands need not be met exactly, it ends where they are hardly imposed: see
-        `slipfree.models.determinacy.Determinacy`.
+        Its inputs are the given rates. With ``exact``, a motion ends where the wheels can no longer
+        impose them: see `slipfree.models.determinacy.Determinacy`.
 
     Raises
     ------
     ModelError
-        If a rate is unknown or given twice, commands that are met exactly are more than the driven
-        wheels, or three rates are given and the vehicle does not suit.
+        If a rate is unknown or given twice, if there are more exact commands than driven wheels,
+        or if three rates are given and the vehicle cannot roll without slip or does not have three
+        inputs.
 
     Examples
     --------
@@ -174,7 +178,7 @@ def _are_commands(given: Sequence[str]) -> bool:
 def check_inverse(
     vehicle: Vehicle, given: Sequence[str], solve_for: str, *, exact: bool = True
 ) -> None:
-    """Raise ModelError for given rates and unknowns that do not suit a vehicle.
+    """Raise ModelError if given rates or unknowns do not suit a vehicle.
 
     Parameters
     ----------
@@ -192,17 +196,20 @@ def check_inverse(
     count, need = rolling_counts(vehicle)
     if count != need:
         raise ModelError(
-            f"{vehicle.name} cannot roll without slip, as inverse kinematics at these rates "
-            f"requires: {need} conditions need as many passive joints and free wheels, found "
-            f"{count}; give some of {', '.join(COMMANDS)} instead"
+            f"{vehicle.name} cannot roll without slip, as inverse kinematics with these rates "
+            f"requires: expected {need} passive joints and free wheels, one per rolling condition, "
+            f"found {count}; give some of {', '.join(COMMANDS)} instead"
         )
     if len(inputs := _inputs(vehicle)) != 3:
         raise ModelError(
-            f"{vehicle.name}: three rates of the platform determine three inputs, found "
+            f"{vehicle.name}: expected three inputs for three given rates of the platform, found "
             f"{len(inputs)} ({', '.join(inputs)}); give some of {', '.join(COMMANDS)} instead"
         )
     if solve_for == "angles" and not vehicle.of("commanded"):
-        raise ModelError(f"{vehicle.name} has no commanded coordinate whose angle could be unknown")
+        raise ModelError(
+            f"solve_for: 'angles' needs a commanded coordinate, and {vehicle.name} has none; use "
+            "'rates'"
+        )
 
 
 def is_determined(vehicle: Vehicle) -> bool:
@@ -237,7 +244,7 @@ def invert(
         As in `inverse_kinematics`.
     """
     if not least_margin >= 0:
-        raise ModelError(f"least_margin: expected zero or more, found {least_margin}")
+        raise ModelError(f"least_margin: expected zero or a positive number, found {least_margin}")
     if _are_commands(given):
         return _commanded(vehicle, direct, tuple(given), exact=exact)
     build = _solved_for_angles if solve_for == "angles" else _solved_for_rates
@@ -249,7 +256,7 @@ def invert(
 
 
 def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
-    """Return the model whose unknowns are rates: the direct model with other inputs."""
+    """Return the model whose unknowns are rates."""
     (x, z, u), imposed = variables(direct), impose(direct, given)
     rates = (*imposed.rates, *leaves(u))
     closure, _, forces = blocks(direct)
@@ -262,14 +269,14 @@ def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Da
     change = -ca.solve(ca.jacobian(imposed.rows, unknowns), ca.horzcat(*slopes.values()))
     names = [each.label.full for each in rates]
     growth = [change[names.index(f"{name}_rate"), k] for k, name in enumerate(slopes)]
-    words = "rate at which the steering runs away from the given motion, if positive"
+    words = "growth rate of steering errors; positive: unstable"
     return with_outputs(
         dae, [(Label("steering_growth", "s-1", words), ca.mmax(ca.vertcat(*growth)))]
     )
 
 
 def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
-    """Return the model whose unknowns are steering angles, as if they were at rest."""
+    """Return the model whose unknowns are steering angles; it neglects their rates."""
     joints = direct.u.joints
     still = substitute(direct, joints, [ca.SX(0)] * len(joints))
     (x, z, u), imposed = variables(still), impose(still, given)
@@ -280,17 +287,19 @@ def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> D
     (closure, names), _, forces = blocks(still)
     equations = (ca.vertcat(closure, imposed.rows), (*names, *imposed.labels)), forces
     dae = rearrange(still, x, (motion, z.forces), imposed.inputs, equations)
-    slow = Label("steering_speed", "m s-1", "the vehicle stands, so that it may be steered anyhow")
+    slow = Label(
+        "steering_speed", "m s-1", "the vehicle stands, and its steering angles are arbitrary"
+    )
     speed = ca.sqrt(direct.z.rates.x**2 + direct.z.rates.y**2)
     limit = Limit(slow, speed, MIN_STEERABLE_SPEED * direct.size, np.inf)
-    words = "slip of steered contacts for each unit of the steering rate"
+    words = "slip of steered contacts per unit of the steering rate"
     lever = ca.sqrt(ca.sumsqr(ca.jacobian(direct.alg[1], pack(joints))))
     dae = replace(dae, limits=(*dae.limits, limit))
     return with_outputs(dae, [(Label("steering_lever", "m", words), lever)])
 
 
 def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
-    """Return the motion of any vehicle under commands."""
+    """Return the model of any vehicle under commands."""
     (x, z, u), imposed = variables(direct), impose(direct, given)
     inputs, plane = imposed.inputs, derived_rates(direct)
     guide = guiding_motion(vehicle, direct, inputs)
@@ -317,7 +326,7 @@ def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: 
     dae = rearrange(direct, x, unknowns, inputs, [part[1:] for part in parts])
     dae = with_outputs(dae, _command_outputs(direct, given, errors, () if exact else off))
     dae = substitute(dae, direct.u.joints, steering_laws(vehicle, errors))
-    if not met:  # rates jump where a wheel turns back, which no error test would pass
+    if not met:  # rates jump where a wheel reverses, and the integrator's error test would fail
         return replace(dae, suppress_algebraic=True)
     check = command_determinacy(vehicle, direct, dae, met)
     return replace(dae, checks=(*dae.checks, check))
@@ -326,10 +335,10 @@ def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: 
 def _always_met(
     vehicle: Vehicle, given: tuple[str, ...], errors: Mapping[str, ca.SX]
 ) -> tuple[str, ...]:
-    """Return the commands to meet exactly in the nearest motion.
+    """Return the commands that the nearest motion meets exactly.
 
-    Wheels that neither are steered nor have rollers impose all but the velocity across, at the
-    cost of slip; the velocity across is then an error.
+    Without steering and rollers, the wheels can impose all commands except ``right``, at the cost
+    of slip.
     """
     wheels = [wheel for wheel in vehicle.wheels if wheel.driven]
     met = tuple(name for name in given if name != "right")
@@ -345,11 +354,10 @@ def _least_slip(direct: Dae) -> ca.SX:
 def _least_departure(
     direct: Dae, motion: Sequence[Variable], off: Sequence[ca.SX], sizes: Sequence[float]
 ) -> ca.SX:
-    """Return half the squared slip along driven wheels in the guiding motion, and of its errors.
+    """Return half the squared slip along driven wheels plus half the weighted squared errors.
 
-    Of both, the latter are weighed. Where wheels cannot point along the guiding motion, this
-    bounds how far they spin beyond the rates without slip along: by half the root of the weight
-    times the error. [m2/s2]
+    The slip is that of the guiding motion. Where wheels cannot point along it, they spin faster
+    than rolling by at most half the root of the weight times the error. [m2/s2]
     """
     along, wheels = ca.vertcat(*direct.y.slip_along), ca.vertcat(*direct.u.wheels)
     turning = ca.jacobian(along, wheels)
@@ -367,8 +375,8 @@ def _multipliers(imposed: Imposed, given: Sequence[str]) -> list[Label]:
         Label(
             f"multiplier_{name}",
             slip_unit(COMMANDS[name].unit),
-            f"multiplier of the given rate '{name}', which the wheels cannot impose here beside "
-            "the others; leave it out",
+            f"multiplier of the given rate '{name}'; large where the wheels cannot impose it "
+            "together with the others: then remove it",
         )
         for name in given
     ]
@@ -377,12 +385,16 @@ def _multipliers(imposed: Imposed, given: Sequence[str]) -> list[Label]:
 def _command_outputs(
     direct: Dae, given: Sequence[str], errors: Mapping[str, ca.SX], off: Sequence[ca.SX]
 ) -> list[tuple[Label, ca.SX]]:
-    """Return rates that are not given, rates and errors of the steering, errors of the commands."""
+    """Return the outputs of a model under commands.
+
+    These are the rates of the heading frame that are not given, the rates and errors of the
+    steering, and the errors of the commands.
+    """
     plane, joints = derived_rates(direct), {each.name: each for each in direct.labels.x.joints}
     found: list[tuple[Label, ca.SX]] = [plane[name] for name in COMMANDS if name not in given]
     found += zip(direct.labels.u.joints, direct.u.joints, strict=True)
     for name, error in errors.items():
-        words = f"what is missing of the {joints[name].words}"
+        words = f"target minus actual {joints[name].words}"
         found.append((Label(f"{name}_error", joints[name].unit, words), error))
     for name, error in zip(given if off else (), off, strict=True):
         words = f"error of the given {name}"
@@ -391,12 +403,12 @@ def _command_outputs(
 
 
 def steering_note(run: Trajectory) -> str:
-    """Return the warning that the steering of an inverse motion is unstable; empty if it is not.
+    """Return a warning if the steering of an inverse motion is unstable, else an empty text.
 
     Parameters
     ----------
     run : Trajectory
-        From the inverse model with ``solve_for="rates"``, whole or what was reached.
+        Complete or partial motion of the inverse model with ``solve_for="rates"``.
     """
     growth = run["steering_growth"]
     bad = growth > 0
@@ -406,27 +418,27 @@ def steering_note(run: Trajectory) -> str:
     return (
         f"steering mode unstable from t = {first:.4g} s: errors of the steering grow at up to "
         f"{growth[worst]:.3g} 1/s (t = {run.t[worst]:.4g} s), since the steered contact leads the "
-        "steering axis; take steering = 'angle', or a path"
+        "steering axis; use steering = 'angle', or a path"
     )
 
 
 def steering_slip(vehicle: Vehicle, run: Trajectory) -> Trajectory:
-    """Return an inverse motion with the rates of its steering angles and the slip that they cost.
+    """Return an inverse motion with the steering rates and the slip that they cause.
 
     Parameters
     ----------
     vehicle : Vehicle
         The vehicle.
     run : Trajectory
-        From the inverse model with ``solve_for="angles"``; the rates are derivatives of the cubic
+        Motion of the inverse model with ``solve_for="angles"``. The rates are derivatives of cubic
         splines through the samples.
 
     Returns
     -------
     Trajectory
-        With the rates, such as ``steer_rate``, and ``steering_slip``, lever times rate.
+        The motion with the rates, such as ``steer_rate``, and ``steering_slip``, lever times rate.
     """
-    from scipy.interpolate import CubicSpline  # imported where it is used: it takes 0.2 s
+    from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
 
     columns, square = dict(run.columns), np.zeros(run.t.size)
     for c in vehicle.of("commanded"):

@@ -1,4 +1,4 @@
-"""Direct kinematics: the motion of a vehicle over the ground at given wheel and joint rates."""
+"""Direct kinematics: motion of a vehicle over the ground for given wheel and joint rates."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def direct_kinematics(
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
 ) -> Dae:
-    """Return the motion of a vehicle over a ground at given rates.
+    """Return the kinematic model of a vehicle on a ground for given rates.
 
-    Positions follow from closure: every wheel touches the ground, three equations in its two
-    contact coordinates and the pose. Rates follow from the slip law.
+    Positions follow from closure: every wheel touches the ground, which gives three equations in
+    its two contact coordinates and the pose. Rates follow from the slip law.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def direct_kinematics(
 
     See Also
     --------
-    slipfree.models.quasi_statics.quasi_statics : Motion that gravity and friction determine.
+    slipfree.models.quasi_statics.quasi_statics : Motion determined by gravity and friction.
 
     Notes
     -----
     For a vehicle with mass, the forces that the motion needs are outputs. Where equilibrium does
-    not determine them, they are the load-weighted ones of
+    not determine them, they are the load-weighted forces of
     `slipfree.models.statics.following_forces`.
 
     Examples

@@ -37,8 +37,8 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     law : record of Label
         Labels of the unknowns of the slip law or wheel-ground law.
     follow : bool
-        Whether forces are unknowns that follow from the motion, for a vehicle with mass; else the
-        wheel-ground law gives them, and tangential forces are outputs.
+        Whether the forces on a vehicle with mass are unknowns that follow from the motion.
+        Otherwise the wheel-ground law gives them, and tangential forces are outputs.
     """
     rates = _rate_labels(vehicle, law)
     x = Configuration(
@@ -121,7 +121,7 @@ def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, 
         )
         for each in leaves(rates.motion)
     )
-    shared = component_labels(vehicle, "distribution", "1", "law that distributes the forces")
+    shared = component_labels(vehicle, "distribution", "1", "law of the force distribution")
     return Forces(along, across, normal, virtual), (*equilibrium, *shared)
 
 
@@ -151,7 +151,7 @@ def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
         each("slip_across", "m s-1", "slip across the wheel, to the right positive"),
         each("wheel_rate", "rad s-1", "rate of the wheel, forward positive"),
         each(
-            "wheel_u", "rad", "contact coordinate u of the wheel, pi/2 in the middle of the tread"
+            "wheel_u", "rad", "contact coordinate u of the wheel, pi/2 at the middle of the tread"
         ),
         each("wheel_v", "rad", "contact coordinate v of the wheel in its carrier"),
         each("psi", "rad", "angle that takes the wheel's Gauss x axis to the ground's"),
@@ -175,18 +175,18 @@ def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
         () if follow else wheel_labels(vehicle, *ACROSS),
         wheel_labels(vehicle, "friction_needed", "1", "tangential over normal force"),
         wheel_labels(
-            vehicle, "utilisation", "1", "friction that is needed over what the ground offers"
+            vehicle, "utilisation", "1", "friction needed over the ground's friction coefficient"
         ),
         wheel_labels(
             vehicle, "drive_torque", "N m", "torque of the wheel's drive, forward positive"
         ),
         tuple(effort(c.name, c.words) for c in vehicle.of("commanded")),
         Label("power", "W", "power of the drives and actuators"),
-        Label("dissipation", "W", "power that contacts and dampers take from the drives"),
+        Label("dissipation", "W", "power dissipated in contacts and dampers"),
         Label(
-            "potential_energy", "J", "energy of height, from the ground's origin, and of springs"
+            "potential_energy", "J", "energy of gravity, from the ground's origin, and of springs"
         ),
         Label(
-            "tip_over_margin", "rad", "angle by which gravity may lean before the vehicle tips over"
+            "tip_over_margin", "rad", "angle by which gravity may tilt before the vehicle tips over"
         ),
     )

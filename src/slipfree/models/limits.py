@@ -1,7 +1,7 @@
-"""Limits of a vehicle's motion: one function for each, and the tuple in which they are registered.
+"""Limits of a vehicle's motion, and their registry.
 
-A limit function takes the quantities of a model and yields limits of its expressions; it yields
-none where it does not apply.
+A limit function takes the quantities of a model and yields its limits, none where it does not
+apply.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 
 Domain = tuple[float, float, float, float]
-FLAT = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
-OVERTURNED = 0.1  # likewise for the platform's up axis and the horizontal
-LEAST_FRICTION = 1e-6  # coefficients of a formula below this count as zero
+MIN_AXLE_SINE = 0.1  # a wheel whose axle is within asin(0.1) = 6 degrees of the normal lies flat
+MIN_INCLINATION_COSINE = 0.1  # a platform with its up axis 6 degrees from horizontal has overturned
+MIN_FRICTION = 1e-6  # smaller values of a friction formula count as zero
 
 
 def joint_stops(q: Quantities) -> Iterator[Limit]:
@@ -30,16 +30,16 @@ def joint_stops(q: Quantities) -> Iterator[Limit]:
     values = values_of(q.vehicle, q.x, q.position)
     for c in q.vehicle.coordinates:
         if not c.bump and (np.isfinite(c.lower) or np.isfinite(c.upper)):
-            words = f"the stop of {c.name} ({c.words}) is reached"
+            words = f"joint {c.name} ({c.words}) reaches its stop"
             label = Label(f"{c.name}_stop", q.vehicle.unit(c.name), words)
             yield Limit(label, values[c.name], c.lower, c.upper)
 
 
 def upright(q: Quantities) -> Iterator[Limit]:
-    """Yield the inclination at which the platform is overturned."""
-    words = "the platform is overturned (cosine of its inclination)"
+    """Yield the largest inclination of the platform."""
+    words = "the platform overturns (cosine of its inclination)"
     cosine = ca.cos(q.position.roll) * ca.cos(q.position.pitch)
-    yield Limit(Label("upright", "1", words), cosine, OVERTURNED, np.inf)
+    yield Limit(Label("upright", "1", words), cosine, MIN_INCLINATION_COSINE, np.inf)
 
 
 def map_margin(q: Quantities) -> Iterator[Limit]:
@@ -48,17 +48,17 @@ def map_margin(q: Quantities) -> Iterator[Limit]:
     if not np.isfinite(domain).all():
         return
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
-        words = f"wheel {wheel.name} leaves the map, which reaches {_extent(domain)}"
+        words = f"wheel {wheel.name} leaves the map, which extends {_extent(domain)}"
         label = Label("map_margin", "m", words, wheel.name)
         yield Limit(label, _margin(q.terrain, domain, contact), 0.0, np.inf)
 
 
 def lies_flat(q: Quantities) -> Iterator[Limit]:
-    """Yield the angle of each axle to the ground's normal at which the wheel lies flat."""
+    """Yield the smallest angle of each axle to the ground's normal."""
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
         words = f"wheel {wheel.name} lies flat on the ground (sine of axle to normal)"
         label = Label("uprightness", "1", words, wheel.name)
-        yield Limit(label, contact.uprightness, FLAT, np.inf)
+        yield Limit(label, contact.uprightness, MIN_AXLE_SINE, np.inf)
 
 
 def relative_curvature(q: Quantities) -> Iterator[Limit]:
@@ -66,36 +66,36 @@ def relative_curvature(q: Quantities) -> Iterator[Limit]:
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
         words = (
             f"the ground under wheel {wheel.name} is more concave than the wheel, so that its "
-            "contact is not unique; terrain.rolled(radius) gives the ground as the wheel feels it "
-            "(relative curvature)"
+            "contact is not unique; terrain.rolled(radius) fills the hollows that are too narrow "
+            "for the wheel (relative curvature)"
         )
         label = Label("relative_curvature", "m-1", words, wheel.name)
         yield Limit(label, curvature_of(wheel, contact), 0.0, np.inf)
 
 
 def friction_map_margin(q: Quantities) -> Iterator[Limit]:
-    """Yield the distance of each wheel to the edge of the map of friction."""
+    """Yield the distance of each wheel to the edge of the friction map."""
     domain = q.terrain.friction_domain
     if not q.vehicle.mass or domain is None:
         return
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
-        words = f"wheel {wheel.name} leaves the map of friction, which reaches {_extent(domain)}"
+        words = f"wheel {wheel.name} leaves the friction map, which extends {_extent(domain)}"
         label = Label("friction_margin", "m", words, wheel.name)
         yield Limit(label, _margin(q.terrain, domain, contact), 0.0, np.inf)
 
 
 def positive_friction(q: Quantities) -> Iterator[Limit]:
-    """Yield the coefficients of friction that a formula gives."""
+    """Yield the friction coefficient at each wheel, if a formula gives it."""
     if not q.vehicle.mass or q.terrain.friction_domain is not None:
         return
     for wheel, mu in zip(q.vehicle.wheels, q.mechanics.friction, strict=True):
         if not mu.is_constant():
             words = f"the coefficient of friction under wheel {wheel.name} is not positive"
-            yield Limit(Label("friction", "1", words, wheel.name), mu, LEAST_FRICTION, np.inf)
+            yield Limit(Label("friction", "1", words, wheel.name), mu, MIN_FRICTION, np.inf)
 
 
 def tip_over(q: Quantities) -> Iterator[Limit]:
-    """Yield the angle of gravity to the nearest edge of the support."""
+    """Yield the angle between gravity and the nearest edge of the support polygon."""
     if q.vehicle.mass:
         words = "the vehicle tips over: gravity passes an edge of its support (angle to it)"
         yield Limit(Label("tip_over", "rad", words), q.tip_over_margin, 0.0, np.inf)
@@ -107,7 +107,7 @@ def lift_off(q: Quantities) -> Iterator[Limit]:
         q.vehicle.wheels if q.vehicle.mass else (), q.forces.normal, strict=True
     ):
         words = (
-            f"wheel {wheel.name} lifts off: equilibrium would need the ground to pull it "
+            f"wheel {wheel.name} lifts off: equilibrium would need a negative normal force "
             "(normal force)"
         )
         yield Limit(Label("lift_off", "N", words, wheel.name), force, 0.0, np.inf)
@@ -143,7 +143,7 @@ def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:
 
 
 def _extent(domain: Domain) -> str:
-    """Return the extent of a domain in words."""
+    """Return the extent of a domain, as text."""
     west, east, south, north = domain
     return (
         f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y "

@@ -1,11 +1,11 @@
 """Direct kinematics by Montana's contact equations, and its comparison with the closure model.
 
-The wheels' contact coordinates are states: each wheel touches the ground and moves over it exactly
-as the equations say, and its pose follows from them. What holds the vehicle together - every wheel
-where its chain of joints carries it, turned as that turns it - is true at the start and kept at
-rate level. The integrator's errors let it drift; terms proportional to the drift draw it back
-(Baumgarte), and the drift is an output. Three distances between wheel centres, as in [1]_, do not
-suffice: the orientations of the axles are needed too.
+The wheels' contact coordinates are states. Each wheel touches the ground and moves over it by
+Montana's equations; its pose follows from its contact coordinates. The same pose follows from the
+chain of joints that carries the wheel. The two agree at the start and are kept equal at rate level.
+Integration errors let them drift apart; terms proportional to the drift draw them together
+(Baumgarte stabilisation), and the drift is an output. Three distances between wheel centres, as in
+[1]_, are not sufficient constraints: the orientations of the axles are needed too.
 
 References
 ----------
@@ -60,14 +60,14 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-LOOSE = 1e-3  # drift that no longer counts as assembled, in wheel radii and in rad
+MAX_DRIFT = 1e-3  # largest drift of an assembled vehicle [wheel radii, rad]
 
 
 class Assembly(NamedTuple):
-    """Differential states: platform, joints, and how every wheel touches the ground.
+    """Differential states: platform, joints, and contact coordinates of every wheel.
 
-    ``joints`` are the commanded and the passive coordinates, ``suspension`` the others, both in
-    the vehicle's order. [m, rad]
+    ``joints`` are the commanded and passive coordinates, ``suspension`` the others, both in the
+    vehicle's order. [m, rad]
     """
 
     x: Any
@@ -89,10 +89,10 @@ class Unknowns(NamedTuple):
 
 
 class AssemblyOutputs(NamedTuple):
-    """What else is sampled along a motion; the first as in the closure model, then the drift.
+    """Outputs along a motion: those of the closure model, and the drift.
 
-    ``drift_position`` and ``drift_rotation`` lie between the wheel's pose from its contact
-    coordinates and from the chain of joints. [m, rad]
+    ``drift_position`` and ``drift_rotation`` are the differences between the wheel's pose from its
+    contact coordinates and its pose from the chain of joints. [m, rad]
     """
 
     contact_z: tuple[Any, ...]
@@ -110,7 +110,7 @@ class AssemblyOutputs(NamedTuple):
 
 
 class RollingWheel(NamedTuple):
-    """A wheel that rolls: where, how fast, and how far from the place the vehicle has for it.
+    """Contact, pose, rates and drift of a rolling wheel.
 
     Attributes
     ----------
@@ -123,8 +123,8 @@ class RollingWheel(NamedTuple):
     rates : ContactCoordinates
         Rates of the contact coordinates.
     displacement, rotation : SX, shape (3, 1)
-        What leads from the chain's centre to the wheel's, and from the wheel's orientation to the
-        chain's, to first order. [m, rad]
+        Vector from the wheel's centre by the chain of joints to the centre by the contact, and
+        rotation from the orientation by the contact to that by the chain, to first order. [m, rad]
     """
 
     contact: ContactFrame
@@ -142,16 +142,16 @@ def montana_kinematics(
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
     kappa: float = 10.0,
 ) -> Dae:
-    """Return the same motion as ``direct_kinematics`` from contact equations at rate level.
+    """Return the kinematic model of a vehicle by Montana's contact equations.
 
-    Its start is a sample of the closure model, settled or later: ``simulate`` finds all states
-    there by name. ``settle`` has nothing to solve for here, since the contacts are states. A
-    vehicle that falls apart is a violated limit.
+    Its motion is that of ``direct_kinematics``. Start it from a sample of the closure model,
+    settled or later: ``simulate`` finds all states there by name. ``settle`` has nothing to solve
+    here, since the contacts are states. A vehicle whose parts drift apart violates a limit.
 
     Parameters
     ----------
     vehicle : Vehicle
-        The vehicle; no wheel touches on an edge (``Disc``) or has rollers.
+        The vehicle; no wheel has an edge (``Disc``) or rollers.
     terrain : Terrain
         The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
     slip : SlipLaw
@@ -167,7 +167,8 @@ def montana_kinematics(
     Raises
     ------
     ModelError
-        If a wheel is a disc, ``kappa`` is not a rate, or the slip law does not fit the vehicle.
+        If a wheel is a disc or has rollers, if ``kappa`` is negative or not finite, or if the slip
+        law does not suit the vehicle.
 
     Examples
     --------
@@ -204,7 +205,7 @@ def montana_kinematics(
         ),
         labels=labels._replace(alg=(law.labels, labels.alg[1])),
         limits=(
-            *_assembled(vehicle, rolls),  # first: nothing else is meaningful for a wheel astray
+            *_drift_limits(vehicle, rolls),  # first: other limits need wheels without drift
             *limits_of(q),
         ),
         checks=tuple(
@@ -224,13 +225,13 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
     if any(wheel.rollers for wheel in vehicle.wheels):
         raise ModelError("Montana's form takes wheels without rollers; use the closure")
     if not (np.isfinite(kappa) and kappa >= 0):
-        raise ModelError(f"kappa: expected a rate of zero or more per second, found {kappa}")
+        raise ModelError(f"kappa: expected zero or a positive rate, found {kappa} 1/s")
     for wheel in vehicle.wheels:
         if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
             raise ModelError(
                 f"wheel {wheel.name}: Montana's equations need a tread with a radius of curvature, "
-                f"such as a torus with r1 > 0, found the edge of {wheel.section}; the closure "
-                "model (direct_kinematics) takes edges"
+                f"such as a torus with r1 > 0, found the edge of {wheel.section}; use the closure "
+                "model (direct_kinematics), which allows edges"
             )
 
 
@@ -243,7 +244,7 @@ def _place(x: Assembly) -> tuple[Configuration, Dependent]:
 def _quantities(
     vehicle: Vehicle, terrain: Terrain, x: Assembly, z: Unknowns, u: Inputs, kappa: float
 ) -> tuple[Quantities, list[RollingWheel], ca.SX]:
-    """Return the quantities of the model, its wheels, and the rates of all but their contacts."""
+    """Return the quantities of the model, its wheels, and the rates of platform and joints."""
     configuration, position = _place(x)
     turning, lookups = spins(vehicle, z.rates, u), LookupTable()
     q, chain = pack(x[:-1]), carriers(vehicle, configuration, position)
@@ -282,7 +283,7 @@ def _rolling(
     kappa: float,
     lookups: LookupTable,
 ) -> RollingWheel:
-    """Return how a wheel rolls whose hub moves as the chain does, and towards its place there."""
+    """Return the rolling of a wheel whose hub follows its chain of joints, with stabilisation."""
     both = pair(wheel, terrain, at, lookups)
     pose, frame = both.pose, both.frame
     contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
@@ -294,7 +295,7 @@ def _rolling(
     wheel_uv, ground_uv, psi = contact_rates(
         both.wheel.forms, both.ground.forms, at.psi, frame.T @ slip, frame.T @ omega
     )
-    # u and v belong to the hub, in which the wheel turns: v stays near 3 pi/2
+    # u and v are those of the hub, which does not spin with the wheel: v stays near 3 pi/2
     rates = ContactCoordinates(ground_uv[0], ground_uv[1], wheel_uv[0], wheel_uv[1] - spin, psi)
     return RollingWheel(contact, pose, slip, rates, displacement, rotation)
 
@@ -306,15 +307,15 @@ def _of_assembly(shared: Any) -> dict[str, Any]:
     }
 
 
-def _assembled(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:
+def _drift_limits(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:
     """Yield the limits on the drift."""
     for wheel, roll in zip(vehicle.wheels, rolls, strict=True):
         words = (
-            f"wheel {wheel.name} is not in its place on the vehicle; start from the closure model "
-            "and take a smaller tolerance (drift in wheel radii or rad)"
+            f"wheel {wheel.name} has drifted from its position on the vehicle; start from the "
+            "closure model and use a smaller tolerance (drift in wheel radii or rad)"
         )
         drift = ca.fmax(ca.norm_2(roll.displacement) / wheel.radius, ca.norm_2(roll.rotation))
-        yield Limit(Label("assembly", "1", words, wheel.name), drift, -np.inf, LOOSE)
+        yield Limit(Label("assembly", "1", words, wheel.name), drift, -np.inf, MAX_DRIFT)
 
 
 def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
@@ -325,10 +326,13 @@ def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
     sampled = AssemblyOutputs(
         **_of_assembly(y),
         drift_position=wheel_labels(
-            vehicle, "drift_position", "m", "distance of the wheel from its place"
+            vehicle, "drift_position", "m", "distance of the wheel from its position on the vehicle"
         ),
         drift_rotation=wheel_labels(
-            vehicle, "drift_rotation", "rad", "angle of the wheel from its orientation"
+            vehicle,
+            "drift_rotation",
+            "rad",
+            "angle of the wheel from its orientation on the vehicle",
         ),
     )
     states = Assembly(
@@ -346,16 +350,16 @@ def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
 
 
 class Difference(NamedTuple):
-    """How far two motions are apart in one quantity, at the sample where they are farthest.
+    """Largest difference between two motions in one quantity.
 
     Attributes
     ----------
     label : Label
-        The quantity, with the wheel at which they are farthest, if it belongs to wheels.
+        The quantity, with the wheel of the largest difference if there is a value per wheel.
     size : float
         Absolute difference; angles modulo 2 pi. [the label's unit]
     t : float
-        When. [s]
+        Time of the largest difference. [s]
     """
 
     label: Label
@@ -370,8 +374,8 @@ class Difference(NamedTuple):
 def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]:
     """Return the largest difference of every quantity that two motions share, in their order.
 
-    Left out is what describes the solution and not the motion - residuals, singular values, the
-    clearance of a second contact, which jumps - and the quaternion, whose sign may jump.
+    Quantities of the solution rather than the motion (residuals, singular values) are omitted, and
+    quantities that may jump: the clearance of a second contact and the quaternion.
 
     Parameters
     ----------
@@ -406,11 +410,11 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
     n = min(first.t.size, second.t.size)
     if not np.array_equal(first.t[:n], second.t[:n]):
         raise ModelError("cross_check: the motions must be sampled at the same times")
-    shared = [name for name in first if name in second.columns and _of_motion(name)]
+    shared = [name for name in first if name in second.columns and _describes_motion(name)]
     return tuple(_difference(first, second, name, n) for name in shared)
 
 
-def _of_motion(name: str) -> bool:
+def _describes_motion(name: str) -> bool:
     return not name.endswith("_residual") and name not in {
         "newton_step",
         "singular_value",

@@ -1,4 +1,4 @@
-"""Where a vehicle's parts and wheels were during a motion, from its samples."""
+"""Poses of a vehicle's parts and wheels at the samples of a motion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Placed(NamedTuple):
     Attributes
     ----------
     origins : ndarray, shape (n, k, 3)
-        Of k frames at n samples. [m]
+        Origins of k frames at n samples. [m]
     rotations : ndarray, shape (n, k, 3, 3)
         Columns are the frames' axes. [1]
     """
@@ -32,12 +32,12 @@ class Placed(NamedTuple):
 
 
 def part_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
-    """Return the poses of the platform and of all joints' parts, in this order.
+    """Return the poses of the platform and of the parts of all joints, in this order.
 
     Parameters
     ----------
     vehicle : Vehicle
-        What moved.
+        The vehicle.
     run : Trajectory
         Its motion, with the pose of the platform and the value of every coordinate.
 
@@ -50,20 +50,20 @@ def part_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
     def parts(place: Pose, values: Mapping[str, ca.SX]) -> Sequence[Pose]:
         return tuple(vehicle.parts(place, values).values())
 
-    return _placed(vehicle, run, parts)
+    return _frame_poses(vehicle, run, parts)
 
 
 def wheel_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
-    """Return the poses of the wheels themselves, turned about their axles, the frames' x axes.
+    """Return the poses of the wheels, rotated about their axles (x axes).
 
-    Parameters and errors are those of `part_poses`; the angles of the wheels are needed too.
+    Parameters and errors are those of `part_poses`; the motion must also have the wheel angles.
     """
-    found = _placed(vehicle, run, vehicle.carriers)
+    found = _frame_poses(vehicle, run, vehicle.carriers)
     return found._replace(rotations=spun(found.rotations, run["wheel_angle"]))
 
 
 def spun(rotations: Array, angles: Array) -> Array:
-    """Return rotations, shape (..., 3, 3), turned forward about their x axes by angles. [rad]."""
+    """Return rotations, shape (..., 3, 3), rotated forward about their x axes by angles. [rad]."""
     cosine, sine = np.cos(angles), np.sin(angles)
     turned = np.zeros(rotations.shape)  # about the axle, which points right, by minus the angle
     turned[..., 0, 0] = 1
@@ -72,12 +72,12 @@ def spun(rotations: Array, angles: Array) -> Array:
     return np.asarray(rotations @ turned)
 
 
-def _placed(
+def _frame_poses(
     vehicle: Vehicle,
     run: Trajectory,
     frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]],
 ) -> Placed:
-    """Return the poses of frames that depend on those of the platform and the coordinates."""
+    """Return the poses of frames that depend on the platform's pose and the coordinates."""
     names = (*POSITION, *(c.name for c in vehicle.coordinates))
     q = ca.SX.sym("q", len(names))
     place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))

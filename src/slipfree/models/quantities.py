@@ -26,9 +26,9 @@ class Mechanics(NamedTuple):
         Derivatives of the slip velocities along, across and normal to every wheel with respect to
         rates and inputs: ``A`` and ``B``. [1, m]
     load : SX, shape (n_rates, 1)
-        Generalised force of gravity, springs and dampers, for each rate. [N, N m]
+        Generalised force of gravity, springs and dampers for each rate. [N, N m]
     held : SX, shape (n_inputs, 1)
-        The same for each input. [N, N m]
+        The same force for each input. [N, N m]
     friction : tuple of SX
         Coefficient of friction at every wheel. [1]
     weight : float
@@ -48,7 +48,7 @@ class Mechanics(NamedTuple):
 
 
 class Quantities(NamedTuple):
-    """Expressions of one model; limits are functions of them.
+    """Expressions of a model, from which its limits are computed.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
-"""Quasi-statics: the slow motion of a vehicle that gravity, drives and the ground determine.
+"""Quasi-statics: slow motion of a vehicle determined by gravity, drives and the ground.
 
-The vehicle is in equilibrium at every instant under forces that a wheel-ground law gives; inertia
-is left out. There may be no motion at all: beyond what friction can hold there is no equilibrium.
+The vehicle is in equilibrium at every instant under the forces of a wheel-ground law; inertia is
+neglected. Beyond the friction limit there is no equilibrium, and therefore no motion.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def quasi_statics(
     *,
     law: GroundLaw = Coulomb(),  # noqa: B008 - a frozen record
 ) -> Dae:
-    """Return the quasi-static motion of a vehicle over a ground at given rates.
+    """Return the quasi-static model of a vehicle on a ground for given rates.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def quasi_statics(
         balance,
         ca.SX(0, 1),
         limits=reaction.limits,
-        suppress_algebraic=True,  # rates with friction are too steep for an error test
+        suppress_algebraic=True,  # rates under friction change too fast for an error test
         continuation=reaction.continuation,
     )
 

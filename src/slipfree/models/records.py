@@ -1,4 +1,4 @@
-"""Records of a vehicle's motion - states, unknowns, inputs, outputs - and their labels."""
+"""Records of a vehicle's motion: states, unknowns, inputs, outputs and their labels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slipfree.vehicle.tree import Vehicle
 
 
 class Configuration(NamedTuple):
-    """Differential states: place, heading, and the joints that do not yield to the ground.
+    """Differential states: position, heading, and joints that are not suspension.
 
     ``joints`` are the commanded and the passive coordinates in the vehicle's order. [m, rad]
     """
@@ -31,7 +31,7 @@ class ContactPoint(NamedTuple):
 
 
 class Dependent(NamedTuple):
-    """What the ground decides, given a configuration. [m, rad]."""
+    """Coordinates that the ground determines for a given configuration. [m, rad]."""
 
     z: Any
     roll: Any
@@ -67,8 +67,8 @@ class Rates(NamedTuple):
 class Forces(NamedTuple):
     """Forces of the ground on the wheels, where they follow from the motion. [N].
 
-    ``virtual`` are the virtual rates that distribute them, if equilibrium alone does not: the
-    contact forces are then friction for these rates. [1, 1/m]
+    ``virtual`` are virtual rates that determine the forces if equilibrium alone does not: the
+    contact forces are then friction forces for these rates. [1, 1/m]
     """
 
     along: tuple[Any, ...] = ()
@@ -109,9 +109,9 @@ class Totals(NamedTuple):
 
 
 class ForceOutputs(NamedTuple):
-    """What a vehicle with mass bears, and what holds it.
+    """Forces, powers and stability margin of a vehicle with mass.
 
-    ``along`` and ``across`` are the tangential forces, where they are no unknowns.
+    ``along`` and ``across`` are the tangential forces, where they are not unknowns.
     """
 
     along: tuple[Any, ...]
@@ -127,7 +127,7 @@ class ForceOutputs(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What else is sampled along a motion; positions in map coordinates.
+    """Further quantities along a motion; positions in map coordinates.
 
     ``quaternion`` (x, y, z, w) and ``yaw`` are those of the platform with x forward, y left, z up.
     """
@@ -147,15 +147,15 @@ class Outputs(NamedTuple):
     forces: ForceOutputs | tuple[()]
 
 
-def kept(vehicle: Vehicle) -> tuple[str, ...]:
+def state_coordinates(vehicle: Vehicle) -> tuple[str, ...]:
     """Return the names of the coordinates that are differential states."""
     return tuple(c.name for c in vehicle.coordinates if c.kind != "suspension")
 
 
 def is_determinate(vehicle: Vehicle) -> bool:
-    """Return whether equilibrium alone determines the contact forces, three a wheel.
+    """Return whether equilibrium alone determines the contact forces, three per wheel.
 
-    A wheel with rollers bears no force across it, so that they are not three a wheel.
+    It does not for wheels with rollers, since they bear no force across.
     """
     if any(wheel.rollers for wheel in vehicle.wheels):
         return False

@@ -27,20 +27,20 @@ def slip_velocity(
     Parameters
     ----------
     wheel : Wheel
-        The wheel. With rollers, its contact point moves across it as the ground does.
+        The wheel. If it has rollers, its contact point has no velocity across the wheel.
     carrier : Pose
         Pose of the part that carries the wheel, at the wheel's centre, as a function of ``q``.
     contact : ContactFrame
-        Where the wheel touches the ground.
+        Contact frame of the wheel.
     q, q_dot : SX, shape (n, 1)
         Coordinates of the vehicle and their rates.
     wheel_rate : SX, shape (1, 1)
-        Rate of the wheel about its axle, positive drives forward. [rad/s]
+        Rate of the wheel about its axle, positive for forward motion. [rad/s]
 
     Returns
     -------
     SX, shape (3, 1)
-        In fixed axes; its normal part vanishes on the holonomic constraint. [m/s]
+        Slip velocity in fixed axes; its normal component vanishes if the wheel keeps contact. [m/s]
     """
     twist = carrier.twist(q, q_dot)
     omega = twist.omega - wheel_rate * carrier.rotation[:, 0]  # wheel frame R Rx(-theta)
@@ -56,7 +56,7 @@ def slip_velocities(
     rates: Rates,
     u: Inputs,
 ) -> tuple[ca.SX, ...]:
-    """Return the slip velocities of all wheels that a chain of joints carries. [m/s].
+    """Return the slip velocities of all wheels of a vehicle. [m/s].
 
     Parameters
     ----------
@@ -86,33 +86,32 @@ def slip_velocities(
 
 
 def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
-    """Return the slip velocities of a motion, measured on its poses alone.
+    """Return the slip velocities of a motion, from finite differences of its poses.
 
-    The material point that touches the ground at a sample is carried along with the wheel to the
-    samples around, by the poses and wheel angles there, and its velocity is the difference
-    quotient over five samples. It shares nothing with the rates of the model but the poses. Of a
-    wheel with rollers, what they take up counts as slip here.
+    The material point that touches the ground at a sample moves with the wheel through the
+    neighbouring samples; its velocity is a difference quotient over five samples. The result is
+    independent of the model's rates. The motion of rollers counts as slip here.
 
     Parameters
     ----------
     vehicle : Vehicle
-        What moved.
+        The vehicle.
     run : Trajectory
-        At evenly spaced times, five or more.
+        Motion with at least five equally spaced samples.
 
     Returns
     -------
     ndarray, shape (n - 4, n_wheels, 3)
-        In fixed axes, at the samples but the first and the last two. [m/s]
+        Slip velocities in fixed axes, without the first two and the last two samples. [m/s]
 
     Raises
     ------
     ModelError
-        If the samples are too few or not evenly spaced.
+        If there are fewer than five samples or they are not equally spaced.
     """
     steps = np.diff(run.t)
     if steps.size < 4 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0):
-        raise ModelError("measured slip: expected five or more evenly spaced samples")
+        raise ModelError("measured slip: expected at least five equally spaced samples")
     centers, rotations = wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], -1)
     places = np.einsum("nwji,nwj->nwi", rotations, contacts - centers)[2:-2]

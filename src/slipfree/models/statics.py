@@ -1,10 +1,10 @@
-"""Forces on a vehicle that moves slowly: equilibrium, friction, the work of its drives.
+"""Forces on a slow vehicle: equilibrium, friction and the work of its drives.
 
-By virtual power: with the slip velocities ``s_i`` of the wheels' contact points linear in the rates
-of all coordinates and wheels, contact forces ``lambda_i`` act on a coordinate with the coefficient
-of its rate in ``sum lambda_i . s_i``. Where the rate is free, this balances gravity, springs and
-dampers; where it is commanded, the difference is what the drive has to bear. Inertia is left out:
-all figures are quasi-static.
+The equations follow from the principle of virtual power. The slip velocities ``s_i`` of the contact
+points are linear in the rates of all coordinates and wheels; the contact forces ``lambda_i`` act on
+a coordinate with the coefficient of its rate in ``sum lambda_i . s_i``. For a free rate, this force
+balances gravity, springs and dampers; for a commanded rate, the drive bears the difference. Inertia
+is neglected: all results are quasi-static.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def mechanics(
     potential = _potential(vehicle, x, position)
     damped = _damping(vehicle, rates)
     power = ca.jtimes(potential, q, q_dot)
-    # Dampers lose twice the gradient of their dissipation function, half their power.
+    # the damper force is the gradient of the dissipation function, which is half the power
     lost = power + damped / 2
     slip = ca.vertcat(*slips)
     return Mechanics(
@@ -75,7 +75,7 @@ def mechanics(
 
 
 def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX:
-    """Return the energy of gravity and springs; heights count from the ground's origin. [J]."""
+    """Return the energy of gravity and springs, with heights from the ground's origin. [J]."""
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     values = values_of(vehicle, x, position)
     height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))
@@ -98,10 +98,10 @@ def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
 def following_forces(q: Quantities) -> ca.SX:
     """Return the equations of the forces that a given motion needs; none without mass.
 
-    Where equilibrium does not determine them, they are those of least ``sum |f_t|^2 / (mu N)`` for
-    weights ``mu N`` that are their own loads: ``f_t = -mu N S y``, ``n . A y = 0`` with virtual
-    rates ``y``. That is the limit of Coulomb friction, regularised, for small slip. (Of least norm
-    regardless of the loads they would be unsound: a wheel that bears little cannot push much.)
+    Where equilibrium does not determine the forces, they minimise ``sum |f_t|^2 / (mu N)`` with the
+    friction limits ``mu N`` as fixed weights: ``f_t = -mu N S y``, ``n . A y = 0`` with virtual
+    rates ``y``. This is the limit of regularised Coulomb friction for small slip. Forces of least
+    norm would not be plausible, since a wheel with a small load cannot bear a large force.
     """
     if not q.vehicle.mass:
         return ca.SX(0, 1)
@@ -122,14 +122,14 @@ def following_forces(q: Quantities) -> ca.SX:
 
 
 def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutputs | tuple[()]:
-    """Return the sampled forces, efforts and energies; empty if the vehicle has no mass.
+    """Return the output forces, efforts and energies; empty if the vehicle has no mass.
 
     Parameters
     ----------
     q : Quantities
         Expressions of the model.
     labels : ForceOutputs or ()
-        Labels of the outputs; tangential forces are among them where they are no unknowns.
+        Labels of the outputs; they include tangential forces that are not unknowns.
     """
     if not labels:
         return ()
@@ -159,8 +159,9 @@ def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutpu
 
 
 def _used(along: ca.SX, across: ca.SX, offered: ca.SX) -> ca.SX:
-    """Return a tangential force over what is offered; infinite on a wheel that does not press.
+    """Return a tangential force over the available one; infinite if the wheel has no load.
 
-    The root is taken last: limits of its square avoid it, since it has no derivative at zero force.
+    The square root is the last operation: limits use the square, since the root has no derivative
+    at zero force.
     """
     return ca.sqrt(ca.if_else(offered > 0, (along**2 + across**2) / offered**2, ca.SX.inf()))

@@ -1,12 +1,12 @@
-"""Steering of vehicles under commands: a guiding motion of the platform, which wheels turn towards.
+"""Steering of vehicles under commands: wheels turn towards a guiding motion of the platform.
 
-Of all motions of the platform that have the given rates and that the ground admits, the guiding
-motion is the one at which wheels that are not steered slip least across themselves. Each steered
-wheel is turned until the point of its carrier at the contact moves along it, which on level ground
-is the rule of the instantaneous centre. As rates of the steering are inputs, they follow these
-angles with a lag (`GAIN`, `MAX_STEERING_RATE`): the rates of the angles themselves would need third
-derivatives of the ground. Targets and rates keep to the joints' stops and `max_rate`. Where all
-three rates are given, and not all wheels steered, other angles may slip less.
+Of all motions of the platform with the given rates that the ground permits, the guiding motion is
+the one with the least sideways slip of the wheels that are not steered. Each steered wheel is
+turned until its contact point moves along it; on level ground this is the rule of the instantaneous
+centre of rotation. The inputs are steering rates, which follow the target angles with a lag
+(`GAIN`, `MAX_STEERING_RATE`): the exact rates of the targets would need third derivatives of the
+ground. Targets and rates respect the joints' stops and `max_rate`. Where all three rates are given
+and some wheels are not steered, other angles may have less slip.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from slipfree.rearrange import Variable, new_variable
 from slipfree.records import Label, pack
 from slipfree.vehicle.tree import Coordinate, Kind, Vehicle
 
-GAIN = 5.0  # at which the error of a steering angle decays [1/s]
-MAX_STEERING_RATE = 1.0  # of a steered joint without max_rate [rad/s, m/s]
-STOP_CLEARANCE = 1e-4  # between a stop and the target of a steered coordinate [rad, m]
+GAIN = 5.0  # decay rate of the error of a steering angle [1/s]
+MAX_STEERING_RATE = 1.0  # largest rate of a steered joint without max_rate [rad/s, m/s]
+STOP_CLEARANCE = 1e-4  # distance between a stop and the target of a steered coordinate [rad, m]
 MIN_WHEEL_SPEED = 1e-4  # speed of a wheel below which it is not steered [size/s]
-FREE_RATE_WEIGHTS = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # if not given [1]
-BRANCH_SHIFT = 0.2  # beyond a right angle, of the largest steering error to the right [rad]
-MIN_EFFECT = 1e-9  # of a joint on a wheel's direction, from which on it steers [1, 1/m]
+FREE_RATE_WEIGHTS = {"forward": 1e-8, "right": 1e-8, "yaw_rate": 1e-3}  # of rates not given [1]
+BRANCH_SHIFT = 0.2  # steering errors lie between -pi/2 - shift and pi/2 - shift [rad]
+MIN_EFFECT = 1e-9  # a joint with a smaller effect on a wheel's direction does not steer [1, 1/m]
 
 
 class Guide(NamedTuple):
-    """The guiding motion: its conditions, and the rates of pose and suspension among its unknowns.
+    """Guiding motion: its conditions, and the unknown rates of pose and suspension.
 
-    Passive joints are held, and wheels that they swivel do not count.
+    Passive joints are held, and wheels that they swivel are ignored.
     """
 
     conditions: Minimum
@@ -52,7 +52,7 @@ def steering_effects(
     """Return the effects of coordinates of a kind on the directions of wheels, by wheel number.
 
     Directions are angles about the platform's up axis, left positive. Coordinates without effect
-    are left out. [rad/rad, rad/m]
+    are omitted. [rad/rad, rad/m]
     """
     values = values_of(vehicle, direct.x, direct.z.position)
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
@@ -68,7 +68,7 @@ def steering_effects(
 
 
 def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> Guide:
-    """Return the guiding motion under given rates: least slip across wheels that nothing turns."""
+    """Return the guiding motion: least sideways slip of fixed wheels under given rates."""
     kinds: tuple[Kind, ...] = ("commanded", "passive")
     turned = {
         k
@@ -99,13 +99,13 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) ->
         plane[name].expression - each.symbol for name, each in zip(given, inputs, strict=True)
     ]
     goal, *rows = guided(direct, motion, [goal, touching, *missed])
-    label = Label("guide", "", "least slip across wheels that are not steered")
+    label = Label("guide", "", "least sideways slip of wheels that are not steered")
     conditions = minimum(direct, goal, ca.vertcat(*rows), motion, multipliers, label)
     return Guide(conditions, motion)
 
 
 def _pose_rates(rates: Any) -> tuple[Any, ...]:
-    """Return rates of pose and suspension, or their labels."""
+    """Return the rates of pose and suspension, or their labels."""
     return (*rates[:6], *rates.suspension)
 
 
@@ -119,13 +119,13 @@ def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]
 
 
 def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
-    """Return the errors of steered coordinates beside the guiding motion. [rad, m].
+    """Return the errors of steered coordinates relative to the guiding motion. [rad, m].
 
-    Carriers move with ``along`` and ``across`` at the contacts of the wheels that a coordinate
-    turns; near the end this is the step that makes ``across`` least. Angles are doubled, since
-    forward or backward is the same, so that wheels that disagree by more than a right angle do not
-    cancel. Errors lie within a right angle either way, shifted by `BRANCH_SHIFT`, so that all
-    wheels turn the same way for a motion straight across them.
+    The carriers move with velocities ``along`` and ``across`` the wheels at the contacts. Small
+    errors are Gauss-Newton steps that minimise ``across``. Angles are doubled, since forward and
+    backward are equivalent; so wheels that disagree by more than a right angle do not cancel.
+    Errors are at most about a right angle, shifted by `BRANCH_SHIFT`: for a motion straight across
+    them, all wheels turn in the same direction.
     """
     errors = {}
     values = values_of(vehicle, direct.x, direct.z.position)
@@ -144,10 +144,10 @@ def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -
 
 
 def _within_stops(c: Coordinate, value: ca.SX, error: ca.SX) -> ca.SX:
-    """Return the error of a steered coordinate whose target is moved to within its stops.
+    """Return the error of a steered coordinate with its target moved between the stops.
 
-    A wheel may as well point backward, half a turn away; if that is beyond the stops too, the
-    target is the nearer stop.
+    A wheel may also point backward, half a turn away; if this is beyond the stops too, the target
+    is the nearer stop.
     """
     if not (np.isfinite(c.lower) or np.isfinite(c.upper)):
         return error

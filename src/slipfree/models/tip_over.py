@@ -1,4 +1,4 @@
-"""The support of a vehicle, and how far it is from tipping over."""
+"""Tip-over margin of a vehicle."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from slipfree.models.base import values_of
 from slipfree.models.records import Configuration, Dependent
 from slipfree.vehicle.tree import Vehicle
 
-ROUNDING = 1e-9  # of a distance relative to that of two wheels, which counts as none
+DISTANCE_ROUNDING = 1e-9  # smaller distances count as zero [distance of two wheels]
 
 
 def tip_over_margin(
     vehicle: Vehicle, x: Configuration, position: Dependent, contacts: Sequence[ContactFrame]
 ) -> ca.SX:
-    """Return the least angle by which gravity may lean before it passes an edge of the support.
+    """Return the smallest angle between gravity and an edge of the support polygon.
 
-    About the line through two neighbouring contact points, it is the angle between the vertical
-    and the way from the common centre of mass to the line (as Papadopoulos and Rey's force-angle
-    measure, for gravity alone). It is infinite for a vehicle without mass.
+    For the line through two neighbouring contact points it is the angle between the vertical and
+    the perpendicular from the common centre of mass to the line (the force-angle measure of
+    Papadopoulos and Rey for gravity alone). It is infinite for a vehicle without mass.
     """
     if not vehicle.mass:
         return ca.SX.inf()
@@ -39,11 +39,11 @@ def tip_over_margin(
         way -= ca.dot(way, edge) * edge
         lean = ca.atan2(ca.dot(edge, ca.cross(way, down)), ca.dot(way, down))
         least = ca.fmin(least, ca.if_else(outer, lean, ca.SX.inf()))
-    return ca.if_else(least > ca.pi, -ca.pi, least)  # wheels on one line bear nothing
+    return ca.if_else(least > ca.pi, -ca.pi, least)  # contacts on one line are no support
 
 
 def _is_outer(contacts: Sequence[ContactFrame], i: int, j: int) -> ca.SX:
-    """Return whether all other wheels lie to the left of a line in plan, or between its ends."""
+    """Return whether all other contacts lie left of a line in plan view, or between its ends."""
     here = contacts[i].point[:2]
     way = contacts[j].point[:2] - here
     length, outer, aside = ca.sumsqr(way), ca.SX(1), ca.SX(0)
@@ -52,8 +52,10 @@ def _is_outer(contacts: Sequence[ContactFrame], i: int, j: int) -> ca.SX:
             continue
         off = (way[0] * (other.point[1] - here[1]) - way[1] * (other.point[0] - here[0])) / length
         ahead = ca.dot(other.point[:2] - here, way) / length
-        left = off > ROUNDING
-        between = ca.logic_and(ca.fabs(off) <= ROUNDING, ca.logic_and(ahead > 0, ahead < 1))
+        left = off > DISTANCE_ROUNDING
+        between = ca.logic_and(
+            ca.fabs(off) <= DISTANCE_ROUNDING, ca.logic_and(ahead > 0, ahead < 1)
+        )
         outer = ca.logic_and(outer, ca.logic_or(left, between))
         aside = ca.logic_or(aside, left)
     return ca.logic_and(outer, aside)

@@ -1,7 +1,7 @@
-"""Rates of driven wheels that move the platform as it is commanded, at one configuration.
+"""Wheel rates for given rates of the platform, at one configuration.
 
-The direct model is linear in its inputs, so that the rates of least slip among those that bring
-about given rates of the platform follow from linear algebra.
+The direct model is linear in its inputs. The wheel rates of least slip among those with the given
+rates of the platform therefore follow from linear algebra.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from slipfree.records import Array, leaves
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-MIN_RELATIVE_SINGULAR_VALUE = 1e-9  # at which wheels still affect a given rate
-MAX_MISSED_SHARE = 1e-9  # part of the given rates that may be missed
+MIN_RELATIVE_SINGULAR_VALUE = 1e-9  # smaller values: the wheels do not affect the given rate
+MAX_MISSED_SHARE = 1e-9  # tolerance of the given rates
 
 
 def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
-    """Raise ModelError, with its name, for a given rate that wheels cannot impose.
+    """Raise ModelError for a given rate that the wheels cannot impose.
 
     Parameters
     ----------
@@ -50,10 +50,10 @@ def wheel_rates(
     joints: Mapping[str, float] | None = None,
     **given: float,
 ) -> dict[str, float]:
-    """Return the inputs of least slip that move a vehicle as it is commanded, at one configuration.
+    """Return the inputs of least slip with the given rates of the platform, at one configuration.
 
-    Rates that neither the given rates nor the slip depend on are the least ones. Singular values
-    below `MIN_RELATIVE_SINGULAR_VALUE` of the largest count as zero.
+    Of inputs with the same slip, those of least norm are returned. Singular values below
+    `MIN_RELATIVE_SINGULAR_VALUE` of the largest count as zero.
 
     Parameters
     ----------
@@ -83,22 +83,24 @@ def wheel_rates(
     count, moving = len(direct.u.wheels), joints or {}
     turning = np.array([moving.get(name, 0.0) for name in names[count:]])
     asked = np.array(list(given.values())) - effect[:, count:] @ turning
-    wheels = _least(effect[:, :count], slip[:, :count], asked, slip[:, count:] @ turning)
+    wheels = _least_slip_inputs(
+        effect[:, :count], slip[:, :count], asked, slip[:, count:] @ turning
+    )
     sizes = np.array(command_sizes(vehicle, tuple(given)))
     miss = sizes * (asked - effect[:, :count] @ wheels)
     worst = int(np.abs(miss).argmax())
     if not abs(miss[worst]) <= MAX_MISSED_SHARE * float(np.abs(sizes * asked).max()):
         name = [*given][worst]
         raise ModelError(
-            f"{vehicle.name} cannot reach {name} here: the nearest its wheels bring about, beside "
-            f"the other given rates, misses it by {abs(miss[worst]):.2g} m/s; leave {name} out of "
-            "the given rates"
+            f"{vehicle.name}: platform rate {name!r} cannot be imposed here together with the "
+            f"other given rates: the nearest motion misses it by {abs(miss[worst]):.2g} m/s; "
+            f"remove {name} from the given rates"
         )
     return dict(zip(names, (float(each) for each in (*wheels, *turning)), strict=True))
 
 
-def _least(effect: Array, slip: Array, asked: Array, rest: Array) -> Array:
-    """Return what brings ``effect`` to ``asked`` with the least ``slip`` beside ``rest``."""
+def _least_slip_inputs(effect: Array, slip: Array, asked: Array, rest: Array) -> Array:
+    """Return inputs with ``effect @ inputs = asked`` that minimise ``rest + slip @ inputs``."""
     left, values, right = np.linalg.svd(effect)
     rank = int((values > MIN_RELATIVE_SINGULAR_VALUE * max(values[0], np.finfo(float).tiny)).sum())
     inverse = right[:rank].T @ np.diag(1 / values[:rank]) @ left[:, :rank].T
