@@ -181,7 +181,7 @@ def test_a_tilt_stop_ends_the_motion() -> None:
         result = _invoke("run", file, "--no-draw", *words, *_set("vehicle.tilt_stop=0.004", RIDGES))
         assert result.exit_code == 1, result.output
         assert "limit reached at t = " in result.stderr
-        assert "the stop of tilt_" in result.stdout
+        assert "reaches its stop" in result.stdout
         assert netcdf.read(file.replace("toml", "nc")).stop is not None
 
 

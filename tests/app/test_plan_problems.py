@@ -97,7 +97,7 @@ def test_a_way_point_is_passed():
             ["law.coulomb.creep=1e-3"],
             "law.coulomb: expected model = 'quasi-static', where this law",
         ),
-        (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map reaches"),
+        (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map extends"),
         (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
         (["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"], "two; put them together"),
         (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),

@@ -406,7 +406,7 @@ def _npz(path: Path, **changes: object) -> None:
             "must be finite, found 25",
         ),
         ({"x": np.linspace(-3, 3, 25) ** 3}, "axis x must be uniform"),
-        ({"y": np.linspace(4, -3, 29)}, "axis y must ascend, found it descending"),
+        ({"y": np.linspace(4, -3, 29)}, "axis y must increase, found it decreasing"),
         (
             {"x": np.arange(3.0), "z": np.zeros((3, 29))},
             "at least 4 nodes for a cubic spline, found",

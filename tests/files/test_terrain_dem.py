@@ -77,7 +77,7 @@ def test_maps_too_large_without_a_window(tmp_path):
 @pytest.mark.parametrize(
     ("window", "words"),
     [
-        ((0, 5, 5, 0), r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; the map reaches"),
+        ((0, 5, 5, 0), r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; the map extends"),
         ((500, 600, 0, 100), r"at least 4 nodes .* found 0 by 0 .* from 105 to 145 in x"),
         ((105, 125, 205, 235), "at least 4 nodes along x and along y, found 3 by 4"),
         ((106, 144, 0, 1e9), "found 3 by 4"),
@@ -139,12 +139,12 @@ def test_keys_that_a_file_has_no_use_for(tmp_path):
         (HEADER + ROWS.replace("12", "1,2"), "expected numbers in line 8, found '1,2'"),
         (
             HEADER + ROWS.replace("22", "nan"),
-            "map.asc: all heights must be finite, found 1 of 20 .* x = 125, y = 215; ask for fill",
+            "map.asc: all heights must be finite, found 1 of 20 .* x = 125, y = 215; set fill",
         ),
         (HEADER + ROWS.replace("22", "inf"), r"map.asc: grid: .* z\[2, 1\] = inf"),
         (
             HEADER + ROWS.replace("12", "-9999").replace("24", "-9999"),
-            "found 2 of 20 nodes without one, the first at x = 125, y = 225; ask for fill",
+            "found 2 of 20 nodes without one, the first at x = 125, y = 225; set fill",
         ),
     ],
 )

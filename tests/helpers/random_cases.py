@@ -377,7 +377,7 @@ FAULTS = {
         r"tolerance: expected a number .*, found 0.0",
     ),
     "times": Fault(_set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected .* ascending times"),
-    "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be a radius"),
+    "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be zero or a positive radius"),
     "track": Fault(_set("build", half_track=np.nan), r"half_track must be a positive length"),
     "stops": Fault(
         _set("build", tilt_stop=-0.1),

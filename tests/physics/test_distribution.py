@@ -257,7 +257,7 @@ def test_wrong_arrays_are_refused(changes, message):
 
 @pytest.mark.parametrize("rounds", [0, 3, 12])
 def test_a_sample_that_does_not_converge_is_nan(monkeypatch, rounds):
-    monkeypatch.setattr(force_distribution, "ROUNDS", rounds)
+    monkeypatch.setattr(force_distribution, "MAX_NEWTON_STEPS", rounds)
     matrix, load, friction = random_cases(7, 4, 4, 2)
     outside = np.array([1.2, 0.0, 0.3])
     matrix[0], load[0] = equations(SQUARE, [FLAT] * 4, outside, on_slope(0.0, 0.0), free=[0, 1])

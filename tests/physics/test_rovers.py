@@ -506,7 +506,7 @@ def test_seven_wheels_follow_and_are_given_three_rates():
     law = straight(dae, vehicle, start, speed=0.2)
     run = simulate(dae, start, law, np.linspace(0, 5, 6), options=SolverOptions(tolerance=1e-6))
     assert_allclose([run["x"][-1], run["y"][-1]], [0, 1], atol=1e-3)
-    with pytest.raises(ModelError, match="seven_wheels: expected a given rate .right."):
+    with pytest.raises(ModelError, match="seven_wheels: expected a given rate 'right'"):
         inverse_kinematics(vehicle, FLAT, given=("forward", "yaw_rate"))
     given = {"forward": 0.1, "yaw_rate": 0.2, "right": 0.05}
     rates = wheel_rates(vehicle, dae, start, **given)

@@ -250,7 +250,7 @@ def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
         ("skid_steer", ("forward", "left"), "'left' is not known; known: forward, right, yaw_rate"),
         ("skid_steer", ("forward", "forward"), "expected different rates, found forward, forward"),
         ("skid_steer", (), "expected different rates, found none"),
-        ("ackermann", ("forward", "right", "yaw_rate"), "has 2 driven wheels.*; leave out right"),
+        ("ackermann", ("forward", "right", "yaw_rate"), "at most 2 given rates.*; remove right"),
     ],
 )
 def test_given_rates_are_checked(vehicle, given, words):
@@ -342,7 +342,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
         (["given.velocity_x=0.0"], "given.forward: expected rates in the platform's heading fr"),
         (
             ["given={velocity_x=0.0, velocity_y=0.1, heading_rate=0.0}"],
-            "rocky7 cannot roll without slip, as inverse kinematics at these rates requires",
+            "rocky7 cannot roll without slip, as inverse kinematics with these rates requires",
         ),
         (
             ['given={velocity_x=0.0, velocity_y="t", heading_rate=0.0}'],
@@ -351,7 +351,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
         ([*CAR, "given.yaw_rate=q*t"], "given.yaw_rate: formula 'q*t': 'q' is not known; known: t"),
         (["given.yaw_rate=true"], "expected a number, an array of [time, value] pairs, or a form"),
         (["steering=rate"], "expected 'angle', which the steering follows"),
-        ([*CAR, "start.steer=0.8"], "the stop of steer"),
+        ([*CAR, "start.steer=0.8"], "left positive) reaches its stop"),
         (
             [
                 "vehicle.steered=",
@@ -359,7 +359,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
                 "given.right=0.1",
                 "exact=true",
             ],
-            "differential_drive has 2 driven wheels",
+            "differential_drive: expected at most 2 given rates",
         ),
         (
             [

@@ -248,7 +248,7 @@ def test_a_function_of_the_ground_pickles():
 def test_both_layouts_of_the_look_up_are_exact(monkeypatch):
     table = np.random.default_rng(6).uniform(-1, 1, (9, 12))
     for largest in (0, table.size):
-        monkeypatch.setattr(bicubic, "LARGE", largest)
+        monkeypatch.setattr(bicubic, "MAX_FOURFOLD_SIZE", largest)
         look_up = bicubic._gather(table)
         for i in range(6):
             for j in range(9):

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from slipfree.errors import ModelError
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
-from slipfree.terrain.rolled import _closed, rolled
+from slipfree.terrain.rolled import _close_by_ball, rolled
 from slipfree.terrain.synthetic import blank, place_rocks, power_law
 
 RADIUS = 0.3
@@ -54,17 +54,17 @@ def brute_closing(z, step, radius):
 
 def test_closing_is_what_the_ball_leaves_free():
     z = 0.1 * np.random.default_rng(0).standard_normal((30, 26))
-    closed = _closed(z, (0.1, 0.1), 0.35)
+    closed = _close_by_ball(z, (0.1, 0.1), 0.35)
     inner = (slice(7, -7), slice(7, -7))  # the border is continued, the ball's reach is 2 x 3 nodes
     assert_allclose(closed[inner], brute_closing(z, 0.1, 0.35)[inner], atol=1e-14)
 
 
 def test_closing_only_raises_and_repeats_nothing():
     z = rough_ground().z
-    once = _closed(z, (0.05, 0.05), 0.45)
+    once = _close_by_ball(z, (0.05, 0.05), 0.45)
     assert (once >= z - 1e-12).all()
     assert (once > z + 1e-3).any()
-    twice = _closed(once, (0.05, 0.05), 0.45)
+    twice = _close_by_ball(once, (0.05, 0.05), 0.45)
     inner = (slice(20, -20), slice(20, -20))
     assert_allclose(twice[inner], once[inner], atol=1e-12)
 
@@ -98,7 +98,7 @@ def test_smooth_ground_hardly_changes():
     # A Gaussian lowers a wave by (k sigma)**2 / 2 in each direction: 0.2 * (1.2 * 0.075)**2.
     assert result.largest < 1.1 * 0.2 * (1.2 * 0.075) ** 2
     # A ball of nodes misses the point it would touch by up to half a diagonal.
-    closed = _closed(hills.z, (step, step), 0.45)
+    closed = _close_by_ball(hills.z, (step, step), 0.45)
     assert_allclose(closed, hills.z, atol=step**2 / (4 * 0.45))
 
 
@@ -149,6 +149,6 @@ def test_radius_must_be_positive(radius):
 
 
 def test_a_ball_larger_than_the_ground_is_refused():
-    words = r"radius must be small against the ground, at most 0\.6667"
+    words = r"radius must be at most 0\.6667"
     with pytest.raises(ModelError, match=words):
         rolled(blank((0.0, 2.0), (0.0, 4.0), 0.1), 1e9)

@@ -238,12 +238,11 @@ def _follow_center(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> 
 def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton:
     """Return the Newton step of the barrier ``-sum log(c^2 - t^2) - log(y_max^2 - y^2)``.
 
-    ``c`` is the radius of a wheel's friction disc, ``t`` its tangential force and ``y_max`` the largest
-    internal force. With ``a = c - t``,
-    ``b = c + t`` and e the direction of t, the Hessian is a sum of squares of the relative slopes
-    of a and b, and of the component of t across e; there is no cancellation near the cone. It is
-    factorised without being formed: a wheel with almost no load has slopes 1e9 times those of the
-    others, whose squares would vanish in the sum.
+    ``c`` is the radius of a wheel's friction disc, ``t`` its tangential force and ``y_max`` the
+    largest internal force. With ``a = c - t``, ``b = c + t`` and e the direction of t, the Hessian
+    is a sum of squares of the relative slopes of a and b, and of the component of t across e;
+    there is no cancellation near the cone. It is factorised without being formed: a wheel with
+    almost no load has slopes 1e9 times those of the others, whose squares would vanish in the sum.
     """
     rows, radius_rate, normal_rate, inverse = _hessian_rows(contacts, y, level, goal)
     k, m = y.shape[1], inverse.shape[1] // 2

@@ -18,7 +18,7 @@ from slipfree.problem.problem import A, Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.terrain.base import Grid
 from slipfree.terrain.friction import check_friction
-from slipfree.terrain.grid_ops import MOST_NODES, cut, disturbed, scaled, smoothed
+from slipfree.terrain.grid_ops import MAX_NODES, cut, disturbed, scaled, smoothed
 from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
 from slipfree.trajectory import Trajectory
@@ -154,9 +154,9 @@ def _origin(found: Map, horizontal: float, vertical: float) -> Facts:
 
 def _check_size(width: float, length: float, spacing: float) -> None:
     nodes = width / spacing * length / spacing
-    if nodes > MOST_NODES:
+    if nodes > MAX_NODES:
         raise ModelError(
-            f"expected a ground of at most {MOST_NODES:g} nodes, found {nodes:.2g} at a spacing "
+            f"expected a ground of at most {MAX_NODES:g} nodes, found {nodes:.2g} at a spacing "
             f"of {spacing:g} m; cut the ground to a window or choose a larger spacing or radius"
         )
 

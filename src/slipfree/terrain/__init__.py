@@ -1,1 +1,1 @@
-"""The ground: formulas, height maps, elevation models, synthetic terrain."""
+"""Grounds: formulas, height maps, elevation models and synthetic terrain."""

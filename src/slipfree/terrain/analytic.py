@@ -1,4 +1,4 @@
-"""Grounds given by a formula."""
+"""Grounds given by formulas."""
 
 from __future__ import annotations
 
@@ -25,13 +25,15 @@ from slipfree.terrain.base import (
 from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain
 
-CHUNK = 4096  # points evaluated at once; any other number would be a slow call
+CHUNK = 4096  # points per mapped call; a map for another number would be built anew
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 
 @dataclass(frozen=True)
 class Analytic:
-    """A ground whose height is a formula; its local coordinates are its map coordinates.
+    """A ground whose height is a formula.
+
+    Its local coordinates are equal to its map coordinates.
 
     Attributes
     ----------
@@ -39,24 +41,24 @@ class Analytic:
         ``function(x, y)`` of two SX scalars that returns the height, built from operators and
         CasADi functions, at least twice continuously differentiable. [m]
     domain : tuple of 4 floats
-        ``x_min, x_max, y_min, y_max`` where the formula is meant to hold. [m]
+        ``x_min, x_max, y_min, y_max`` of the region where the formula is valid. [m]
     mu : float, callable, Grid or None
-        Coefficient of friction: a number, a function of two SX scalars, or a map, laid as
-        `terrain.friction` says. [1]
+        Coefficient of friction: a number, a function of two SX scalars, or a map, interpolated
+        as in `slipfree.terrain.friction`. [1]
 
     Raises
     ------
     ModelError
-        If the domain is empty, or a function does not return one scalar that depends on ``x``
-        and ``y`` alone, or the friction is no positive number.
+        If the domain is empty, if a function does not return one scalar that depends only on ``x``
+        and ``y``, or if the friction is not a positive number.
     DataError
         If a friction map holds coefficients that are not positive.
 
     Notes
     -----
-    An instance can be pickled if its functions can: use ones defined at the top of a module.
-    A formula should not call ``casadi.interpolant`` with ``"bspline"``: its third derivatives on
-    knots and its fourth derivatives write beyond their memory (CasADi 3.8.2). Use `Bicubic`.
+    An instance can be pickled if its functions can: define them at the top level of a module.
+    A formula should not call ``casadi.interpolant`` with ``"bspline"``, whose third derivatives on
+    knots and fourth derivatives write out of bounds (CasADi 3.8.2). Use `Bicubic`.
 
     Examples
     --------
@@ -83,12 +85,12 @@ class Analytic:
         check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the arguments of the ground; compiled parts are rebuilt on demand."""
+        """Return the arguments of the ground; compiled functions are rebuilt on demand."""
         return {"function": self.function, "domain": self.domain, "mu": self.mu}
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        """The map's own origin [m]."""
+        """Map coordinates of the local origin: zero [m]."""
         return (0.0, 0.0, 0.0)
 
     @property
@@ -98,7 +100,7 @@ class Analytic:
 
     @property
     def friction_domain(self) -> tuple[float, float, float, float] | None:
-        """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
+        """``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
         return map_domain(self.mu)
 
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
@@ -131,7 +133,7 @@ class Analytic:
 
     @cached_property
     def _taylor(self) -> ca.Function | None:
-        """Function that looks up a height which calls functions."""
+        """Lookup function of a height formula that calls functions."""
         return taylor_function(self.function)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""The interface between grounds and models, and the checked grid of heights of a height map."""
+"""Interface between grounds and models, and the checked grid of a height map."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from slipfree.errors import DataError, ModelError
 from slipfree.lookups import LookupTable
 from slipfree.records import Array, Mask, overview
 
-HIGHEST = 1e9  # height of a ground [m]
-UNIFORM = 1e-9  # largest deviation of a node from the even axis, as a part of the axis' length
+MAX_HEIGHT = 1e9  # largest absolute height of a ground [m]
+UNIFORMITY = 1e-9  # largest deviation of a node from a uniform axis [length of the axis]
 RESAMPLE = {
     "x": "x_even = np.linspace(x[0], x[-1], x.size); "
     "z = scipy.interpolate.RectBivariateSpline(x, y, z)(x_even, y)",
@@ -43,7 +43,7 @@ class Jet(NamedTuple):
 
 
 def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
-    """Return a height with its derivatives by two symbols."""
+    """Return a height with its derivatives with respect to two symbols."""
     place = ca.vertcat(x, y)
     gradient = ca.gradient(height, place)
     return Jet(height, gradient, ca.jacobian(gradient, place))
@@ -55,15 +55,15 @@ def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y:
     Parameters
     ----------
     found : SX, shape (2 + n, 1)
-        Its centre, and its derivatives there.
+        Centre of the polynomial, and its derivatives there.
     orders : sequence of pairs of int
-        Orders of these derivatives in x and in y.
+        Orders of these derivatives with respect to x and y.
     x, y : SX, shape (1, 1)
         Local point. [m]
     """
     values = dict(zip(orders, ca.vertsplit(found[2:]), strict=True))
     most = max(n for _, n in orders)
-    # Along x in every row of derivatives, then along y: Horner's scheme over the factorials.
+    # along x in every row of derivatives, then along y: Horner's scheme with factorials
     rows = [
         _sums([values[m, n] for m in range(most + 1) if (m, n) in values], x - found[0])
         for n in range(most + 1)
@@ -89,14 +89,14 @@ TAYLOR = tuple((m, n) for n in range(5) for m in range(5 - n))  # orders of deri
 
 
 def taylor_function(formula: Callable[[Any, Any], Any]) -> ca.Function | None:
-    """Return the function that looks up a formula; None for one that calls no functions.
+    """Return the lookup function of a formula; None if the formula calls no functions.
 
-    CasADi does not differentiate through calls in SX graphs as often as plans need.
+    CasADi cannot differentiate calls in SX graphs as often as plans need.
 
     Parameters
     ----------
     formula : callable
-        Of two SX scalars.
+        Function of two SX scalars.
 
     Returns
     -------
@@ -120,16 +120,16 @@ class Terrain(Protocol):
     """A ground given by its height and its coefficient of friction.
 
     1. *Map* coordinates are those of the user's data. *Local* coordinates are map coordinates
-       minus ``origin``; models use local ones, so that large map coordinates cost no digits.
-    2. ``height(x, y, lookups)`` is an SX expression of local coordinates, at least twice
-       continuously differentiable inside the domain, and continues smoothly for a margin outside.
-       ``jet(x, y, lookups)`` is the height with its first and second derivatives, at two symbols:
-       `jet_of` makes it of any height. What cannot be written as an expression is looked up:
-       `LookupTable.find` returns the numbers that a function gives at the point as symbols, of
-       which `polynomial_jet` makes the height.
+       minus ``origin``; models use local coordinates to avoid loss of digits.
+    2. ``height(x, y, lookups)`` is an SX expression of local coordinates. It is at least twice
+       continuously differentiable inside the domain and continues smoothly for a margin outside.
+       ``jet(x, y, lookups)`` is the height with its first and second derivatives, for two symbols;
+       `jet_of` computes it from a height. A height that is not an expression is looked up:
+       `LookupTable.find` returns the results of a function as symbols, and `polynomial_jet`
+       computes the height from them.
     3. ``elevation(x, y)`` is the same surface, numeric and vectorised, in map coordinates.
-    4. ``friction(x, y, lookups)`` is an SX expression of local coordinates; a map makes it twice
-       continuously differentiable. It is one if no friction was given.
+    4. ``friction(x, y, lookups)`` is an SX expression of local coordinates, twice continuously
+       differentiable for a map. It is one if no friction was given.
     5. An instance is immutable and can be pickled.
     """
 
@@ -147,7 +147,7 @@ class Terrain(Protocol):
 
     @property
     def friction_domain(self) -> tuple[float, float, float, float] | None:
-        """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
+        """``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
 
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the local height at a local point [m]."""
@@ -164,21 +164,21 @@ class Terrain(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Heights on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``; or coefficients of friction.
+    """Heights or friction coefficients on a uniform grid, ``z[i, j]`` at ``(x[i], y[j])``.
 
     Attributes
     ----------
     x, y : ndarray, shape (n_x,) and (n_y,)
-        Ascending axes, uniform to 1e-9 of their length, at least four nodes each. [m]
+        Increasing axes with at least four nodes each, uniform to 1e-9 of their length. [m]
     z : ndarray, shape (n_x, n_y)
         Heights [m] or coefficients of friction [1], all finite.
     filled : ndarray of bool, shape (n_x, n_y), or None
-        Nodes whose values were interpolated because the data has a hole there.
+        Nodes in holes of the data, with interpolated values.
 
     Raises
     ------
     DataError
-        If an axis or the heights break one of these rules.
+        If an axis or the heights do not satisfy these conditions.
 
     Examples
     --------
@@ -238,12 +238,13 @@ class Grid:
         )
 
     def touches_filled(self, x: Array, y: Array) -> Mask:
-        """Return whether points lie in cells that have a filled node at a corner.
+        """Return the mask of points in cells with a filled node at a corner.
 
         Parameters
         ----------
         x, y : ndarray
-            Map coordinates of shapes that broadcast; points outside belong to the nearest cell. [m]
+            Map coordinates, of shapes that broadcast; points outside belong to the nearest
+            cell. [m]
         """
         x, y = np.broadcast_arrays(x, y)
         if self.filled is None:
@@ -260,7 +261,7 @@ class Grid:
 
 
 def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -> None:
-    """Check that a function of two SX scalars returns one expression of them alone.
+    """Check that a function of two SX scalars returns one scalar expression of them.
 
     Parameters
     ----------
@@ -283,13 +284,13 @@ def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -
     foreign = [s for s in ca.symvar(found) if not (ca.is_equal(s, x) or ca.is_equal(s, y))]
     if foreign:
         raise ModelError(
-            f"{owner}: the {value} may depend on x and y alone, found the symbols {foreign}; "
-            "put numbers in their place"
+            f"{owner}: the {value} may depend only on x and y, found the symbols {foreign}; "
+            "replace them by numbers"
         )
 
 
 def _check_type(name: str, array: Array) -> None:
-    """Check that an array is a plain array of doubles; nothing is converted silently."""
+    """Check that an array is a plain array of float64, without converting it."""
     if not isinstance(array, np.ndarray):
         found, remedy = type(array).__name__, f"np.asarray({name}, dtype=float)"
     elif np.ma.isMaskedArray(array):
@@ -302,7 +303,7 @@ def _check_type(name: str, array: Array) -> None:
 
 
 def _check_axis(name: str, axis: Array) -> None:
-    """Refuse an axis that is not ascending, uniform and four nodes long."""
+    """Raise DataError unless an axis is increasing and uniform, with at least four nodes."""
     if axis.ndim != 1:
         raise DataError(
             f"grid: axis {name} must have one dimension, found shape {axis.shape}; "
@@ -318,46 +319,46 @@ def _check_axis(name: str, axis: Array) -> None:
     steps = np.diff(axis)
     if (steps < 0).all():
         raise DataError(
-            f"grid: axis {name} must ascend, found it descending from {axis[0]:.9g} to "
+            f"grid: axis {name} must increase, found it decreasing from {axis[0]:.9g} to "
             f"{axis[-1]:.9g}; flip axis and heights together: {FLIP[name]}"
         )
     if not (steps > 0).all():
         node = int(np.argmin(steps > 0)) + 1
         raise DataError(
-            f"grid: axis {name} must ascend, found {name}[{node - 1}] = {axis[node - 1]:.9g} "
+            f"grid: axis {name} must increase, found {name}[{node - 1}] = {axis[node - 1]:.9g} "
             f"followed by {name}[{node}] = {axis[node]:.9g}; sort it, and the heights with it"
         )
     _check_uniform(name, axis, steps)
 
 
 def _check_uniform(name: str, axis: Array, steps: Array) -> None:
-    """Refuse an ascending axis whose nodes are not evenly spaced."""
-    tolerance = UNIFORM * (axis[-1] - axis[0])
+    """Raise DataError for an increasing axis that is not uniform."""
+    tolerance = UNIFORMITY * (axis[-1] - axis[0])
     if np.abs(axis - np.linspace(axis[0], axis[-1], axis.size)).max() <= tolerance:
         return
     usual = float(np.median(steps))
     off = np.abs(steps - usual)
-    # Steps may each be near enough and still add up to a drift: then the worst ones are named.
+    # small errors of the steps may add up to a drift: report the largest one
     node = int(np.argmax(off > min(tolerance, 0.5 * off.max()))) + 1
     raise DataError(
-        f"grid: axis {name} must be uniform to {UNIFORM:g} of its length, found a step of "
+        f"grid: axis {name} must be uniform to {UNIFORMITY:g} of its length, found a step of "
         f"{steps[node - 1]:.12g} m before node {node} at {name} = {axis[node]:.12g} m where "
         f"{usual:.12g} m is usual; resample: {RESAMPLE[name]}"
     )
 
 
 def _check_heights(x: Array, y: Array, z: Array) -> None:
-    """Refuse heights that do not fit the axes or are not all finite."""
+    """Raise DataError for heights that do not match the axes or are not all finite."""
     expected = (x.size, y.size)
     if z.shape != expected:
         hint = "; rows must run along x: pass z.T" if z.shape == expected[::-1] else ""
         raise DataError(
             f"grid: z must have the shape (x.size, y.size) = {expected}, found {z.shape}{hint}"
         )
-    if np.abs(z[np.isfinite(z)]).max(initial=0.0) > HIGHEST:
+    if np.abs(z[np.isfinite(z)]).max(initial=0.0) > MAX_HEIGHT:
         raise DataError(
-            f"grid: heights must lie between -{HIGHEST:g} and {HIGHEST:g} m, found one of "
-            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; is it the mark of a hole?"
+            f"grid: heights must lie between -{MAX_HEIGHT:g} and {MAX_HEIGHT:g} m, found one of "
+            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; a value that marks holes must be NaN"
         )
     bad = ~np.isfinite(z)
     if bad.any():

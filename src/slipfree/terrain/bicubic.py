@@ -12,13 +12,13 @@ import numpy as np
 from slipfree.lookups import LookupTable
 from slipfree.records import Array
 from slipfree.terrain.base import Grid, Jet, polynomial_jet
-from slipfree.terrain.friction import Friction, bordered, check_friction, coefficient, map_domain
-from slipfree.terrain.kernel import Layout, Opened, opened
+from slipfree.terrain.friction import Friction, pad_border, check_friction, coefficient, map_domain
+from slipfree.terrain.kernel import Layout, Opened, register_ground
 
-ON_KNOT = 1e-10  # a point nearer to a knot than this, in cells, lies on it
-CHUNK = 8192  # points evaluated at once: the temporaries stay in the cache
+KNOT_TOLERANCE = 1e-10  # a point at a smaller distance from a knot lies on it [cell]
+CHUNK = 8192  # points evaluated at once, so that temporary arrays stay in the cache
 CUBIC = tuple((m, n) for n in range(4) for m in range(4))  # orders of a cell's derivatives
-LARGE = 2**21  # coefficients above which the look-up stores them once, not four times
+MAX_FOURFOLD_SIZE = 2**21  # larger tables of coefficients are stored once, not four times
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,41 +30,41 @@ class Bicubic:
     a point on the last knot to the last cell. Outside the domain the polynomial of the nearest
     cell continues.
 
-    Not ``through`` the nodes, the surface is the cubic B-spline whose coefficients are the nodes'
-    values, those of the border repeated: twice continuously differentiable, between the smallest
-    and the largest value of the 16 nodes around, and smoother than the values. A jump between two
-    nodes becomes a rise over three cells, 96 % of it within two.
+    With ``through=False`` the surface is the cubic B-spline whose coefficients are the values of
+    the nodes, with the border repeated. It is twice continuously differentiable, stays between the
+    smallest and the largest value of the 16 surrounding nodes, and is smoother than the values:
+    a jump between two nodes becomes a rise over three cells, with 96 % of it within two cells.
 
     Attributes
     ----------
     grid : Grid
         The nodes.
     center : tuple of 2 floats or None
-        Map coordinates of the local origin, by default the middle of the domain. Near the motion,
-        it saves digits on a large map. [m]
+        Map coordinates of the local origin, by default the middle of the domain. On a large map,
+        an origin near the motion avoids loss of digits. [m]
     mu : float, callable, Grid or None
         Coefficient of friction: a number, a function of two SX scalars in map coordinates, or a
-        map, laid as `terrain.friction` says. [1]
+        map, interpolated as in `slipfree.terrain.friction`. [1]
     through : bool
-        Whether the surface goes through the nodes' values, or only stays between them.
+        Whether the surface interpolates the values of the nodes; otherwise it smooths them.
 
     Raises
     ------
     ModelError
-        If the friction is no positive number, or its function does not return one scalar that
-        depends on ``x`` and ``y`` alone.
+        If the friction is not a positive number, or its function does not return one scalar that
+        depends only on ``x`` and ``y``.
     DataError
         If a friction map holds coefficients that are not positive.
 
     Notes
     -----
-    CasADi's own spline nodes cannot be used: on a knot their third derivatives write beyond their
-    memory, and their fourth derivatives do so everywhere (3.8.2). Here the middle of the cell and
-    the 16 derivatives there are looked up (`slipfree.lookups`), and the rest is an SX polynomial.
+    CasADi's own splines cannot be used: their third derivatives on knots and their fourth
+    derivatives everywhere write out of bounds (3.8.2). Here the centre of the cell and the
+    16 derivatives there are looked up (`slipfree.lookups`); the height is then an SX polynomial.
 
-    Where a compiler was found when the package was installed, the C of `slipfree.terrain.kernel`
-    looks them up; a table of CasADi's is what it is tested against, and what a ground keeps to
-    that was made while 64 others were in use.
+    If a compiler was found at installation, the C code of `slipfree.terrain.kernel` does the
+    lookup. Otherwise, and for a ground that was created while 64 others were in use, a CasADi
+    interpolant does it.
 
     One instance must not be evaluated by two threads at once; give each its own unpickled copy.
 
@@ -147,7 +147,7 @@ class Bicubic:
 
     @cached_property
     def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Along x and y: the node nearest to the local origin, and the last cell."""
+        """Indices along x and y of the node nearest to the local origin, and of the last cell."""
         counts = []
         for axis, at, h in zip(
             (self.grid.x, self.grid.y), self.origin, self.grid.spacing, strict=False
@@ -158,9 +158,9 @@ class Bicubic:
         return counts[0], counts[1]
 
     def _in_cells(self, x: Any, y: Any) -> tuple[Any, Any]:
-        """Return a local point counted in cells from the node nearest to the local origin.
+        """Return a local point in units of cells from the node nearest to the local origin.
 
-        Counted from there, points near the origin keep their digits on a map of any size.
+        With this reference, points near the origin lose no digits on a map of any size.
         """
         (i_0, _), (j_0, _) = self._cells
         x_0, y_0, _ = self.origin
@@ -171,9 +171,9 @@ class Bicubic:
         """Return the local heights at local points, shape (n,)."""
         a, b = self._in_cells(x, y)
         (i_0, i_last), (j_0, j_last) = self._cells
-        # fmin and fmax put NaN into a valid cell, whose polynomial then returns NaN.
-        i = np.fmin(np.fmax(np.floor(a + ON_KNOT), -i_0), i_last - i_0)
-        j = np.fmin(np.fmax(np.floor(b + ON_KNOT), -j_0), j_last - j_0)
+        # fmin and fmax assign NaN to a valid cell, whose polynomial then returns NaN
+        i = np.fmin(np.fmax(np.floor(a + KNOT_TOLERANCE), -i_0), i_last - i_0)
+        j = np.fmin(np.fmax(np.floor(b + KNOT_TOLERANCE), -j_0), j_last - j_0)
         rows, columns = _basis(a - i), _basis(b - j)
         table = self._table
         width = table.shape[1]
@@ -195,7 +195,7 @@ class Bicubic:
             coefficients = np.ascontiguousarray(_solve_not_a_knot(along_x.T).T)
         else:
             coefficients = np.ascontiguousarray(np.pad(values, 1, mode="edge"))
-        coefficients /= 36  # the bases are kept free of their factors 1/6
+        coefficients /= 36  # instead of the factors 1/6 of the basis functions
         return coefficients
 
     @cached_property
@@ -203,26 +203,26 @@ class Bicubic:
         (x_0, y_0, _), (i, j) = self.origin, (cell[0] for cell in self._cells)
         place = float(self.grid.x[i] - x_0), float(self.grid.y[j] - y_0)
         last = self._cells[0][1], self._cells[1][1]
-        return opened(self._table, Layout(place, self.grid.spacing, (i, j), last))
+        return register_ground(self._table, Layout(place, self.grid.spacing, (i, j), last))
 
     @cached_property
     def _cell(self) -> tuple[ca.Function, float]:
-        """Function from a local point and a number to the polynomial there, and the number."""
+        """Lookup function of a local point and a key, and the key."""
         if self._kernel is not None:
             return self._kernel.function, self._kernel.key
         return self._interpolated_cell(), 0.0
 
     def _interpolated_cell(self) -> ca.Function:
-        """Return the function of `kernel.c`, made of a table of CasADi's."""
+        """Return the lookup function of `kernel.c` as a CasADi interpolant."""
         (i_0, i_last), (j_0, j_last) = self._cells
         x_0, y_0, _ = self.origin
         h_x, h_y = self.grid.spacing
         at = ca.MX.sym("at", 3)
         a, b = self._in_cells(at[0], at[1])
-        i = ca.fmin(ca.fmax(ca.floor(a + ON_KNOT), -i_0), i_last - i_0)
-        j = ca.fmin(ca.fmax(ca.floor(b + ON_KNOT), -j_0), j_last - j_0)
-        c = ca.reshape(_gather(self._table)(ca.vertcat(i + i_0, j + j_0)), 4, 4)
-        left, right = (ca.DM(_middle() / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
+        i = ca.fmin(ca.fmax(ca.floor(a + KNOT_TOLERANCE), -i_0), i_last - i_0)
+        j = ca.fmin(ca.fmax(ca.floor(b + KNOT_TOLERANCE), -j_0), j_last - j_0)
+        c = ca.reshape(_gather_function(self._table)(ca.vertcat(i + i_0, j + j_0)), 4, 4)
+        left, right = (ca.DM(_middle_basis() / h ** np.arange(4)[:, None]) for h in (h_x, h_y))
         center = [
             self.grid.x[i_0] - x_0 + (i + 0.5) * h_x,
             self.grid.y[j_0] - y_0 + (j + 0.5) * h_y,
@@ -235,11 +235,11 @@ class Bicubic:
 
 
 def friction_map(mu: Friction, center: tuple[float, float]) -> Bicubic | None:
-    """Return the surface of a friction map in local coordinates about a centre, None if no map.
+    """Return the surface of a friction map in local coordinates about a centre; None without a map.
 
-    Its local height is the coefficient less ``origin[2]``, the mean over the nodes.
+    Its local height is the coefficient minus ``origin[2]``, the mean over the nodes.
     """
-    return Bicubic(bordered(mu), center, through=False) if isinstance(mu, Grid) else None
+    return Bicubic(pad_border(mu), center, through=False) if isinstance(mu, Grid) else None
 
 
 def _basis(u: Any) -> tuple[Any, Any, Any, Any]:
@@ -261,14 +261,14 @@ def _solve_not_a_knot(values: Array) -> Array:
     Returns
     -------
     ndarray, shape (n + 2, m)
-        Third derivatives are continuous at the second and at the last but one node.
+        Coefficients; third derivatives are continuous at the second and the last but one node.
     """
-    from scipy.linalg import solve_banded  # imported where a map is read: it takes 0.2 s
+    from scipy.linalg import solve_banded  # imported here: the import takes 0.2 s
 
     n = values.shape[0]
     bands = np.zeros((9, n + 2))  # entry i, j of the matrix is bands[4 + i - j, j]
     bands[5, :n], bands[4, 1:-1], bands[3, 2:] = 1 / 6, 4 / 6, 1 / 6
-    # The third derivative is a third difference of coefficients; its jump a fourth.
+    # the third derivative is a third difference of coefficients, its jump a fourth difference
     for column, weight in enumerate((1, -4, 6, -4, 1)):
         bands[4 - column, column] = weight
         bands[8 - column, n - 3 + column] = weight
@@ -278,10 +278,10 @@ def _solve_not_a_knot(values: Array) -> Array:
     return solution
 
 
-def _middle() -> Array:
-    """Return the four B-splines times six, and their derivatives, in the middle of a cell.
+def _middle_basis() -> Array:
+    """Return the four B-splines times six and their derivatives in the middle of a cell.
 
-    Shape (4, 4), a row for every order; by the place counted in cells.
+    The shape is (4, 4), with one row per order; derivatives are with respect to cell coordinates.
     """
     u = v = 0.5
     return np.array(
@@ -294,8 +294,8 @@ def _middle() -> Array:
     )
 
 
-def _gather(table: Array) -> ca.Function:
-    """Return the function that finds the 16 entries of a table that belong to a cell.
+def _gather_function(table: Array) -> ca.Function:
+    """Return the lookup function of the 16 table entries of a cell.
 
     Parameters
     ----------
@@ -305,13 +305,15 @@ def _gather(table: Array) -> ca.Function:
     Returns
     -------
     Function
-        From ``[i, j]``, whole numbers, to ``table[i : i + 4, j : j + 4]`` as a column, i fastest.
+        From integers ``[i, j]`` to ``table[i : i + 4, j : j + 4]`` as a column, i fastest.
     """
     columns = np.ascontiguousarray(table.T)
-    run = 4 if table.size <= LARGE else 1  # neighbours stored together: 4 look-ups instead of 16
+    run = (
+        4 if table.size <= MAX_FOURFOLD_SIZE else 1
+    )  # neighbours stored together: 4 look-ups instead of 16
     runs = np.lib.stride_tricks.sliding_window_view(columns, run, axis=1)
     axes = [list(range(runs.shape[1])), list(range(runs.shape[0]))]
-    # At its nodes a linear interpolant returns their values without rounding.
+    # a linear interpolant returns the exact values at its nodes
     exact = {"lookup_mode": ["exact", "exact"]}
     interpolant = ca.interpolant("table", "linear", axes, runs.reshape(-1), exact)
     cell = ca.MX.sym("cell", 2)

@@ -1,11 +1,11 @@
-"""The coefficient of friction of a ground: a number, a formula, or a map.
+"""Coefficient of friction of a ground: a number, a formula, or a map.
 
-A map is laid as the cubic B-spline whose coefficients are the values at the nodes, the border's
+A friction map is the cubic B-spline whose coefficients are the values at the nodes, with the border
 repeated. It is twice continuously differentiable and stays between the smallest and the largest
-value of the 16 nodes around, so that ice beside rock makes no negative friction, as a spline
-through the values would. Outside the map the values of its border continue. The price: it does
-not pass through the values but smooths them. A jump between two nodes becomes a rise over three
-cells, 96 % of it within two.
+value of the 16 nodes around a point; unlike an interpolating spline it has no negative friction
+between ice and rock. Outside the map, the values of the border continue. The spline smooths the
+values instead of interpolating them: a jump between two nodes becomes a rise over three cells, with
+96 % of it within two cells.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from slipfree.terrain.base import (
     taylor_function,
 )
 
-# A number, a function of two SX scalars in map coordinates, a map, or none: then it is one. [1]
+# number, function of two SX scalars in map coordinates, or map; None stands for one [1]
 Friction = float | Callable[[Any, Any], Any] | Grid | None
-BORDER = 2  # rows of nodes which, repeated around a map, make it constant away from the border
+BORDER = 2  # repeated rows of nodes around a map that make it constant outside
 
 
 def check_friction(mu: Friction) -> None:
@@ -40,8 +40,8 @@ def check_friction(mu: Friction) -> None:
     Raises
     ------
     ModelError
-        If a number is not positive and finite, or a function does not return one scalar that
-        depends on ``x`` and ``y`` alone, or it is none of them.
+        If a number is not positive and finite, if a function does not return one scalar that
+        depends only on ``x`` and ``y``, or if ``mu`` has another type.
     DataError
         If a map holds values that are not positive.
     """
@@ -54,7 +54,7 @@ def check_friction(mu: Friction) -> None:
     elif not isinstance(mu, float | int) or isinstance(mu, bool):
         raise ModelError(
             "friction: mu must be a number, a function of x and y, or a Grid, found "
-            f"{type(mu).__name__}; pass float(mu), or read_grid(path) of a file"
+            f"{type(mu).__name__}; pass float(mu), or read_grid(path) for a file"
         )
     elif not 0 < mu < math.inf:
         raise ModelError(
@@ -83,7 +83,7 @@ def coefficient(
     x, y : SX, shape (1, 1)
         Local coordinates. [m]
     lookups : LookupTable
-        Of the model.
+        Lookups of the model.
     """
     if isinstance(mu, float | int):
         return ca.SX(mu)
@@ -101,28 +101,28 @@ def coefficient(
 
 
 def map_domain(mu: Friction) -> tuple[float, float, float, float] | None:
-    """Return ``x_min, x_max, y_min, y_max`` of a friction map, None if there is no map [m]."""
+    """Return ``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
     return mu.domain if isinstance(mu, Grid) else None
 
 
-def bordered(grid: Grid) -> Grid:
+def pad_border(grid: Grid) -> Grid:
     """Return a grid with the values of its border repeated around it.
 
-    Across its border cells the B-spline of the larger grid is constant, and so it continues: a
-    point outside, at which a solver looks on its way, meets a value in the range of the map. (The
-    rounding grows with the third power of the distance: to 1e-9 at 200 cells.)
+    Across its border cells the B-spline of the larger grid is constant and continues so. A point
+    outside, which a solver may evaluate, therefore has a value in the range of the map. (Rounding
+    grows with the third power of the distance: to 1e-9 at 200 cells.)
     """
-    x, y = (_lengthened(axis, h) for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True))
+    x, y = (_extend_axis(axis, h) for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True))
     return Grid(x, y, np.pad(grid.z, BORDER, mode="edge"))
 
 
-def _lengthened(axis: Array, spacing: float) -> Array:
+def _extend_axis(axis: Array, spacing: float) -> Array:
     room = BORDER * spacing
     return np.linspace(axis[0] - room, axis[-1] + room, axis.size + 2 * BORDER)
 
 
 def _check_map(grid: Grid) -> None:
-    """Refuse a map whose values are not all positive; a grid is finite already."""
+    """Raise DataError for a map whose values are not all positive."""
     bad = ~(grid.z > 0)
     if bad.any():
         i, j = np.argwhere(bad)[0]

@@ -1,6 +1,6 @@
-"""What may be done to a map before it is a ground: cut, filled, scaled, smoothed, disturbed.
+"""Operations on height maps: cut, fill, scale, smooth, disturb.
 
-Every function is pure: it returns a new map and, where heights change, by how much.
+Every function is pure: it returns a new map and, where it changes heights, the size of the change.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from slipfree.errors import DataError, ModelError
 from slipfree.records import Array, Mask
 from slipfree.terrain.base import Grid
 
-MOST_NODES = 5e7  # of a ground: 400 MB an array
-FARTHEST = 1e12  # place that a map may have [m] or [deg]
-RESOLVED = 1e-14  # least step of an axis, as a part of the farthest place
-NEAR = 1e-6  # part of a cell by which a node may miss a window
-TAIL = 4.0  # standard deviations after which a Gaussian is cut off
-WAVES = 1000  # plane waves that make up an elevation error
-AROUND = np.ones((3, 3), dtype=bool)  # a node and its eight neighbours
+MAX_NODES = 5e7  # largest number of nodes of a ground; an array then takes 400 MB
+MAX_COORDINATE = 1e12  # largest absolute coordinate of a map [m] or [deg]
+MIN_RELATIVE_STEP = 1e-14  # smallest step of an axis [largest coordinate]
+WINDOW_TOLERANCE = 1e-6  # distance of a node outside a window that still counts as inside [cell]
+GAUSSIAN_CUTOFF = 4.0  # half-width of a truncated Gaussian [standard deviations]
+WAVES = 1000  # number of plane waves of an elevation error
+NEIGHBOURHOOD = np.ones((3, 3), dtype=bool)  # a node and its eight neighbours
 Window = tuple[float, float, float, float]
 
 
 class Axis(NamedTuple):
-    """Even nodes along x or y.
+    """Uniform axis along x or y.
 
     Attributes
     ----------
     first, step : float
-        Place of the first node, and what lies between two. [m] or [deg]
+        Coordinate of the first node, and distance between nodes. [m] or [deg]
     size : int
-        How many there are.
+        Number of nodes.
     """
 
     first: float
@@ -42,28 +42,28 @@ class Axis(NamedTuple):
     size: int
 
     def nodes(self, part: slice) -> Array:
-        """Return the places of some of the nodes. [m] or [deg]."""
+        """Return the coordinates of a slice of the nodes. [m] or [deg]."""
         first, last = (self.first + self.step * k for k in (part.start, part.stop - 1))
         return np.linspace(first, last, part.stop - part.start)
 
 
 class Heights(NamedTuple):
-    """A map as a file holds it.
+    """Heights of a map file.
 
     Attributes
     ----------
     x, y : ndarray, shape (n_x,) and (n_y,)
-        Ascending, uniform axes. [m] or [deg]
+        Increasing, uniform axes. [m] or [deg]
     z : ndarray, shape (n_x, n_y)
         Heights at ``(x[i], y[j])``, NaN in holes. [m]
     told : tuple of (str, str)
-        Name and value of what to tell about the file.
+        Names and values of facts about the file, for users.
     crs : str
         Its coordinate reference system such as ``"EPSG:32633"``; empty if unknown.
     geographic : bool
-        Whether the file says that x and y are degrees.
+        Whether x and y are degrees according to the file.
     placed : bool
-        Whether the file itself says where its nodes lie.
+        Whether the file gives the coordinates of its nodes.
     """
 
     x: Array
@@ -76,16 +76,16 @@ class Heights(NamedTuple):
 
 
 class Filled(NamedTuple):
-    """Heights without holes, and what was filled.
+    """Heights with filled holes, and counts of the filling.
 
     Attributes
     ----------
     z : ndarray, shape (n_x, n_y)
         Heights. [m]
     nodes, holes : int
-        How many nodes had no height, and in how many connected holes they lie.
+        Numbers of filled nodes and of connected holes.
     largest : tuple of 2 floats
-        Extents along x and y of the hole of most nodes. [m] or [deg]
+        Extents along x and y of the hole with the most nodes. [m] or [deg]
     """
 
     z: Array
@@ -95,14 +95,14 @@ class Filled(NamedTuple):
 
 
 class Smoothed(NamedTuple):
-    """A smoothed ground, and what that changed.
+    """A smoothed ground, and the size of the change.
 
     Attributes
     ----------
     grid : Grid
         The new ground. [m]
     rms, largest : float
-        Root mean square and largest size of the change of height. [m]
+        Root mean square and largest absolute value of the change of height. [m]
     """
 
     grid: Grid
@@ -111,72 +111,75 @@ class Smoothed(NamedTuple):
 
 
 def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
-    """Return which nodes along x and along y lie in a window, borders among them; all without.
+    """Return the slices of nodes along x and y that lie in a window, borders included.
+
+    Without a window, all nodes are returned.
 
     Raises
     ------
     DataError
-        If the window is empty, holds too few nodes, or if there are too many to be kept.
+        If the window is empty or contains too few nodes, or if there are too many nodes for memory.
     """
     _check_axes(x, y)
     found = slice(0, x.size), slice(0, y.size)
-    reach = f"the map reaches from {_reach(x)} in x and from {_reach(y)} in y"
+    reach = f"the map extends from {_extent(x)} in x and from {_extent(y)} in y"
     if window is not None:
         if not (window[0] < window[1] and window[2] < window[3]):
             raise DataError(
                 "window: expected [x_min, x_max, y_min, y_max] with x_min < x_max and "
-                f"y_min < y_max, found {_spelled(window)}; {reach}"
+                f"y_min < y_max, found {_window_text(window)}; {reach}"
             )
         found = _part(x, *window[:2]), _part(y, *window[2:])
         sizes = [max(part.stop - part.start, 0) for part in found]
         if min(sizes) < 4:
             raise DataError(
                 f"window: expected a part of the map with at least 4 nodes along x and along y, "
-                f"found {sizes[0]} by {sizes[1]} in {_spelled(window)}; {reach}, "
+                f"found {sizes[0]} by {sizes[1]} in {_window_text(window)}; {reach}, "
                 f"a node every {x.step:.9g} and {y.step:.9g}"
             )
     nodes = math.prod(part.stop - part.start for part in found)
-    if nodes > MOST_NODES:
+    if nodes > MAX_NODES:
         raise DataError(
-            f"expected at most {MOST_NODES:g} nodes, found {float(nodes):.3g} "
-            f"({x.size} by {y.size} in the file); name the part that is needed as "
+            f"expected at most {MAX_NODES:g} nodes, found {float(nodes):.3g} "
+            f"({x.size} by {y.size} in the file); select a part by "
             f"window = [x_min, x_max, y_min, y_max]: {reach}"
         )
     return found
 
 
 def _check_axes(x: Axis, y: Axis) -> None:
-    """Refuse maps of too few nodes, and those beyond the reach of numbers."""
+    """Raise DataError for axes with too few nodes or with nodes that rounding would merge."""
     if min(x.size, y.size) < 4:
         raise DataError(
             f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}"
         )
     for name, axis in (("x", x), ("y", y)):
-        size = min(axis.size, 10**18)  # a header may claim any
+        size = min(axis.size, 10**18)  # a header may contain any number
         farthest = max(abs(axis.first), abs(axis.first + axis.step * size))
-        if not (farthest < FARTHEST and axis.step > RESOLVED * farthest):
+        if not (farthest < MAX_COORDINATE and axis.step > MIN_RELATIVE_STEP * farthest):
             raise DataError(
-                f"expected places up to {FARTHEST:g} that numbers can tell apart, found "
-                f"{float(size):.3g} nodes from {name} = {axis.first:g}, {axis.step:g} apart"
+                f"expected node coordinates up to {MAX_COORDINATE:g} with a step above "
+                f"{MIN_RELATIVE_STEP:g} of the largest, found "
+                f"{float(size):.3g} nodes from {name} = {axis.first:g} with step {axis.step:g}"
             )
 
 
 def _part(axis: Axis, low: float, high: float) -> slice:
     ends = [np.clip((end - axis.first) / axis.step, -1, axis.size) for end in (low, high)]
-    first, last = math.ceil(ends[0] - NEAR), math.floor(ends[1] + NEAR)
+    first, last = math.ceil(ends[0] - WINDOW_TOLERANCE), math.floor(ends[1] + WINDOW_TOLERANCE)
     return slice(max(first, 0), min(last + 1, axis.size))
 
 
-def _reach(axis: Axis) -> str:
+def _extent(axis: Axis) -> str:
     return f"{axis.first:.9g} to {axis.first + axis.step * (axis.size - 1):.9g}"
 
 
-def _spelled(window: Window) -> str:
+def _window_text(window: Window) -> str:
     return f"[{', '.join(f'{each:.9g}' for each in window)}]"
 
 
 def axes_of(x: Array, y: Array) -> tuple[Axis, Axis]:
-    """Return uniform axes as their first node, step and count."""
+    """Return the first node, step and size of two uniform axes."""
     first, second = (
         Axis(float(axis[0]), float(np.ptp(axis)) / (axis.size - 1), axis.size) for axis in (x, y)
     )
@@ -184,7 +187,7 @@ def axes_of(x: Array, y: Array) -> tuple[Axis, Axis]:
 
 
 def cut(grid: Grid, window: Window) -> Grid:
-    """Return the part of a ground whose nodes lie in a window, borders among them.
+    """Return the part of a ground inside a window, borders included.
 
     Raises
     ------
@@ -197,46 +200,45 @@ def cut(grid: Grid, window: Window) -> Grid:
 
 
 def check_whole(found: Heights) -> None:
-    """Refuse a map with holes.
+    """Raise DataError for a map with holes.
 
     Raises
     ------
     DataError
-        Says how many there are, where the first is, and how to fill them.
+        With the number of holes, the position of the first, and how to fill them.
     """
     holes = np.isnan(found.z)
     if holes.any():
         i, j = np.argwhere(holes)[0]
         raise DataError(
             f"all heights must be finite, found {np.count_nonzero(holes)} of {holes.size} nodes "
-            f"without one, the first at x = {found.x[i]:.9g}, y = {found.y[j]:.9g}; ask for "
-            'fill = "linear", or cut the map by window to a part without holes'
+            f"without one, the first at x = {found.x[i]:.9g}, y = {found.y[j]:.9g}; set "
+            'fill = "linear", or use window to select a part of the map without holes'
         )
 
 
 def fill_holes(found: Heights) -> Filled:
-    """Return heights with holes interpolated linearly between the nodes around them.
+    """Return heights with holes filled by linear interpolation between the surrounding nodes.
 
     Raises
     ------
     DataError
-        If a hole reaches the border, where nothing lies around it; the message names a window
-        that such holes do not reach.
+        If a hole reaches the border of the map; the message proposes a window without such holes.
 
     Notes
     -----
-    The rims of the holes, every node that is one of the eight neighbours of a hole, are joined to
-    triangles by Delaunay's rule. A rim is a closed chain whose links are edges of these triangles,
-    so that no hole is filled from the rim of another. A plane is filled exactly.
+    The rim of a hole consists of the valid nodes among the eight neighbours of its nodes. A
+    Delaunay triangulation of all rims is interpolated. A rim is a closed chain of edges of these
+    triangles, so that no hole is filled from the rim of another. A plane is reproduced exactly.
     """
-    from scipy.interpolate import LinearNDInterpolator  # imported where it is used: it takes 0.2 s
+    from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
 
     holes = np.isnan(found.z)
-    numbers, count = ndimage.label(holes, AROUND)
+    numbers, count = ndimage.label(holes, NEIGHBOURHOOD)
     if not count:
         return Filled(found.z, 0, 0, (0.0, 0.0))
     _check_closed(found, numbers)
-    rim = ndimage.binary_dilation(holes, AROUND) & ~holes
+    rim = ndimage.binary_dilation(holes, NEIGHBOURHOOD) & ~holes
     z = found.z.copy()
     surface = LinearNDInterpolator(np.argwhere(rim).astype(np.float64), z[rim])
     z[holes] = surface(np.argwhere(holes).astype(np.float64))
@@ -250,20 +252,20 @@ def fill_holes(found: Heights) -> Filled:
 
 
 def _check_closed(found: Heights, numbers: Array) -> None:
-    """Refuse holes that reach the border of the map."""
+    """Raise DataError for holes that reach the border of the map."""
     borders = numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]
     open_ones = np.unique(np.concatenate(borders))
     open_ones = open_ones[open_ones > 0]
     if open_ones.size:
         nodes = int(np.isin(numbers, open_ones).sum())
-        window = _closed_window(np.isnan(found.z))
+        window = _window_without_border_holes(np.isnan(found.z))
         remedy = "use another map"
         if window is not None:
             i, j = window
             ends = found.x[i.start], found.x[i.stop - 1], found.y[j.start], found.y[j.stop - 1]
             remedy = (
-                "cut the map to a part that they do not reach, for example (in the coordinates of "
-                f"the file) window = {_spelled(ends)}"
+                "select a part of the map without such holes, for example (in the coordinates of "
+                f"the file) window = {_window_text(ends)}"
             )
         raise DataError(
             "fill: expected holes with heights all around, found "
@@ -272,8 +274,11 @@ def _check_closed(found: Heights, numbers: Array) -> None:
         )
 
 
-def _closed_window(holes: Mask) -> tuple[slice, slice] | None:
-    """Return a part of a map without holes at its border: the worst border goes until none is."""
+def _window_without_border_holes(holes: Mask) -> tuple[slice, slice] | None:
+    """Return a part of a map without holes at its border.
+
+    The border line with the most holes is removed repeatedly.
+    """
     i, j = slice(0, holes.shape[0]), slice(0, holes.shape[1])
     while min(i.stop - i.start, j.stop - j.start) >= 4:
         part = holes[i, j]
@@ -302,26 +307,26 @@ def scaled(grid: Grid, horizontal: float, vertical: float) -> Grid:
 def smoothed(grid: Grid, deviation: float) -> Smoothed:
     """Return a ground averaged with Gaussian weights.
 
-    Outside the grid the ground continues as its mirror image about the border node, upside down,
-    so that a slope stays a slope.
+    Outside the grid the ground continues by point reflection about the border node, which preserves
+    slopes.
 
     Parameters
     ----------
     grid : Grid
         The ground.
     deviation : float
-        Standard deviation of the weights; waves of length w keep exp(-2 (pi deviation / w)**2) of
-        their height. [m]
+        Standard deviation of the weights; the height of waves of length w is multiplied by
+        exp(-2 (pi deviation / w)**2). [m]
 
     Raises
     ------
     ModelError
-        If it is not positive, or more than an eighth of the ground.
+        If the deviation is not positive, or exceeds an eighth of the ground's extent.
     """
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
     if not 0 < deviation <= extent / 8:
         raise ModelError(
-            f"smooth: expected a standard deviation above 0 and of at most {extent / 8:.4g} m, an "
+            f"smooth: expected a standard deviation above 0 and at most {extent / 8:.4g} m, an "
             f"eighth of the ground, found {deviation:g} m"
         )
     z = averaged(grid.z, grid.spacing, deviation)
@@ -330,38 +335,38 @@ def smoothed(grid: Grid, deviation: float) -> Smoothed:
 
 
 def averaged(z: Array, steps: tuple[float, float], deviation: float) -> Array:
-    """Return heights averaged with Gaussian weights, continued outside as `smoothed` has it.
+    """Return heights averaged with Gaussian weights; see `smoothed` for the borders.
 
     Parameters
     ----------
     z : ndarray, shape (n_x, n_y)
         Heights. [m]
     steps : tuple of 2 floats
-        Distances of nodes along x and y. [m]
+        Node spacings along x and y. [m]
     deviation : float
         Standard deviation of the weights. [m]
     """
     sigma = [deviation / step for step in steps]
-    pad = [math.ceil(TAIL * each) + 1 for each in sigma]
+    pad = [math.ceil(GAUSSIAN_CUTOFF * each) + 1 for each in sigma]
     wide = np.pad(z, [(n, n) for n in pad], mode="reflect", reflect_type="odd")
-    mean = ndimage.gaussian_filter(wide, sigma, truncate=TAIL)
+    mean = ndimage.gaussian_filter(wide, sigma, truncate=GAUSSIAN_CUTOFF)
     return np.ascontiguousarray(mean[pad[0] : -pad[0], pad[1] : -pad[1]])
 
 
 def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
-    """Return a ground with a random error of its heights added.
+    """Return a ground with a random elevation error added.
 
     Parameters
     ----------
     grid : Grid
         The ground.
     rms : float
-        Standard deviation of the error over all seeds; on one map it is about that, the nearer
-        the more correlation lengths it spans. [m]
+        Standard deviation of the error over all seeds. That of a single map approaches it with
+        the number of correlation lengths on the map. [m]
     correlation : float
-        Distance d at which the correlation exp(-(d / correlation)**2) is down to 1/e. [m]
+        Distance d at which the correlation exp(-(d / correlation)**2) has decayed to 1/e. [m]
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Raises
     ------
@@ -370,21 +375,21 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
 
     Notes
     -----
-    A sum of plane waves of random phase whose wave vectors are normally distributed, the spectrum
-    of that correlation (Shinozuka and Deodatis, "Simulation of stochastic processes by spectral
-    representation", Applied Mechanics Reviews 44, 1991). It is a function of the place alone: a
-    window or another spacing sees the same error.
+    The error is a sum of plane waves with random phases and normally distributed wave vectors, the
+    spectrum of that correlation (Shinozuka and Deodatis, "Simulation of stochastic processes by
+    spectral representation", Applied Mechanics Reviews 44, 1991). It is a function of position
+    only: a window or another spacing has the same error.
     """
     if not (rms > 0 and correlation > 0):
         raise ModelError(
             f"error: expected rms and correlation above 0 m, found {rms:g} m and {correlation:g} m"
         )
     rng = np.random.default_rng(seed)
-    # A variance of 2 / correlation**2 a component makes E cos(k d) = exp(-(d / correlation)**2).
+    # variance 2 / correlation**2 of each component: E cos(k d) = exp(-(d / correlation)**2)
     k_x, k_y = rng.standard_normal((2, WAVES)) * (math.sqrt(2) / correlation)
     wave = np.exp(1j * rng.uniform(0, 2 * np.pi, WAVES))
     along_x = np.exp(1j * np.outer(grid.x, k_x)) * wave
     along_y = np.exp(1j * np.outer(k_y, grid.y))
-    # Only the real part of the product is needed: two real products instead of four.
+    # only the real part of the product is needed: two real products instead of four
     error = along_x.real @ along_y.real - along_x.imag @ along_y.imag
     return replace(grid, z=grid.z + rms * math.sqrt(2 / WAVES) * error)

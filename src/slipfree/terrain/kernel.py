@@ -1,7 +1,7 @@
-"""The compiled evaluator of bicubic grounds, where a compiler was found when this was installed.
+"""Compiled evaluator of bicubic grounds, if a compiler was found at installation.
 
-`kernel.c` looks up the polynomial of a cell, as `slipfree.terrain.bicubic` does with CasADi's
-tables. CasADi calls it as an external function.
+`kernel.c` looks up the polynomial of a cell, as `slipfree.terrain.bicubic` does with CasADi
+interpolants. CasADi calls it as an external function.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ import numpy as np
 
 from slipfree.records import Array
 
-KEY_BITS = 52  # whole numbers that a double holds
-LAYOUT = 2  # of what `kernel.c` is given; an older library is left alone
+KEY_BITS = 52  # bits of integers that a double represents exactly
+LAYOUT = 2  # version of the arguments of `kernel.c`; libraries of other versions are not used
 
 
 class Layout(NamedTuple):
-    """Where the cells of a table of coefficients lie.
+    """Positions of the cells of a coefficient table.
 
     Attributes
     ----------
     place : tuple of 2 floats
         Local coordinates of the node nearest to the local origin. [m]
     spacing : tuple of 2 floats
-        Between nodes. [m]
+        Distances between nodes. [m]
     node, last : tuple of 2 int
-        Numbers of that node and of the last cell, along x and y.
+        Indices of that node and of the last cell, along x and y.
     """
 
     place: tuple[float, float]
@@ -48,15 +48,15 @@ class Opened(NamedTuple):
     Attributes
     ----------
     slot : int
-        Its number there.
+        Number of the ground in the library.
     key : float
-        Identifies it among grounds that had the same number.
+        Key that distinguishes grounds with the same slot.
     function : casadi Function
-        ``[x, y, key] -> [x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the middle of the cell
-        and the 16 derivatives there, local. While it or anything made of it lives, the number is
-        not given to another ground.
+        ``[x, y, key] -> [x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the centre of the cell
+        and the 16 derivatives there, local. The slot is not reused while the function, or any
+        function that contains it, exists.
     library : ctypes.CDLL
-        Where it is.
+        The compiled evaluator.
     """
 
     slot: int
@@ -68,12 +68,12 @@ class Opened(NamedTuple):
         """Return the local heights at local points, shape (n,) [m]."""
         x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
         heights = np.empty(x.size)
-        held = (_address(array) for array in (x, y, heights))
+        held = (_pointer(array) for array in (x, y, heights))
         self.library.kernel_heights(self.slot, ctypes.c_longlong(x.size), *held)
         return heights
 
 
-def opened(table: Array, layout: Layout) -> Opened | None:
+def register_ground(table: Array, layout: Layout) -> Opened | None:
     """Register a ground with the compiled evaluator; return None if it is absent or full.
 
     Parameters
@@ -81,7 +81,7 @@ def opened(table: Array, layout: Layout) -> Opened | None:
     table : ndarray, shape (n_x + 2, n_y + 2)
         Coefficients of the spline; kept while the ground is in use. [m]
     layout : Layout
-        Where its cells lie.
+        Positions of its cells.
     """
     compiled = library()
     if compiled is None:
@@ -100,27 +100,27 @@ def opened(table: Array, layout: Layout) -> Opened | None:
         slot = free[0]
         _TABLES[slot] = table
         compiled.kernel_open(
-            slot, _address(table), ctypes.c_longlong(table.shape[1]), _address(numbers)
+            slot, _pointer(table), ctypes.c_longlong(table.shape[1]), _pointer(numbers)
         )
         return Opened(slot, key, ca.external(f"ground{slot}", compiled._name), compiled)
 
 
 _LOCK = threading.Lock()
-_TABLES: dict[int, Array] = {}  # what the slots point to
+_TABLES: dict[int, Array] = {}  # tables of the slots, kept alive
 
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """Return the compiled evaluator, None where none was built that can be used here."""
+    """Return the compiled evaluator; None if there is no usable one."""
     for file in (Path(__file__).with_name(f"_kernel{suffix}") for suffix in EXTENSION_SUFFIXES):
         try:
             found = ctypes.CDLL(str(file))
             if found.kernel_layout() == LAYOUT:
                 return found
-        except (OSError, AttributeError):  # none, one of another system, or an older one
+        except (OSError, AttributeError):  # missing, of another system, or of an older version
             continue
     return None
 
 
-def _address(array: Array) -> ctypes.c_void_p:
+def _pointer(array: Array) -> ctypes.c_void_p:
     return array.ctypes.data_as(ctypes.c_void_p)

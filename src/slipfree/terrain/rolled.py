@@ -1,4 +1,4 @@
-"""The ground as a wheel feels it: hollows too narrow for the wheel bridged."""
+"""Rolled ground: hollows too narrow for a wheel are filled."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.terrain.grid_ops import averaged
 
-NODES = 8  # nodes to a wheel radius
-BALL = 1.5  # radius of the closing ball over that of the wheel
-BLUR = 0.25  # standard deviation of the Gaussian over the radius of the wheel
+NODES = 8  # nodes per wheel radius
+BALL = 1.5  # radius of the closing ball [wheel radius]
+BLUR = 0.25  # standard deviation of the Gaussian [wheel radius]
 
 
 @dataclass(frozen=True, eq=False)
 class Rolled:
-    """A ground made fit for a wheel, and what that changed.
+    """A ground filled for a wheel, and the change of its heights.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Rolled:
 
     @property
     def largest(self) -> float:
-        """Largest change of height, without its sign [m]."""
+        """Largest absolute change of height [m]."""
         return float(np.abs(self.change.z).max())
 
     @property
@@ -46,7 +46,7 @@ class Rolled:
 
 
 def rolled(grid: Grid, radius: float) -> Rolled:
-    """Return a ground on which a wheel of the given radius has one contact point nearly anywhere.
+    """Return a ground on which a wheel of the given radius has one contact point almost everywhere.
 
     The bicubic surface of the grid is sampled on nodes at most ``radius / 8`` apart, closed by a
     ball of radius ``1.5 radius``, and smoothed by a Gaussian of standard deviation
@@ -66,52 +66,52 @@ def rolled(grid: Grid, radius: float) -> Rolled:
 
     Notes
     -----
-    A wheel cannot reach the bottom of a hollow that is curved more tightly than itself: it would
-    touch twice, and a model with one contact point a wheel fails there. Closing fills such
-    hollows to the surface a rolling ball leaves, and leaves all others as they are. But where
-    two positions of the ball meet it leaves a seam, which interpolation sharpens again, so that
-    closing alone is not enough; the Gaussian rounds the seams. A Gaussian alone needs to be twice
-    as wide, and lowers peaks and fills wide hollows that the wheel would have followed.
+    A wheel cannot reach the bottom of a hollow with a smaller radius of curvature: it would touch
+    at two points, and a model with one contact point per wheel fails there. Morphological closing
+    by a ball fills such hollows up to the ball and does not change others. Where two positions of
+    the ball meet, it leaves seams, which interpolation sharpens; the Gaussian rounds them. A
+    Gaussian alone would have to be twice as wide; it would lower peaks and fill wide hollows that
+    the wheel can follow.
 
-    Outside the grid the ground continues as its mirror image about the border node, upside down,
-    so that a slope goes on as a slope.
+    Outside the grid the ground continues by point reflection about the border node, which preserves
+    slopes.
     """
     if not (math.isfinite(radius) and radius > 0):
         raise ModelError(f"rolled: radius must be a positive number of metres, found {radius}")
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
     if BALL * radius > extent / 2:
         raise ModelError(
-            f"rolled: radius must be small against the ground, at most {extent / 2 / BALL:.4g} m "
-            f"on one of {extent:.4g} m, found {radius:g} m"
+            f"rolled: radius must be at most {extent / 2 / BALL:.4g} m, a third of the ground's "
+            f"extent of {extent:.4g} m, found {radius:g} m"
         )
-    x, y = (_refined(axis, radius / NODES) for axis in (grid.x, grid.y))
+    x, y = (_refine_axis(axis, radius / NODES) for axis in (grid.x, grid.y))
     old = Bicubic(grid).elevation(x[:, None], y[None, :])
     steps = (float(x[1] - x[0]), float(y[1] - y[0]))
-    new = averaged(_closed(old, steps, BALL * radius), steps, BLUR * radius)
+    new = averaged(_close_by_ball(old, steps, BALL * radius), steps, BLUR * radius)
     filled = None if grid.filled is None else grid.touches_filled(x[:, None], y[None, :])
     return Rolled(Grid(x, y, new, filled), Grid(x, y, new - old))
 
 
-def _refined(axis: Array, spacing: float) -> Array:
-    """Return an even axis of the same ends whose nodes are at most ``spacing`` apart."""
+def _refine_axis(axis: Array, spacing: float) -> Array:
+    """Return a uniform axis with the same ends and a step of at most ``spacing``."""
     cells = math.ceil(np.ptp(axis) / spacing - 1e-9)
     return np.linspace(axis[0], axis[-1], max(cells, 3) + 1)
 
 
-def _closed(z: Array, steps: tuple[float, float], radius: float) -> Array:
-    """Return heights closed by a ball: raised to what the ball, rolling above, leaves free."""
+def _close_by_ball(z: Array, steps: tuple[float, float], radius: float) -> Array:
+    """Return heights after morphological closing by a ball: the envelope of a ball rolling above."""
     reach = [int(radius / step) for step in steps]
     i, j = np.ogrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
     below = radius**2 - (i * steps[0]) ** 2 - (j * steps[1]) ** 2
     ball = np.sqrt(np.maximum(below, 0))
-    # A dilation and an erosion: the border is felt two radii inside.
+    # a dilation and an erosion: the border has influence up to two radii inside
     pad = [(2 * r, 2 * r) for r in reach]
     wide = np.pad(z, pad, mode="reflect", reflect_type="odd")
     closed = ndimage.grey_closing(wide, footprint=below >= 0, structure=ball)
-    return _cropped(closed, pad)
+    return _crop(closed, pad)
 
 
-def _cropped(wide: Array, pad: list[tuple[int, int]]) -> Array:
+def _crop(wide: Array, pad: list[tuple[int, int]]) -> Array:
     """Return an array without its margins."""
     parts = tuple(
         slice(low, size - high) for (low, high), size in zip(pad, wide.shape, strict=True)

@@ -1,7 +1,7 @@
-"""Grounds made by rule: natural roughness, craters, rocks and ramps, added to a grid.
+"""Synthetic grounds: roughness, craters, rocks and ramps, added to a grid.
 
-Every function takes a grid and returns a new one. Random ones take a seed; the same seed gives
-the same ground. Shapes and places do not depend on the spacing of the grid, so that a ground can
+Every function takes a grid and returns a new one. Random functions take a seed; the same seed gives
+the same ground. Shapes and positions do not depend on the spacing of the grid, so that a ground can
 be refined; only `power_law` scales its heights by a mean over the nodes.
 """
 
@@ -17,8 +17,8 @@ from slipfree.errors import ModelError
 from slipfree.records import Array
 from slipfree.terrain.base import Grid
 
-WAVES = 1000  # plane waves that make up a rough ground
-SIZE_EXPONENT = 2.0  # the number of craters, or rocks, above a diameter falls with its square
+WAVES = 1000  # number of plane waves of a rough ground
+SIZE_EXPONENT = 2.0  # the number of craters or rocks above a diameter falls with its square
 
 
 class Rock(NamedTuple):
@@ -27,11 +27,11 @@ class Rock(NamedTuple):
     Attributes
     ----------
     x, y : float
-        Its centre. [m]
+        Centre. [m]
     diameter : float
-        Of its circular foot. [m]
+        Diameter of the circular base. [m]
     height : float
-        Of its top above the ground it lies on. [m]
+        Height of the top above the ground. [m]
     """
 
     x: float
@@ -60,8 +60,9 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
         cells = (last - first) / spacing if spacing > 0 else math.nan
         if not (cells > 0 and abs(cells - round(cells)) < 1e-6):
             raise ModelError(
-                f"blank: {name}_range must be a whole number of spacings long, found "
-                f"{first:g} to {last:g} m at {spacing:g} m; move its end or change the spacing"
+                f"blank: {name}_range must be a multiple of the spacing, found "
+                f"{first:g} to {last:g} m with spacing {spacing:g} m; move its end or change the "
+                "spacing"
             )
         axes.append(np.linspace(first, last, round(cells) + 1))
     return Grid(axes[0], axes[1], np.zeros((axes[0].size, axes[1].size)))
@@ -82,21 +83,21 @@ def power_law(
         Hurst exponent in (0, 1]; natural ground has 0.5 to 0.9. The two-dimensional power
         spectral density falls as the wave number to the power ``-2 (hurst + 1)``. [1]
     longest, shortest : float
-        Wavelengths between which there is roughness; ``shortest`` is at least twice the
+        Largest and smallest wavelength of the roughness; ``shortest`` is at least twice the
         spacing. [m]
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Raises
     ------
     ModelError
-        If the grid cannot carry the wavelengths, or a number is out of its range.
+        If the grid is too coarse for the wavelengths, or a number is out of range.
 
     Notes
     -----
-    A sum of plane waves of random direction and phase, their wave numbers evenly spread in the
-    logarithm. Unlike a discrete Fourier transform it has no period, and its waves do not depend
-    on the grid.
+    The roughness is a sum of plane waves with random directions and phases and logarithmically
+    spaced wave numbers. Unlike a discrete Fourier transform it is not periodic, and its waves do
+    not depend on the grid.
     """
     finest = 2 * max(grid.spacing)
     if not finest <= shortest < longest:
@@ -112,7 +113,7 @@ def power_law(
     octave = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
     k = 2 * np.pi / longest * (longest / shortest) ** octave
     direction, phase = rng.uniform(0, 2 * np.pi, (2, WAVES))
-    # Density k**(-2 H - 2) times the ring k dk, and dk = k d(log k): a power k**(-2 H) a wave.
+    # density k**(-2 H - 2) times the ring k dk, with dk = k d(log k): power k**(-2 H) per wave
     amplitude = k**-hurst * np.exp(1j * phase)
     along_x = np.exp(1j * np.outer(grid.x - grid.x[0], k * np.cos(direction)))
     along_y = np.exp(1j * np.outer(k * np.sin(direction), grid.y - grid.y[0]))
@@ -129,17 +130,18 @@ def craters(grid: Grid, *, count: int, diameters: tuple[float, float], seed: int
     grid : Grid
         The ground below.
     count : int
-        How many; a larger count keeps those of a smaller one.
+        Number of craters; a larger count adds craters to those of a smaller count.
     diameters : tuple of 2 floats
-        Smallest and largest, from rim crest to rim crest; between them the number above a
-        diameter falls with its square. [m]
+        Smallest and largest diameter, from rim crest to rim crest; the number of craters above
+        a diameter falls with its square. [m]
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Notes
     -----
-    A crater of diameter D is 0.2 D deep from rim crest to floor, and its rim stands 0.04 D above
-    the ground around [1]_. The wall is a bowl of at most 32 degrees; crest and floor are round.
+    A crater of diameter D has a depth of 0.2 D from rim crest to floor, and its rim is 0.04 D above
+    the surrounding ground [1]_. The wall is a bowl with a slope of at most 32 degrees; crest and
+    floor are rounded.
 
     References
     ----------
@@ -155,7 +157,7 @@ def craters(grid: Grid, *, count: int, diameters: tuple[float, float], seed: int
             rim = 0.04 * np.exp(-4 * (s - 1) ** 2)
             return part + diameter * np.where(s < 1, bowl, rim)
 
-        # Three radii out the rim is down to 1e-7 of its height.
+        # at three radii the rim has decayed to 1e-7 of its height
         _stamp(grid, z, (x, y), diameter / 2, 3.0, add)
     return Grid(grid.x, grid.y, z)
 
@@ -170,33 +172,34 @@ def rocks(
     grid : Grid
         The ground below.
     count : int
-        How many; a larger count keeps those of a smaller one.
+        Number of rocks; a larger count adds rocks to those of a smaller count.
     diameters : tuple of 2 floats
-        Smallest and largest; between them the number above a diameter falls with its square. [m]
+        Smallest and largest diameter; the number of rocks above a diameter falls with its
+        square. [m]
     height_ratio : float
         Height over diameter. [1]
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
     """
     scattered = _scatter(grid, count, diameters, seed)
     return place_rocks(grid, [Rock(x, y, d, height_ratio * d) for x, y, d in scattered])
 
 
 def place_rocks(grid: Grid, placed: Iterable[Rock]) -> Grid:
-    """Return the grid with rocks at given places.
+    """Return the grid with rocks at given positions.
 
     Parameters
     ----------
     grid : Grid
         The ground below.
     placed : iterable of Rock
-        Each a cap like half an ellipsoid, but with a foot that runs out level, added to the
-        ground; where rocks overlap, the higher one counts.
+        The rocks. Each is a cap like half an ellipsoid, but with a smooth transition to the
+        ground, added to the heights; where rocks overlap, the higher one counts.
 
     Raises
     ------
     ModelError
-        If a rock has no size.
+        If a diameter or a height is not positive.
     """
     z = np.zeros_like(grid.z)
     for rock in map(Rock._make, placed):
@@ -220,21 +223,22 @@ def ramp(
     grid : Grid
         The ground below.
     start, end : float
-        Where the ramp begins and ends, ``start < end``. [m]
+        Values of y where the ramp begins and ends, ``start < end``. [m]
     rise : float
-        Height beyond the ramp; it is zero before it. [m]
+        Height added behind the ramp; nothing is added before it. [m]
     smooth : bool
         True: slope and curvature are continuous, the steepest slope is 15/8 of the mean.
-        False: an even slope between two edges.
+        False: a constant slope between two edges.
     rounding : float
-        Length over which either edge is round, ``start`` or ``end`` in its middle; zero for kinks.
-        Slope and curvature are continuous; the curvature is at most 3/2 of the slope between the
-        edges over this length. [m]
+        Length of the rounding of each edge, centred at ``start`` or ``end``; zero for kinks. Slope
+        and curvature are continuous; the curvature is at most 3/2 of the constant slope divided by
+        this length. [m]
 
     Raises
     ------
     ModelError
-        If the ramp has no length or less than its edges, or is smooth and has edges.
+        If ``start`` is not below ``end``, the rounding is longer than the ramp, or a smooth ramp
+        has a rounding.
     """
     if not start < end:
         raise ModelError(f"ramp: expected start < end, found {start:g} m and {end:g} m")
@@ -244,7 +248,10 @@ def ramp(
             f"found {rounding:g} m"
         )
     if smooth and rounding:
-        raise ModelError("ramp: a smooth ramp has no edges; leave the rounding out or smooth off")
+        raise ModelError(
+            "ramp: expected no rounding of a smooth ramp, which has no edges; remove rounding, or "
+            "set smooth = false"
+        )
     if smooth:
         t = np.clip((grid.y - start) / (end - start), 0, 1)
         profile = t**3 * (10 + t * (6 * t - 15))
@@ -255,7 +262,7 @@ def ramp(
 
 
 def _bend(y: Array, length: float) -> Array:
-    """Return heights of slope zero before and one behind a bend of some length around zero."""
+    """Return heights whose slope rises from zero to one over a bend of a length around zero."""
     if not length:
         return np.maximum(y, 0)
     t = np.clip(y / length + 0.5, 0, 1)
@@ -265,7 +272,7 @@ def _bend(y: Array, length: float) -> Array:
 def _scatter(
     grid: Grid, count: int, diameters: tuple[float, float], seed: int
 ) -> list[tuple[float, float, float]]:
-    """Return places, even over the grid, and diameters of `count` things."""
+    """Return ``count`` random positions, uniform over the grid, and diameters."""
     smallest, largest = diameters
     if not (0 < smallest <= largest and count >= 0):
         raise ModelError(
@@ -275,7 +282,7 @@ def _scatter(
     u = np.random.default_rng(seed).random((count, 3))
     x = grid.x[0] + u[:, 0] * np.ptp(grid.x)
     y = grid.y[0] + u[:, 1] * np.ptp(grid.y)
-    few = (smallest / largest) ** SIZE_EXPONENT  # share that would be larger than the largest
+    few = (smallest / largest) ** SIZE_EXPONENT  # truncated share above the largest diameter
     diameter = smallest * (1 - u[:, 2] * (1 - few)) ** (-1 / SIZE_EXPONENT)
     return list(zip(x.tolist(), y.tolist(), diameter.tolist(), strict=True))
 
@@ -290,8 +297,8 @@ def _stamp(
 ) -> None:
     """Replace heights near a centre, in place.
 
-    ``change(heights, s)`` returns the new heights where ``s``, the distance from the centre in
-    radii, is ``reach`` at most in x and in y.
+    ``change(heights, s)`` returns the new heights, with ``s`` the distance from the centre in
+    radii; it applies where the distances in x and in y are at most ``reach`` radii.
     """
     parts = [
         slice(*np.searchsorted(axis, (c - reach * radius, c + reach * radius)).tolist())

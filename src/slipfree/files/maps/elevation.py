@@ -20,7 +20,7 @@ from slipfree.records import Array, field_overview
 from slipfree.regular_files import regular_file
 from slipfree.terrain.base import Grid
 from slipfree.terrain.grid_ops import (
-    MOST_NODES,
+    MAX_NODES,
     Heights,
     Window,
     axes_of,
@@ -353,9 +353,9 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             if not isinstance(file, np.lib.npyio.NpzFile):
                 raise DataError(f"{path}: expected an archive, found one array; use np.savez")
             largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
-            if largest > 8 * MOST_NODES + HEADER:
+            if largest > 8 * MAX_NODES + HEADER:
                 raise DataError(
-                    f"{path}: expected at most {MOST_NODES:g} nodes, found an array of "
+                    f"{path}: expected at most {MAX_NODES:g} nodes, found an array of "
                     f"{largest / 1e9:.3g} GB; cut it, or make it a GeoTIFF and name a window"
                 )
             missing = sorted({"x", "y", "z"} - set(file.files))

@@ -11,7 +11,7 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.records import Array
-from slipfree.terrain.grid_ops import FARTHEST, NEAR, Axis, Heights, Window, parts
+from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
 
 NAMES = ("x", "y", "z")
 BLOCK = 2**20  # nodes interpolated at once
@@ -39,8 +39,8 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
         If there is no spacing, or the file does not hold points that span a plane.
     """
     columns = _columns(path)
-    if (farthest := float(np.abs(columns).max(initial=0.0))) > FARTHEST:
-        raise DataError(f"expected places up to {FARTHEST:g}, found {farthest:g}; correct it")
+    if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
+        raise DataError(f"expected places up to {MAX_COORDINATE:g}, found {farthest:g}; correct it")
     points, repeated, apart = _distinct(columns)
     distance = _distance(points[:, :2])
     if spacing is None:
@@ -50,7 +50,7 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
             f"neighbours is {distance:.3g} m: give spacing = {distance:.2g}"
         )
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    counts = np.floor((high - low) / spacing + NEAR).astype(int) + 1
+    counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
     x, y = (Axis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
     if counts.min() < 4:
         raise DataError(
@@ -159,7 +159,7 @@ def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, 
     cells = (points[:, :2] - low) / spacing  # from the first node: large coordinates cost no digits
     nodes = np.rint(cells)
     # What is a node but for rounding is one: else nodes on a straight border would lie outside.
-    cells = np.where(np.abs(cells - nodes) < NEAR, nodes, cells)
+    cells = np.where(np.abs(cells - nodes) < WINDOW_TOLERANCE, nodes, cells)
     try:
         surface = LinearNDInterpolator(cells, points[:, 2])
     except QhullError as error:

@@ -50,7 +50,7 @@ def places_of(
                 where = problem.source.where((key_of(name),))
                 raise ProblemError(
                     f"{where}: the {name} lies off the map: {axis} is {spelled(wanted[axis])} m, "
-                    f"and the map reaches from {low:.10g} to {high:.10g} m; move the {name}"
+                    f"and the map extends from {low:.10g} to {high:.10g} m; move the {name}"
                 )
             at[axis] = (least + most) / 2
         if len(at) == 2:
