@@ -46,7 +46,7 @@ def interpreted(monkeypatch):
 
     def twin(ground):
         with monkeypatch.context() as patch:
-            patch.setattr(bicubic, "opened", lambda *_: None)
+            patch.setattr(bicubic, "register_ground", lambda *_: None)
             copy = pickle.loads(pickle.dumps(ground))
             assert copy._kernel is None
         return copy
@@ -223,7 +223,7 @@ def test_pickled_grounds_work_here_and_in_other_processes():
 
 def test_without_it_the_motion_is_the_same(monkeypatch):
     compiled = _drive(Bicubic(_gentle()))
-    monkeypatch.setattr(bicubic, "opened", lambda *_: None)
+    monkeypatch.setattr(bicubic, "register_ground", lambda *_: None)
     assert Bicubic(_gentle())._kernel is None
     assert_allclose(_drive(Bicubic(_gentle())), compiled, rtol=0, atol=1e-8)
 

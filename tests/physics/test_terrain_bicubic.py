@@ -249,7 +249,7 @@ def test_both_layouts_of_the_look_up_are_exact(monkeypatch):
     table = np.random.default_rng(6).uniform(-1, 1, (9, 12))
     for largest in (0, table.size):
         monkeypatch.setattr(bicubic, "MAX_FOURFOLD_SIZE", largest)
-        look_up = bicubic._gather(table)
+        look_up = bicubic._gather_function(table)
         for i in range(6):
             for j in range(9):
                 expected = table[i : i + 4, j : j + 4].ravel(order="F")

@@ -56,7 +56,7 @@ def test_a_goal_off_the_map():
     assert (place, sure) == ("goal", True)
     assert words == (
         "the vehicle cannot be at the goal (33.5, 10): 3.5 m outside the map; move the goal or "
-        "take a larger map"
+        "use a larger map"
     )
 
 
@@ -64,7 +64,7 @@ def test_a_way_point_at_the_edge_is_named_with_the_room_that_is_needed():
     """In some headings there is room: it is not sure that no motion passes there."""
     ((place, words, sure),) = told(flat(), START, ("way-point 2", 0.5, 10.0), ("goal", 9.0, 9.0))
     assert (place, sure) == ("way-point 2", False)
-    assert "0.5 m from the edge of the map, where wheels reach 1.42 m" in words
+    assert "0.5 m from the edge of the map, and wheels reach 1.42 m" in words
 
 
 @pytest.mark.parametrize("name", ["start", "goal"])
@@ -158,7 +158,8 @@ def test_places_to_keep_out_of_that_divide_the_map_together():
     ((_, words, sure),) = told(layers, START, ("goal", 25.0, 25.0))
     assert sure
     assert (
-        "together close the way between them: polygon of 4 points about (8, 15), polygon" in words
+        "several keep-outs together separate them: polygon of 4 points about (8, 15), polygon"
+        in words
     )
     assert "disc" not in words
 
@@ -170,9 +171,11 @@ def test_ground_that_is_only_too_steep_for_a_route_is_no_sure_objection():
     layers = traversability(Bicubic(Grid(grid.x, grid.y, ramp)), ROVER)
     ((place, words, sure),) = told(layers, ("start", 20.0, 5.0), ("goal", 20.0, 35.0))
     assert (place, sure) == ("goal", False)
-    assert "no way leads from (20, 5) to (20, 35): the ground that can be reached ends at" in words
-    assert "degrees, at most 30 can be climbed" in words
-    with pytest.raises(ModelError, match="no way leads"):
+    assert (
+        "no route leads from (20, 5) to (20, 35): the ground that can be reached ends at" in words
+    )
+    assert "degrees, steeper than the 30 degrees" in words
+    with pytest.raises(ModelError, match="no route leads"):
         route(layers, (20.0, 5.0), (20.0, 35.0))
 
 
@@ -186,8 +189,8 @@ def test_rough_and_hollow_ground_is_named():
     ((place, words, sure),) = told(layers, START, ("goal", 20.0, 20.0))
     assert (place, sure) == ("goal", False)
     assert "roughness of " in words
-    assert " m, as large as a wheel of 0.3 m" in words
-    assert " m radius, too narrow for a wheel of 0.3 m; move the goal" in words
+    assert " m, not less than the wheel radius of 0.3 m" in words
+    assert " m radius, too narrow for the wheel radius of 0.3 m; move the goal" in words
 
 
 def test_what_blocks_is_told_apart():

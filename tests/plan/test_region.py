@@ -133,7 +133,7 @@ def test_bad_polygons_are_refused(points, message):
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.inf, np.nan])
 def test_bad_radius_is_refused(radius):
-    with pytest.raises(ModelError, match="radius must be a positive number of metres"):
+    with pytest.raises(ModelError, match="radius must be positive, found"):
         Region.disc(0.0, 0.0, radius)
 
 

@@ -18,7 +18,7 @@ from slipfree.routing import search as search
 from slipfree.routing import smoothing
 from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
-from slipfree.routing.traversability import STEEPEST, reasons, traversability
+from slipfree.routing.traversability import MAX_SLOPE, blocking_reasons, traversability
 from slipfree.terrain.synthetic import blank, craters, power_law, ramp
 from slipfree.vehicle.sections.torus import Torus
 
@@ -68,7 +68,7 @@ def test_layers_of_a_plane(slope):
     assert_allclose(layers.roughness[inner], 0, atol=1e-6)
     assert_allclose(layers.hollow[inner], 0, atol=1e-6)
     assert layers.friction is None
-    expected = 1 + 4 * (math.atan(slope) / STEEPEST) ** 2
+    expected = 1 + 4 * (math.atan(slope) / MAX_SLOPE) ** 2
     assert_allclose(layers.cost[inner], expected, rtol=1e-9)
 
 
@@ -131,14 +131,16 @@ def test_ground_more_hollow_than_the_largest_wheel_is_blocked():
     bicubic = Bicubic(Grid(grid.x, grid.y, groove + grid.z))
     layers = traversability(bicubic, ROVER, spacing=0.1)
     assert np.isinf(layers.cost[np.abs(layers.x - 6) < 0.06]).all()
-    assert "hollow of 0.2 m radius, too narrow for a wheel of 0.3 m" in reasons(layers, 6.0, 6.0)
+    assert "hollow of 0.2 m radius, too narrow for the wheel radius of 0.3 m" in blocking_reasons(
+        layers, 6.0, 6.0
+    )
     # beside it some of the footprint is too hollow: passable, but dear
     beside, away = (layers.cost[int(np.argmin(np.abs(layers.x - at))), 60] for at in (6.6, 9.0))
     assert 1.3 < beside / away < 3
     small_wheels = replace(
         ROVER, wheels=tuple(replace(w, section=Torus(0.05, 0.1)) for w in ROVER.wheels)
     )
-    assert reasons(traversability(bicubic, small_wheels, spacing=0.1), 6.0, 6.0) == ""
+    assert blocking_reasons(traversability(bicubic, small_wheels, spacing=0.1), 6.0, 6.0) == ""
 
 
 def test_wheels_stay_on_the_map():
@@ -147,17 +149,19 @@ def test_wheels_stay_on_the_map():
     to_edge = np.minimum(layers.x, 20 - layers.x)
     assert_allclose(layers.limits.reach, REACH)
     assert (free.any(axis=1) == (to_edge >= REACH)).all()
-    assert reasons(layers, 1.0, 10.0) == ("1 m from the edge of the map, where wheels reach 1.42 m")
-    assert reasons(layers, -2.1, 10.0) == "2.1 m outside the map"
-    assert reasons(layers, 10.0, 10.0) == ""
+    assert blocking_reasons(layers, 1.0, 10.0) == (
+        "1 m from the edge of the map, and wheels reach 1.42 m"
+    )
+    assert blocking_reasons(layers, -2.1, 10.0) == "2.1 m outside the map"
+    assert blocking_reasons(layers, 10.0, 10.0) == ""
 
 
 def test_slopes_too_steep_are_blocked():
     terrain = Bicubic(ramp(blank((0, 20), (0, 20), 0.25), start=8, end=12, rise=1.0))
     free = traversability(terrain, ROVER)
-    assert reasons(free, 10.0, 10.0) == ""
+    assert blocking_reasons(free, 10.0, 10.0) == ""
     layers = traversability(terrain, ROVER, steepest=math.radians(20))
-    assert "degrees, at most 20 can be climbed" in reasons(layers, 10.0, 10.0)
+    assert "degrees, steeper than the 20 degrees" in blocking_reasons(layers, 10.0, 10.0)
     # the steepest slope is 15/8 of the mean at the middle, a little less over the footprint
     middle = layers.slope[layers.x.size // 2].max()
     assert 0.85 * 15 / 32 < math.tan(middle) < 15 / 32
@@ -180,10 +184,10 @@ def test_friction_that_cannot_hold_blocks(kind):
     assert_allclose(layers.friction[at[15], j], 0.5, rtol=1e-6)
     assert_allclose(layers.limits.steepest, math.atan(0.6), rtol=1e-6)
     if kind == "number":
-        assert reasons(layers, 5.0, 10.0) == ""
+        assert blocking_reasons(layers, 5.0, 10.0) == ""
         return
     assert_allclose(layers.friction[at[5], j], 3.0, rtol=1e-6)
-    assert reasons(layers, 5.0, 10.0) == (
+    assert blocking_reasons(layers, 5.0, 10.0) == (
         "slope of 16.7 degrees needs a friction coefficient of 0.3, the ground offers 0.1"
     )
 
@@ -204,9 +208,9 @@ def test_keep_out_is_blocked_as_far_as_wheels_reach():
     near = (disc.distance(x, y) < REACH) | (wall.distance(x, y) < REACH)
     edge = np.minimum(np.minimum(x, 20 - x), np.minimum(y, 20 - y)) < REACH
     assert (np.isinf(layers.cost) == (near | edge)).all()
-    assert reasons(layers, 5.25, 5.0) == "inside the keep-out disc at (5, 5) of 1 m radius"
-    assert reasons(layers, 13.0, 9.0) == (
-        "1 m from the keep-out polygon of 4 points about (13, 12), where wheels reach 1.42 m"
+    assert blocking_reasons(layers, 5.25, 5.0) == "inside the keep-out disc at (5, 5) of 1 m radius"
+    assert blocking_reasons(layers, 13.0, 9.0) == (
+        "1 m from the keep-out polygon of 4 points about (13, 12), and wheels reach 1.42 m"
     )
 
 
@@ -475,7 +479,7 @@ def blocked_map():
         (
             (10.0, 5.0),
             (10.0, 25.0),
-            r"no way leads from \(10, 5\) to \(10, 25\): the ground that can be reached ends at "
+            r"no route leads from \(10, 5\) to \(10, 25\): the ground that can be reached ends at "
             r"\(10, 12.5\), 12.5 m from the goal; beyond it: 1 m from the keep-out polygon",
         ),
     ],
@@ -495,7 +499,7 @@ def test_steep_start_is_named():
 
 @pytest.mark.parametrize("turning_radius", [-1.0, np.inf])
 def test_bad_turning_radius_is_refused(turning_radius):
-    with pytest.raises(ModelError, match="turning_radius must be zero or more metres"):
+    with pytest.raises(ModelError, match="turning_radius must be zero or positive"):
         route(blocked_map(), (10.0, 5.0), (15.0, 5.0), turning_radius=turning_radius)
 
 

@@ -1,4 +1,4 @@
-"""The ground as a footprint feels it: slope, roughness, and how hollow it is, on a map of nodes."""
+"""Ground under a vehicle's footprint: slope, roughness and concavity on a map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slipfree.terrain.base import Grid
 
 
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Return the axes of the cost grid: the grid's own, or even ones about a spacing apart.
+    """Return the axes of the cost grid: those of the ground, or uniform ones with a spacing.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
 def ground_figures(
     grid: Grid, x: Array, y: Array, half: float, sharpest: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Return what the ground under a footprint is like, at every node of a coarser map.
+    """Return slope, roughness and concavity of the ground under the footprint at every node.
 
     Parameters
     ----------
@@ -47,15 +47,15 @@ def ground_figures(
     x, y : ndarray, shape (n_x,) and (n_y,)
         Axes of the map. [m]
     half : float
-        Half the side of the square that stands for the footprint. [m]
+        Half the side of the square that represents the footprint. [m]
     sharpest : float
-        Curvature from which on ground counts as too hollow. [1/m]
+        Curvature above which ground counts as too concave. [1/m]
 
     Returns
     -------
     four ndarrays, shape (n_x, n_y)
-        Slope [rad], roughness [m] and hollow [1/m], as `Traversability` has them, and the share of
-        the footprint that is too hollow [1].
+        Slope [rad], roughness [m] and concavity [1/m] as in `Traversability`, and the fraction of
+        the footprint that is too concave [1].
     """
     z = grid.z - grid.z.mean()
     p, q, r, s, t = _derivatives(z, grid.spacing)
@@ -63,12 +63,14 @@ def ground_figures(
     if min(_nodes_within(half, h) for h in grid.spacing) > 0:
         p, q, variance = _plane(z, grid.spacing, half)
     else:
-        # Nodes too far apart to fit a plane to: what curvature makes of a square of this size.
+        # too few nodes to fit a plane: deviation of a curved square of this size
         variance = half**4 * ((r**2 + t**2) / 45 + s**2 / 9)
     share = footprint_mean((hollow >= sharpest).astype(float), grid.spacing, half)
     layers = [np.arctan(np.hypot(p, q)), np.sqrt(variance), share]
-    slope, roughness, share = (_sampled(layer, grid, x, y) for layer in layers)
-    size = [math.ceil(step(new) / h - 1e-9) for new, h in zip((x, y), grid.spacing, strict=True)]
+    slope, roughness, share = (_interpolate_layer(layer, grid, x, y) for layer in layers)
+    size = [
+        math.ceil(axis_step(new) / h - 1e-9) for new, h in zip((x, y), grid.spacing, strict=True)
+    ]
     largest = (
         hollow if max(size) == 1 else ndimage.maximum_filter(hollow, [2 * n - 1 for n in size])
     )
@@ -81,10 +83,10 @@ def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array,
     p: Array = np.gradient(z, h[0], axis=0, edge_order=2)
     q: Array = np.gradient(z, h[1], axis=1, edge_order=2)
     second = [1.0, -2.0, 1.0]
-    # Neighbours, not neighbours' neighbours: what lies between two nodes counts in full.
+    # differences of direct neighbours, so that a bump between two nodes counts in full
     r = ndimage.correlate1d(z, second, axis=0, mode="nearest") / h[0] ** 2
     t = ndimage.correlate1d(z, second, axis=1, mode="nearest") / h[1] ** 2
-    for array, axis in ((r, 0), (t, 1)):  # at the border the same as next to it
+    for array, axis in ((r, 0), (t, 1)):  # the border repeats its neighbours
         border = np.moveaxis(array, axis, 0)
         border[0], border[-1] = border[1], border[-2]
     s: Array = np.gradient(p, h[1], axis=1)
@@ -92,7 +94,7 @@ def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array,
 
 
 def _sharpest(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
-    """Return the largest normal curvature of a surface, upwards positive [1/m]."""
+    """Return the largest normal curvature of a surface, positive if concave upward [1/m]."""
     w = np.sqrt(1 + p**2 + q**2)
     mean = ((1 + q**2) * r - 2 * p * q * s + (1 + p**2) * t) / (2 * w**3)
     total = (r * t - s**2) / w**4
@@ -101,7 +103,7 @@ def _sharpest(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
 
 
 def _plane(z: Array, h: tuple[float, float], half: float) -> tuple[Array, Array, Array]:
-    """Return the slopes [1] of the least-squares plane of a square, and the variance left [m^2]."""
+    """Return slopes [1] and residual variance [m^2] of the least-squares plane of a square."""
     left = footprint_mean(z**2, h, half) - footprint_mean(z, h, half) ** 2
     slopes = []
     for axis in (0, 1):
@@ -126,16 +128,16 @@ def footprint_mean(
 
 
 def _nodes_within(half: float, h: float) -> int:
-    """Return the nodes on either side of the middle of a square: their cells fill it."""
+    """Return the number of nodes on either side of a square's centre whose cells fill it."""
     return round(half / h - 0.5)
 
 
-def _sampled(layer: Array, grid: Grid, x: Array, y: Array) -> Array:
-    """Return a layer at new nodes, interpolated linearly."""
+def _interpolate_layer(layer: Array, grid: Grid, x: Array, y: Array) -> Array:
+    """Return a layer at new nodes by linear interpolation."""
     for axis, (old, new) in enumerate(((grid.x, x), (grid.y, y))):
         if old.size == new.size:
             continue
-        cell = (new - old[0]) / step(old)
+        cell = (new - old[0]) / axis_step(old)
         first = np.clip(np.floor(cell).astype(np.intp), 0, old.size - 2)
         weight = np.expand_dims(cell - first, 1 - axis)
         low, high = np.take(layer, first, axis), np.take(layer, first + 1, axis)
@@ -143,12 +145,12 @@ def _sampled(layer: Array, grid: Grid, x: Array, y: Array) -> Array:
     return layer
 
 
-def step(axis: Array) -> float:
-    """Return the distance between the nodes of an even axis [m]."""
+def axis_step(axis: Array) -> float:
+    """Return the step of a uniform axis [m]."""
     return float(np.ptp(axis) / (axis.size - 1))
 
 
 def nearest_nodes(axis: Array, at: Array) -> npt.NDArray[np.intp]:
-    """Return the nearest nodes of an even axis."""
-    cells = np.rint((at - axis[0]) / step(axis))
+    """Return the indices of the nearest nodes of a uniform axis."""
+    cells = np.rint((at - axis[0]) / axis_step(axis))
     return np.asarray(np.clip(cells, 0, axis.size - 1), dtype=np.intp)

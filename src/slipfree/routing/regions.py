@@ -1,4 +1,4 @@
-"""Regions of the map that a vehicle keeps out of."""
+"""Keep-out regions of a map."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.records import Array
 
-ROUND = 1e-3  # the part of a disc's radius over which its tip at the centre is rounded
-CORNER = 1e-12  # the part of a polygon's size over which the tip at a corner is rounded
-STRAIGHT = 1e-9  # sine of the turn at a point below which it is no corner
-OUTLINE_POINTS = 96  # on the outline of a disc
+TIP_ROUNDING = 1e-3  # rounding of the distance at the centre of a disc [radius]
+CORNER_ROUNDING = 1e-12  # rounding of the distance at a corner of a polygon [size of the polygon]
+MIN_TURN_SINE = 1e-9  # a point with a smaller sine of its turn is not a corner
+OUTLINE_POINTS = 96  # points on the outline of a disc
 
 
 class Region(ABC):
-    """A region of the map that a vehicle keeps out of, in map coordinates.
+    """A keep-out region of a map, in map coordinates.
 
     Models count from ``ground.origin`` instead: :ref:`local-and-map-coordinates`.
 
@@ -41,9 +41,9 @@ class Region(ABC):
         Parameters
         ----------
         x, y : float
-            Its centre in map coordinates. [m]
+            Centre in map coordinates. [m]
         radius : float
-            Its radius. [m]
+            Radius. [m]
 
         Raises
         ------
@@ -59,13 +59,14 @@ class Region(ABC):
         Parameters
         ----------
         points : sequence of (x, y)
-            Three or more points in map coordinates, in either order; the last one is joined to the
-            first. It may be concave. [m]
+            At least three points in map coordinates, clockwise or counter-clockwise; an edge
+            connects the last point to the first. The polygon may be concave. [m]
 
         Raises
         ------
         ModelError
-            If points are too few, not finite or coincide, or if edges cross or touch.
+            If there are fewer than three points, if points are not finite or coincide, or if edges
+            cross or touch.
         """
         return _Polygon(tuple((x, y) for x, y in points))
 
@@ -75,7 +76,7 @@ class Region(ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """Shape and place, for messages."""
+        """Shape and position, for messages."""
 
     @property
     @abstractmethod
@@ -89,7 +90,7 @@ class Region(ABC):
 
     @abstractmethod
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return how far a point lies outside, negative inside, as an expression [m].
+        """Return the signed distance of a point as an expression, negative inside [m].
 
         Parameters
         ----------
@@ -114,9 +115,7 @@ class _Disc(Region):
         if not (math.isfinite(self.x) and math.isfinite(self.y)):
             raise ModelError(f"disc: its centre must be finite, found ({self.x}, {self.y})")
         if not 0 < self.radius < math.inf:
-            raise ModelError(
-                f"disc: its radius must be a positive number of metres, found {self.radius}"
-            )
+            raise ModelError(f"disc: its radius must be positive, found {self.radius} m")
 
     @property
     def words(self) -> str:
@@ -138,7 +137,7 @@ class _Disc(Region):
         return np.array([self.x, self.y]) + self.radius * circle
 
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return how far a point lies outside, negative inside, as an expression [m].
+        """Return the signed distance of a point as an expression, negative inside [m].
 
         Parameters
         ----------
@@ -148,10 +147,10 @@ class _Disc(Region):
         Returns
         -------
         SX, shape (1, 1)
-            The signed distance, its tip at the centre rounded so that it has derivatives there
-            too: zero on the circle, and within 5e-7 radii of the distance outside. [m]
+            The signed distance, rounded at the centre so that it has derivatives there. It is zero
+            on the circle; outside it deviates from the exact distance by at most 5e-7 radii. [m]
         """
-        soft = (ROUND * self.radius) ** 2
+        soft = (TIP_ROUNDING * self.radius) ** 2
         from_center = ca.sqrt((x - self.x) ** 2 + (y - self.y) ** 2 + soft)
         return ca.SX(from_center - math.sqrt(self.radius**2 + soft))
 
@@ -175,7 +174,7 @@ class _Polygon(Region):
         if not np.isfinite(points).all():
             k = int(np.argmin(np.isfinite(points).all(axis=1)))
             raise ModelError(f"polygon: point {k + 1} must be finite, found {tuple(points[k])}")
-        # Tuples, so that equal polygons are equal and have the same hash.
+        # tuples make equal polygons compare equal and have the same hash
         object.__setattr__(self, "points", tuple((float(x), float(y)) for x, y in points))
         _check_simple(points - points[0])
 
@@ -194,7 +193,7 @@ class _Polygon(Region):
         return np.array(self.points)
 
     def outside(self, x: ca.SX, y: ca.SX) -> ca.SX:
-        """Return how far a point lies outside, negative inside, as an expression [m].
+        """Return the signed distance of a point as an expression, negative inside [m].
 
         Parameters
         ----------
@@ -204,18 +203,18 @@ class _Polygon(Region):
         Returns
         -------
         SX, shape (1, 1)
-            The signed distance. It is smooth across the edges, where its gradient is their
-            normal; it has kinks only where two parts of the border are equally near. [m]
+            The signed distance. It is smooth across the edges, where its gradient is the normal of
+            the edge; it has kinks only where two parts of the border are equally near. [m]
 
         Notes
         -----
-        The sign comes with the nearest part of the border: inside an edge, from the side of that
-        edge; at a corner, from whether the corner points outwards. No root is taken of a distance
-        that vanishes on an edge, so that derivatives are exact on it.
+        The nearest part of the border determines the sign: for an edge, the side of the edge; for
+        a corner, whether the corner is convex. There is no square root of a distance that vanishes
+        on an edge, so that derivatives are exact there.
         """
         corners, tips = self._corners
         x, y = x - self.points[0][0], y - self.points[0][1]
-        soft = (CORNER * float(np.ptp(corners, axis=0).max())) ** 2
+        soft = (CORNER_ROUNDING * float(np.ptp(corners, axis=0).max())) ** 2
         nearest, signed = ca.SX(math.inf), ca.SX(math.inf)
         ends, end_tips = np.roll(corners, -1, axis=0), np.roll(tips, -1)
         for (a_x, a_y), (b_x, b_y), tip_a, tip_b in zip(corners, ends, tips, end_tips, strict=True):
@@ -240,7 +239,7 @@ class _Polygon(Region):
             along = np.clip(((x - a[0]) * e[0] + (y - a[1]) * e[1]) / (e @ e), 0, 1)
             d_x, d_y = x - a[0] - along * e[0], y - a[1] - along * e[1]
             np.minimum(square, d_x**2 + d_y**2, out=square)
-            if a[1] != b[1]:  # a ray to the right crosses the edge once, or not
+            if a[1] != b[1]:  # a ray to the right crosses the edge at most once
                 crosses = (a[1] > y) != (b[1] > y)
                 inside ^= crosses & (x < a[0] + (y - a[1]) * (e[0] / e[1]))
         signed: Array = np.where(inside, -1.0, 1.0) * np.sqrt(square)
@@ -248,11 +247,11 @@ class _Polygon(Region):
 
     @cached_property
     def _corners(self) -> tuple[Array, Array]:
-        """The corners, from the first point and counter-clockwise, and 1 if outwards, else -1."""
+        """Corners, counter-clockwise from the first point, and 1 for convex ones, else -1."""
         local = np.asarray(self.points) - self.points[0]
         turns = _turns(local)
-        # A point on a straight edge is no corner: its side would be decided by rounding.
-        corner = np.abs(turns) > STRAIGHT
+        # omit points on straight edges: rounding would decide their sign
+        corner = np.abs(turns) > MIN_TURN_SINE
         local, turns = local[corner], turns[corner]
         if _area(local) < 0:
             local, turns = local[::-1], -turns[::-1]
@@ -274,17 +273,17 @@ def _area(points: Array) -> float:
 
 
 def _check_simple(points: Array) -> None:
-    """Refuse points that coincide, and edges that fold back, cross or touch."""
+    """Raise ModelError for points that coincide and edges that fold back, cross or touch."""
     count = len(points)
     edges = np.roll(points, -1, axis=0) - points
     for k in range(count):
         if not edges[k].any():
             raise ModelError(
-                f"polygon: points {k + 1} and {(k + 1) % count + 1} coincide; leave one out (the "
-                "last point is joined to the first by itself)"
+                f"polygon: points {k + 1} and {(k + 1) % count + 1} coincide; remove one (the last "
+                "point is connected to the first automatically)"
             )
     before = np.roll(edges, 1, axis=0)
-    folded = (np.abs(_turns(points)) <= STRAIGHT) & (np.sum(edges * before, axis=1) < 0)
+    folded = (np.abs(_turns(points)) <= MIN_TURN_SINE) & (np.sum(edges * before, axis=1) < 0)
     if folded.any():
         raise ModelError(
             f"polygon: the edges at point {int(folded.argmax()) + 1} fold back onto each other"
@@ -313,6 +312,6 @@ def _meet(points: Array, first: int, second: int) -> bool:
 
 
 def _side(a: Array, b: Array, p: Array) -> float:
-    """Return on which side of a line a point lies: left positive, zero on it."""
+    """Return the side of a line on which a point lies: left positive, zero on the line."""
     e, f = b - a, p - a
     return float(np.sign(e[0] * f[1] - e[1] * f[0]))

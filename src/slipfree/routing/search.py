@@ -1,6 +1,6 @@
-"""Routes over a large map: the cheapest ways from one place to another.
+"""Routes over a large map: paths of least cost between two positions.
 
-A route is a start for a plan, not a plan.
+A route is an initial guess of a plan, not a plan.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from scipy.spatial import cKDTree
 
 from slipfree.errors import ModelError
 from slipfree.records import Array, field_overview
-from slipfree.routing.reachability import no_way
-from slipfree.routing.smoothing import evenly, smooth, way_length
+from slipfree.routing.reachability import no_route_words
+from slipfree.routing.smoothing import polyline_length, resample_polyline, smooth
 from slipfree.routing.traversability import (
     Point,
     Traversability,
+    blocking_reasons,
     node_at,
     nodes_at,
-    placed,
-    reasons,
+    point_text,
 )
 
-# Neighbours on the grid and the knight's moves: headings 27 degrees apart, ways at most 2.8 % long.
+# neighbours on the grid and knight's moves: headings 27 degrees apart, routes at most 2.8 % longer
 MOVES = tuple(
     (i, j)
     for i in range(-2, 3)
@@ -37,23 +37,23 @@ MOVES = tuple(
     if max(abs(i), abs(j)) and (math.gcd(i, j) == 1)
 )
 
-DEEPER = 4.0  # factor on the cost of an earlier route's surroundings when the next one is sought
-TRIES = 4  # how often in a row a route may be none that is new
-WIDE = 0.1  # half width of these surroundings, as a part of the distance to go
-LONGEST = 2.0  # cost of an alternative over the cheapest route's beyond which it is none
+COST_FACTOR = 4.0  # on the cost near earlier routes when the next one is searched
+MAX_REPEATS = 4  # searches in succession without a new route
+HALF_WIDTH = 0.1  # half-width of the surroundings of a route [distance from start to goal]
+MAX_COST_RATIO = 2.0  # largest cost of an alternative [cost of the cheapest route]
 
 
 class Route(NamedTuple):
-    """A way over the map.
+    """A route over the map.
 
     Attributes
     ----------
     points : ndarray, shape (n, 2)
-        Way-points in map coordinates, evenly apart. [m]
+        Equally spaced way-points in map coordinates. [m]
     cost : float
-        Integral of the map's cost along them. [m]
+        Integral of the map's cost along the route. [m]
     length : float
-        Of the straight lines between them. [m]
+        Length of the polyline through the way-points. [m]
     """
 
     points: Array
@@ -67,7 +67,7 @@ class Route(NamedTuple):
 def route(
     layers: Traversability, start: Point, goal: Point, *, turning_radius: float = 0.0
 ) -> Array:
-    """Return the cheapest way from a start to a goal.
+    """Return the route of least cost from a start to a goal.
 
     Parameters
     ----------
@@ -76,22 +76,23 @@ def route(
     start, goal : tuple of 2 floats
         Map coordinates. [m]
     turning_radius : float
-        Smallest radius of a turn, as far as there is room for it. [m]
+        Smallest turning radius, kept where there is enough space. [m]
 
     Returns
     -------
     ndarray, shape (n, 2)
-        Way-points from the start to the goal, half the vehicle's extent apart, or 1/2000 of the
-        way if that is more. The cubic spline through them (`Path`) keeps out of blocked nodes;
-        where there is no room for that, they are the nodes of the search. [m]
+        Way-points from the start to the goal with a distance of half the vehicle's extent, or
+        1/2000 of the route's length if that is more. The cubic spline through them (`Path`) avoids
+        blocked nodes; where there is too little space for such a spline, they are the nodes of the
+        search. [m]
 
     Raises
     ------
     ModelError
-        If a point is blocked or off the map, or no way leads from one to the other, or the
-        turning radius is not a length.
+        If a point is blocked or off the map, if no route connects them, or if the turning radius
+        is negative or not finite.
     """
-    _check_question(layers, start, goal, turning_radius)
+    _check_ends(layers, start, goal, turning_radius)
     rough = _search(layers, layers.cost, np.asarray(start, float), np.asarray(goal, float))
     return smooth(layers, rough, turning_radius)
 
@@ -104,15 +105,15 @@ def routes(
     *,
     turning_radius: float = 0.0,
 ) -> list[Route]:
-    """Return several ways from a start to a goal, the cheapest first.
+    """Return several routes from a start to a goal, in order of cost.
 
     Parameters
     ----------
     layers, start, goal, turning_radius
         As for `route`.
     count : int
-        How many at most. There are fewer where no other way is left that keeps a vehicle's width
-        from all others at some place and costs at most twice the cheapest.
+        Largest number of routes. An alternative is at least a vehicle's width away from every
+        other route at some point, and costs at most twice the cheapest route.
 
     Raises
     ------
@@ -121,17 +122,17 @@ def routes(
     """
     if count < 1:
         raise ModelError(f"routes: count must be at least 1, found {count}")
-    _check_question(layers, start, goal, turning_radius)
+    _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
     found: list[Route] = []
     near = np.zeros_like(layers.cost)
     failed = 0
-    while len(found) < count and failed < TRIES:
-        # Smoothed at the raised cost too: else it would go back to the route next to it.
-        raised = layers._replace(cost=layers.cost * (1 + DEEPER * near))
+    while len(found) < count and failed < MAX_REPEATS:
+        # smooth with the raised cost as well, or the route would return to its neighbour
+        raised = layers._replace(cost=layers.cost * (1 + COST_FACTOR * near))
         rough = _search(layers, raised.cost, *ends)
         points = smooth(raised, rough, turning_radius)
-        new = Route(points, _integral(layers, points), way_length(points))
+        new = Route(points, _integral(layers, points), polyline_length(points))
         is_new = _is_another(layers, new, found)
         found += [new] if is_new else []
         failed = 0 if is_new else failed + 1
@@ -142,27 +143,27 @@ def routes(
 # Search
 
 
-def _check_question(
-    layers: Traversability, start: Point, goal: Point, turning_radius: float
-) -> None:
-    """Refuse ends where the vehicle cannot be, and what is no turning radius."""
+def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radius: float) -> None:
+    """Raise ModelError for blocked ends and an invalid turning radius."""
     for name, point in (("start", start), ("goal", goal)):
         x, y = (float(each) for each in point)
         if not (math.isfinite(x) and math.isfinite(y)):
-            raise ModelError(f"route: the {name} must be finite, found {placed(point)}")
-        why = reasons(layers, x, y)
+            raise ModelError(f"route: the {name} must be finite, found {point_text(point)}")
+        why = blocking_reasons(layers, x, y)
         if why:
-            raise ModelError(f"route: the vehicle cannot be at the {name} {placed(point)}: {why}")
+            raise ModelError(
+                f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}"
+            )
     if np.array_equal(start, goal):
-        raise ModelError(f"route: start and goal coincide at {placed(start)}")
+        raise ModelError(f"route: start and goal coincide at {point_text(start)}")
     if not 0 <= turning_radius < math.inf:
         raise ModelError(
-            f"route: turning_radius must be zero or more metres, found {turning_radius}"
+            f"route: turning_radius must be zero or positive, found {turning_radius} m"
         )
 
 
 def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> Array:
-    """Return the cheapest way along the grid: start, nodes, goal. Shape (n, 2) [m]."""
+    """Return the points of the cheapest path on the grid, with start and goal, (n, 2) [m]."""
     first, last = (
         int(np.ravel_multi_index(node_at(layers, *point), cost.shape)) for point in (start, goal)
     )
@@ -171,7 +172,7 @@ def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> A
     )
     if not math.isfinite(lengths[last]):
         reached = np.isfinite(lengths).reshape(cost.shape)
-        raise ModelError(f"route: {no_way(layers, reached, start, goal)}")
+        raise ModelError(f"route: {no_route_words(layers, reached, start, goal)}")
     nodes = [last]
     while nodes[-1] != first:
         nodes.append(int(before[nodes[-1]]))
@@ -183,10 +184,10 @@ def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> A
 
 
 def _graph(cost: Array, h: tuple[float, float]) -> csr_matrix:
-    """Return what the moves between free nodes cost, shape (n_x n_y, n_x n_y) [m].
+    """Return the costs of moves between free nodes, shape (n_x n_y, n_x n_y) [m].
 
-    A move costs its length times the mean of its two nodes and of the two that it passes between:
-    it neither cuts a blocked corner nor jumps over a blocked node.
+    A move costs its length times the mean cost of its two nodes and of the two nodes that it passes
+    between; it neither cuts a blocked corner nor jumps over a blocked node.
     """
     size = cost.size
     padded = np.pad(cost, 2, constant_values=math.inf).astype(np.float32)
@@ -219,24 +220,26 @@ def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.
     return padded[2 + i : rows - 2 + i, 2 + j : columns - 2 + j]
 
 
-# Several
+# Several routes
 
 
 def _is_another(layers: Traversability, new: Route, found: Sequence[Route]) -> bool:
-    """Return whether a route leaves all earlier ones by a vehicle's width, at a bearable cost."""
+    """Return whether a route differs from all earlier ones and is not too expensive."""
     fine, width = 0.25 * layers.limits.half, 2 * layers.limits.reach
     for old in found:
-        gaps, _ = cKDTree(evenly(old.points, fine)).query(evenly(new.points, fine))
+        gaps, _ = cKDTree(resample_polyline(old.points, fine)).query(
+            resample_polyline(new.points, fine)
+        )
         if gaps.max() <= width:
             return False
-    return not found or new.cost <= LONGEST * min(each.cost for each in found)
+    return not found or new.cost <= MAX_COST_RATIO * min(each.cost for each in found)
 
 
 def _surroundings(layers: Traversability, points: Array, start: Array, goal: Array) -> Array:
-    """Return how near nodes are to a route: one on it, falling to zero; zero at its ends [1]."""
-    width = max(2 * layers.limits.reach, WIDE * float(np.linalg.norm(goal - start)))
+    """Return the proximity of nodes to a route: one on it, decreasing to zero; zero at its ends."""
+    width = max(2 * layers.limits.reach, HALF_WIDTH * float(np.linalg.norm(goal - start)))
     off = np.ones(layers.cost.shape, dtype=bool)
-    off[nodes_at(layers, evenly(points, 0.5 * min(layers.spacing)))] = False
+    off[nodes_at(layers, resample_polyline(points, 0.5 * min(layers.spacing)))] = False
     near = np.exp(-((ndimage.distance_transform_edt(off, sampling=layers.spacing) / width) ** 2))
     for end in (start, goal):  # all routes have their ends in common
         away = np.hypot(layers.x[:, None] - end[0], layers.y[None, :] - end[1])
@@ -245,8 +248,8 @@ def _surroundings(layers: Traversability, points: Array, start: Array, goal: Arr
 
 
 def _integral(layers: Traversability, points: Array) -> float:
-    """Return the integral of the cost along a line; the cost of the nearest nodes [m]."""
-    dense = evenly(points, 0.25 * min(layers.spacing))
+    """Return the integral along a polyline of the cost at the nearest nodes [m]."""
+    dense = resample_polyline(points, 0.25 * min(layers.spacing))
     middle = 0.5 * (dense[1:] + dense[:-1])
     return float(
         layers.cost[nodes_at(layers, middle)] @ np.linalg.norm(np.diff(dense, axis=0), axis=1)

@@ -1,4 +1,4 @@
-"""Smooth ways near a rough one, over a map of costs: cheap, clear of what is blocked, not sharp."""
+"""Smoothing of routes: low cost, clearance from blocked nodes, bounded curvature."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from slipfree.geometry.path import Path
 from slipfree.records import Array, Mask
 from slipfree.routing.traversability import Traversability, nodes_at, window
 
-CLEAR = 1.2  # distance from blocked nodes that smoothing keeps, in cells: the cell and a margin
-TIGHT = 0.97  # part of the largest curvature that smoothing aims at, once it was seen to miss it
-TIGHTER = 0.7  # smallest factor on it from round to round
-GRAZE = 0.05  # distance between the places where a path is judged, in cells
-EASE = 1.02  # factor on the largest curvature up to which a route counts as smooth
-FIRM = (1.0, 3.0, 10.0, 30.0, 100.0)  # weights of clearance and curvature against cost, in turn
-POINTS = 2000  # of a route while it is smoothed: more take longer than the route is worth
-BLUR = 1.0  # standard deviation of the cost's smoothing, in cells: Newton's method needs it
-NEWTON = 300  # steps of one round of smoothing at most
-TETHER = 1e-3  # the first one that is tried, relative to the stiffness of the chain of points
-SETTLED = 1e-6  # relative gain in a step below which smoothing ends
+CLEARANCE = 1.2  # clearance from blocked nodes: a cell and a margin [cell]
+CURVATURE_TARGET = 0.97  # curvature that smoothing aims at after a violation [largest curvature]
+MIN_TARGET_FACTOR = 0.7  # smallest change of that target between two rounds
+CHECK_STEP = 0.05  # distance of the points at which a path is checked [cell]
+CURVATURE_TOLERANCE = 1.02  # curvature up to which a route counts as smooth [largest curvature]
+PENALTIES = (1.0, 3.0, 10.0, 30.0, 100.0)  # weights of clearance and curvature, increased in turn
+MAX_POINTS = 2000  # points of a route during smoothing; limits the computing time
+BLUR = 1.0  # standard deviation of the smoothing of the cost, for Newton's method [cell]
+MAX_NEWTON_STEPS = 300  # of one round of smoothing
+INITIAL_DAMPING = 1e-3  # of the Newton steps [stiffness of the chain of points]
+MIN_RELATIVE_GAIN = 1e-6  # smoothing ends at a step with a smaller gain
 MIDDLE, EDGE, BEND = np.array([0.5, 0.5]), np.array([-1.0, 1.0]), np.array([1.0, -2.0, 1.0])
 
 
 class _Field(NamedTuple):
-    """Part of the map about a route: cost without its infinities, and distance to what is blocked.
+    """Part of the map around a route: finite cost, and distance to the nearest blocked node.
 
     ``cost`` [1] and ``clearance`` [m], shape (n_x, n_y); ``origin`` in map coordinates and
     ``spacing``, [m].
@@ -41,8 +41,8 @@ class _Field(NamedTuple):
     spacing: Array
 
 
-class _Aim(NamedTuple):
-    """What smoothing holds against each other; weights without unit, lengths [m]."""
+class _Objective(NamedTuple):
+    """Weights and bounds of the smoothing objective; weights without unit, lengths [m]."""
 
     stiff: float
     clear: float
@@ -52,60 +52,60 @@ class _Aim(NamedTuple):
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:
-    """Return a smooth way near a rough one; the rough one if there is no room for smoothness.
+    """Return a smooth route near a rough one; the rough one if there is too little space.
 
     Parameters
     ----------
     layers : Traversability
         The map.
     rough : ndarray, shape (n, 2)
-        The way of a search over its nodes. [m]
+        Points of a search over the nodes. [m]
     turning_radius : float
-        Smallest radius of a turn, as far as there is room for it. [m]
+        Smallest turning radius, kept where there is enough space. [m]
 
     Returns
     -------
     ndarray, shape (m, 2)
         Way-points as `slipfree.routing.search.route` returns them. [m]
     """
-    step = max(0.25 * layers.limits.half, way_length(rough) / POINTS)
+    step = max(0.25 * layers.limits.half, polyline_length(rough) / MAX_POINTS)
     half = max(layers.limits.half, step)
     field = _field(layers, rough, turning_radius)
     sharpest = 1 / turning_radius if turning_radius else math.inf
-    points, best, least = evenly(rough, step), None, math.inf
-    for weight in FIRM:
-        clear = CLEAR * max(layers.spacing)
-        aim = _Aim(half, clear, sharpest, weight, way_length(points) / (len(points) - 1))
-        points = _curved(_relaxed(field, points, aim), step)
-        candidate = _curved(points, half)
-        is_free, curvature = _judged(layers, candidate)
+    points, best, least = resample_polyline(rough, step), None, math.inf
+    for weight in PENALTIES:
+        clear = CLEARANCE * max(layers.spacing)
+        aim = _Objective(half, clear, sharpest, weight, polyline_length(points) / (len(points) - 1))
+        points = _resample_spline(_minimise(field, points, aim), step)
+        candidate = _resample_spline(points, half)
+        is_free, curvature = _check_path(layers, candidate)
         if is_free and curvature < least:
             best, least = candidate, curvature
-        if is_free and curvature * turning_radius <= EASE:
+        if is_free and curvature * turning_radius <= CURVATURE_TOLERANCE:
             break
         if is_free and turning_radius:
-            # Where the way begins to turn, the spline bends more than its points do.
-            sharpest *= max(TIGHT / (curvature * turning_radius), TIGHTER)
+            # at the beginning of a turn, the spline bends more than the polyline
+            sharpest *= max(CURVATURE_TARGET / (curvature * turning_radius), MIN_TARGET_FACTOR)
     if best is not None:
         return best
     for spacing in (half, 0.5 * half, 0.25 * half):
-        candidate = evenly(rough, spacing)
-        if _judged(layers, candidate)[0]:
+        candidate = resample_polyline(rough, spacing)
+        if _check_path(layers, candidate)[0]:
             return candidate
     return rough
 
 
-def _judged(layers: Traversability, points: Array) -> tuple[bool, float]:
+def _check_path(layers: Traversability, points: Array) -> tuple[bool, float]:
     """Return whether the path through points is free, and its largest curvature [1/m]."""
     path = Path(points)
-    count = math.ceil(path.length / (GRAZE * min(layers.spacing)))
+    count = math.ceil(path.length / (CHECK_STEP * min(layers.spacing)))
     place = path.at(np.linspace(0, path.length, count + 1))
     i, j = nodes_at(layers, np.stack([place.x, place.y], axis=1))
     return bool(np.isfinite(layers.cost[i, j]).all()), float(np.abs(place.curvature).max())
 
 
 def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Field:
-    """Return the part of the map that smoothing can get to."""
+    """Return the part of the map that smoothing can reach."""
     (x_min, y_min), (x_max, y_max) = rough.min(axis=0), rough.max(axis=0)
     room = 2 * turning_radius + 4 * layers.limits.half + 4 * max(layers.spacing)
     part = window(layers, (float(x_min), float(x_max), float(y_min), float(y_max)), room)
@@ -118,7 +118,7 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
         clearance = to_blocked - ndimage.distance_transform_edt(~free, h)
         cost = cost[nearest]
     cost = ndimage.gaussian_filter(cost, BLUR, mode="nearest")
-    clearance = np.minimum(clearance, 2 * CLEAR * max(h))  # more than enough is enough
+    clearance = np.minimum(clearance, 2 * CLEARANCE * max(h))  # larger clearances have no effect
     origin = np.array([layers.x[part[0]][0], layers.y[part[1]][0]])
     return _Field(cost, clearance, origin, np.array(h))
 
@@ -129,46 +129,45 @@ def _nearest_free(free: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
     return found[0], found[1]
 
 
-def _relaxed(field: _Field, points: Array, aim: _Aim) -> Array:
-    """Return points moved to where the way is cheap and smooth; its ends stay.
+def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
+    """Return the points that minimise the smoothing objective, with fixed ends.
 
-    Newton's method with what is sure to be positive of the second derivatives: gradients alone
-    would take thousands of steps, because a chain of points gives way slowly to what is far.
+    Newton's method with a positive definite part of the Hessian: a gradient method would take
+    thousands of steps, because changes propagate slowly along a chain of points.
     """
     if len(points) < 3:
         return points
-    p, tether = points - field.origin, 0.0
-    total, gradient, bands = _effort(field, p, aim)
-    for _ in range(NEWTON):
-        # A tether holds every point where it is: away from there neither costs nor what is blocked
-        # are known, and a string would cut through both to be straight.
-        held = bands + np.array([[0.0]] * 5 + [[tether]])
+    p, damping = points - field.origin, 0.0
+    total, gradient, bands = _objective(field, p, aim)
+    for _ in range(MAX_NEWTON_STEPS):
+        # damping limits the step: the quadratic model of costs and obstacles is valid only nearby
+        held = bands + np.array([[0.0]] * 5 + [[damping]])
         change = np.zeros_like(p)
         change[1:-1] = -solveh_banded(held, gradient[1:-1].ravel()).reshape(-1, 2)
-        new = _effort(field, p + change, aim)
+        new = _objective(field, p + change, aim)
         expected = float(np.sum(gradient * change))
         if np.abs(change).max() > field.spacing.min() or new[0] > total + 0.1 * expected:
-            tether = max(4 * tether, TETHER / aim.step)
+            damping = max(4 * damping, INITIAL_DAMPING / aim.step)
             continue
-        settled = new[0] > total * (1 - SETTLED)
-        p, tether = p + change, 0.25 * tether
+        settled = new[0] > total * (1 - MIN_RELATIVE_GAIN)
+        p, damping = p + change, 0.25 * damping
         total, gradient, bands = new
         if settled:
             break
     return np.concatenate([points[:1], p[1:-1] + field.origin, points[-1:]])
 
 
-def _effort(field: _Field, p: Array, aim: _Aim) -> tuple[float, Array, Array]:
-    """Return cost plus bending plus what breaks the rules, its gradient and its Hessian.
+def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, Array]:
+    """Return the smoothing objective, its gradient and its Hessian.
 
-    The integral over the way of ``cost + (stiff curvature)**2 / 2`` and of ``weight`` times the
-    squares of clearance and of curvature, relative to what is aimed at, where they miss it.
+    The objective is the integral along the route of ``cost + (stiff curvature)**2 / 2`` and of
+    ``weight`` times the squared relative violations of clearance and curvature.
 
     Returns
     -------
     float, ndarray, shape (n, 2), ndarray, shape (6, 2 n - 4)
-        The integral [m], its gradient by the points [1], and a positive definite approximation
-        of the Hessian by the inner points, in upper banded form [1/m].
+        The integral [m], its gradient with respect to the points [1], and a positive definite
+        approximation of the Hessian with respect to the inner points, in upper banded form [1/m].
     """
     edge = np.diff(p, axis=0)
     length = np.linalg.norm(edge, axis=1) + 1e-9 * aim.step
@@ -201,16 +200,16 @@ def _effort(field: _Field, p: Array, aim: _Aim) -> tuple[float, Array, Array]:
         ),
         (BEND / aim.step**2, stiff * np.eye(2) + sharp),
     )
-    return float(total), _gathered(gradients, p), _banded(hessians, len(p))
+    return float(total), _gradient(gradients, p), _banded(hessians, len(p))
 
 
 def _squares(vectors: Array) -> Array:
-    """Return the dyads of vectors with themselves, shape (n, 2, 2)."""
+    """Return the dyadic squares of vectors, shape (n, 2, 2)."""
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 
-def _gathered(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
-    """Return the gradient by the points of parts that depend on weighted sums of neighbours."""
+def _gradient(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
+    """Return the gradient with respect to the points of terms of weighted sums of neighbours."""
     gradient = np.zeros_like(p)
     for weights, part in parts:
         for k, weight in enumerate(weights):
@@ -219,7 +218,7 @@ def _gathered(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
 
 
 def _banded(parts: Iterable[tuple[Array, Array]], count: int) -> Array:
-    """Return the Hessian by the inner points in upper banded form, shape (6, 2 count - 4)."""
+    """Return the Hessian for the inner points in upper banded form, shape (6, 2 count - 4)."""
     blocks = np.zeros((3, count, 2, 2))  # blocks[o, k] couples point k to point k + o
     for weights, part in parts:
         for a in range(len(weights)):
@@ -234,7 +233,7 @@ def _banded(parts: Iterable[tuple[Array, Array]], count: int) -> Array:
 
 
 def _bilinear(values: Array, field: _Field, points: Array) -> tuple[Array, Array]:
-    """Return values between nodes, shape (n,), and their gradients, shape (n, 2)."""
+    """Return bilinearly interpolated values, shape (n,), and their gradients, shape (n, 2)."""
     cell = np.clip(points / field.spacing, 0, np.array(values.shape) - 1)
     first = np.minimum(cell.astype(np.intp), np.array(values.shape) - 2)
     (u, v), (i, j) = (cell - first).T, first.T
@@ -247,13 +246,13 @@ def _bilinear(values: Array, field: _Field, points: Array) -> tuple[Array, Array
 # Lines
 
 
-def way_length(points: Array) -> float:
-    """Return the length of the straight lines between points [m]."""
+def polyline_length(points: Array) -> float:
+    """Return the length of a polyline [m]."""
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def evenly(points: Array, step: float) -> Array:
-    """Return points evenly along a line, about a step apart; the ends are kept."""
+def resample_polyline(points: Array, step: float) -> Array:
+    """Return equally spaced points along a polyline, about a step apart, with the same ends."""
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     at = np.concatenate([[0], np.cumsum(gaps)])
     count = max(round(float(at[-1]) / step), 1)
@@ -263,9 +262,9 @@ def evenly(points: Array, step: float) -> Array:
     return even
 
 
-def _curved(points: Array, step: float) -> Array:
-    """Return points evenly along the smooth curve through points, about a step apart."""
-    from scipy.interpolate import CubicSpline  # imported where it is used: it takes 0.2 s
+def _resample_spline(points: Array, step: float) -> Array:
+    """Return equally spaced points along the smooth curve through points, about a step apart."""
+    from scipy.interpolate import CubicSpline  # imported here: the import takes 0.2 s
 
     gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     at = np.concatenate([[0], np.cumsum(gaps)])

@@ -1,7 +1,7 @@
-"""What it costs a vehicle to be at a place of a map, and where it cannot be.
+"""Traversability of a map: costs for a vehicle, and blocked positions.
 
-The map looks at the ground under the vehicle's footprint in any heading, and knows neither wheels
-nor slip.
+The costs depend on the ground under the vehicle's footprint in any heading; single wheels and slip
+are not considered.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
 from slipfree.records import Array, Mask
 from slipfree.routing.footprint import (
+    axis_step,
     coarse_axes,
     footprint_mean,
     ground_figures,
     nearest_nodes,
-    step,
 )
 from slipfree.routing.regions import Region
 from slipfree.terrain.base import Grid
@@ -31,34 +31,34 @@ from slipfree.vehicle.tree import Vehicle
 
 Point = tuple[float, float] | Array
 
-# What a metre costs beyond its length. The steepest slope that can be climbed, and friction used
-# to the full, are each worth a detour of four times the length: there is no margin left on them.
-# Roughness as large as the wheel is an obstacle, worth ten. Ground that is everywhere too hollow
-# for the wheels is worth ten too: it may be straddled, but only by luck.
+# Extra cost per metre. The steepest slope that can be climbed and fully used friction are each
+# worth a detour of four times the length, since they leave no margin. Roughness as large as the
+# wheel is an obstacle, worth ten. Ground that is everywhere too concave for the wheels is worth ten,
+# too: the wheels may straddle it, but only by chance.
 SLOPE = 4.0
 FRICTION = 4.0
 ROUGHNESS = 10.0
 HOLLOW = 10.0
-STEEPEST = math.radians(30)  # where nothing says what friction can hold; loose soil slides at 30-35
+MAX_SLOPE = math.radians(30)  # on ground without friction coefficient; loose soil slides at 30-35
 
 
 class Limits(NamedTuple):
-    """What the vehicle can do, as the layers were judged.
+    """Limits of the vehicle from which the layers were computed.
 
     Attributes
     ----------
     steepest : float
-        Slope that can be climbed. [rad]
+        Steepest slope that can be climbed. [rad]
     radius : float
-        Of the largest wheel: it is the first that a hollow is too narrow for. [m]
+        Radius of the largest wheel, which a hollow must have at least. [m]
     reach : float
-        Radius of the circle about the platform's centre that holds all wheels. [m]
+        Radius of the circle about the platform's centre that contains all wheels. [m]
     half : float
-        Half the side of the square that stands for the footprint in any heading. [m]
+        Half the side of the square that represents the footprint in any heading. [m]
     domain : tuple of 4 floats
         ``x_min, x_max, y_min, y_max`` of the map. [m]
     keep_out : tuple of Region
-        Where not to go.
+        Keep-out regions.
     """
 
     steepest: float
@@ -70,25 +70,25 @@ class Limits(NamedTuple):
 
 
 class Traversability(NamedTuple):
-    """What it costs a vehicle to be at a place, and why.
+    """Cost of a map for a vehicle, and the layers from which it was computed.
 
     Attributes
     ----------
     x, y : ndarray, shape (n_x,) and (n_y,)
         Axes in map coordinates. [m]
     cost : ndarray, shape (n_x, n_y)
-        Of a metre; infinite where the vehicle's centre must not be. [1]
+        Cost per metre; infinite where the vehicle's centre must not be. [1]
     slope : ndarray, shape (n_x, n_y)
-        Of the plane that fits the ground under the footprint. [rad]
+        Slope of the plane fitted to the ground under the footprint. [rad]
     roughness : ndarray, shape (n_x, n_y)
-        Root mean square deviation of that ground from its plane. [m]
+        Root mean square deviation of the ground from that plane. [m]
     hollow : ndarray, shape (n_x, n_y)
-        Largest curvature of the ground upwards, in any direction; negative on a dome. [1/m]
+        Largest concavity of the ground in any direction; negative on a dome. [1/m]
     friction : ndarray, shape (n_x, n_y), or None
         Tangent of the slope over the mean friction under the footprint; None if the terrain has
-        no friction. [1]
+        no friction coefficient. [1]
     limits : Limits
-        What they were held against.
+        Limits of the vehicle.
     """
 
     x: Array
@@ -103,7 +103,7 @@ class Traversability(NamedTuple):
     @property
     def spacing(self) -> tuple[float, float]:
         """Distance between nodes along x and y [m]."""
-        return step(self.x), step(self.y)
+        return axis_step(self.x), axis_step(self.y)
 
 
 def traversability(
@@ -114,19 +114,19 @@ def traversability(
     steepest: float | None = None,
     spacing: float | None = None,
 ) -> Traversability:
-    """Return where a vehicle can go on a map and at what cost.
+    """Return the traversability of a map for a vehicle.
 
     Parameters
     ----------
     terrain : Bicubic
-        The ground, with its friction if it has one.
+        The ground, with or without friction.
     vehicle : Vehicle
-        Its wheels, in its zero configuration, give the footprint.
+        The vehicle; its wheels in the zero configuration determine the footprint.
     keep_out : iterable of Region
-        Places that no wheel may touch.
+        Regions that no wheel may touch.
     steepest : float, optional
-        Slope that can be climbed; by default what the largest friction can hold, or 30 degrees
-        on a ground without friction. [rad]
+        Steepest slope that can be climbed; by default the slope that the largest friction can
+        hold, or 30 degrees on a ground without friction. [rad]
     spacing : float, optional
         Distance between nodes; by default that of the grid, or a third of half the vehicle's
         smaller extent if that is more. [m]
@@ -134,22 +134,23 @@ def traversability(
     Returns
     -------
     Traversability
-        Blocked is a node where the slope is steeper than ``steepest`` or than friction can hold in
-        any heading, where its roughness reaches the radius of the largest wheel, where the ground
-        is more hollow than that wheel is round, from where a wheel may reach over the edge of the
-        map, or into a region to keep out of.
+        The cost and its layers. A node is blocked if the slope is steeper than ``steepest`` or
+        than friction can hold, if the roughness reaches the radius of the largest wheel, if the
+        radius of curvature of the ground is smaller than that radius, or if a wheel could reach
+        over the edge of the map or into a keep-out region in some heading.
 
     Raises
     ------
     ModelError
-        If ``steepest`` is not an angle below a right one, or ``spacing`` not positive or too large.
+        If ``steepest`` is not between 0 and pi/2, or ``spacing`` is not positive or too large.
 
     Notes
     -----
-    A metre costs ``1 + 4 (slope / steepest)**2 + 4 friction**2 + 10 (roughness / radius)**2``
-    and ten times the share of the ground under the footprint that is too hollow. Hollow ground
-    blocks the vehicle's centre; that every wheel stays out of it takes the heading, which a plan
-    decides and a route does not. The wheel with the best grip decides what friction can hold.
+    The cost per metre is ``1 + 4 (slope / steepest)**2 + 4 friction**2 + 10 (roughness /
+    radius)**2`` plus ten times the fraction of the ground under the footprint that is too concave.
+    Concave ground blocks only the vehicle's centre: whether a wheel enters it depends on the
+    heading, which a plan determines and a route does not. Friction is that of the wheel with the
+    largest ``grip``.
     """
     right, forward, reach = extents(vehicle)
     half, radius = math.sqrt(right * forward), max(wheel.radius for wheel in vehicle.wheels)
@@ -161,7 +162,7 @@ def traversability(
     held = _friction(terrain, x, y, half)
     held = None if held is None else held * grip
     if steepest is None:
-        steepest = STEEPEST if held is None else math.atan(held.max())
+        steepest = MAX_SLOPE if held is None else math.atan(held.max())
     if not 0 < steepest < math.pi / 2:
         raise ModelError(
             f"traversability: steepest must lie between 0 and pi/2 radians, found {steepest}"
@@ -177,8 +178,8 @@ def traversability(
     return layers
 
 
-def reasons(layers: Traversability, x: float, y: float) -> str:
-    """Return in words why a vehicle cannot be at a place of the map; empty if it can.
+def blocking_reasons(layers: Traversability, x: float, y: float) -> str:
+    """Return the reasons why a vehicle cannot be at a position, as text; empty if it can.
 
     Parameters
     ----------
@@ -192,14 +193,14 @@ def reasons(layers: Traversability, x: float, y: float) -> str:
     if not off and math.isfinite(layers.cost[i, j]):
         return ""
     at = (x, y) if off else (float(layers.x[i]), float(layers.y[j]))
-    return "; ".join(faults(layers, *at).values())
+    return "; ".join(reasons_by_kind(layers, *at).values())
 
 
 def extents(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Return half the width and the length of the vehicle, and the circle that holds it [m].
+    """Return half the width, half the length and the radius of the circle of the vehicle [m].
 
-    A wheel may be steered and tilted: from its centre it reaches its radius in every direction,
-    but counts towards width and length as it stands straight.
+    In the circle, a wheel counts as a sphere, since it may be steered and tilted; in width and
+    length it counts in its straight position.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
     poses = vehicle.carriers(rest, {c.name: ca.SX(0) for c in vehicle.coordinates})
@@ -215,7 +216,7 @@ def extents(vehicle: Vehicle) -> tuple[float, float, float]:
 
 
 def _friction(terrain: Bicubic, x: Array, y: Array, half: float) -> Array | None:
-    """Return the mean friction under the footprint, None if the terrain has none [1]."""
+    """Return the mean friction under the footprint; None if the terrain has none [1]."""
     mu = terrain.mu
     if mu is None:
         return None
@@ -226,11 +227,11 @@ def _friction(terrain: Bicubic, x: Array, y: Array, half: float) -> Array | None
         at_nodes = surface.elevation(x[:, None], y[None, :]) if surface else np.empty(0)
     else:
         at_nodes = _formula(mu, x, y)
-    return footprint_mean(at_nodes, (step(x), step(y)), half)
+    return footprint_mean(at_nodes, (axis_step(x), axis_step(y)), half)
 
 
 def _formula(function: Callable[[ca.SX, ca.SX], ca.SX], x: Array, y: Array) -> Array:
-    """Return the values of a formula on a grid, one line along y after the other."""
+    """Return the values of a formula on a grid, computed line by line along y."""
     at, line = ca.SX.sym("x"), ca.SX.sym("y", y.size)
     values = [ca.SX(function(at, line[j])) for j in range(y.size)]
     f = ca.Function("friction", [at, line], [ca.vertcat(*values)])
@@ -238,7 +239,7 @@ def _formula(function: Callable[[ca.SX, ca.SX], ca.SX], x: Array, y: Array) -> A
 
 
 def blocked_by(layers: Traversability) -> dict[str, Mask]:
-    """Return where the vehicle's centre must not be, by what keeps it from there.
+    """Return the masks of blocked nodes, by reason.
 
     Parameters
     ----------
@@ -280,17 +281,17 @@ def to_edge(limits: Limits, x: Array, y: Array) -> Array:
 def window(
     layers: Traversability, bounds: tuple[float, float, float, float], room: float
 ) -> tuple[slice, slice]:
-    """Return the part of the grid within some room of a rectangle."""
+    """Return the slices of the grid inside a rectangle extended by a margin."""
     i = np.searchsorted(layers.x, (bounds[0] - room, bounds[1] + room)).tolist()
     j = np.searchsorted(layers.y, (bounds[2] - room, bounds[3] + room)).tolist()
     return slice(*i), slice(*j)
 
 
-def faults(layers: Traversability, x: float, y: float) -> dict[str, str]:
-    """Return in words what keeps a vehicle from a place of the map, by the names of `blocked_by`.
+def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str]:
+    """Return why a vehicle cannot be at a position, as text by the names of `blocked_by`.
 
-    Edge and places to keep out of are those of the place itself, the ground is that of the nearest
-    node. Off the map there is but the edge.
+    Edge and keep-out regions are evaluated at the position itself, the ground at the nearest node.
+    Off the map, the edge is the only reason.
 
     Parameters
     ----------
@@ -305,13 +306,13 @@ def faults(layers: Traversability, x: float, y: float) -> dict[str, str]:
         return {"edge": f"{-inside:.3g} m outside the map"}
     if inside < limits.reach:
         words["edge"] = (
-            f"{inside:.3g} m from the edge of the map, where wheels reach {limits.reach:.3g} m"
+            f"{inside:.3g} m from the edge of the map, and wheels reach {limits.reach:.3g} m"
         )
-    words |= _ground_faults(layers, *node_at(layers, x, y))
+    words |= _ground_reasons(layers, *node_at(layers, x, y))
     near = [
         f"inside the keep-out {region.words}"
         if distance < 0
-        else f"{distance:.3g} m from the keep-out {region.words}, where wheels reach "
+        else f"{distance:.3g} m from the keep-out {region.words}, and wheels reach "
         f"{limits.reach:.3g} m"
         for region in limits.keep_out
         if (distance := float(region.distance(np.asarray(x), np.asarray(y)))) < limits.reach
@@ -319,8 +320,8 @@ def faults(layers: Traversability, x: float, y: float) -> dict[str, str]:
     return words | ({"keep_out": "; ".join(near)} if near else {})
 
 
-def _ground_faults(layers: Traversability, i: int, j: int) -> dict[str, str]:
-    """Return in words what is wrong with the ground at a node."""
+def _ground_reasons(layers: Traversability, i: int, j: int) -> dict[str, str]:
+    """Return the reasons why the ground at a node is blocked."""
     limits, words, slope = layers.limits, {}, float(layers.slope[i, j])
     used = 0.0 if layers.friction is None else float(layers.friction[i, j])
     if used >= 1:
@@ -330,17 +331,17 @@ def _ground_faults(layers: Traversability, i: int, j: int) -> dict[str, str]:
         )
     elif slope > limits.steepest:
         words["slope"] = (
-            f"slope of {math.degrees(slope):.3g} degrees, at most "
-            f"{math.degrees(limits.steepest):.3g} can be climbed"
+            f"slope of {math.degrees(slope):.3g} degrees, steeper than the "
+            f"{math.degrees(limits.steepest):.3g} degrees that the vehicle can climb"
         )
     if layers.roughness[i, j] >= limits.radius:
         words["roughness"] = (
-            f"roughness of {layers.roughness[i, j]:.3g} m, as large as a wheel of "
+            f"roughness of {layers.roughness[i, j]:.3g} m, not less than the wheel radius of "
             f"{limits.radius:.3g} m"
         )
     if layers.hollow[i, j] * limits.radius >= 1:
         words["hollow"] = (
-            f"hollow of {1 / layers.hollow[i, j]:.3g} m radius, too narrow for a wheel of "
+            f"hollow of {1 / layers.hollow[i, j]:.3g} m radius, too narrow for the wheel radius of "
             f"{limits.radius:.3g} m"
         )
     return words
@@ -352,17 +353,17 @@ def _ground_faults(layers: Traversability, i: int, j: int) -> dict[str, str]:
 def nodes_at(
     layers: Traversability, points: Array
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the nodes nearest to points, shape (n, 2)."""
+    """Return the indices of the nodes nearest to points of shape (n, 2)."""
     return nearest_nodes(layers.x, points[:, 0]), nearest_nodes(layers.y, points[:, 1])
 
 
 def node_at(layers: Traversability, x: float, y: float) -> tuple[int, int]:
-    """Return the node nearest to a place of the map."""
+    """Return the indices of the node nearest to a position."""
     i, j = nodes_at(layers, np.array([[x, y]]))
     return int(i[0]), int(j[0])
 
 
-def placed(point: Point) -> str:
-    """Return a point as it is printed."""
+def point_text(point: Point) -> str:
+    """Return the text of a point."""
     x, y = (round(float(each), 2) for each in point)
     return f"({x:.10g}, {y:.10g})"

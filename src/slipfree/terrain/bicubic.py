@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.lookups import LookupTable
 from slipfree.records import Array
 from slipfree.terrain.base import Grid, Jet, polynomial_jet
-from slipfree.terrain.friction import Friction, pad_border, check_friction, coefficient, map_domain
+from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain, pad_border
 from slipfree.terrain.kernel import Layout, Opened, register_ground
 
 KNOT_TOLERANCE = 1e-10  # a point at a smaller distance from a knot lies on it [cell]

@@ -99,7 +99,7 @@ def _refine_axis(axis: Array, spacing: float) -> Array:
 
 
 def _close_by_ball(z: Array, steps: tuple[float, float], radius: float) -> Array:
-    """Return heights after morphological closing by a ball: the envelope of a ball rolling above."""
+    """Return heights after morphological closing by a ball that rolls above them."""
     reach = [int(radius / step) for step in steps]
     i, j = np.ogrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
     below = radius**2 - (i * steps[0]) ** 2 - (j * steps[1]) ** 2
