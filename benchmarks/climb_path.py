@@ -18,7 +18,12 @@ import numpy as np
 from scipy.optimize import brentq
 
 from slipfree.climb.contact_path import Leg, axle_arms, legs, sample
-from slipfree.climb.friction_demand import equilibrium, highest, least, least_friction
+from slipfree.climb.friction_demand import (
+    equilibrium,
+    highest_obstacle,
+    least_friction,
+    least_friction_forces,
+)
 from slipfree.climb.profile import Profile, ramp, step
 from slipfree.climb.time_scaling import climb, history
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
@@ -70,9 +75,10 @@ def slow() -> Iterator[str]:
         yield f"  {name:7s} {joint:5.3f}  {found.mu:.4f} ({expected})  {by_leg}"
     leg = legs(seven_wheels(), PROFILES["90 mm"])[-1]
     way = sample(seven_wheels(), PROFILES["90 mm"], leg, np.array([leg.length]))
-    loads = least(*equilibrium(seven_wheels(), way)).normal[0]
+    loads = least_friction_forces(*equilibrium(seven_wheels(), way)).normal[0]
     yield "  loads at rest, rear to front: " + ", ".join(f"{load:.2f} N" for load in loads)
-    yield f"  highest step for mu 0.4: {1e3 * highest(seven_wheels(), 0.4, 0.1):.1f} mm (about 29)"
+    tallest = highest_obstacle(seven_wheels(), 0.4, 0.1)
+    yield f"  highest step for mu 0.4: {1e3 * tallest:.1f} mm (about 29)"
 
 
 def planned() -> Iterator[str]:

@@ -302,7 +302,7 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "[[0, -1], [2, -1], [2, 0.09], [0, 0.09]]",
             "[[0, 1], [0.6, -0.8], [-1, 0.3], [1, 0.3], [-0.6, -0.8]]",
-            "p.toml:6: profile.solids[1]: solid: its faces cross one another",
+            "p.toml:6: profile.solids[1]: solid: its faces cross",
         ),
         ("[2, 0.09], [0, 0.09]", "[2, -1]", "p.toml:6: profile.solids[1]: solid: points 1 and 2"),
         (

@@ -30,7 +30,7 @@ from helpers.climb_cases import (
     climb,
 )
 from slipfree import SolverOptions
-from slipfree.climb.contact import CompliantContact, direction, pressed
+from slipfree.climb.contact import CompliantContact, direction, wheel_contacts
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, floor_loads, standing
 from slipfree.climb.metrics import climb_window
@@ -369,7 +369,9 @@ def test_over_a_kerb_and_up_stairs():
 def test_directions_over_a_kerb(place, expected):
     """Pressed in by 1 mm, at which nearness is 0.9998."""
     center = ca.SX.sym("center", 2)
-    contacts = pressed(kerb(0.09, 0.6), CompliantContact(), 0.067, center, ca.SX.zeros(2), ca.SX(0))
+    contacts = wheel_contacts(
+        kerb(0.09, 0.6), CompliantContact(), 0.067, center, ca.SX.zeros(2), ca.SX(0)
+    )
     found = ca.Function("direction", [center], [direction(contacts)])(place)
     assert np.degrees(float(found)) == pytest.approx(expected, abs=0.05)
 
@@ -386,12 +388,12 @@ def test_falling_over_is_named():
         options=SolverOptions(tolerance=1e-6),
     )
     assert run.stop.name == "rear_overturned"
-    assert "the rear body is overturned: its tilt: -1.4" in run.stop.words
+    assert "the rear body overturns: its tilt: -1.4" in run.stop.words
     assert run.stop.t < 0.3
 
 
 def test_what_touches_only_the_floor_has_no_climb():
-    with pytest.raises(ModelError, match="nothing but the floor"):
+    with pytest.raises(ModelError, match="touches only the floor"):
         _ = climb(RAMP, FIXED, TABLE_I, until=0.1).metrics
 
 
@@ -399,7 +401,7 @@ def test_what_touches_only_the_floor_has_no_climb():
     ("values", "words"),
     [
         ({"stiffness": 0.0}, "stiffness must be positive"),
-        ({"damping": -1.0}, "damping from 0 on"),
+        ({"damping": -1.0}, "damping of at least 0"),
         ({"static": 0.2}, "not below the dynamic"),
     ],
 )

@@ -74,5 +74,5 @@ def test_what_does_not_come_up_is_averaged_to_its_end():
 
 
 def test_what_does_not_touch_is_refused():
-    with pytest.raises(ModelError, match=r"nothing but the floor until t = 1 s"):
+    with pytest.raises(ModelError, match=r"touches only the floor until t = 1 s"):
         averages(motion(gap_1=np.ones((N, 3))))

@@ -19,7 +19,7 @@ from scipy.optimize import brentq, linprog
 from slipfree.climb.contact_path import axle_arms, legs, sample
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.profile import kerb, ramp, stairs, step
-from slipfree.climb.time_scaling import MOVING, climb, history, in_sequence
+from slipfree.climb.time_scaling import MIN_ACCELERATION, climb, history, in_sequence
 from slipfree.climb.vehicle import AXLES, seven_wheels
 from slipfree.errors import ModelError
 from slipfree.nlp import Nlp
@@ -212,7 +212,7 @@ def linear(plan, speed):
         values[row] = -weight
         rows[5 * k + 4, b], rows[5 * k + 4, a] = [-1, 1], -2 * steps[k]
     top = speed**2 / (plan.nodes.speeds**2).max(axis=1)
-    low = np.minimum(2 * MOVING * plan.nodes.s, 1e-4 * speed**2)
+    low = np.minimum(2 * MIN_ACCELERATION * plan.nodes.s, 1e-4 * speed**2)
     bounds = [
         (0, 0),
         *zip(low[1:], top[1:], strict=True),

@@ -68,7 +68,7 @@ def test_the_normal_is_the_gradient_and_continuous():
         (((0, 0), (1, 0)), "three or more"),
         (((0, 0), (1, 0), (np.nan, 1)), "within 10000 m"),
         (((0, 0), (1, 0), (1, 0), (0, 1)), "points 1 and 2 coincide"),
-        (((0, 0), (1, 0), (2, 0), (0, 1)), "point 1, .* is no corner"),
+        (((0, 0), (1, 0), (2, 0), (0, 1)), "point 1, .* is not a corner"),
         (((0, 0), (1, 0), (0.2, 0.2), (0, 1)), "not convex at point 2"),
         (((0, 0), (1, 1), (1, 0), (0, 1)), "not convex"),
         ([(np.cos(0.8 * np.pi * k), np.sin(0.8 * np.pi * k)) for k in range(5)], "cross"),

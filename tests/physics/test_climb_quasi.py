@@ -16,8 +16,14 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from slipfree.climb import friction_demand
-from slipfree.climb.contact_path import LEVEL, axle_arms, legs, sample, tangents
-from slipfree.climb.friction_demand import Hold, equilibrium, highest, least, least_friction
+from slipfree.climb.contact_path import LEVEL_SLOPE, axle_arms, legs, sample, tangents
+from slipfree.climb.friction_demand import (
+    Hold,
+    equilibrium,
+    highest_obstacle,
+    least_friction,
+    least_friction_forces,
+)
 from slipfree.climb.profile import Profile, Solid, flat, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import seven_wheels
 from slipfree.errors import ModelError
@@ -106,7 +112,7 @@ def test_the_front_wheel_climbs_the_wall_and_the_edge():
     s = np.linspace(0, leg.top, 2001)
     speed = sample(climber, profile, leg, s).speeds[:, 2]
     way = ((speed[1:] + speed[:-1]) / 2 * np.diff(s)).sum()
-    assert_allclose(way, 0.09 - RADIUS + RADIUS * (np.pi / 2 - LEVEL), rtol=1e-5)
+    assert_allclose(way, 0.09 - RADIUS + RADIUS * (np.pi / 2 - LEVEL_SLOPE), rtol=1e-5)
 
 
 def test_order_of_the_legs():
@@ -172,7 +178,7 @@ def test_loads_at_rest():
     climber = seven_wheels()
     leg, way = ways("90 mm")[-1]
     up = sample(climber, PROFILES["90 mm"], leg, way.s[-1:])
-    hold = least(*equilibrium(climber, up))
+    hold = least_friction_forces(*equilibrium(climber, up))
     assert_allclose(hold.normal[0], [51.00, 93.83, 67.07], rtol=2e-3)
     assert_allclose(hold.tangential, 0, atol=1e-9)
     moments = 9.81 * np.array([13.8 * 0.081 / 0.215, 7.8 * 0.2235 / 0.255])
@@ -185,7 +191,9 @@ def test_a_long_ramp_needs_the_tangent_of_its_angle(angle):
     climber, profile = seven_wheels(), ramp(angle, 1.2 * np.sin(angle))
     leg = legs(climber, profile)[2]
     assert leg.axle == "rear"
-    hold = least(*equilibrium(climber, sample(climber, profile, leg, leg.length * np.array([0.1]))))
+    hold = least_friction_forces(
+        *equilibrium(climber, sample(climber, profile, leg, leg.length * np.array([0.1])))
+    )
     assert_allclose(hold.mu, np.tan(angle), rtol=1e-7)
 
 
@@ -202,7 +210,7 @@ def test_least_friction_is_what_bisection_finds(name):
     for leg, way in ways(name):
         few = sample(climber, PROFILES[name], leg, way.s[[0, 30, 60]])
         matrix, load = equilibrium(climber, few)
-        hold = least(matrix, load)
+        hold = least_friction_forces(matrix, load)
         assert (np.abs(hold.tangential) <= hold.mu[:, None] * hold.normal + 1e-9).all()
         forces = np.hstack([hold.normal, hold.tangential])
         assert_allclose(np.einsum("nij,nj->ni", matrix, forces), load, atol=1e-8)
@@ -259,12 +267,12 @@ def test_no_friction_is_enough_where_the_front_body_stands_up():
 def test_highest_step_for_a_friction(monkeypatch):
     """About 29 mm with the friction of the paper's table; 90 mm is out of its reach."""
     climber = seven_wheels()
-    height = highest(climber, 0.4, 0.08)
+    height = highest_obstacle(climber, 0.4, 0.08)
     assert abs(height - 0.029) < 1e-3
     assert_allclose(least_friction(climber, step(height)).mu, 0.4, atol=1e-3)
     monkeypatch.setattr(friction_demand, "HEIGHTS", 1)
-    assert highest(climber, 0.4, 0.02) == 0.02
-    assert highest(climber, 0.01, 0.02) == 0
+    assert highest_obstacle(climber, 0.4, 0.02) == 0.02
+    assert highest_obstacle(climber, 0.01, 0.02) == 0
 
 
 def test_heavier_vehicles_need_the_same_friction():
@@ -279,7 +287,7 @@ def test_heavier_vehicles_need_the_same_friction():
     )
     leg, way = ways("90 mm")[1]
     holds = [
-        least(*equilibrium(each, sample(each, PROFILES["90 mm"], leg, way.s[::40])))
+        least_friction_forces(*equilibrium(each, sample(each, PROFILES["90 mm"], leg, way.s[::40])))
         for each in (light, heavy)
     ]
     assert isinstance(holds[0], Hold)

@@ -62,12 +62,12 @@ def test_what_gets_no_farther_stalls_or_slides_back():
 
 
 def test_what_falls_over_tips():
-    stop = Stop("rear_overturned", 4.0, "the rear body is overturned: its tilt: 1.4", Outcome.LIMIT)
+    stop = Stop("rear_overturned", 4.0, "the rear body overturns: its tilt: 1.4", Outcome.LIMIT)
     up = 0.25 * T, np.full(N, RADIUS + 0.09)
     assert str(ending(*up)) == "climbs"
     found = ending(*up, stop=stop)
     assert (str(found), found.t) == ("tips over", 4.0)
-    assert "at t = 4 s the rear body is overturned" in found.words
+    assert "at t = 4 s the rear body overturns" in found.words
 
 
 def test_what_goes_on_is_not_finished():

@@ -1,4 +1,4 @@
-"""Forces between wheels and the solids of a profile: compliant, damped, with friction."""
+"""Compliant contacts with damping and friction between wheels and the solids of a profile."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ import casadi as ca
 from slipfree.climb.profile import Profile
 from slipfree.errors import ModelError
 
-NEAR, FADE = 1.5e-3, 6e-4  # gap at which a solid begins to lead a wheel, and how softly [m]
+GUIDE_GAP, GUIDE_WIDTH = 1.5e-3, 6e-4  # gap below which a solid guides a wheel, and transition [m]
 
 
 @dataclass(frozen=True)
 class CompliantContact:
-    """The law of the contacts.
+    """Compliant contact law with Hunt-Crossley damping and Stribeck friction.
 
     Attributes
     ----------
     stiffness : float
-        Of a contact. [N/m]
+        Stiffness of a contact. [N/m]
     damping : float
-        Of Hunt and Crossley: the normal force is ``k s max(0, 1 + c s')`` at the depth s. [s/m]
+        Damping of Hunt and Crossley: the normal force is ``k s max(0, 1 + c s')`` at depth s. [s/m]
     static, dynamic : float
-        Coefficients of friction, at rest and at speed.
+        Static and kinetic coefficients of friction.
     creep : float
-        Slip speed at which friction is nearly full. [m/s]
+        Slip speed at which friction is almost fully developed. [m/s]
     stribeck : float
-        Slip speed over which friction falls from the static to the dynamic one. [m/s]
+        Slip speed over which friction decreases from the static to the kinetic value. [m/s]
 
     Raises
     ------
     ModelError
-        If a number is not positive, or friction grows with speed.
+        If a number is not positive, or the kinetic friction exceeds the static one.
     """
 
     stiffness: float = 1.5e5
@@ -49,30 +49,30 @@ class CompliantContact:
                 raise ModelError(f"contact: {name} must be positive, found {value}")
         if not (self.damping >= 0 and self.static >= self.dynamic):
             raise ModelError(
-                "contact: expected damping from 0 on and static friction not below the dynamic "
-                f"one, found {self.damping} s/m, {self.static} and {self.dynamic}"
+                "contact: expected a damping of at least 0 and a static friction not below the "
+                f"dynamic one, found {self.damping} s/m, {self.static} and {self.dynamic}"
             )
 
 
-class Pressed(NamedTuple):
-    """What one solid does to one wheel.
+class SolidContact(NamedTuple):
+    """Contact of one wheel with one solid.
 
     Attributes
     ----------
     gap : SX
-        Of its rim to the solid. [m]
+        Distance of the rim from the solid. [m]
     normal : SX, shape (2, 1)
-        From the solid.
+        Unit normal, out of the solid.
     tangent : SX, shape (2, 1)
-        Forward for a wheel on a floor.
+        Unit tangent, forward on a floor.
     load, friction : SX
         Forces along normal and tangent. [N]
     slip : SX
-        Speed of the rim over the solid along the tangent; negative if the wheel spins. [m/s]
+        Velocity of the rim over the solid along the tangent; negative if the wheel spins. [m/s]
     stored : SX
-        Energy of the compression. [J]
+        Elastic energy. [J]
     damped : SX
-        Power lost to damping. [W]
+        Power dissipated by damping. [W]
     """
 
     gap: ca.SX
@@ -85,26 +85,26 @@ class Pressed(NamedTuple):
     damped: ca.SX
 
 
-def pressed(
+def wheel_contacts(
     profile: Profile,
     law: CompliantContact,
     radius: float,
     place: ca.SX,
     velocity: ca.SX,
     spin: ca.SX,
-) -> tuple[Pressed, ...]:
-    """Return what every solid of a profile does to a wheel.
+) -> tuple[SolidContact, ...]:
+    """Return the contacts of a wheel with all solids of a profile.
 
     Parameters
     ----------
     profile : Profile
         The ground.
     law : CompliantContact
-        The law.
+        The contact law.
     radius : float
-        Of the wheel. [m]
+        Radius of the wheel. [m]
     place, velocity : SX, shape (2, 1)
-        Of the wheel's center. [m, m/s]
+        Position and velocity of the wheel's centre. [m, m/s]
     spin : SX
         Rate of the wheel, forward positive. [rad/s]
     """
@@ -121,19 +121,19 @@ def pressed(
         friction = -grip * load * slip / ca.sqrt(slip**2 + law.creep**2)
         stored = elastic**2 / (2 * law.stiffness)
         damped = (load - elastic) * sinking
-        found.append(Pressed(-depth, normal, tangent, load, friction, slip, stored, damped))
+        found.append(SolidContact(-depth, normal, tangent, load, friction, slip, stored, damped))
     return tuple(found)
 
 
-def direction(contacts: tuple[Pressed, ...]) -> ca.SX:
-    """Return the direction in which the contacts of a wheel let it go forward. [rad].
+def direction(contacts: tuple[SolidContact, ...]) -> ca.SX:
+    """Return the direction in which a wheel can move forward over its contacts. [rad].
 
-    The steepest of those that are near: a wheel on the floor at a wall goes up the wall. Downhill,
-    as over an edge, only if no other solid holds it up.
+    It is the steepest tangent of the near solids: a wheel on the floor at a wall moves up the wall.
+    A wheel moves downhill, as over an edge, only if no other solid supports it.
     """
     up, down, free = ca.SX(0), ca.SX(0), ca.SX(1)
     for each in contacts:
-        near = (1 - ca.tanh((each.gap - NEAR) / FADE)) / 2
+        near = (1 - ca.tanh((each.gap - GUIDE_GAP) / GUIDE_WIDTH)) / 2
         slope = ca.atan2(-each.normal[0], each.normal[1])
         up = ca.fmax(up, near * slope)
         down = ca.fmin(down, near * slope)

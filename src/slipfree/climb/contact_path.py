@@ -1,9 +1,9 @@
-"""The way of an articulated vehicle over a profile: its configurations, one after the other.
+"""Contact path: the sequence of configurations of an articulated vehicle over a profile.
 
-All three axles stay on the ground, so one degree of freedom is left: the path parameter s, which
-grows by the root mean square of the ways of the three axles. Configurations are
-``(x, z, rear tilt, front tilt)`` of the joint and the bodies. A leg begins where a wheel meets
-another solid: there the path has a kink, which no vehicle passes at speed without an impact.
+All three axles stay on the ground, so that one degree of freedom remains: the path parameter s,
+whose increment is the root mean square of the path increments of the three axles. Configurations
+are ``(x, z, rear tilt, front tilt)`` of the joint and the bodies. A leg begins where a wheel meets
+another solid: there the path has a kink, which a vehicle in motion passes only with an impact.
 """
 
 from __future__ import annotations
@@ -18,34 +18,35 @@ from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array
 
-Solids = tuple[int, ...]  # one for each axle
+Solids = tuple[int, ...]  # index of the solid below each axle
 FLOOR: Solids = (0, 0, 0)
-CARRIERS = (2, 2, 3)  # which of the coordinates tilts the body that carries the axle
-ON_FACE = 1e-12  # a normal whose cosine with a face's lacks no more than this is that face's
-LEVEL = 1e-3  # a wheel that runs up less steeply is up [rad]
-UPRIGHT = 0.05  # cosine of the largest tilt
-TOUCHING = 1e-6  # largest gap of what touches [m]
-PAST = 1e-3  # of the last corner, beyond a radius, where a climb ends [m]
-LONGEST = 50.0  # of a leg [m]
-TOLERANCE = 1e-8  # of the configurations along the way [m, rad]
-STEPS = 4  # least number in a radius, so that no solid is overlooked
+TILT_INDICES = (2, 2, 3)  # index of the tilt of the body that carries each axle
+NORMAL_TOLERANCE = 1e-12  # a normal belongs to a face if 1 minus their cosine is smaller
+LEVEL_SLOPE = 1e-3  # a wheel with a smaller slope of its path has reached the top [rad]
+MIN_TILT_COSINE = 0.05  # at the largest tilt
+MAX_CONTACT_GAP = 1e-6  # a wheel with a smaller gap touches [m]
+END_MARGIN = 1e-3  # a climb ends a radius and this distance behind the last corner [m]
+MAX_LEG_LENGTH = 50.0  # [m]
+TOLERANCE = 1e-8  # of the configurations along the path [m, rad]
+MIN_STEPS_PER_RADIUS = 4  # so that no solid is missed
 
 
 class Leg(NamedTuple):
-    """A smooth part of the way, from where a wheel meets a solid to where the next one does.
+    """A smooth part of the path, between two instants at which a wheel meets a solid.
 
     Attributes
     ----------
     axle : str
-        The one whose wheels have met a solid, and climb.
+        Name of the climbing axle, whose wheels have met a solid.
     solids : tuple of 3 int
-        Which solids the axles stand on.
+        Indices of the solids on which the axles stand.
     length : float
-        In the path parameter. [m]
+        Length in terms of the path parameter. [m]
     top : float
-        Where the climbing wheels run level again; the length if they do not. [m]
+        Path parameter at which the climbing wheels move horizontally again; the length if they do
+        not. [m]
     curve : callable
-        Path parameter, shape (n,), to configurations, shape (4, n).
+        Function from path parameters, shape (n,), to configurations, shape (4, n).
     """
 
     axle: str
@@ -65,9 +66,9 @@ class Way(NamedTuple):
     q, first, second : ndarray, shape (n, 4)
         Configurations, and their derivatives with respect to s. [m, rad]
     normals : ndarray, shape (n, 3, 2)
-        Of the ground at the contacts of the rear, the middle and the front axle.
+        Ground normals at the contacts of the rear, middle and front axle.
     speeds, slopes : ndarray, shape (n, 3)
-        Speeds of the axles along the ground over that of s, and their derivatives. [1], [1/m]
+        Speeds of the axles along the ground per rate of s, and their derivatives. [1], [1/m]
     """
 
     s: Array
@@ -80,19 +81,19 @@ class Way(NamedTuple):
 
 
 def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
-    """Return the legs of the way, from where the front wheels meet the first solid to the end.
+    """Return the legs of the path, from the first contact of the front wheels to the end.
 
     Raises
     ------
     ModelError
-        If the floor is not level, if nothing stands on it, or if the vehicle gets stuck: a body
+        If the floor is not level, if there is no obstacle, or if the vehicle gets stuck: a body
         would have to stand upright, or a wheel would have to leave the ground.
     """
     corners = [x for solid in profile.solids[1:] for x, _ in solid.points]
     ends = [x for x in corners if x < max(x for x, _ in profile.solids[0].points)]
     if not ends:
-        raise ModelError("climb: the profile is a floor alone; expected a solid to climb on it")
-    end = max(ends) + climber.radius + PAST
+        raise ModelError("climb: expected a solid on the floor, found a profile with only a floor")
+    end = max(ends) + climber.radius + END_MARGIN
     q, solids = _start(climber, profile, min(ends)), FLOOR
     found: list[Leg] = []
     axle = ""
@@ -103,19 +104,19 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
         if met is None:
             return tuple(found)
         q = curve(np.array([length]))[:, 0]
-        axle, solids, q = _past_kink(climber, profile, q, solids, met)
+        axle, solids, q = _configuration_behind_kink(climber, profile, q, solids, met)
 
 
 def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> Way:
     """Return the configurations of a leg at path parameters, shape (n,)."""
-    q = _settled(climber, profile, leg.curve(s).T, leg.solids)
+    q = _closest_configurations(climber, profile, leg.curve(s).T, leg.solids)
     arms = axle_arms(climber, q)
     _, normals, curvature = _contacts(climber, profile, q, leg.solids)
     along = tangents(normals)
     first = _direction(normals, arms)
-    across_rows, along_rows = _rows(normals, arms), _rows(along, arms)
+    across_rows, along_rows = _speed_jacobian(normals, arms), _speed_jacobian(along, arms)
     speeds = (along_rows @ first[:, :, None])[..., 0]
-    centripetal = -(first[:, CARRIERS] ** 2)[..., None] * arms
+    centripetal = -(first[:, TILT_INDICES] ** 2)[..., None] * arms
     matrix = np.concatenate([across_rows, (speeds[:, None] @ along_rows)], axis=1)
     bend = -curvature * speeds**2 - (normals * centripetal).sum(axis=-1)
     even = -(speeds[..., None] * along * centripetal).sum(axis=(1, 2))
@@ -126,35 +127,35 @@ def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> Way:
 
 
 def axle_arms(climber: Climber, q: Array) -> Array:
-    """Return the places of the axles from the joint, shape (n, 3, 2), world directions. [m]."""
-    tilts = q[:, CARRIERS]
+    """Return the axles' positions relative to the joint in fixed axes, shape (n, 3, 2). [m]."""
+    tilts = q[:, TILT_INDICES]
     ahead = np.array([axle.ahead for axle in climber.axles])
     return np.asarray(ahead[:, None] * np.stack([np.cos(tilts), np.sin(tilts)], axis=-1))
 
 
 def tangents(normals: Array) -> Array:
-    """Return the directions along the ground, forward, that belong to its normals (..., 2)."""
+    """Return the forward tangents of the ground for normals of shape (..., 2)."""
     return np.stack([normals[..., 1], -normals[..., 0]], axis=-1)
 
 
-def turned(vectors: Array) -> Array:
-    """Return vectors (..., 2) turned by a right angle, nose-up."""
+def rotate_nose_up(vectors: Array) -> Array:
+    """Return vectors (..., 2) rotated by a right angle, nose-up."""
     return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
 
 
-def _rows(directions: Array, arms: Array) -> Array:
-    """Return the speeds of the axles in directions over those of the coordinates, (n, 3, 4)."""
+def _speed_jacobian(directions: Array, arms: Array) -> Array:
+    """Return the Jacobian of the axles' speeds in given directions, shape (n, 3, 4)."""
     rows = np.zeros((*directions.shape[:2], 4))
     rows[..., :2] = directions
-    lever = (directions * turned(arms)).sum(axis=-1)
-    rows[:, np.arange(3), CARRIERS] = lever
+    lever = (directions * rotate_nose_up(arms)).sum(axis=-1)
+    rows[:, np.arange(3), TILT_INDICES] = lever
     return rows
 
 
 def _direction(normals: Array, arms: Array) -> Array:
     """Return the derivative of the configuration with respect to s, shape (n, 4)."""
-    found = np.linalg.svd(_rows(normals, arms))[2][:, -1]
-    speeds = (_rows(tangents(normals), arms) @ found[:, :, None])[..., 0]
+    found = np.linalg.svd(_speed_jacobian(normals, arms))[2][:, -1]
+    speeds = (_speed_jacobian(tangents(normals), arms) @ found[:, :, None])[..., 0]
     size = np.copysign(np.sqrt((speeds**2).mean(axis=1)), speeds.sum(axis=1))
     return np.asarray(found / size[:, None])
 
@@ -162,7 +163,7 @@ def _direction(normals: Array, arms: Array) -> Array:
 def _contacts(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array, Array]:
-    """Return gaps (n, 3), normals (n, 3, 2) and curvatures of the axles' ways (n, 3)."""
+    """Return gaps (n, 3), normals (n, 3, 2) and curvatures of the axles' paths (n, 3)."""
     places = q[:, None, :2] + axle_arms(climber, q)
     gaps, curvature = np.empty(places.shape[:2]), np.empty(places.shape[:2])
     normals = np.empty(places.shape)
@@ -171,59 +172,59 @@ def _contacts(
         on_it = [i for i, each in enumerate(solids) if each == index]
         distance, normal = solid.distance(places[:, on_it, 0], places[:, on_it, 1])
         gaps[:, on_it], normals[:, on_it] = distance - climber.radius, normal
-        on_face = (normal @ solid.normals.T).max(axis=-1) > 1 - ON_FACE
+        on_face = (normal @ solid.normals.T).max(axis=-1) > 1 - NORMAL_TOLERANCE
         curvature[:, on_it] = np.where(on_face, 0.0, 1 / climber.radius)
     return gaps, normals, curvature
 
 
-def _settled(climber: Climber, profile: Profile, q: Array, solids: Solids) -> Array:
-    """Return the nearest configurations whose axles all touch, shape (n, 4)."""
+def _closest_configurations(climber: Climber, profile: Profile, q: Array, solids: Solids) -> Array:
+    """Return the nearest configurations with all axles in contact, shape (n, 4)."""
     for _ in range(3):
         gaps, normals, _ = _contacts(climber, profile, q, solids)
-        rows = _rows(normals, axle_arms(climber, q))
+        rows = _speed_jacobian(normals, axle_arms(climber, q))
         q = q - (np.linalg.pinv(rows) @ gaps[..., None])[..., 0]
     return q
 
 
 def _start(climber: Climber, profile: Profile, first: float) -> Array:
-    """Return a configuration on the floor, behind everything that stands on it."""
+    """Return a configuration on the floor before all obstacles."""
     level = max(z for _, z in profile.solids[0].points) + climber.radius
     x = first - 2 * climber.radius - climber.front.ahead
     q = np.array([x, level, 0.0, 0.0])
     gaps = _contacts(climber, profile, q[None], FLOOR)[0]
-    if np.abs(gaps).max() > TOUCHING:
+    if np.abs(gaps).max() > MAX_CONTACT_GAP:
         raise ModelError(
-            f"climb: expected a level floor for the vehicle around x = {x:.3g} m; its wheels are "
-            f"{np.abs(gaps).max():.3g} m off the first solid"
+            f"climb: expected a level floor for the vehicle around x = {x:.3g} m; the distance of "
+            f"its wheels from the first solid is {np.abs(gaps).max():.3g} m"
         )
     return q
 
 
-def _past_kink(
+def _configuration_behind_kink(
     climber: Climber, profile: Profile, q: Array, solids: Solids, met: tuple[int, int]
 ) -> tuple[str, Solids, Array]:
-    """Return which axle climbs behind a kink, what the axles stand on, and the configuration.
+    """Return the climbing axle, the solids and the configuration behind a kink of the path.
 
-    More than one wheel may meet a solid at a time.
+    Several wheels may meet a solid at the same time.
     """
     for _ in range(len(AXLES) * len(profile.solids)):
         axle, solid = met
         solids = tuple(solid if i == axle else each for i, each in enumerate(solids))
-        q = _settled(climber, profile, q[None], solids)[0]
-        gaps, closing = _others(climber, profile, q, solids)
-        meeting = (gaps < TOUCHING) & (closing < -ON_FACE)
+        q = _closest_configurations(climber, profile, q[None], solids)[0]
+        gaps, closing = _other_gaps(climber, profile, q, solids)
+        meeting = (gaps < MAX_CONTACT_GAP) & (closing < -NORMAL_TOLERANCE)
         if not meeting.any():
             return AXLES[axle], solids, q
         i, k = np.argwhere(meeting)[0]
         met = int(i), int(k)
-    raise ModelError(_stuck(AXLES[met[0]], q, "a wheel is caught between two solids"))
+    raise ModelError(_stuck_words(AXLES[met[0]], q, "a wheel is caught between two solids"))
 
 
 def _march(
     climber: Climber, profile: Profile, q: Array, solids: Solids, axle: str, end: float
 ) -> tuple[Callable[[Array], Array], float, float, tuple[int, int] | None]:
-    """Return a leg's curve, length and top, and which axle meets which solid at its end."""
-    from scipy.integrate import solve_ivp  # imported where it is used: it takes 0.2 s
+    """Return a leg's curve, length and top, and the axle and solid that meet at its end."""
+    from scipy.integrate import solve_ivp  # imported here: the import takes 0.2 s
 
     climbing = AXLES.index(axle) if axle else None
 
@@ -232,28 +233,28 @@ def _march(
         return np.asarray(_direction(normals, axle_arms(climber, q[None]))[0])
 
     def meets(_s: float, q: Array) -> float:
-        return float(_others(climber, profile, q, solids)[0].min() + TOUCHING)
+        return float(_other_gaps(climber, profile, q, solids)[0].min() + MAX_CONTACT_GAP)
 
     def arrives(_s: float, q: Array) -> float:
         return float(end - q[0] - axle_arms(climber, q[None])[0, 0, 0])
 
     def tips(_s: float, q: Array) -> float:
-        return float(np.cos(q[2:]).min() - UPRIGHT)
+        return float(np.cos(q[2:]).min() - MIN_TILT_COSINE)
 
     def levels(_s: float, q: Array) -> float:
         normals = _contacts(climber, profile, q[None], solids)[1]
-        return float(-normals[0, climbing, 0] - LEVEL) if climbing is not None else -1.0
+        return float(-normals[0, climbing, 0] - LEVEL_SLOPE) if climbing is not None else -1.0
 
     stops: list[Any] = [meets, arrives, tips, levels]
     for stop in stops:
         stop.direction, stop.terminal = -1, stop is not levels
     run = solve_ivp(
         direction,
-        (0.0, LONGEST),
+        (0.0, MAX_LEG_LENGTH),
         q,
         rtol=TOLERANCE,
         atol=TOLERANCE,
-        max_step=climber.radius / STEPS,
+        max_step=climber.radius / MIN_STEPS_PER_RADIUS,
         events=stops,
         dense_output=True,
     )
@@ -261,29 +262,33 @@ def _march(
     length = float(run.t[-1])
     if not (met.size or arrived.size):
         why = "a body would stand upright" if tipped.size else "it does not come to an end"
-        raise ModelError(_stuck(axle, run.y[:, -1], why))
+        raise ModelError(_stuck_words(axle, run.y[:, -1], why))
     top = float(level[0]) if level.size else length
     if arrived.size:
         return run.sol, length, top, None
-    gaps, _ = _others(climber, profile, run.y[:, -1], solids)
+    gaps, _ = _other_gaps(climber, profile, run.y[:, -1], solids)
     i, k = np.unravel_index(gaps.argmin(), gaps.shape)
     return run.sol, length, top, (int(i), int(k))
 
 
-def _others(climber: Climber, profile: Profile, q: Array, solids: Solids) -> tuple[Array, Array]:
-    """Return the gaps of the axles to what they do not stand on, and their slopes over s."""
+def _other_gaps(
+    climber: Climber, profile: Profile, q: Array, solids: Solids
+) -> tuple[Array, Array]:
+    """Return the gaps of the axles to other solids than their own, and the derivatives by s."""
     arms = axle_arms(climber, q[None])
     x, z = (q[:2] + arms[0]).T
     distances, normals = zip(*(solid.distance(x, z) for solid in profile.solids), strict=True)
     gaps = np.stack(distances, axis=1) - climber.radius
     own = np.arange(3), solids
     first = _direction(np.stack(normals, axis=1)[own][None], arms)[0]
-    slopes = np.stack([_rows(normal[None], arms)[0] @ first for normal in normals], axis=1)
+    slopes = np.stack(
+        [_speed_jacobian(normal[None], arms)[0] @ first for normal in normals], axis=1
+    )
     gaps[own] = np.inf
     return gaps, slopes
 
 
-def _stuck(axle: str, q: Array, why: str) -> str:
+def _stuck_words(axle: str, q: Array, why: str) -> str:
     where = f"with the {axle or 'front'} wheels climbing, the joint at x = {q[0]:.3g} m"
     tilts = f"rear body {np.degrees(q[2]):.0f}, front body {np.degrees(q[3]):.0f} degrees nose-up"
-    return f"climb: the vehicle gets stuck {where}: {why} ({tilts}); take a lower obstacle"
+    return f"climb: the vehicle gets stuck {where}: {why} ({tilts}); use a lower obstacle"

@@ -1,4 +1,4 @@
-"""Torques of the wheels' motors: PID control of every wheel's rate, and one scale for all.
+"""Motor torques: PID control of every wheel's rate, and a common scale factor.
 
 Equations (17) to (19) of Chugo et al. (2009); see `slipfree.climb.reference`.
 """
@@ -20,26 +20,26 @@ Directions = Literal["contact", "sensors"]
 
 
 class Driver(Protocol):
-    """What a model of a climb asks of whatever drives its wheels: which states that has, and gains.
+    """Protocol of the controllers of a climb: gains, from which their states follow.
 
-    See `Control` for them, and `slipfree.climb.plan_tracking.Tracking`.
+    `Control` and `slipfree.climb.plan_tracking.Tracking` implement it.
     """
 
     @property
     def senses(self) -> bool:
-        """Whether directions that sensors see are states."""
+        """Whether the estimated directions of the axles are states."""
 
     @property
     def proportional(self) -> float:
-        """Gain of the wheels' rates. [N m s/rad]."""
+        """Gain of the errors of the wheel rates. [N m s/rad]."""
 
     @property
     def integral(self) -> float:
-        """Gain of their integrals; these are states unless it is zero. [N m/rad]."""
+        """Gain of their integrals, which are states unless it is zero. [N m/rad]."""
 
     @property
     def derivative(self) -> float:
-        """Gain of their derivatives; filters are states unless it is zero. [N m s2/rad]."""
+        """Gain of their derivatives, whose filters are states unless it is zero. [N m s2/rad]."""
 
     @property
     def lag(self) -> float:
@@ -48,35 +48,35 @@ class Driver(Protocol):
 
 @dataclass(frozen=True)
 class Control:
-    """How the wheels are driven.
+    """Control of the wheel rates by reference speeds.
 
     Attributes
     ----------
     law : {"projective", "fixed", "printed_6_8", "printed_14", "printed_16"}
-        Reference speeds, see `slipfree.climb.reference.reference`.
+        Law of the reference speeds, see `slipfree.climb.reference.reference`.
     directions : {"sensors", "contact"}
-        What the law takes for the directions of the axles: what tilt sensors, potentiometer and
-        encoders say, or those of the contacts, which only a simulation knows.
+        Source of the directions of the axles: estimates from tilt sensors, potentiometer and
+        encoders, or the true directions of the contacts, known only in simulations.
     smoothing : float
-        Time constant of the sensors' low pass. [s]
+        Time constant of the low-pass filter of the sensors. [s]
     share : float
-        Part of the directions of the contacts that the law is told: below one to underestimate.
+        Factor on the directions of the contacts; below one the law underestimates them.
     cap : float
-        Largest reference speed, relative to the vehicle's.
+        Largest reference speed of an axle, relative to the speed of the vehicle.
     proportional, integral, derivative : float
         Gains of (17), for each wheel. [N m s/rad, N m/rad, N m s2/rad]
     lag : float
-        Time constant of the filter behind the derivative. [s]
+        Time constant of the derivative's filter. [s]
     unwinding : float
-        Rate at which torque beyond the limit is taken back from the integral; none if zero, as in
-        the paper. [1/s]
+        Anti-windup: rate at which torque beyond the limit is subtracted from the integral; zero,
+        as in the paper, for none. [1/s]
     noise : Noise or None
-        Of the sensors of tilts and rates, on which references and torques depend.
+        Noise of the sensors of tilts and rates, from which references and torques are computed.
 
     Raises
     ------
     ModelError
-        If a name is not known or a number out of range.
+        If a name is unknown or a number is out of range.
     """
 
     law: Law = "projective"
@@ -108,27 +108,27 @@ class Control:
                 )
         if not (0 <= self.share < math.inf and self.cap >= 1):
             raise ModelError(
-                f"control: expected a share from 0 on and a cap from 1 on, found {self.share} and "
-                f"{self.cap}"
+                f"control: expected a share of at least 0 and a cap of at least 1, found "
+                f"{self.share} and {self.cap}"
             )
 
     @property
     def senses(self) -> bool:
-        """Whether the law needs directions that sensors see."""
+        """Whether the law needs directions estimated from sensors."""
         return self.law != "fixed" and self.directions == "sensors"
 
 
 class Torques(NamedTuple):
-    """What the controller asks of the motors.
+    """Motor torques of a controller, before and after limiting.
 
     Attributes
     ----------
     wanted : PerAxle of SX
-        Torque of each wheel of an axle, (17). [N m]
+        Torque of each wheel of an axle before limiting, (17). [N m]
     out : PerAxle of SX
-        The same, scaled, (19). [N m]
+        Scaled torques, (19). [N m]
     scale : SX
-        The one scale, (18).
+        Common scale factor, (18).
     """
 
     wanted: PerAxle
@@ -137,7 +137,7 @@ class Torques(NamedTuple):
 
 
 class Commands(NamedTuple):
-    """What the controller does: references [rad/s], torques, and the rates of its own states."""
+    """Output of a controller: references [rad/s], torques, and the rates of its states."""
 
     references: PerAxle
     torques: Torques
@@ -147,18 +147,18 @@ class Commands(NamedTuple):
 def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rises: Any) -> Torques:
     """Return the torques of the wheels, (17), within the motors' limit, (18) and (19).
 
-    (18) as printed lets negative torques pass; here their size counts.
+    (18) as printed does not limit negative torques; here the absolute value is limited.
 
     Parameters
     ----------
     control : Control
-        Gains.
+        The gains.
     limit : float
         Largest torque of a motor. [N m]
     errors, sums : PerAxle
         Errors of the wheels' rates, and their integrals. [rad/s, rad]
     rises : PerAxle or ()
-        Rates of the errors; nothing without derivative gain. [rad/s2]
+        Rates of the errors; empty without derivative gain. [rad/s2]
     """
     found = [
         control.proportional * error + control.integral * total
@@ -180,45 +180,45 @@ def limited(limit: float, wanted: PerAxle) -> Torques:
 
 
 def largest_period(control: Driver, climber: Climber) -> float:
-    """Return the sample time from which on a sampled controller is unstable. [s].
+    """Return the sample time above which a sampled controller is unstable. [s].
 
-    Of a wheel that spins freely, of inertia J/n, under torque held from sample to sample, error and
+    For a freely spinning wheel of inertia J/n with the torque held between samples, error and
     integral advance by a matrix of trace ``2 - a - b/2`` and determinant ``1 - a + b/2`` with ``a =
     T n kp / J`` and ``b = T^2 n ki / J``: stable below ``2 J / (n kp)`` and below ``2 kp / ki``.
     """
     gain = control.proportional + control.derivative / control.lag
     wheels = min(2 * axle.inertia / (axle.wheels * gain) for axle in climber.axles)
-    return min(wheels, _longest(control))
+    return min(wheels, _integral_period_limit(control))
 
 
-def _longest(control: Driver) -> float:
-    """Return the sample time from which on the integral makes wheels swing up, 2 kp / ki. [s]."""
+def _integral_period_limit(control: Driver) -> float:
+    """Return the sample time above which the integral gain is unstable, 2 kp / ki. [s]."""
     return 2 * control.proportional / control.integral if control.integral else math.inf
 
 
 def check_period(period: float, control: Driver, climber: Climber) -> None:
-    """Refuse a sample time at which the wheels' rates would swing up.
+    """Raise ModelError for a sample time with unstable wheel rates.
 
     Raises
     ------
     ModelError
-        If it is not positive, or not below `largest_period`; it names the axle.
+        If it is not positive, or not below `largest_period`; the message names the axle.
     """
     most = largest_period(control, climber)
     if 0 < period < most:
         return
-    if most == _longest(control):
+    if most == _integral_period_limit(control):
         raise ModelError(
             f"period: expected a time between 0 and {most:g} s = 2 kp / ki (kp = "
-            f"{control.proportional:g} N m s/rad, ki = {control.integral:g} N m/rad), at which the "
-            f"wheels begin to swing up, found {period:g} s: sample faster or lower ki"
+            f"{control.proportional:g} N m s/rad, ki = {control.integral:g} N m/rad), the "
+            f"stability limit of the wheel rates, found {period:g} s: sample faster or reduce ki"
         )
     gain = control.proportional + control.derivative / control.lag
     slack = [axle.inertia / axle.wheels for axle in climber.axles]
     name = AXLES[slack.index(min(slack))]
     raise ModelError(
-        f"period: expected a time between 0 and {most:g} s = 2 J / (n kp), at which the "
-        f"{name} axle (J = {getattr(climber, name).inertia:g} kg m2, n = "
-        f"{getattr(climber, name).wheels}, kp = {gain:g} N m s/rad) begins to swing up, found "
-        f"{period:g} s: sample faster or lower the gain"
+        f"period: expected a time between 0 and {most:g} s = 2 J / (n kp), the stability limit of "
+        f"the {name} axle (J = {getattr(climber, name).inertia:g} kg m2, n = "
+        f"{getattr(climber, name).wheels}, kp = {gain:g} N m s/rad), found "
+        f"{period:g} s: sample faster or reduce the gain"
     )

@@ -1,4 +1,4 @@
-"""Motion of a vehicle that climbs: inertia, contacts and control as one ordinary ODE."""
+"""Dynamics of a climbing vehicle: inertia, contacts and control as one ODE."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from slipfree.climb.contact import CompliantContact, direction, pressed
+from slipfree.climb.contact import CompliantContact, direction, wheel_contacts
 from slipfree.climb.control import Commands, Control, check_period, torques
 from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked
@@ -20,11 +20,11 @@ from slipfree.dae import Dae, Limit
 from slipfree.records import Array, Label, pack, symbols
 from slipfree.vehicle.tree import GRAVITY
 
-OVERTURNED = 1.4  # tilt of a body [rad]
+MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
 
 
 class Frame(NamedTuple):
-    """The vehicle as a mechanism; q are place of the joint and tilts, v their rates."""
+    """Mechanism of the vehicle; q are the position of the joint and the tilts, v their rates."""
 
     q: ca.SX
     v: ca.SX
@@ -42,11 +42,12 @@ def climbing(
     *,
     period: float | None = None,
 ) -> Dae:
-    """Return the motion of a vehicle that climbs under control of its wheels.
+    """Return the dynamic model of a climbing vehicle with controlled wheels.
 
-    Seven degrees of freedom without constraints: two bodies on a joint, three axles, and a
-    compliant contact of every wheel with every solid, so that impacts and the change from floor to
-    wall need no events. The torque of a motor turns its wheel forward and its body nose up.
+    The model has seven degrees of freedom and no constraints: two bodies on a joint and three
+    axles. Every wheel has a compliant contact with every solid, so that impacts and the transition
+    from floor to wall need no events. The torque of a motor turns its wheel forward and its body
+    nose up.
 
     Parameters
     ----------
@@ -55,28 +56,28 @@ def climbing(
     profile : Profile
         The ground.
     control : Control or Tracking
-        How the wheels are driven: by reference rates, measured against the ground's frame, or as
-        planned.
+        Controller of the wheels: by reference rates relative to fixed axes, or along a plan.
     contact : CompliantContact
-        The law of the contacts.
+        The contact law.
     period : float, optional
-        Sample time of the controller; its torques are inputs then, to be held from sample to
-        sample at what ``y.torques`` says, as `slipfree.solve.zero_order_hold` does. [s]
+        Sample time of the controller. Its torques are then inputs that hold the values of
+        ``y.torques`` between samples, as in `slipfree.solve.zero_order_hold`. [s]
 
     Returns
     -------
     Dae
-        Without algebraic unknowns, and stiff: friction over a wheel's inertia reaches 1e5 1/s.
+        The model, without algebraic unknowns. It is stiff: rates of friction over the inertia of
+        a wheel reach 1e5 1/s.
 
     Raises
     ------
     ModelError
-        If a sampled controller would make the wheels' rates swing up.
+        If a sampled controller would be unstable.
 
     Notes
     -----
-    Left out: contacts of the bodies, roll, play of the side wheels' rollers, and lag of tilt
-    sensors.
+    Neglected are contacts of the bodies, roll, play of the side wheels' rollers, and lag of the
+    tilt sensors.
     """
     if period is not None:
         check_period(period, control, climber)
@@ -86,7 +87,7 @@ def climbing(
     velocities = PerAxle(*(ca.jtimes(axle, frame.q, frame.v) for axle in frame.axles))
     contacts = PerAxle(
         *(
-            pressed(profile, contact, climber.radius, axle, velocity, spin)
+            wheel_contacts(profile, contact, climber.radius, axle, velocity, spin)
             for axle, velocity, spin in zip(frame.axles, velocities, x.spins, strict=True)
         )
     )
@@ -96,7 +97,7 @@ def climbing(
         if isinstance(control, Tracking)
         else _commands(climber, control, _as_measured(control.noise, t, x), seen, u.speed)
     )
-    driven = _driven(climber, u.torques or asked.torques.out)
+    driven = _axle_torques(climber, u.torques or asked.torques.out)
     return Dae(
         t,
         x,
@@ -123,7 +124,7 @@ def climbing(
 
 
 def _frame(climber: Climber, x: State) -> Frame:
-    """Return places, inertia, energy and the forces of gravity and of turning axes."""
+    """Return positions, inertia, energy, and the forces of gravity and of rotating axes."""
     q = ca.vertcat(x.x, x.z, *x.tilts)
     v = ca.vertcat(x.velocity_x, x.velocity_z, *x.rates)
     bodies = (climber.rear_body, climber.front_body)
@@ -152,8 +153,8 @@ def _at(joint: ca.SX, tilt: ca.SX, ahead: float, above: float) -> ca.SX:
     return place
 
 
-def _driven(climber: Climber, wheel: PerAxle) -> PerAxle:
-    """Return the torques of all motors of each axle. [N m]."""
+def _axle_torques(climber: Climber, wheel: PerAxle) -> PerAxle:
+    """Return the total motor torques of the axles. [N m]."""
     return PerAxle(
         *(axle.wheels * torque for axle, torque in zip(climber.axles, wheel, strict=True))
     )
@@ -175,7 +176,7 @@ def _accelerations(climber: Climber, frame: Frame, contacts: PerAxle, driven: Pe
 
 
 def _as_measured(noise: Noise | None, t: ca.SX, x: State) -> State:
-    """Return the states as the controller knows them."""
+    """Return the states as the sensors of the controller measure them."""
     if noise is None:
         return x
     tilts, rates, spins = measured(noise, t, x.tilts, x.rates, x.spins)
@@ -256,10 +257,10 @@ def _outputs(
 def _limits(x: State) -> tuple[Limit, ...]:
     return tuple(
         Limit(
-            Label(f"{name}_overturned", "rad", f"the {name} body is overturned: its tilt"),
+            Label(f"{name}_overturned", "rad", f"the {name} body overturns: its tilt"),
             tilt,
-            -OVERTURNED,
-            OVERTURNED,
+            -MAX_TILT,
+            MAX_TILT,
         )
         for name, tilt in zip(("rear", "front"), x.tilts, strict=True)
     )
@@ -268,18 +269,18 @@ def _limits(x: State) -> tuple[Limit, ...]:
 def standing(
     climber: Climber, contact: CompliantContact, front: float, speed: float = 0.0
 ) -> dict[str, float]:
-    """Return the start on a level floor at height zero, in equilibrium, by names of the states.
+    """Return the equilibrium on a level floor at height zero, by names of the states.
 
     Parameters
     ----------
     climber : Climber
         The vehicle.
     contact : CompliantContact
-        The law of the contacts, which it has sunk into under its weight.
+        The contact law, which determines the depth of the wheels under the weight.
     front : float
-        Place of the front axle. [m]
+        Position of the front axle. [m]
     speed : float
-        At which it rolls. [m/s]
+        Speed of rolling. [m/s]
     """
     rear, middle, ahead = (
         climber.radius - load / contact.stiffness for load in floor_loads(climber)
@@ -302,7 +303,7 @@ def standing(
 def floor_loads(climber: Climber) -> Array:
     """Return the loads of rear, middle and front axle at rest on a level floor, shape (3,). [N].
 
-    Moments about the joint of either body, and the weight of both.
+    They follow from the moments of each body about the joint and from the total weight.
     """
     rear, front = climber.rear_body, climber.front_body
     arms = [[climber.rear.ahead, climber.middle.ahead, 0], [0, 0, climber.front.ahead], [1, 1, 1]]

@@ -1,4 +1,4 @@
-"""How a climb ends: up, stuck, back down, or overturned."""
+"""Ending of a climb: climbed, stalled, slid back or tipped over."""
 
 from __future__ import annotations
 
@@ -6,28 +6,29 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from slipfree.climb.metrics import come_up, meeting
+from slipfree.climb.metrics import has_reached_top, touches_obstacle
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import Climber
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 
 Ending = Literal["climbs", "stalls", "slides back", "tips over", "unfinished"]
-LAST, ON = 1.0, 5e-3  # it is stuck if it gets on no farther than so in the last time [s, m]
-BACK = 0.03  # from the farthest place, what slides back [m]
+STALL_TIME, STALL_PROGRESS = 1.0, 5e-3  # less progress in the last second is a stall [s, m]
+SLIDE_BACK = 0.03  # a vehicle this far behind its farthest position has slid back [m]
 
 
 class ClimbEnding(NamedTuple):
-    """How a climb ends; as text its name.
+    """Ending of a climb; its text is its name.
 
     Attributes
     ----------
     name : {"climbs", "stalls", "slides back", "tips over", "unfinished"}
-        Unfinished is what still gets on when the motion ends, or has met nothing to climb.
+        ``"unfinished"`` if the vehicle still advances when the motion ends, or has not reached an
+        obstacle.
     t : float
-        When the rear axle comes up, when it gets stuck, or when the motion ends. [s]
+        Time at which the rear axle reaches the top, the vehicle stalls, or the motion ends. [s]
     words : str
-        What happened.
+        Explanation.
     """
 
     name: Ending
@@ -40,12 +41,13 @@ class ClimbEnding(NamedTuple):
 
 
 def climb_ending(run: Trajectory, climber: Climber, profile: Profile) -> ClimbEnding:
-    """Return how a climb ends.
+    """Return the ending of a climb.
 
-    It tips over if a body passes its limit, even after it came up; it climbs if the rear axle comes
-    up as in `slipfree.climb.metrics.climb_window`. Else its way, the mean over the axles of place
-    and height, tells: it is stuck if it gets on less than 5 mm in the last second, and has slid
-    back if it ends 30 mm or more behind where it was farthest.
+    The vehicle tips over if a tilt exceeds its limit, even on the top. It climbs if the rear axle
+    reaches the top as in `slipfree.climb.metrics.climb_window`. Otherwise the progress decides, the
+    mean over the axles of position plus height: the vehicle stalls if it advances by less than
+    5 mm in the last second, and has slid back if it ends at least 30 mm behind its farthest
+    position.
 
     Parameters
     ----------
@@ -59,30 +61,30 @@ def climb_ending(run: Trajectory, climber: Climber, profile: Profile) -> ClimbEn
     end = float(run.t[-1])
     if run.stop is not None and run.stop.name.endswith("_overturned"):
         return ClimbEnding("tips over", end, f"at t = {end:.3g} s {run.stop.words}")
-    met = meeting(run, profile)
+    met = touches_obstacle(run, profile)
     if not met.any():
         return ClimbEnding(
-            "unfinished", end, _ending(run, "the front wheel has met only the floor")
+            "unfinished", end, _unfinished_words(run, "the front wheel has met only the floor")
         )
-    up = come_up(run, climber, profile) & (np.cumsum(met) > 0)
+    up = has_reached_top(run, climber, profile) & (np.cumsum(met) > 0)
     if up.any():
         t = float(run.t[up.argmax()])
         return ClimbEnding("climbs", t, f"at t = {t:.3g} s the rear axle is up, or past")
     way = (run["axle_x"] + run["axle_z"]).mean(axis=1)
-    return _not_up(run, way, end)
+    return _ending_below_top(run, way, end)
 
 
-def _not_up(run: Trajectory, way: Array, end: float) -> ClimbEnding:
-    """Return how what did not come up ends."""
-    k = int(np.argmax(way > way.max() - ON))
+def _ending_below_top(run: Trajectory, way: Array, end: float) -> ClimbEnding:
+    """Return the ending of a vehicle that did not reach the top."""
+    k = int(np.argmax(way > way.max() - STALL_PROGRESS))
     t, x, back = float(run.t[k]), float(run["axle_x", "front"][k]), float(way.max() - way[-1])
-    if t > end - LAST:
-        return ClimbEnding("unfinished", end, _ending(run, "the vehicle was still getting on"))
-    words = f"from t = {t:.3g} s on it gets no farther, the front axle at x = {x:.3g} m"
-    if back > BACK:
+    if t > end - STALL_TIME:
+        return ClimbEnding("unfinished", end, _unfinished_words(run, "the vehicle was still advancing"))
+    words = f"from t = {t:.3g} s on it does not advance, the front axle at x = {x:.3g} m"
+    if back > SLIDE_BACK:
         return ClimbEnding("slides back", t, f"{words}: it ends {1e3 * back:.0f} mm behind")
     return ClimbEnding("stalls", t, words)
 
 
-def _ending(run: Trajectory, words: str) -> str:
+def _unfinished_words(run: Trajectory, words: str) -> str:
     return f"until t = {run.t[-1]:.3g} s {words}" + (f"; {run.stop.words}" if run.stop else "")

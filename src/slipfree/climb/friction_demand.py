@@ -1,13 +1,14 @@
-"""Slow climbs: which contact forces hold the vehicle, and how much friction they need.
+"""Friction demand of slow climbs: contact forces in equilibrium that need the least friction.
 
-The ground pushes an axle with N along its normal and T along the ground, forward. Equilibrium has
-four equations: both components of force, and the moments about the joint of either body with its
-wheels, so that torques of the motors are internal. Six forces leave two of them to choose. The
-least coefficient of friction, the least of the largest ``|T| / N`` over all choices, comes from
-Newton's iteration on linear programs (Dinkelbach's, for many ratios): at a coefficient mu the
-program finds the forces of largest least reserve ``mu N - |T|``, relative to the last N; their own
-largest ratio is the next mu. It falls until no reserve is left; where wheels nearly jam it falls
-slowly, and bisection ends it. The programs of all configurations are one, of separate blocks.
+The ground acts on an axle with the normal force N and the tangential force T, positive forward.
+Equilibrium has four equations: both components of force, and for each body with its wheels the
+moment about the joint, in which motor torques are internal. Six contact forces leave two degrees of
+freedom. The least coefficient of friction is the minimum of the largest ``|T| / N``. It follows
+from a Newton iteration on linear programs (Dinkelbach's algorithm for several ratios): for
+a coefficient mu, the program maximises the smallest reserve ``mu N - |T|``, relative to the last N;
+the largest ratio of these forces is the next mu. The iteration ends when no reserve is left. It is
+slow where wheels nearly jam; bisection then finishes it. The programs of all configurations are
+solved as one block-diagonal program.
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ from slipfree.records import Array
 from slipfree.trajectory import SolverError
 from slipfree.vehicle.tree import GRAVITY
 
-MOST = 10.0  # a larger coefficient of friction counts as none
-UNLOADED = 1e-9  # normal force that counts as none in a ratio [weight]
-REACH = 1e3  # normal forces stay below this, so that jammed wheels have an optimum [weight]
-CLOSE = 1e-9  # reserve of friction, relative, that counts as none
-ROUNDS = 20  # most of Newton's iterations; 5 to 9 are usual
-HALVES = 34  # of the bracket of what is not found by then
-ZOOMS = 5  # times that the neighborhood of the worst place is sampled more closely: it may be
-CLOSER = 3  # where a wheel comes to an edge, with a steep fall behind; places between two old ones
-HEIGHTS = 8  # heights that are tried before the first that is too high is narrowed down
-NARROW = 1e-4  # how exactly [m]
+MAX_FRICTION = 10.0  # climbs that need a larger coefficient count as impossible
+MIN_NORMAL_FORCE = 1e-9  # smaller normal forces count as zero in a ratio [weight]
+MAX_NORMAL_FORCE = 1e3  # makes the optimum of jammed wheels bounded [weight]
+MIN_RESERVE = 1e-9  # smaller relative reserves of friction count as zero
+MAX_NEWTON_STEPS = 20  # 5 to 9 are usual
+BISECTIONS = 34  # after Newton steps that do not converge
+REFINEMENTS = 5  # of the sampling around the worst configuration, often at an edge
+REFINED_POINTS = 3  # between two samples
+HEIGHTS = 8  # heights tried before the first infeasible one is bracketed
+HEIGHT_TOLERANCE = 1e-4  # [m]
 
 
 class Hold(NamedTuple):
@@ -45,9 +46,9 @@ class Hold(NamedTuple):
     Attributes
     ----------
     mu : ndarray, shape (n,)
-        The least coefficient of friction; ``inf`` where no forces hold the vehicle. [1]
+        Least coefficient of friction; ``inf`` where no forces hold the vehicle. [1]
     normal, tangential : ndarray, shape (n, 3)
-        Forces of the ground on the rear, the middle and the front axle; NaN where none hold it. [N]
+        Forces of the ground on the rear, middle and front axle; NaN where no forces hold it. [N]
     """
 
     mu: Array
@@ -56,16 +57,16 @@ class Hold(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """What a leg of a slow climb demands of the ground.
+    """Friction demand of a leg of a slow climb.
 
     Attributes
     ----------
     leg : Leg
-        Which one.
+        The leg.
     s : ndarray, shape (n,)
-        Path parameters on it. [m]
+        Path parameters on the leg. [m]
     hold : Hold
-        Friction and forces there.
+        Friction and forces at these path parameters.
     """
 
     leg: Leg
@@ -74,25 +75,25 @@ class Demand(NamedTuple):
 
     @property
     def mu(self) -> float:
-        """The largest demand on the leg. [1]."""
+        """Largest coefficient needed on the leg. [1]."""
         return float(self.hold.mu.max())
 
 
 class Friction(NamedTuple):
-    """How much friction a slow climb needs.
+    """Friction demand of a slow climb.
 
     Attributes
     ----------
     mu : float
-        The least coefficient with which it can be climbed; ``inf`` if none will do. [1]
+        Least coefficient of friction of the whole climb; ``inf`` if no coefficient suffices. [1]
     axle : str
-        Which wheels climb where so much is needed.
+        The climbing axle of the leg with the largest demand.
     s : float
-        Where, in the path parameter of that leg. [m]
+        Path parameter of the largest demand on that leg. [m]
     q : ndarray, shape (4,)
-        The configuration there. [m, rad]
+        Configuration of the largest demand. [m, rad]
     demands : tuple of Demand
-        Leg by leg.
+        Demands of all legs.
     """
 
     mu: float
@@ -108,10 +109,11 @@ def equilibrium(climber: Climber, way: Way) -> tuple[Array, Array]:
     Returns
     -------
     A : ndarray, shape (n, 4, 6)
-        Forward and upward force and the moments, nose-up, about the joint, of the rear and the
-        front body with their wheels; for N of the rear, middle and front axle, then for T.
+        Rows are forward force, upward force, and the nose-up moments of the rear and the front
+        body with their wheels about the joint. Columns are N of the rear, middle and front axle,
+        then T.
     b : ndarray, shape (n, 4)
-        What carries the weight. [N], [N m]
+        Negative load of gravity. [N], [N m]
     """
     points = axle_arms(climber, way.q) - climber.radius * way.normals
     directions = np.concatenate([way.normals, tangents(way.normals)], axis=1)
@@ -127,7 +129,7 @@ def equilibrium(climber: Climber, way: Way) -> tuple[Array, Array]:
 
 
 def center(body: Body, tilt: Array) -> Array:
-    """Return where the center of mass of a body is from the joint, shape (n, 2). [m]."""
+    """Return the centre of mass of a body relative to the joint, shape (n, 2). [m]."""
     forward, up = np.cos(tilt), np.sin(tilt)
     return np.stack(
         [body.ahead * forward - body.above * up, body.ahead * up + body.above * forward], axis=1
@@ -135,12 +137,12 @@ def center(body: Body, tilt: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the moments of vectors b (..., 2) at places a (..., 2), nose-up."""
+    """Return the nose-up moments of vectors b (..., 2) at positions a (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def least(matrix: Array, load: Array) -> Hold:
-    """Return the forces that solve equations of equilibrium with the least friction.
+def least_friction_forces(matrix: Array, load: Array) -> Hold:
+    """Return the forces in equilibrium that need the least friction.
 
     Parameters
     ----------
@@ -149,21 +151,21 @@ def least(matrix: Array, load: Array) -> Hold:
     """
     count = len(load)
     even = np.full((count, 3), load[:, 1:2] / 3)
-    mu, relative = np.full(count, MOST), even.copy()
+    mu, relative = np.full(count, MAX_FRICTION), even.copy()
     best = np.full((count, 6), np.nan)
     open_ = np.arange(count)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_NEWTON_STEPS):
         forces, reserve = _reserve(matrix[open_], load[open_], mu[open_], relative[open_])
-        better = reserve > CLOSE
+        better = reserve > MIN_RESERVE
         open_, forces = open_[better], forces[better]
         if not open_.size:
             break
         best[open_], relative[open_] = forces, forces[:, :3]
-        bearing = np.maximum(forces[:, :3], UNLOADED * load[open_, 1:2])
+        bearing = np.maximum(forces[:, :3], MIN_NORMAL_FORCE * load[open_, 1:2])
         mu[open_] = (np.abs(forces[:, 3:]) / bearing).max(axis=1)
     if open_.size:
         low, high = np.zeros(open_.size), mu[open_]
-        for _ in range(HALVES):
+        for _ in range(BISECTIONS):
             middle = (low + high) / 2
             forces, reserve = _reserve(matrix[open_], load[open_], middle, even[open_])
             held = reserve > 0
@@ -175,8 +177,8 @@ def least(matrix: Array, load: Array) -> Hold:
 
 
 def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Array, Array]:
-    """Return the forces of largest least reserve of friction, and that, for each configuration."""
-    from scipy.optimize import linprog  # imported where it is used: it takes 0.2 s
+    """Return the forces that maximise the smallest friction reserve, and that reserve."""
+    from scipy.optimize import linprog  # imported here: the import takes 0.2 s
 
     count, size = len(load), load[:, 1].mean()
     eye, blocks = np.eye(3), []
@@ -184,7 +186,7 @@ def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Ar
         column = (part / size)[:, None]
         blocks.append(np.block([[-friction * eye, eye, column], [-friction * eye, -eye, column]]))
     equations = np.concatenate([matrix, np.zeros((count, 4, 1))], axis=2)
-    bounds = [*[(None, REACH)] * 3, *[(None, None)] * 4]
+    bounds = [*[(None, MAX_NORMAL_FORCE)] * 3, *[(None, None)] * 4]
     found = linprog(
         np.tile([0.0] * 6 + [-1.0], count),
         scipy.sparse.block_diag(blocks, format="csc"),
@@ -201,16 +203,16 @@ def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Ar
 
 
 def least_friction(climber: Climber, profile: Profile, samples: int = 41) -> Friction:
-    """Return how much friction a slow climb of a profile needs.
+    """Return the friction demand of a slow climb of a profile.
 
     Parameters
     ----------
     climber : Climber
         The vehicle.
     profile : Profile
-        What it climbs.
+        The ground.
     samples : int
-        Configurations on every leg; around the worst one as many again, more and more closely.
+        Number of configurations on every leg; further ones refine the neighbourhood of the worst.
 
     Raises
     ------
@@ -230,12 +232,14 @@ def least_friction(climber: Climber, profile: Profile, samples: int = 41) -> Fri
 
 
 def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, ...]:
-    """Return the demands of all legs at even distances and around the worst place of each."""
+    """Return the demands of all legs at equally spaced points and around each leg's worst point."""
     found = legs(climber, profile)
     places = [np.linspace(0, leg.length, samples) for leg in found]
     holds = _holds(climber, profile, found, places)
-    for _ in range(ZOOMS):
-        near = [_around(s, int(hold.mu.argmax())) for s, hold in zip(places, holds, strict=True)]
+    for _ in range(REFINEMENTS):
+        near = [
+            _points_around(s, int(hold.mu.argmax())) for s, hold in zip(places, holds, strict=True)
+        ]
         more = _holds(climber, profile, found, near)
         orders = [np.argsort(np.append(*pair)) for pair in zip(places, near, strict=True)]
         places = [
@@ -248,31 +252,33 @@ def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, 
     return tuple(Demand(*each) for each in zip(found, places, holds, strict=True))
 
 
-def _around(s: Array, k: int) -> Array:
-    """Return places between a place and its neighbors."""
-    between = [np.linspace(a, b, CLOSER + 2)[1:-1] for a, b in pairwise(s[max(k - 1, 0) : k + 2])]
+def _points_around(s: Array, k: int) -> Array:
+    """Return points between a point and its neighbours."""
+    between = [
+        np.linspace(a, b, REFINED_POINTS + 2)[1:-1] for a, b in pairwise(s[max(k - 1, 0) : k + 2])
+    ]
     return np.concatenate(between)
 
 
 def _holds(
     climber: Climber, profile: Profile, found: Sequence[Leg], places: Sequence[Array]
 ) -> list[Hold]:
-    """Return the holds of legs at their own places, from one program."""
+    """Return the holds of several legs at given path parameters, from one linear program."""
     equations = [
         equilibrium(climber, sample(climber, profile, leg, s))
         for leg, s in zip(found, places, strict=True)
     ]
-    hold = least(*(np.concatenate(part) for part in zip(*equations, strict=True)))
+    hold = least_friction_forces(*(np.concatenate(part) for part in zip(*equations, strict=True)))
     ends = np.cumsum([0, *(s.size for s in places)]).tolist()
     return [Hold(*(part[a:b] for part in hold)) for a, b in pairwise(ends)]
 
 
-def highest(
+def highest_obstacle(
     climber: Climber, mu: float, tallest: float, make: Callable[[float], Profile] = step
 ) -> float:
-    """Return up to which height all obstacles of a kind can be climbed slowly. [m].
+    """Return the height up to which all obstacles of a kind can be climbed slowly. [m].
 
-    Higher ones may need less friction than lower ones; what counts is the first that needs more.
+    The demand may decrease with height; the result is the first height that needs more friction.
 
     Parameters
     ----------
@@ -281,23 +287,23 @@ def highest(
     mu : float
         Coefficient of friction. [1]
     tallest : float
-        Height beyond which nothing is tried, and returned if nothing below is too high. [m]
+        Largest height that is tried; returned if all heights below can be climbed. [m]
     make : callable
-        Height to profile; steps by default.
+        Function from height to profile; steps by default.
     """
-    from scipy.optimize import brentq  # imported where it is used: it takes 0.2 s
+    from scipy.optimize import brentq  # imported here: the import takes 0.2 s
 
     def excess(height: float) -> float:
         try:
-            return min(least_friction(climber, make(height), 15).mu, MOST) - mu
+            return min(least_friction(climber, make(height), 15).mu, MAX_FRICTION) - mu
         except ModelError:
-            return MOST
+            return MAX_FRICTION
 
-    low = NARROW
+    low = HEIGHT_TOLERANCE
     if excess(low) > 0:
         return 0.0
     for height in np.linspace(0, tallest, HEIGHTS + 1)[1:].tolist():
         if excess(height) > 0:
-            return float(brentq(excess, low, height, xtol=NARROW))
+            return float(brentq(excess, low, height, xtol=HEIGHT_TOLERANCE))
         low = height
     return tallest

@@ -1,4 +1,4 @@
-"""Noise of the sensors: smooth, of a limited band, the same for the same seed."""
+"""Sensor noise: smooth, band-limited and reproducible by its seed."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ import numpy as np
 from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.errors import ModelError
 
-TONES = 24  # in the noise of a sensor
+TONES = 24  # number of tones in the noise of a sensor
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What sensors add to what they measure: root mean squares, and what they are made of.
+    """Root mean squares, frequency band and seed of the sensor noise.
 
-    The noise of a sensor is a sum of tones of even strength, their frequencies spread over the band
-    and their phases drawn at random, so that integrators see a smooth function of time.
+    The noise of a sensor is a sum of tones of equal amplitude with random phases and frequencies
+    distributed over the band; it is a smooth function of time, which integrators can follow.
 
     Attributes
     ----------
     tilt : float
-        Of the bodies' tilts. [rad]
+        Noise of the bodies' tilts. [rad]
     tilt_rate : float
-        Of their rates, which the controller measures separately. [rad/s]
+        Noise of the tilt rates, which are measured separately. [rad/s]
     wheel_rate : float
-        Of the wheels' rates. [rad/s]
+        Noise of the wheel rates. [rad/s]
     band : float
         Largest frequency; the smallest is a hundredth of it. [Hz]
     seed : int
-        Of the frequencies and phases, zero or more.
+        Seed of frequencies and phases, nonnegative.
 
     Raises
     ------
     ModelError
-        If a size is negative, the band not positive, or the seed negative.
+        If a root mean square is negative, the band is not positive, or the seed is negative.
     """
 
     tilt: float = 0.0
@@ -57,18 +57,18 @@ class Noise:
 def measured(
     noise: Noise, t: Any, tilts: Tilts, rates: Tilts, spins: PerAxle
 ) -> tuple[Tilts, Tilts, PerAxle]:
-    """Return tilts, their rates and the wheels' rates as the sensors see them at a time.
+    """Return tilts, tilt rates and wheel rates with sensor noise.
 
     Parameters
     ----------
     noise : Noise
-        Of the sensors.
+        Noise of the sensors.
     t : SX or float
         Time. [s]
     tilts, rates : Tilts
-        True ones. [rad, rad/s]
+        True tilts and tilt rates. [rad, rad/s]
     spins : PerAxle
-        True ones. [rad/s]
+        True wheel rates. [rad/s]
     """
     rng = np.random.default_rng(noise.seed)
 
@@ -83,7 +83,7 @@ def measured(
 
 
 def _unit(rng: np.random.Generator, band: float, t: Any) -> Any:
-    """Return noise of root mean square one."""
+    """Return noise with root mean square one."""
     edges = np.linspace(0.01 * band, band, TONES + 1)
     turning = 2 * np.pi * rng.uniform(edges[:-1], edges[1:])
     phases = rng.uniform(0, 2 * np.pi, TONES)

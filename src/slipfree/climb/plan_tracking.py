@@ -1,15 +1,15 @@
-"""Planned climbs driven: the plan's torques ahead, and its rates back.
+"""Tracking of planned climbs: feedforward of the torques and feedback of the wheel rates.
 
-Where a climb is, is told by how far the vehicle has come, not by time, so that a vehicle that lags
-behind gets the torques of the place where it is. The measure of it is
+The plan is a function of the progress of the vehicle, not of time: a vehicle that is late still
+gets the torques of its position. The progress is
 
-    p = mean over the axles of x + z,
+    p = mean over the axles of x + z.
 
-which grows along every way that does not lead steeply down, at least as fast as the mean axle goes.
-The torques are those of the plan, which share friction among the wheels as no control of rates
-does. What is missing, each wheel gets from its rate; its reference is that of the plan, but never
-more than what its axle goes, and a little. A wheel that is left behind regains its grip in this
-way, even if it rolls back.
+It increases along every path that does not lead steeply down, at least as fast as the mean axle
+moves. The feedforward torques are those of the plan, which distribute the friction among the wheels
+better than control of the rates could. Feedback corrects the rate of each wheel; its reference is
+that of the plan, but at most slightly more than the speed of its axle. A wheel that slips thus
+regains its grip, even if it rolls back.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from slipfree.climb.vehicle import Climber
 from slipfree.errors import ModelError
 from slipfree.records import Array
 
-SLOWEST = 0.01  # reference where the plan rests, so that it gets away from there [m/s]
-BRAKING = 0.3  # before the plan begins, and of the speeding up behind it [m/s2]
-APART = 1e-7  # of legs that meet, whose torques differ there [m]
+MIN_SPEED = 0.01  # smallest reference, so that the vehicle leaves points of rest [m/s]
+ACCELERATION = 0.3  # braking before the plan and acceleration behind it [m/s2]
+LEG_DISTANCE = 1e-7  # between legs that meet, since their torques differ [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A planned climb over the progress p, linear between n places.
+    """A planned climb as a function of the progress p, linear between n points.
 
     Attributes
     ----------
     p : ndarray, shape (n,)
         Progress, increasing. [m]
     square : ndarray, shape (n,)
-        Square of the speed along the way. [m2/s2]
+        Square of the speed along the path. [m2/s2]
     speeds : ndarray, shape (n, 3)
-        Speeds of the axles over that along the way.
+        Speeds of the axles over the speed along the path.
     directions : ndarray, shape (n, 3)
-        Of the axles' motion, up from the horizontal. [rad]
+        Directions of the axles' motion, upward from the horizontal. [rad]
     torques : ndarray, shape (n, 3)
-        Of a wheel's motor. [N m]
+        Torques of a wheel's motor. [N m]
     """
 
     p: Array
@@ -60,8 +60,8 @@ class Course:
     torques: Array
 
 
-class _Place(NamedTuple):
-    """The row of a course where the vehicle is, and whether that is before or behind it."""
+class _PlanPoint(NamedTuple):
+    """Plan at the position of the vehicle, and whether it is before or behind the plan."""
 
     square: ca.SX
     speeds: PerAxle
@@ -73,21 +73,21 @@ class _Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """How a planned climb is driven; `slipfree.climb.dynamics.climbing` takes it for a control.
+    """Controller that tracks a planned climb, for `slipfree.climb.dynamics.climbing`.
 
-    It knows places and speeds of the axles, which only a simulation does.
+    It uses true positions and speeds of the axles, which are known only in simulations.
 
     Attributes
     ----------
     course : Course
         The plan.
     proportional : float
-        Gain of the wheels' rates. [N m s/rad]
+        Gain of the errors of the wheel rates. [N m s/rad]
     spare : float
-        Slip that the references allow a wheel: about where friction is largest. [m/s]
+        Slip that the references allow a wheel, about that of the largest friction. [m/s]
     lead : float
-        By which the plan is read ahead: more than wheels sink into the ground, lest they be held
-        in front of what they are to push against. [m]
+        Distance by which the plan is read ahead. It must exceed the depth of the contacts, so that
+        the plan does not hold a wheel before it presses against the next solid. [m]
 
     Raises
     ------
@@ -99,7 +99,7 @@ class Tracking:
     proportional: float = 20.0
     spare: float = 3e-3
     lead: float = 1e-3
-    # It has no states of its own.
+    # the controller has no states
     senses: ClassVar[bool] = False
     integral: ClassVar[float] = 0.0
     derivative: ClassVar[float] = 0.0
@@ -112,33 +112,33 @@ class Tracking:
 
 
 def course(plans: Sequence[tuple[Climb, Array]]) -> Course:
-    """Return planned legs, one after the other, over the progress.
+    """Return consecutive planned legs as a function of the progress.
 
     Parameters
     ----------
     plans : sequence of (Climb, ndarray)
-        Every leg's program from `slipfree.climb.time_scaling.climb`, and its solution; all but the
-        last one planned with a halt.
+        Program of each leg, from `slipfree.climb.time_scaling.climb`, and its solution; all legs
+        except the last must be planned with ``halt=True``.
 
     Raises
     ------
     ModelError
-        If a way leads down so steeply that the progress does not grow.
+        If a path leads down so steeply that the progress does not increase.
     """
     p, *rest = (np.concatenate(each) for each in zip(*map(_leg, plans), strict=True))
     joints = np.cumsum([2 * plan.nodes.s.size - 1 for plan, _ in plans])[:-1]
-    p[joints] = np.maximum(p[joints], p[joints - 1] + APART)
+    p[joints] = np.maximum(p[joints], p[joints - 1] + LEG_DISTANCE)
     if not (np.diff(p) > 0).all():
         k = int(np.argmin(np.diff(p)))
         raise ModelError(
-            "course: expected a way on which the mean of place and height of the axles grows, "
-            f"found that it falls at {p[k]:.3g} m: take a plan that does not lead steeply down"
+            "course: expected a path on which the mean of x + z over the axles increases, "
+            f"found a decrease at {p[k]:.3g} m: use a plan that does not lead steeply down"
         )
     return Course(p, *rest)
 
 
 def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
-    """Return the fields of a leg's course, at its nodes and in their middles."""
+    """Return the fields of a leg's course, at its nodes and interval midpoints."""
     plan, unknowns = plan_and_unknowns
     nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns)["torque"]
     square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
@@ -166,25 +166,25 @@ def tracked(
 ) -> Commands:
     """Return references and torques of a planned climb.
 
-    Before the plan begins, and behind its end, all wheels are driven at the vehicle's speed; before
-    it they brake, since plans begin at rest.
+    Before and behind the plan, all wheels are driven at the speed of the vehicle; before it they
+    brake, since plans begin at rest.
 
     Parameters
     ----------
     control : Tracking
-        The plan, and how it is tracked.
+        The controller with its plan.
     climber : Climber
         The vehicle.
     x : State
-        Of its motion.
+        State of the motion.
     axles, velocities : PerAxle of SX, shape (2, 1)
-        Places and velocities of its axles. [m, m/s]
+        Positions and velocities of the axles. [m, m/s]
     speed : SX
-        Of the vehicle off the plan. [m/s]
+        Speed of the vehicle off the plan. [m/s]
     """
     p = sum(place[0] + place[1] for place in axles) / 3 + control.lead
-    at = _place(control.course, p)
-    pace = _pace(control.course, p, at, speed)
+    at = _plan_at(control.course, p)
+    pace = _reference_speed(control.course, p, at, speed)
     references, wanted = [], []
     for ratio, angle, torque, velocity, spin in zip(
         at.speeds, at.directions, at.torques, velocities, x.spins, strict=True
@@ -195,7 +195,7 @@ def tracked(
     return Commands(PerAxle(*references), limited(climber.torque, PerAxle(*wanted)), ())
 
 
-def _place(course: Course, p: ca.SX) -> _Place:
+def _plan_at(course: Course, p: ca.SX) -> _PlanPoint:
     columns = [course.square, course.speeds, course.directions, course.torques]
     rows, inside = np.column_stack(columns), ca.fmin(ca.fmax(p, course.p[0]), course.p[-1])
     table = ca.interpolant("table", "linear", [course.p.tolist()], rows.ravel().tolist())
@@ -207,14 +207,14 @@ def _place(course: Course, p: ca.SX) -> _Place:
         PerAxle(*(ca.if_else(off, value, each) for each in row[k : k + 3]))
         for k, value in ((1, 1.0), (4, 0.0), (7, 0.0))
     )
-    return _Place(row[0], speeds, directions, torques, before, behind)
+    return _PlanPoint(row[0], speeds, directions, torques, before, behind)
 
 
-def _pace(course: Course, p: ca.SX, at: _Place, speed: ca.SX) -> ca.SX:
-    """Return the reference of the speed along the way, on the plan and off it. [m/s]."""
-    arriving = 2 * BRAKING * ca.fmax(course.p[0] - p, 0)
-    leaving = at.square + 2 * BRAKING * ca.fmax(p - course.p[-1], 0)
+def _reference_speed(course: Course, p: ca.SX, at: _PlanPoint, speed: ca.SX) -> ca.SX:
+    """Return the reference speed along the path, on the plan and off it. [m/s]."""
+    arriving = 2 * ACCELERATION * ca.fmax(course.p[0] - p, 0)
+    leaving = at.square + 2 * ACCELERATION * ca.fmax(p - course.p[-1], 0)
     square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))
-    pace = ca.sqrt(square + SLOWEST**2)
+    pace = ca.sqrt(square + MIN_SPEED**2)
     found: ca.SX = ca.if_else(ca.logic_or(at.before, at.behind), ca.fmin(speed, pace), pace)
     return found

@@ -1,8 +1,8 @@
-"""The ground of a climb: a union of convex solids in the plane of the motion.
+"""Profile of the ground of a climb: a union of convex solids in the plane of the motion.
 
-x is forward, z up. The distance of a wheel's center to a convex solid is continuously
-differentiable, round its corners too, so that a wheel has one contact with each solid: on the floor
-and against a wall together, and over an edge, without a change of equations.
+x is forward, z up. The distance of a wheel's centre from a convex solid is continuously
+differentiable, also around its corners. Therefore a wheel has one contact with each solid, and the
+same equations hold on a floor, on a floor and against a wall together, and over an edge.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from slipfree.errors import ModelError
 from slipfree.records import Array
 
 Point = tuple[float, float]
-REACH = 100.0  # of floor and plateaus, from where they begin [m]
-ROOT = 0.5  # of solids below the floor, so that their feet are no corners [m]
-LEVEL = 1e-4  # difference of heights, and gap between solids, that is none [m]
-FAR = 1e4  # beyond which there are no corners [m]
-STRAIGHT = 1e-9  # sine of the turn at a corner that is none
-TINY = 1e-24  # keeps the slope of a root finite [m2]
+FLOOR_LENGTH = 100.0  # of floor and plateaus, from their beginning [m]
+ROOT_DEPTH = 0.5  # depth of solids below the floor, which hides their lower corners [m]
+HEIGHT_TOLERANCE = 1e-4  # smaller height differences and gaps between solids count as zero [m]
+MAX_COORDINATE = 1e4  # largest coordinate of a corner [m]
+MIN_TURN_SINE = 1e-9  # a point with a smaller sine of its turn is not a corner
+ROOT_OFFSET = 1e-24  # keeps the derivative of a square root finite [m2]
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,13 @@ class Solid:
     Attributes
     ----------
     points : tuple of (x, z), three or more
-        Corners in order, either way round; counter-clockwise when stored. [m]
+        Corners, clockwise or counter-clockwise; stored counter-clockwise. [m]
 
     Raises
     ------
     ModelError
-        If the points are fewer than three, not finite, or do not bound a convex polygon.
+        If there are fewer than three points, if they are not finite, or if they do not bound
+        a convex polygon.
     """
 
     points: tuple[Point, ...]
@@ -51,9 +52,10 @@ class Solid:
             raise ModelError(
                 f"solid: expected three or more points (x, z), found shape {points.shape}"
             )
-        if not (np.abs(points) <= FAR).all():
+        if not (np.abs(points) <= MAX_COORDINATE).all():
             raise ModelError(
-                f"solid: expected points within {FAR:g} m of the origin, found {points.tolist()}"
+                f"solid: expected points within {MAX_COORDINATE:g} m of the origin, "
+                f"found {points.tolist()}"
             )
         stored = tuple((float(x), float(z)) for x, z in _counter_clockwise(points))
         object.__setattr__(self, "points", stored)
@@ -71,19 +73,19 @@ class Solid:
         return np.stack([self.edges[:, 1], -self.edges[:, 0]], axis=1)
 
     def meets(self, other: Solid) -> bool:
-        """Return whether it touches another solid: no face of either has them on its two sides."""
+        """Return whether it touches another solid, that is, no face of either separates them."""
         for one, two in ((self, other), (other, self)):
             heights = (np.array(two.points) @ one.normals.T).min(axis=0)
             own = (np.array(one.points) * one.normals).sum(axis=1)
-            if (heights > own + LEVEL).any():
+            if (heights > own + HEIGHT_TOLERANCE).any():
                 return False
         return True
 
     def gap(self, x: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the distance of a point to the solid, negative inside, and its gradient.
 
-        It is the largest of the distances to the lines of the faces and, within their normal
-        cones, to the corners: each is a lower bound, and the nearest feature attains it.
+        The distance is the largest of the distances from the lines of the faces and, within their
+        normal cones, from the corners: each is a lower bound, attained by the nearest feature.
 
         Parameters
         ----------
@@ -107,14 +109,14 @@ class Solid:
             from_corner = place - ca.DM(point)
             past = ca.dot(from_corner, ca.DM(self.edges[k - 1])) > 0
             before = ca.dot(from_corner, ca.DM(self.edges[k])) < 0
-            away = ca.sqrt(ca.sumsqr(from_corner) + TINY)
+            away = ca.sqrt(ca.sumsqr(from_corner) + ROOT_OFFSET)
             in_cone = ca.logic_and(past, before)
             distance = ca.if_else(in_cone, away, distance)
             normal = ca.if_else(in_cone, from_corner / away, normal)
         return distance, normal
 
     def distance(self, x: npt.ArrayLike, z: npt.ArrayLike) -> tuple[Array, Array]:
-        """Return distances and normals as `gap` does, of arrays of points.
+        """Return the distances and normals of `gap` for arrays of points.
 
         Parameters
         ----------
@@ -139,7 +141,7 @@ class Solid:
         directions = np.concatenate(
             [
                 np.broadcast_to(self.normals, from_corners.shape),
-                from_corners / np.maximum(away, math.sqrt(TINY))[..., None],
+                from_corners / np.maximum(away, math.sqrt(ROOT_OFFSET))[..., None],
             ],
             axis=-2,
         )
@@ -171,21 +173,21 @@ class Profile:
 
     @property
     def summit(self) -> Point:
-        """Where the highest level that stands on the floor begins, (x, z). [m]."""
+        """Begin of the highest level of the solids on the floor, (x, z). [m]."""
         points = [point for solid in self.standing for point in solid.points]
         top = max(z for _, z in points)
-        return min(x for x, z in points if z > top - LEVEL), top
+        return min(x for x, z in points if z > top - HEIGHT_TOLERANCE), top
 
     @property
     def end(self) -> float:
-        """Where all that stands on the floor and rises above it ends. [m]."""
+        """End of all solids that stand on the floor and rise above it. [m]."""
         floor = max(z for _, z in self.solids[0].points)
         above = [x for solid in self.standing[1:] for x, z in solid.points if z > floor]
         return max(above, default=math.inf)
 
     @cached_property
     def standing(self) -> tuple[Solid, ...]:
-        """The floor and the solids that touch it, or others that do."""
+        """The floor, and the solids connected to it by contacts."""
         found, rest = [self.solids[0]], list(self.solids[1:])
         for solid in found:
             near = [other for other in rest if solid.meets(other)]
@@ -196,57 +198,64 @@ class Profile:
 
 def flat() -> Profile:
     """Return a level floor at height zero."""
-    return Profile((_block(-REACH, 0.0, REACH),))
+    return Profile((_block(-FLOOR_LENGTH, 0.0, FLOOR_LENGTH),))
 
 
 def ramp(angle: float, height: float) -> Profile:
-    """Return a floor, and from x = 0 on a ramp up to a plateau.
+    """Return a floor with a ramp to a plateau, from x = 0 on.
 
     Parameters
     ----------
     angle : float
-        Of the ramp, above zero, up to a right angle. [rad]
+        Angle of the ramp, above zero and at most a right angle. [rad]
     height : float
-        Of the plateau. [m]
+        Height of the plateau. [m]
 
     Raises
     ------
     ModelError
-        If angle or height are out of range.
+        If the angle or the height is out of range.
     """
     _positive(height=height)
     if not 0 < angle <= math.pi / 2:
         raise ModelError(f"ramp: expected an angle above 0 up to pi/2, found {angle}")
     slope = math.cos(angle) / math.sin(angle)
-    if ROOT * slope > REACH / 2 or height * slope > REACH / 2:
+    if ROOT_DEPTH * slope > FLOOR_LENGTH / 2 or height * slope > FLOOR_LENGTH / 2:
         raise ModelError(
-            f"ramp: the floor reaches {REACH:g} m, which a ramp of {math.degrees(angle):.3g} "
-            "degrees would leave; take a steeper or a lower one"
+            f"ramp: expected a ramp shorter than the floor's {FLOOR_LENGTH:g} m, found a longer "
+            f"one of {math.degrees(angle):.3g} degrees; use a steeper or a lower ramp"
         )
     edge = height * slope
-    wedge = Solid(((-ROOT * slope, -ROOT), (REACH, -ROOT), (REACH, height), (edge, height)))
+    wedge = Solid(
+        (
+            (-ROOT_DEPTH * slope, -ROOT_DEPTH),
+            (FLOOR_LENGTH, -ROOT_DEPTH),
+            (FLOOR_LENGTH, height),
+            (edge, height),
+        )
+    )
     return Profile((*flat().solids, wedge))
 
 
 def step(height: float) -> Profile:
-    """Return a floor, and a plateau of the height given from x = 0 on. [m]."""
+    """Return a floor with a plateau of a given height from x = 0 on. [m]."""
     _positive(height=height)
-    return Profile((*flat().solids, _block(0.0, height, REACH)))
+    return Profile((*flat().solids, _block(0.0, height, FLOOR_LENGTH)))
 
 
 def kerb(height: float, length: float) -> Profile:
-    """Return a floor with a block of the height and length given, from x = 0 on. [m]."""
+    """Return a floor with a block of a given height and length from x = 0 on. [m]."""
     _positive(height=height, length=length)
     return Profile((*flat().solids, _block(0.0, height, length)))
 
 
 def stairs(height: float, depth: float, count: int) -> Profile:
-    """Return a floor and stairs from x = 0 on, the last step a plateau.
+    """Return a floor with stairs from x = 0 on; the last step is a plateau.
 
     Parameters
     ----------
     height, depth : float
-        Of a step. [m]
+        Height and depth of a step. [m]
     count : int
         Number of steps.
 
@@ -256,13 +265,13 @@ def stairs(height: float, depth: float, count: int) -> Profile:
         If a number is not positive.
     """
     _positive(height=height, depth=depth, count=count)
-    blocks = (_block(k * depth, (k + 1) * height, REACH) for k in range(count))
+    blocks = (_block(k * depth, (k + 1) * height, FLOOR_LENGTH) for k in range(count))
     return Profile((*flat().solids, *blocks))
 
 
 def _block(start: float, height: float, length: float) -> Solid:
-    end = start + length if length < REACH else REACH
-    return Solid(((start, -ROOT), (end, -ROOT), (end, height), (start, height)))
+    end = start + length if length < FLOOR_LENGTH else FLOOR_LENGTH
+    return Solid(((start, -ROOT_DEPTH), (end, -ROOT_DEPTH), (end, height), (start, height)))
 
 
 def _positive(**sizes: float) -> None:
@@ -272,7 +281,7 @@ def _positive(**sizes: float) -> None:
 
 
 def _counter_clockwise(points: Array) -> Sequence[Array]:
-    """Return the corners counter-clockwise, or refuse what is no convex polygon."""
+    """Return the corners counter-clockwise; raise ModelError unless the polygon is convex."""
     edges = np.roll(points, -1, axis=0) - points
     lengths = np.linalg.norm(edges, axis=1)
     if not (lengths > 0).all():
@@ -281,16 +290,18 @@ def _counter_clockwise(points: Array) -> Sequence[Array]:
     before, after = np.roll(edges / lengths[:, None], 1, axis=0), edges / lengths[:, None]
     sines = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     cosines = (before * after).sum(axis=1)
-    if (np.abs(sines) < STRAIGHT).any():
+    if (np.abs(sines) < MIN_TURN_SINE).any():
         k = int(np.argmin(np.abs(sines)))
-        raise ModelError(f"solid: point {k}, {points[k]}, is no corner: leave it out")
+        raise ModelError(f"solid: point {k}, {points[k]}, is not a corner: remove it")
     turns = np.arctan2(sines, cosines)
     way = 1.0 if turns.sum() > 0 else -1.0
     if (way * turns < 0).any():
         k = int(np.argmin(way * turns))
-        raise ModelError(f"solid: not convex at point {k}, {points[k]}: divide it into convex ones")
+        raise ModelError(
+            f"solid: not convex at point {k}, {points[k]}: divide it into convex solids"
+        )
     if abs(turns.sum()) > 2 * np.pi + 1e-6:
         raise ModelError(
-            "solid: its faces cross one another; give the corners in order, once round"
+            "solid: its faces cross; give the corners in order around the solid, each once"
         )
     return list(points if way > 0 else points[::-1])

@@ -1,4 +1,4 @@
-"""Records of a climb: what its model holds, and what each of it is called."""
+"""Records of a climbing vehicle's model, and their labels."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ class State(NamedTuple):
     Attributes
     ----------
     x, z : scalar
-        Place of the joint. [m]
+        Position of the joint. [m]
     tilts : Tilts
-        Of the bodies, nose up. [rad]
+        Tilts of the bodies, nose up. [rad]
     velocity_x, velocity_z : scalar
-        Of the joint. [m/s]
+        Velocity of the joint. [m/s]
     rates : Tilts
-        Of the tilts. [rad/s]
+        Rates of the tilts. [rad/s]
     spins : PerAxle
         Rates of the wheels, forward positive. [rad/s]
     integrals : PerAxle or ()
-        Of the errors of these. [rad]
+        Integrals of the errors of the wheel rates. [rad]
     directions : PerAxle or ()
-        Of the axles, as the sensors see them, smoothed. [rad]
+        Smoothed estimates of the axles' directions. [rad]
     lagging : PerAxle or ()
-        Errors of the rates behind the filter of a derivative. [rad/s]
+        Filtered errors of the wheel rates, for the derivative gain. [rad/s]
     """
 
     x: Any
@@ -48,7 +48,7 @@ class State(NamedTuple):
 
 
 class Totals(NamedTuple):
-    """What sums up over time: turns of the wheels [rad], and energies [J]."""
+    """Quadratures: turns of the wheels [rad], and energies [J]."""
 
     wheel_angles: PerAxle
     work: Any
@@ -57,14 +57,14 @@ class Totals(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Reference speed of the vehicle [m/s], and torques held by a sampled controller [N m]."""
+    """Reference speed of the vehicle [m/s], and torques of a sampled controller [N m]."""
 
     speed: Any
     torques: PerAxle | tuple[()]
 
 
 class OnSolid(NamedTuple):
-    """What one solid does to the wheels of each axle; see `slipfree.climb.contact.Pressed`."""
+    """Contacts of all axles with one solid; see `slipfree.climb.contact.SolidContact`."""
 
     gap: PerAxle
     load: PerAxle
@@ -73,7 +73,7 @@ class OnSolid(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What is sampled along a motion."""
+    """Further quantities along a motion."""
 
     axle_x: PerAxle
     axle_z: PerAxle
@@ -92,10 +92,10 @@ def _each(name: str, unit: str, words: str) -> PerAxle:
 
 
 def labels_of(profile: Profile, control: Driver, *, sampled: bool) -> Labels:
-    """Return names, units and words of all that a climb's model holds."""
+    """Return the labels of all records of a climb's model."""
     joint, tilt = "of the joint", "tilt of the {} body, nose up positive"
     x = State(
-        Label("x", "m", f"place {joint}, forward"),
+        Label("x", "m", f"forward position {joint}"),
         Label("z", "m", f"height {joint}"),
         Tilts(*(Label(f"tilt_{name}", "rad", tilt.format(name)) for name in ("rear", "front"))),
         Label("velocity_x", "m s-1", f"forward velocity {joint}"),
@@ -110,30 +110,34 @@ def labels_of(profile: Profile, control: Driver, *, sampled: bool) -> Labels:
         _each("error_sum", "rad", "integral of the error of the wheels' rate")
         if control.integral
         else (),
-        _each("direction_seen", "rad", "direction of the axle that the sensors see, smoothed")
+        _each("direction_seen", "rad", "smoothed estimate of the axle's direction from sensors")
         if control.senses
         else (),
-        _each("error_lag", "rad s-1", "error of the wheels' rate behind the derivative's filter")
+        _each("error_lag", "rad s-1", "filtered error of the wheels' rate, for the derivative gain")
         if control.derivative
         else (),
     )
     q = Totals(
         _each("wheel_angle", "rad", "angle through which the wheels have turned"),
         Label("work", "J", "work of the motors"),
-        Label("rubbed", "J", "energy lost to friction"),
-        Label("damped", "J", "energy lost to damping"),
+        Label("rubbed", "J", "energy dissipated by friction"),
+        Label("damped", "J", "energy dissipated by damping"),
     )
-    held = _each("torque_held", "N m", "torque of a wheel's motor, held") if sampled else ()
+    held = (
+        _each("torque_held", "N m", "torque of a wheel's motor, held between samples")
+        if sampled
+        else ()
+    )
     u = Inputs(Label("speed", "m s-1", "reference speed of the vehicle"), held)
     y = Outputs(
-        _each("axle_x", "m", "place of the axle, forward"),
+        _each("axle_x", "m", "forward position of the axle"),
         _each("axle_z", "m", "height of the axle"),
         _each("axle_velocity_x", "m s-1", "forward velocity of the axle"),
         _each("axle_velocity_z", "m s-1", "upward velocity of the axle"),
-        _each("direction", "rad", "direction in which the contacts let the axle go"),
+        _each("direction", "rad", "direction in which the axle can move over its contacts"),
         _each("reference", "rad s-1", "reference of the wheels' rate"),
-        _each("torque", "N m", "torque that a wheel's motor is asked for"),
-        Label("torque_scale", "1", "scale of all torques that keeps them within the motors' limit"),
+        _each("torque", "N m", "commanded torque of a wheel's motor"),
+        Label("torque_scale", "1", "scale factor of all torques due to the motors' limit"),
         tuple(_solid_labels(k) for k in range(len(profile.solids))),
         Label(
             "energy", "J", "kinetic and potential energy, that of the contacts' springs included"
@@ -145,7 +149,7 @@ def labels_of(profile: Profile, control: Driver, *, sampled: bool) -> Labels:
 def _solid_labels(k: int) -> OnSolid:
     solid = f"solid {k}" if k else "the floor"
     return OnSolid(
-        _each(f"gap_{k}", "m", f"gap of the wheels to {solid}, negative where they reach into it"),
+        _each(f"gap_{k}", "m", f"gap of the wheels to {solid}, negative where they penetrate it"),
         _each(f"load_{k}", "N", f"normal force of {solid} on the axle's wheels"),
         _each(f"friction_{k}", "N", f"tangential force of {solid} on the axle's wheels, forward"),
         _each(f"slip_{k}", "m s-1", f"slip of the wheels over {solid}, negative when they spin"),

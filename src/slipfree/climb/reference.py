@@ -1,17 +1,17 @@
-"""Reference speeds of the axles of a vehicle that climbs, from the shape of its body.
+"""Reference speeds of the axles of a climbing vehicle, from its body configuration.
 
-The law that Chugo, Kawabata, Kaetsu, Asama and Mishima, "Omni-directional vehicle control based on
-body configuration", Industrial Robot 36(5), 2009, are after, in a form that holds in every phase of
-a climb, and their laws as printed, which do not. Every axle i moves with speed v_i along its own
-direction phi_i, up from the horizontal: 0 on a floor, pi/2 at a wall. With the tilts th_r and th_f
-of the bodies, R, M, F for the axles, and the joint d ahead of the middle axle,
+The law of Chugo, Kawabata, Kaetsu, Asama and Mishima, "Omni-directional vehicle control based on
+body configuration", Industrial Robot 36(5), 2009, in a form that holds in every phase of a climb;
+also their laws as printed, which do not. Every axle i moves with speed v_i along its own direction
+phi_i, upward from the horizontal: 0 on a floor, pi/2 at a wall. With the tilts th_r and th_f of the
+bodies, R, M, F for the axles, and the joint d ahead of the middle axle,
 
     v_R cos(phi_R - th_r) = v_M cos(phi_M - th_r)                             rear link
     v_F cos(phi_F - th_f) = v_M cos(phi_M - th_f) + d th_r' sin(th_f - th_r)  front link
     L th_r' = s sin(phi_M - phi_R)   where   (v_R, v_M) = s (cos(phi_M - th_r), cos(phi_R - th_r))
 
-in which the paper has one angle for all axles: its (6) sees the middle axle on the slope, its (8)
-on the floor. Everything here takes SX or numbers, and returns SX or `casadi.DM`.
+where the paper has one angle for all axles: (6) assumes the middle axle on the slope, (8) on the
+floor. All functions here take SX or numbers, and return SX or `casadi.DM`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ import casadi as ca
 from slipfree.climb.vehicle import Climber
 from slipfree.errors import ModelError
 
-SLOWEST = 1e-3  # of the middle axle, relative to the others, in a scale that divides by it
-CREEPING = 0.05  # rim speed below which directions are not estimated any better [m/s]
-STEEPEST = 0.985  # sine of a direction that is estimated
+MIN_MIDDLE_SPEED = 1e-3  # lower bound of the middle axle's relative speed as a divisor
+MIN_RIM_SPEED = 0.05  # lower bound of the rim speed in the estimates of directions [m/s]
+MAX_SINE = 0.985  # largest sine of an estimated direction
 Law = Literal["projective", "fixed", "printed_6_8", "printed_14", "printed_16"]
 
 
@@ -49,21 +49,21 @@ class Tilts(NamedTuple):
 
 
 def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
-    """Return the ratios of the speeds at which no wheel slips, without a division.
+    """Return the speed ratios of the axles without slip, computed without divisions.
 
     Parameters
     ----------
     climber : Climber
         The vehicle.
     tilts : Tilts
-        Of its bodies. [rad]
+        Tilts of its bodies. [rad]
     directions : PerAxle
-        Of the motion of its axles. [rad]
+        Directions of motion of its axles. [rad]
 
     Returns
     -------
     PerAxle
-        Speeds of the axles up to a common factor, zero too if no other is possible.
+        Speeds of the axles up to a common factor; all zero if no other speeds are possible.
     """
     to_joint = -climber.middle.ahead
     link = climber.middle.ahead - climber.rear.ahead
@@ -76,39 +76,40 @@ def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
 
 
 def capped(speeds: PerAxle, cap: float) -> PerAxle:
-    """Return speeds scaled so that the middle axle's is one, but none is above ``cap``.
+    """Return speeds scaled such that the middle axle has speed one and no axle exceeds ``cap``.
 
-    At a wall the speeds of the other axles are zero, so that the front one's alone is left.
+    At a wall only the front axle has a nonzero speed.
     """
     column = ca.vertcat(*speeds)
     size = ca.fmax(ca.fabs(column[1]), ca.mmax(ca.fabs(column)) / cap)
-    return PerAxle(*ca.vertsplit(column / ca.fmax(size, SLOWEST)))
+    return PerAxle(*ca.vertsplit(column / ca.fmax(size, MIN_MIDDLE_SPEED)))
 
 
 def reference(
     climber: Climber, tilts: Tilts, directions: PerAxle, law: Law = "projective", cap: float = 1.5
 ) -> PerAxle:
-    """Return the reference speeds of the axles, relative to the vehicle's.
+    """Return the reference speeds of the axles, relative to the vehicle's speed.
 
     Parameters
     ----------
     climber : Climber
         The vehicle.
     tilts : Tilts
-        Of its bodies. [rad]
+        Tilts of its bodies. [rad]
     directions : PerAxle
-        Of the motion of its axles. [rad]
+        Directions of motion of its axles. [rad]
     law : {"projective", "fixed", "printed_6_8", "printed_14", "printed_16"}
-        Without slip in every phase; one for all axles; or, to show that they fail, the paper's
-        equations as printed, their one angle alpha the largest of the directions: (6) with (8), the
-        pseudo-inverse of (14) that (15) asks for, and (16).
+        ``"projective"``: without slip in every phase; ``"fixed"``: speed one for all axles. The
+        others are the equations of the paper as printed, to show that they fail, with the largest
+        direction as their single angle alpha: (6) with (8), the pseudo-inverse of (14) according to
+        (15), and (16).
     cap : float
-        Largest relative speed, from 1 on; (14) sets its own scale.
+        Largest relative speed, at least 1; (14) has its own scale.
 
     Raises
     ------
     ModelError
-        If the law is not known or the cap below one.
+        If the law is unknown or the cap is below one.
     """
     if law not in get_args(Law):
         raise ModelError(f"reference: expected one of {', '.join(get_args(Law))}, found {law!r}")
@@ -166,17 +167,18 @@ _PRINTED: dict[str, Callable[[Tilts, Any, float], PerAxle]] = {
 
 
 class Base(NamedTuple):
-    """What the seven wheels share in the plane of the floor; wheels are numbered as in the paper.
+    """Dimensions of the seven wheels in the plane of the floor, numbered as in the paper.
 
-    1 and 3 are on the rear axle, 4 on the middle one, 5 and 7 on the front one; 2 and 6 roll
-    sideways. Motors of a pair turn against each other as the vehicle goes ahead, (2) and (3).
+    Wheels 1 and 3 are on the rear axle, 4 on the middle axle, 5 and 7 on the front axle; 2 and 6
+    roll sideways. The motors of a pair rotate in opposite directions when the vehicle moves
+    forward, (2) and (3).
 
     Attributes
     ----------
     radius : float
-        Of the wheels. [m]
+        Radius of the wheels. [m]
     gear : float
-        Rate of a wheel over that of its motor, k in (1).
+        Rate of a wheel over the rate of its motor, k in (1).
     along : float
         Arm of the wheels 2 and 6 about the vertical, R1. [m]
     aside : float
@@ -197,12 +199,12 @@ def motors(base: Base, speeds: PerAxle) -> Any:
     base : Base
         The wheels.
     speeds : PerAxle
-        Relative speeds of the axles, of `reference`.
+        Relative speeds of the axles, from `reference`.
 
     Returns
     -------
     SX or DM
-        Motor rates [rad/s] of a speed ahead, one sideways [m/s], and a turn [rad/s].
+        Motor rates [rad/s] per forward speed, sideways speed [m/s] and turning rate [rad/s].
     """
     rear, middle, front = speeds
     along, aside = base.along, base.aside
@@ -221,16 +223,16 @@ def motors(base: Base, speeds: PerAxle) -> Any:
 def odometry(base: Base, speeds: PerAxle) -> Any:
     """Return the matrix J of shape (3, 7) in ``(x', y', theta') = J V``, with ``J A = I``.
 
-    The least-squares inverse of `motors`. Unlike (10) it divides by no speed of an axle.
+    It is the least-squares inverse of `motors`; unlike (10), it has no division by an axle's speed.
 
     Parameters
     ----------
     base : Base
         The wheels.
     speeds : PerAxle
-        Relative speeds of the axles, of `reference`.
+        Relative speeds of the axles, from `reference`.
     """
-    matrix = motors(base, speeds)  # of orthogonal columns
+    matrix = motors(base, speeds)  # its columns are orthogonal
     return ca.vertcat(*(column.T / ca.sumsqr(column) for column in ca.horzsplit(matrix)))
 
 
@@ -253,12 +255,11 @@ def printed_inverse(base: Base, tilts: Tilts, alpha: float) -> Any:
 
 
 def seen_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: PerAxle) -> PerAxle:
-    """Return the directions of the axles as tilt sensors and encoders see them.
+    """Return estimates of the axles' directions from tilt sensors and encoders.
 
-    An axle that rises with the speed its link's tilt rate says, while its wheel turns, moves up
-    along the direction whose sine is the ratio. Of the two axles of the rear body the one is taken
-    to climb that the sign of its tilt rate names. Neither slope nor height of what is climbed is
-    needed. The controller smooths this over time.
+    The tilt rate of a link gives the vertical speed of its axle; divided by the rim speed it is the
+    sine of the direction. The sign of the rear body's tilt rate decides which of its two axles
+    climbs. Slope and height of the obstacle are not needed. The controller smooths the estimates.
 
     Parameters
     ----------
@@ -275,7 +276,7 @@ def seen_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: PerAxle
     swing = climber.front.ahead * ca.cos(tilts.front) * rates.front
     rises = PerAxle(ca.fmax(0, -link * turn), middle, middle - climber.middle.ahead * turn + swing)
     sines = (
-        rise / ca.fmax(climber.radius * ca.fabs(spin), CREEPING)
+        rise / ca.fmax(climber.radius * ca.fabs(spin), MIN_RIM_SPEED)
         for rise, spin in zip(rises, spins, strict=True)
     )
-    return PerAxle(*(ca.asin(ca.fmin(STEEPEST, ca.fmax(0, sine))) for sine in sines))
+    return PerAxle(*(ca.asin(ca.fmin(MAX_SINE, ca.fmax(0, sine))) for sine in sines))

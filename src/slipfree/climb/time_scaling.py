@@ -1,15 +1,15 @@
-"""Planned climbs: how to go along the way, and which forces to use, without slip.
+"""Time scaling of planned climbs: speed along the contact path and contact forces without slip.
 
-With s' the speed along a leg of the way, ``a = s''`` and ``b = s'^2``, accelerations are
+With s' the speed along a leg of the path, ``a = s''`` and ``b = s'^2``, accelerations are
 ``q' a + q'' b``, and the equations of motion are linear in a, b and the contact forces:
 
     A f = load + G a + H b
 
-A and the load are those of equilibrium, G and H hold inertia: of the bodies, and of the wheels,
+A and the load are those of equilibrium; G and H are the inertia of the bodies and of the wheels,
 which turn at the rates ``speeds s' / radius``. On every interval a is constant, so that b is linear
-in s; equations and limits hold in its middle. A leg begins where a wheel meets a solid: at rest,
-and often where friction is needed most, so that the intervals are short there. The forces stay in
-Coulomb's cone ``|T| <= mu N``, and the motors within their torque.
+in s; equations and limits hold at its midpoint. A leg begins at rest where a wheel meets a solid,
+often the point of the largest friction demand; therefore the intervals are short there. The contact
+forces satisfy Coulomb's law ``|T| <= mu N``, and the motors their torque limit.
 """
 
 from __future__ import annotations
@@ -23,8 +23,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
-from slipfree.climb.contact_path import Leg, Way, sample, turned
-from slipfree.climb.friction_demand import MOST, center, cross, equilibrium, least
+from slipfree.climb.contact_path import Leg, Way, rotate_nose_up, sample
+from slipfree.climb.friction_demand import (
+    MAX_FRICTION,
+    center,
+    cross,
+    equilibrium,
+    least_friction_forces,
+)
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.errors import ModelError
@@ -34,20 +40,19 @@ from slipfree.trajectory import Column, Trajectory, joined
 from slipfree.vehicle.tree import GRAVITY
 
 COSTS = ("time", "friction", "slip")
-PACE = 1e-4  # of the time in costs that would leave the motion open in part [1/s]
-ROUND = 1e-8  # in roots of squared speeds, so that they have slopes at rest [largest squared]
-MOVING = 1e-3  # between rests no standstill: least acceleration away from them [m/s2]
-CREEP = 1e-4  # and what is fast enough, squared [largest squared]
-UNLOADED = 1e-3  # added to N in the cost of slip, so that it has slopes without load [weight]
-SLOW = 0.01  # b of the guess [largest squared]
-JAMMED = 3.0  # normal forces of the guess stay below this [weight]
-
+TIME_WEIGHT = 1e-4  # weight of the time in costs that do not determine the speed [1/s]
+ROOT_OFFSET = 1e-8  # in roots of squared speeds, for finite derivatives at rest [largest b]
+MIN_ACCELERATION = 1e-3  # away from points of rest: a lower bound of b without standstill [m/s2]
+MAX_LOWER_BOUND = 1e-4  # largest value of that bound [largest b]
+LOAD_OFFSET = 1e-3  # added to N in the cost of slip, for finite derivatives without load [weight]
+GUESS_SQUARE = 0.01  # b of the initial guess [largest b]
+MAX_GUESS_LOAD = 3.0  # largest normal force of the initial guess [weight]
 
 LABELS = (
     Label("s", "m", "path parameter on the leg"),
-    Label("path_speed", "m s-1", "its first derivative"),
-    Label("path_acceleration", "m s-2", "its second derivative"),
-    Label("x", "m", "place of the joint, forward"),
+    Label("path_speed", "m s-1", "first derivative of the path parameter"),
+    Label("path_acceleration", "m s-2", "second derivative of the path parameter"),
+    Label("x", "m", "forward position of the joint"),
     Label("z", "m", "height of the joint"),
     Label("tilt_rear", "rad", "tilt of the rear body, nose up positive"),
     Label("tilt_front", "rad", "tilt of the front body, nose up positive"),
@@ -60,17 +65,17 @@ LABELS = (
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """A leg to be climbed, and the program that finds how.
+    """Nonlinear program of the climb of a leg.
 
     Attributes
     ----------
     climber : Climber
         The vehicle.
     nodes, middles : Way
-        Configurations at the ends of the intervals and in their middles.
+        Configurations at the ends and at the midpoints of the intervals.
     nlp : Nlp
-        With the unknowns ``b`` (n + 1,) [m2 s-2], ``normal`` and ``tangential`` (n, 3) [N] and
-        ``mu`` (1,) for n intervals.
+        The program, with the unknowns ``b`` (n + 1,) [m2 s-2], ``normal`` and ``tangential``
+        (n, 3) [N] and ``mu`` (1,) for n intervals.
     """
 
     climber: Climber
@@ -80,12 +85,12 @@ class Climb:
 
 
 def inertia(climber: Climber, way: Way) -> tuple[Array, Array]:
-    """Return what inertia asks of the forces in the equations of `equilibrium`.
+    """Return the inertia terms of the equations of `equilibrium`.
 
     Returns
     -------
     G, H : ndarray, shape (n, 4)
-        For the second derivative of s, and for the square of its first.
+        Coefficients of the second derivative of s, and of the square of its first derivative.
     """
     linear, square = np.zeros((2, len(way.q), 4))
     bodies = (climber.rear_body, climber.front_body)
@@ -93,20 +98,20 @@ def inertia(climber: Climber, way: Way) -> tuple[Array, Array]:
         arm, tilt = center(body, way.q[:, 2 + k]), 2 + k
         centripetal = way.first[:, tilt, None] ** 2 * arm
         for rows, rates in ((linear, way.first), (square, way.second)):
-            change = rates[:, :2] + rates[:, tilt, None] * turned(arm)
+            change = rates[:, :2] + rates[:, tilt, None] * rotate_nose_up(arm)
             if rows is square:
                 change = change - centripetal
             rows[:, :2] += body.mass * change
             rows[:, tilt] += body.mass * cross(arm, change) + body.inertia * rates[:, tilt]
     spin = spin_inertia(climber)
     for rows, values in ((linear, way.speeds), (square, way.slopes)):
-        rows[:, 2] -= values[:, :2] @ spin[:2]  # wheels that roll forward turn nose-down
+        rows[:, 2] -= values[:, :2] @ spin[:2]  # wheels that roll forward rotate nose-down
         rows[:, 3] -= values[:, 2] * spin[2]
     return linear, square
 
 
 def spin_inertia(climber: Climber) -> Array:
-    """Return the torques that spin up the axles' wheels, over the axles' acceleration, (3,)."""
+    """Return the torques that accelerate the axles' wheels, per acceleration of the axle, (3,)."""
     return np.array([axle.inertia for axle in climber.axles]) / climber.radius
 
 
@@ -121,39 +126,41 @@ def climb(
     s: int | npt.ArrayLike = 60,
     halt: bool = False,
 ) -> Climb:
-    """Return the program that finds how to climb a leg.
+    """Return the nonlinear program of the climb of a leg.
 
     Parameters
     ----------
     climber : Climber
         The vehicle.
     profile, leg : Profile, Leg
-        What is climbed; see `slipfree.climb.contact_path.legs`.
+        The ground and the leg; see `slipfree.climb.contact_path.legs`.
     cost : {"time", "friction", "slip"}
-        What is to be least: the duration; the coefficient of friction that suffices; or the work
-        that is lost to creep if wheels slip in proportion to T / N.
+        Objective: the duration; the required coefficient of friction; or the work of creep if
+        wheels slip in proportion to T / N.
     mu : float, optional
-        Coefficient of friction; an unknown for the cost "friction", needed for the others. [1]
+        Coefficient of friction; an unknown for the cost "friction", required for the others. [1]
     speed : float
-        Largest of an axle. [m/s]
+        Largest speed of an axle. [m/s]
     s : int or array_like, shape (n + 1,)
-        Nodes on the leg, the ends of the intervals, the first of them at rest; or their number: of
-        nodes up to where the climbing wheels are up, or, with a halt, to the end of the leg. [m]
+        Nodes on the leg, the ends of the intervals; the vehicle is at rest at the first one. Or the
+        number of nodes, up to the top of the climbing wheels or, with ``halt``, up to the end of
+        the leg. [m]
     halt : bool
-        Whether the vehicle is at rest at the last, as it must be where the next leg begins.
+        Whether the vehicle is at rest at the last node, as required before another leg.
 
     Raises
     ------
     ModelError
-        If the cost is unknown, the coefficient of friction is missing or superfluous, it or the
-        speed is not positive, or the nodes are fewer than three or not in order.
+        If the cost is unknown, if the coefficient of friction is missing or given for the cost
+        "friction", if it or the speed is not positive, or if there are fewer than three nodes or
+        they do not increase.
     """
     if cost not in COSTS:
         raise ModelError(f"climb: expected a cost of {', '.join(COSTS)}, found {cost!r}")
     if (mu is None) != (cost == "friction"):
         raise ModelError(
-            "climb: expected the coefficient of friction mu for the costs time and slip, and none "
-            f"for friction, which finds it; found mu = {mu} for {cost}"
+            "climb: expected a coefficient of friction mu for the costs time and slip, and none "
+            f"for the cost friction, which minimises it; found mu = {mu} for {cost}"
         )
     if not (speed > 0 and (mu is None or mu > 0)):
         raise ModelError(f"climb: expected positive speed and mu, found {speed} m/s and {mu}")
@@ -167,7 +174,7 @@ def climb(
 
 
 def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
-    """Return nodes whose distances grow evenly from where the vehicle is at rest."""
+    """Return nodes whose spacing grows linearly with the distance from points of rest."""
     part = np.linspace(0, 1, count)
     return leg.length * np.sin(np.pi / 2 * part) ** 2 if halt else leg.top * part**2
 
@@ -189,13 +196,13 @@ def _program(
     scale = np.repeat([fastest, weight / 3, weight / 3, 1.0], np.diff(ends))
     x = ca.MX.sym("x", ends[-1])
     b, normal, tangential, friction = ca.vertsplit(x * scale, ends)
-    rows, low, high = _rows(climber, middles, steps, (b, normal, tangential, friction))
+    rows, low, high = _constraint_rows(climber, middles, steps, (b, normal, tangential, friction))
     f = _cost(cost, (b, normal, tangential, friction), steps, fastest, weight)
     lower, upper = np.full((2, ends[-1]), [[-np.inf], [np.inf]])
     lower[b_at], upper[b_at] = _speeds(nodes, fastest, halt=halt)
     lower[n_at] = 0.0
-    lower[mu_at], upper[mu_at] = (0.0, MOST) if mu is None else (mu, mu)
-    slow = np.minimum(SLOW * fastest, upper[b_at])
+    lower[mu_at], upper[mu_at] = (0.0, MAX_FRICTION) if mu is None else (mu, mu)
+    slow = np.minimum(GUESS_SQUARE * fastest, upper[b_at])
     guess = np.concatenate([slow, *_slow_climb(climber, middles, mu)])
     shaped = {
         "b": b_at,
@@ -221,14 +228,14 @@ def _cost(
     cost: str, unknowns: Sequence[ca.MX], steps: Array, fastest: float, weight: float
 ) -> ca.MX:
     b, normal, tangential, friction = unknowns
-    roots = ca.sqrt(b + ROUND * fastest)
+    roots = ca.sqrt(b + ROOT_OFFSET * fastest)
     time: ca.MX = ca.sum1(ca.DM(2 * steps) / (roots[1:] + roots[:-1]))
-    ratios = tangential**2 / (normal + UNLOADED * weight) / weight
+    ratios = tangential**2 / (normal + LOAD_OFFSET * weight) / weight
     creep: ca.MX = ca.sum1(ca.DM(np.repeat(steps, 3)) * ratios)
     costs: dict[str, ca.MX] = {
         "time": time,
-        "friction": friction + PACE * time,
-        "slip": creep + PACE * time,
+        "friction": friction + TIME_WEIGHT * time,
+        "slip": creep + TIME_WEIGHT * time,
     }
     return costs[cost]
 
@@ -236,14 +243,14 @@ def _cost(
 def _slow_climb(climber: Climber, middles: Way, mu: float | None) -> tuple[Array, Array, Array]:
     """Return forces and friction of a slow climb.
 
-    The least friction is a quasi-convex problem, not a convex one: from a guess that is far off,
-    IPOPT may end at a point that is no minimum.
+    The minimisation of friction is quasi-convex, not convex: from a poor initial guess IPOPT may
+    stop at a point that is not a minimum.
     """
-    hold, weight = least(*equilibrium(climber, middles)), GRAVITY * climber.mass
+    hold, weight = least_friction_forces(*equilibrium(climber, middles)), GRAVITY * climber.mass
     held = np.isfinite(hold.mu)
-    normal = np.where(held[:, None], np.clip(hold.normal, 0, JAMMED * weight), weight / 3)
+    normal = np.where(held[:, None], np.clip(hold.normal, 0, MAX_GUESS_LOAD * weight), weight / 3)
     tangential = np.where(held[:, None], hold.tangential, 0.0)
-    most = np.abs(tangential) <= MOST * normal
+    most = np.abs(tangential) <= MAX_FRICTION * normal
     friction = hold.mu[held].max(initial=0.0) if mu is None else mu
     return normal.ravel(), np.where(most, tangential, 0.0).ravel(), np.array([friction])
 
@@ -254,17 +261,19 @@ def _speeds(nodes: Way, fastest: float, *, halt: bool) -> tuple[Array, Array]:
     upper[[0, -1] if halt else [0]] = 0.0
     away = nodes.s - nodes.s[0]
     away = np.minimum(away, away[-1] - away) if halt else away
-    return np.minimum(np.minimum(2 * MOVING * away, CREEP * fastest), upper), upper
+    return np.minimum(
+        np.minimum(2 * MIN_ACCELERATION * away, MAX_LOWER_BOUND * fastest), upper
+    ), upper
 
 
-def _rows(
+def _constraint_rows(
     climber: Climber, middles: Way, steps: Array, unknowns: Sequence[ca.MX]
 ) -> tuple[list[ca.MX], list[Array], list[Array]]:
-    """Return equations of motion, cones of friction and torques, with lower and upper bounds."""
+    """Return the constraints with their bounds: motion, friction cones and torques."""
     b, normal, tangential, mu = unknowns
     count, weight = steps.size, GRAVITY * climber.mass
     matrix, load = equilibrium(climber, middles)
-    to_a, to_b = _differences(steps), _means(count)
+    to_a, to_b = _difference_matrix(steps), _midpoint_matrix(count)
     inert = [_diagonal(each[:, :, None]) for each in inertia(climber, middles)]
     moving = _sparse((inert[0] @ to_a + inert[1] @ to_b) / weight) @ b
     held = (
@@ -282,23 +291,23 @@ def _rows(
 
 
 def _torques(climber: Climber, middles: Way, steps: Array, b: ca.MX, tangential: ca.MX) -> ca.MX:
-    """Return the torques of all motors of every axle in the middles, shape (3 n, 1). [N m]."""
+    """Return the total motor torques of the axles at the midpoints, shape (3 n, 1). [N m]."""
     spin = spin_inertia(climber)
     linear, square = (
         _diagonal((each * spin)[:, :, None]) for each in (middles.speeds, middles.slopes)
     )
-    spinning = linear @ _differences(steps) + square @ _means(steps.size)
+    spinning = linear @ _difference_matrix(steps) + square @ _midpoint_matrix(steps.size)
     return climber.radius * tangential + _sparse(spinning) @ b
 
 
-def _differences(steps: Array) -> scipy.sparse.csr_matrix:
-    """Return what b at the nodes is multiplied by to get a."""
+def _difference_matrix(steps: Array) -> scipy.sparse.csr_matrix:
+    """Return the matrix from b at the nodes to a on the intervals."""
     factors = 1 / (2 * steps)
     return scipy.sparse.diags([-factors, factors], [0, 1], (steps.size, steps.size + 1)).tocsr()
 
 
-def _means(count: int) -> scipy.sparse.csr_matrix:
-    """Return what b at the nodes is multiplied by to get it in the middles."""
+def _midpoint_matrix(count: int) -> scipy.sparse.csr_matrix:
+    """Return the matrix from b at the nodes to b at the midpoints."""
     return scipy.sparse.diags([0.5, 0.5], [0, 1], (count, count + 1)).tocsr()
 
 
@@ -311,19 +320,19 @@ def _sparse(matrix: scipy.sparse.csr_matrix) -> ca.DM:
 
 
 def history(plan: Climb, unknowns: Array) -> Trajectory:
-    """Return a planned climb over time, in the middles of its intervals.
+    """Return a planned climb as a function of time, at the midpoints of its intervals.
 
     Parameters
     ----------
     plan : Climb
-        From `climb`.
+        Result of `climb`.
     unknowns : ndarray, shape (n_x,)
-        Of its program: the solution.
+        Solution of its program.
 
     Returns
     -------
     Trajectory
-        Of all `LABELS`. Statistics: ``mu`` and ``duration``.
+        Columns of all `LABELS`. Statistics: ``mu`` and ``duration``.
     """
     where, middles, climber = plan.nlp.where, plan.middles, plan.climber
     b = np.maximum(unknowns[where["b"]], 0.0)
@@ -349,15 +358,15 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
 
 
 def in_sequence(parts: Sequence[Trajectory]) -> Trajectory:
-    """Return planned climbs of legs, one after the other, as one.
+    """Return the planned climbs of consecutive legs as one trajectory.
 
-    Times go on; path parameters begin anew with every leg. Statistics: the largest ``mu``, and the
+    Times continue; path parameters restart with every leg. Statistics: the largest ``mu`` and the
     sum of the durations.
 
     Parameters
     ----------
     parts : sequence of Trajectory
-        From `history`; all but the last one planned with a halt.
+        Results of `history`; all legs except the last must be planned with ``halt=True``.
     """
     durations = [part.statistics["duration"] for part in parts]
     begins = np.cumsum([0.0, *durations[:-1]])

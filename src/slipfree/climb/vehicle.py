@@ -1,8 +1,8 @@
-"""Articulated vehicles that climb steps, in the plane of their motion.
+"""Articulated step-climbing vehicles in the plane of their motion.
 
-Two bodies share a passive joint: the rear one carries the rear and the middle axle, the front one
-the front axle. x is forward, z up; tilts count nose-up from the horizontal. Places on a body are
-given by distances ahead of the joint along it and above it.
+A passive joint connects two bodies: the rear body carries the rear and the middle axle, the front
+body the front axle. x is forward, z up; tilts are nose-up from the horizontal. Positions on a body
+are distances ahead of the joint, along the body, and above the joint.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from slipfree.records import Array
 from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-NEAR = 1e-9  # lengths below this are none [m]
+LENGTH_TOLERANCE = 1e-9  # smaller lengths count as zero [m]
 AXLES = ("rear", "middle", "front")
 
 
 class Body(NamedTuple):
-    """A rigid body on the joint.
+    """A rigid body at the joint.
 
     Attributes
     ----------
     mass : float
-        With its wheels. [kg]
+        Mass, wheels included. [kg]
     ahead, above : float
-        Of its centre of mass, from the joint. [m]
+        Centre of mass relative to the joint. [m]
     inertia : float
-        About its centre of mass, its wheels' spin left out. [kg m2]
+        Moment of inertia about the centre of mass, without the rotation of the wheels. [kg m2]
     """
 
     mass: float
@@ -46,16 +46,16 @@ class Body(NamedTuple):
 
 
 class Axle(NamedTuple):
-    """Wheels side by side that turn alike.
+    """Axle of wheels that rotate at the same rate.
 
     Attributes
     ----------
     ahead : float
-        Of the joint, along the body that carries it; at the joint's height. [m]
+        Distance ahead of the joint along the body that carries it, at the height of the joint. [m]
     wheels : int
-        How many wheels, a motor each.
+        Number of wheels, with one motor each.
     inertia : float
-        Of all of them and their rotors, about the axle. [kg m2]
+        Moment of inertia of all wheels and rotors about the axle. [kg m2]
     """
 
     ahead: float
@@ -70,13 +70,13 @@ class Climber:
     Attributes
     ----------
     radius : float
-        Of all wheels. [m]
+        Radius of all wheels. [m]
     rear_body, front_body : Body
         The bodies.
     rear, middle, front : Axle
-        The first two on the rear body, the last on the front body.
+        The axles; rear and middle on the rear body, front on the front body.
     torque : float
-        Largest torque of a wheel's motor; infinite if it never limits. [N m]
+        Largest torque of a wheel's motor; infinite for no limit. [N m]
 
     Raises
     ------
@@ -112,8 +112,9 @@ class Climber:
         order = [self.rear.ahead, self.middle.ahead, self.front.ahead]
         if not (order[0] < order[1] < order[2] and order[2] > 0 and order[1] <= 0):
             raise ModelError(
-                "climber: expected the rear axle behind the middle one, that not ahead of the "
-                f"joint, and the front axle ahead of it, found {order} m ahead of the joint"
+                "climber: expected the rear axle behind the middle axle, the middle axle not ahead "
+                "of the joint and the front axle ahead of the joint, found axles "
+                f"{order} m ahead of the joint"
             )
 
     @property
@@ -130,14 +131,13 @@ class Climber:
 def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     """Return the step climber of Chugo et al. (2009), in the plane.
 
-    It is `slipfree.catalog.seven_wheels` seen from the side. What the
-    paper's text leaves open is assumed: inertias of boxes 250 mm high, and the wheels' inertias
-    with their rotors'.
+    It is the side view of `slipfree.catalog.seven_wheels`. Assumed, since the paper does not give
+    them, are moments of inertia of boxes 250 mm high, and those of the wheels with their rotors.
 
     Parameters
     ----------
     joint : float
-        How far the joint is ahead of the middle axle. [m]
+        Distance of the joint ahead of the middle axle. [m]
     torque : float
         Largest torque of a wheel's motor. [N m]
     """
@@ -159,25 +159,27 @@ def planar(
     spins: tuple[float, float, float],
     torque: float = math.inf,
 ) -> Climber:
-    """Return a vehicle of two bodies on three axles, as it climbs straight ahead.
+    """Return the planar climber of a vehicle with two bodies and three axles.
 
     Parameters
     ----------
     vehicle : Vehicle
-        Its platform is the rear body; the front body pitches on one suspension coordinate. Wheels
-        whose axles point forward do not count: they take no part in a climb.
+        The vehicle. Its platform is the rear body; the front body pitches on one suspension
+        coordinate. Wheels whose axles point forward are ignored, as they do not roll in the plane.
     inertias : tuple of 2 floats
-        Of the rear and the front body about their centers of mass, wheels' spin left out. [kg m2]
+        Moments of inertia of the rear and the front body about their centres of mass, without the
+        rotation of the wheels. [kg m2]
     spins : tuple of 3 floats
-        Of the wheels of the rear, middle and front axle and their rotors, about the axle. [kg m2]
+        Moments of inertia of the wheels and rotors of the rear, middle and front axle about the
+        axle. [kg m2]
     torque : float
         Largest torque of a wheel's motor. [N m]
 
     Raises
     ------
     ModelError
-        If its wheels are not on three axles at the joint's height, alike, two of them on the rear
-        body, or no coordinate pitches a front body.
+        If the vehicle does not have three axles of equal wheels at the height of the joint, two of
+        them on the rear body, or if no coordinate pitches a front body.
     """
     joint, carried = _front_body(vehicle)
     values = {c.name: ca.SX(0) for c in vehicle.coordinates}
@@ -187,7 +189,7 @@ def planar(
     for wheel, pose in zip(vehicle.wheels, vehicle.carriers(rest, values), strict=True):
         if abs(_numbers(pose.rotation[:, 0])[0]) > 0.5:
             _, y, z = _numbers(pose.origin) - hinge
-            if abs(z) > NEAR:
+            if abs(z) > LENGTH_TOLERANCE:
                 raise ModelError(
                     f"planar: wheel {wheel.name} is {z:g} m above the joint, not at its height"
                 )
@@ -237,7 +239,7 @@ def _front_body(vehicle: Vehicle) -> tuple[Joint, set[str]]:
 def _bodies(
     vehicle: Vehicle, carried: set[str], rest: Pose, values: dict[str, ca.SX]
 ) -> Iterator[tuple[float, Array]]:
-    """Yield mass and center of all that is not carried by the joint, and of all that is."""
+    """Yield mass and centre of mass of the rear body and of the front body."""
     for on_front in (False, True):
         masses = [
             (mass, _numbers(at))

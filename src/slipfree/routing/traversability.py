@@ -33,8 +33,8 @@ Point = tuple[float, float] | Array
 
 # Extra cost per metre. The steepest slope that can be climbed and fully used friction are each
 # worth a detour of four times the length, since they leave no margin. Roughness as large as the
-# wheel is an obstacle, worth ten. Ground that is everywhere too concave for the wheels is worth ten,
-# too: the wheels may straddle it, but only by chance.
+# wheel is an obstacle, worth ten. Ground that is everywhere too concave for the wheels is too:
+# the wheels may straddle it, but only by chance.
 SLOPE = 4.0
 FRICTION = 4.0
 ROUGHNESS = 10.0

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
-from slipfree.climb.metrics import LOADED, disturbance_ratio, slip_ratio
+from slipfree.climb.metrics import MIN_LOAD, disturbance_ratio, slip_ratio
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.records import Array
@@ -144,7 +144,7 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
     speed = np.take_along_axis(slips, loads.argmax(axis=0)[None], axis=0)[0]
     rim = climber.radius * run["wheel_rate"]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(loads.max(axis=0) > LOADED, -speed / rim, np.nan)
+        ratio = np.where(loads.max(axis=0) > MIN_LOAD, -speed / rim, np.nan)
     return _ratios(run, ratio, "true slip [%]", ax)
 
 
@@ -225,8 +225,8 @@ def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Ax
     along = np.array([run[f"friction_{k}"] for k in range(len(profile.solids))])
     most = normal.argmax(axis=0)[None]
     force, load = (np.take_along_axis(each, most, axis=0)[0] for each in (along, normal))
-    used = np.where(load > LOADED, np.abs(force) / np.maximum(load, LOADED), np.nan)
-    wanted = np.abs(plan["friction"]) / np.maximum(plan["load"], LOADED)
+    used = np.where(load > MIN_LOAD, np.abs(force) / np.maximum(load, MIN_LOAD), np.nan)
+    wanted = np.abs(plan["friction"]) / np.maximum(plan["load"], MIN_LOAD)
     ax.axhline(plan.statistics["mu"], color="0.4", lw=0.8, ls="--")
     ax.set_ylabel("friction used [1]")
     return _over_way(_progress(run), used, plan, wanted, ax)

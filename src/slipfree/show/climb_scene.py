@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.climb.metrics import LOADED
+from slipfree.climb.metrics import MIN_LOAD
 from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Body, Climber
 from slipfree.errors import ModelError
@@ -191,7 +191,9 @@ def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tup
                 run[f"{name}_{number}", axle][:, None] for name in ("load", "friction", "slip")
             )
             center = np.stack([run["axle_x", axle], np.zeros(run.t.size), run["axle_z", axle]], 1)
-            touch = np.where(load > LOADED, center - each.climber.radius * normal, np.nan) - origin
+            touch = (
+                np.where(load > MIN_LOAD, center - each.climber.radius * normal, np.nan) - origin
+            )
             for across in _abreast(each.climber, k):
                 points.append(touch + np.array([0.0, across, 0.0]))
                 slips.append(slip * tangent)

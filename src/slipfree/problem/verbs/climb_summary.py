@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slipfree.climb.plan_tracking import SLOWEST
+from slipfree.climb.plan_tracking import MIN_SPEED
 from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory
 
@@ -74,7 +74,7 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
     least = [value for name, value in counts.items() if name.startswith("climb_plan_least_")]
     yield "  least friction", "leg by leg " + ", ".join(f"{value:.3f}" for value in least)
     took = f"{counts['climb_plan_driven']:.3g} s" if "climb_plan_driven" in counts else "not done"
-    yield "  tracked", f"{took}; the tracker does not creep below {SLOWEST:g} m/s as plans may"
+    yield "  tracked", f"{took}; the tracker does not creep below {MIN_SPEED:g} m/s as plans may"
 
 
 def _slippery(run: Trajectory) -> str:
