@@ -1,4 +1,4 @@
-"""Files that are replaced whole or not at all."""
+"""Atomic replacement of files."""
 
 from __future__ import annotations
 
@@ -16,21 +16,24 @@ if TYPE_CHECKING:
 
 
 def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
-    """Let ``fill`` write a file beside ``path``, then put it in its place.
+    """Let ``fill`` write a temporary file, then replace ``path`` by it.
 
-    Whatever ends this, an error, Ctrl-C, a signal or the machine, ``path`` is what it was before,
-    or whole.
+    If this is interrupted, by an error, Ctrl-C, a signal or a crash of the machine, ``path`` is
+    either unchanged or complete.
 
     Raises
     ------
     DataError
-        If it cannot be written, or is no file but a device.
+        If the file cannot be written, or is not a file, such as a device.
     """
-    target = Path(os.path.realpath(path))  # a link goes on to be one
+    target = Path(os.path.realpath(path))  # a symbolic link stays a link
     part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")
     try:
         if target.exists() and not target.is_file():
-            raise DataError(f"{path}: expected the name of a file to write, found another thing")
+            raise DataError(
+                f"{path}: expected the name of a file to write, found a folder or device; choose "
+                "another name"
+            )
         fill(part)
         with part.open("rb+") as file:
             os.fsync(file.fileno())
@@ -40,5 +43,5 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
             f"{path}: cannot be written ({error.strerror or error}); choose another place"
         ) from error
     finally:
-        with suppress(OSError):  # of a place where nothing can be written
+        with suppress(OSError):  # the folder may be read-only
             part.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Compile functions with the system's C compiler, and cache the libraries.
+"""Compilation of functions with the system's C compiler, and a cache of the libraries.
 
 Libraries are stored in a folder of the user, named by a digest of their source. Code is loaded from
 there, so only this user may have write access. Without a compiler or such a folder nothing is
@@ -28,16 +28,16 @@ import platformdirs
 
 from slipfree.interrupt import ended_by_interrupt
 
-FOLDER = "SLIPFREE_CACHE"  # variable of the environment: another folder; empty for none
-# The functions are long lists of sums and products: with more optimisation they take as long, and
-# without any they take three times as long, as the interpreter does.
+FOLDER = "SLIPFREE_CACHE"  # environment variable: path of the cache folder; empty for no cache
+# The functions are long lists of sums and products: more optimisation does not make them faster,
+# and without optimisation they take three times as long, like the interpreter.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
 NO_COMPILER = "no C compiler was found: cc, gcc, clang, or the command in CC"
-COMPILER_TIMEOUT = 300.0  # with the compiler [s]
-MIN_OPERATIONS = 300  # of a function that is worth compiling
-MAX_LIBRARIES = 64  # libraries; about a megabyte each
-SCRATCH_PREFIX = "making-"  # of names of folders in which a compiler works
-DIGEST = 32  # digits in a name
+COMPILER_TIMEOUT = 300.0  # [s]
+MIN_OPERATIONS = 300  # smaller functions are not compiled
+MAX_LIBRARIES = 64  # libraries in the cache, of about a megabyte each
+SCRATCH_PREFIX = "making-"  # prefix of the compiler's working folders
+DIGEST_LENGTH = 32  # characters of a digest
 
 
 def library(
@@ -50,9 +50,9 @@ def library(
     text : str
         Text that determines the functions.
     names : sequence of str
-        Their names.
+        Names of the functions.
     make : callable
-        Returns the functions, of SX and without calls of others; only if they must be compiled.
+        Returns the functions, SX functions without calls; called only for a compilation.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def library(
         _compile(place, key, make(), command)
         if found := _load_cached(place, key, names):
             return found
-        raise _UnavailableError(f"what {shlex.join(command)} made cannot be loaded")
+        raise _UnavailableError(f"the library compiled by {shlex.join(command)} cannot be loaded")
     except _UnavailableError as error:
         warnings.warn(f"equations are interpreted, not compiled: {error}", stacklevel=1)
     return None
@@ -89,13 +89,13 @@ def compiled_functions(
     Parameters
     ----------
     key : casadi Function
-        Of SX; functions made of the same operations are the same.
+        SX function whose operations identify the derived functions in the cache.
     names : sequence of str
-        Of the functions.
+        Names of the derived functions.
     make : callable
-        Returns them.
+        Returns the derived functions.
     compiled : bool
-        Whether to compile them where a compiler is found.
+        Whether to compile them if a compiler is found.
     """
     if not compiled or key.n_instructions() < MIN_OPERATIONS:
         return tuple(make())
@@ -104,7 +104,7 @@ def compiled_functions(
 
 
 def obstacle() -> str | None:
-    """Return the reason why nothing can be compiled here, or None."""
+    """Return the reason why functions cannot be compiled here; None if they can."""
     try:
         if folder() is None:
             return f"{FOLDER} is empty"
@@ -118,7 +118,7 @@ class _UnavailableError(Exception):
 
 
 def source(functions: Sequence[ca.Function]) -> str:
-    """Return functions in C."""
+    """Return the C source code of functions."""
     generator = ca.CodeGenerator("slipfree")
     for each in functions:
         generator.add(each)
@@ -131,7 +131,7 @@ def _key(text: str) -> str:
 
 
 def folder() -> Path | None:
-    """Return the folder of the cache, None if there is to be none."""
+    """Return the folder of the cache; None if the cache is disabled."""
     given = os.environ.get(FOLDER)
     if given is None:
         return platformdirs.user_cache_path("slipfree") / "compiled"
@@ -144,7 +144,7 @@ def folder() -> Path | None:
 
 
 def _prepare(place: Path) -> None:
-    """Make the folder if it is not there, and refuse one that others may have written to."""
+    """Create the cache folder if missing; raise an error if others may write to it."""
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_private(place.stat()):
@@ -166,7 +166,7 @@ def compiler() -> list[str] | None:
     """Return the command of the C compiler, or None."""
     try:
         named = shlex.split(os.environ.get("CC", ""))
-    except ValueError:  # an open quote
+    except ValueError:  # an unbalanced quote
         named = []
     for command in (named, ["cc"], ["gcc"], ["clang"]):
         if command and shutil.which(command[0]):
@@ -181,25 +181,25 @@ def _load_cached(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Functi
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
             if same and _is_private(file.lstat()) and not file.is_symlink():
                 found = tuple(ca.external(name, str(file)) for name in names)
-                with suppress(OSError):  # of a place where nothing can be written
-                    os.utime(file)  # the last one used is the last one removed
+                with suppress(OSError):  # the folder may be read-only
+                    os.utime(file)  # the least recently used library is removed first
                 return found
         except (OSError, RuntimeError):  # it vanished, or cannot be loaded here
             pass
-        with suppress(OSError):  # of a place where nothing can be written
+        with suppress(OSError):  # the folder may be read-only
             file.unlink(missing_ok=True)
     return None
 
 
 def digest(content: bytes) -> str:
-    """Return the digits that stand for a content in names of the cache."""
-    return hashlib.sha256(content).hexdigest()[:DIGEST]
+    """Return the digest of a content, as used in file names of the cache."""
+    return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
 
 
 def _compile(
     place: Path, key: str, functions: Sequence[ca.Function], command: Sequence[str]
 ) -> None:
-    """Put a library into the cache under its key and a digest of itself."""
+    """Compile functions and store the library in the cache, named by its key and digest."""
     try:
         with tempfile.TemporaryDirectory(dir=place, prefix=SCRATCH_PREFIX) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"
@@ -207,15 +207,15 @@ def _compile(
             _run([*command, *FLAGS, "-o", str(file), str(text), "-lm"])
             if not file.exists():
                 raise _UnavailableError(
-                    f"{shlex.join(command)}: expected a C compiler, found that it made no library; "
-                    "name another one in CC"
+                    f"{shlex.join(command)}: expected a C compiler, found a command that wrote no "
+                    "library; set CC to another one"
                 )
             file.chmod(0o700)
             file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
     except OSError as error:
         raise _UnavailableError(f"{place}: {error.strerror}") from error
     except subprocess.SubprocessError as error:
-        raise _UnavailableError(f"{shlex.join(command)} did not do its work") from error
+        raise _UnavailableError(f"{shlex.join(command)} failed") from error
     _remove_old(place)
 
 
@@ -230,7 +230,7 @@ def _run(command: Sequence[str]) -> None:
             if process.returncode is None:
                 with suppress(OSError):  # it has just ended
                     if os.name == "posix":
-                        os.killpg(process.pid, signal.SIGKILL)  # with what it started
+                        os.killpg(process.pid, signal.SIGKILL)  # with its child processes
                     else:
                         process.kill()
 
@@ -249,7 +249,7 @@ def _remove_old(place: Path) -> None:
     """Remove the least recently used libraries and the leftovers of interrupted compilations."""
     ages = dict[Path, float]()
     for file in place.iterdir():
-        with suppress(OSError):  # another process may tidy as well
+        with suppress(OSError):  # another process may remove it at the same time
             ages[file] = file.stat().st_mtime
     libraries = sorted(
         (file for file in ages if file.suffix == ".so"), key=lambda file: -ages[file]

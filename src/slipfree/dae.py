@@ -1,4 +1,4 @@
-"""The one symbolic record that every model produces and every solver consumes."""
+"""Symbolic model that every model function returns and every solver takes."""
 
 from __future__ import annotations
 
@@ -29,19 +29,20 @@ from slipfree.trajectory import Trajectory
 
 
 class Limit(NamedTuple):
-    """``lower <= expression <= upper`` along every valid motion.
+    """Limit of a motion: it ends where ``lower <= expression <= upper`` is violated.
 
     Attributes
     ----------
     label : Label
-        Name and unit; its words end the sentence "at t = 3 s ...".
+        Name and unit; its words complete the sentence "at t = 3 s ...".
     expression : SX, shape (1, 1)
-        In the symbols of the model, whose positions are local (:ref:`local-and-map-coordinates`).
+        Expression in the symbols of the model, with local positions
+        (:ref:`local-and-map-coordinates`).
     lower, upper : float
         Bounds, in the label's unit.
     describe : callable or None
-        ``describe(x, z)`` returns what is wrong in one local state, shapes (n_x,) and (n_z,), if
-        that takes more than the label's words; nothing if this limit is not the reason.
+        ``describe(x, z)`` returns a more specific message than the label's words for a local state
+        of shapes (n_x,) and (n_z,); empty if this limit is not the reason.
     outcome : Outcome
         Outcome of a motion that ends at this limit.
     """
@@ -73,14 +74,14 @@ class PiecewiseLinear:
 
 
 class Continuation(NamedTuple):
-    """A parameter that leads from equations that are easily solved to those that are meant.
+    """Continuation parameter from simpler equations to those of the model.
 
     Attributes
     ----------
     symbol : SX, shape (1, 1)
-        In the residuals.
+        Symbol in the residuals.
     values : tuple of float
-        What it takes one after the other at a start; the last one is meant.
+        Consecutive values at a start; the last one is that of the model.
     """
 
     symbol: ca.SX
@@ -88,17 +89,17 @@ class Continuation(NamedTuple):
 
 
 class SampledCheck(Protocol):
-    """A numeric condition on the samples of a motion that no expression can state."""
+    """A numeric condition on the samples of a motion that is not an expression."""
 
     @property
     def label(self) -> Label:
-        """Name, unit and words of the margin."""
+        """Name, unit and description of the margin."""
 
     def margin(self, x: Array, z: Array) -> Array:
         """Return the margins, shape (n,), of states in columns; negative is a violation."""
 
     def describe(self, x: Array, z: Array) -> str:
-        """Return what is wrong, and where, with one state of shapes (n_x,) and (n_z,)."""
+        """Return the description of a violation in a state of shapes (n_x,) and (n_z,)."""
 
 
 class Labels(NamedTuple):
@@ -116,12 +117,12 @@ class Labels(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Units in which the solvers count: metres replaced by the size of the vehicle.
+    """Scales of the solvers, with the size of the vehicle as unit of length.
 
     Attributes
     ----------
     x, z, alg : ndarray, shape (n_x,), (n_z,) and (n_z,)
-        Of the states, the unknowns, and the residuals.
+        Scales of the states, the unknowns and the residuals.
     """
 
     x: Array
@@ -135,10 +136,10 @@ class Dae:
 
     ``z`` and ``alg`` may be empty: then it is an ordinary differential equation.
     The algebraic equations come in blocks, one for each field of ``z``; a block determines its
-    field, given the fields before it. Last blocks on which neither the rates of the states nor
-    other blocks depend, such as forces that a given motion needs, are solved at the samples only;
-    quadratures may depend on them. States and unknowns are in the model's local coordinates;
-    ``shift`` leads to the map's, which starts, outputs and trajectories use.
+    field for given values of the fields before it. Final blocks on which neither the rates of the
+    states nor other blocks depend, such as the forces that a given motion needs, are solved only at
+    the samples; quadratures may depend on them. States and unknowns are in the model's local
+    coordinates; adding ``shift`` gives map coordinates, which starts, outputs and trajectories use.
 
     Attributes
     ----------
@@ -153,37 +154,37 @@ class Dae:
     y : record of SX
         Outputs; positions among them are in map coordinates.
     labels : Labels
-        Names, units and words.
+        Names, units and descriptions.
     limits : tuple of Limit
-        What a valid motion keeps to.
+        Limits of a valid motion.
     checks : tuple of SampledCheck
-        The same, numerically.
+        Numeric limits, evaluated at the samples.
     guess : SX, shape (n_z, 1)
-        First guess of ``z`` from ``x``.
+        Initial guess of ``z`` from ``x``.
     scale : ndarray, shape (n_z,)
         Typical sizes of ``z``.
     shift : tuple of two ndarrays, shapes (n_x,) and (n_z,)
         Map minus local values.
     size : float
-        Length that the solvers count in; the extent of a vehicle. Tolerances, residuals and rank
+        Unit of length of the solvers, the extent of a vehicle. Tolerances, residuals and rank
         decisions do not change if all lengths of a problem are scaled with it. [m]
     suppress_algebraic : bool
-        Whether the integrator's error test leaves out ``z``; for models whose ``z`` carries
-        stabilising terms that are noise to that test.
+        Whether the integrator's error test ignores ``z``; for models whose ``z`` contains
+        stabilisation terms, which are noise for that test.
     continuation : Continuation or None
-        How a start is found where Newton's method alone would not.
+        Continuation for a start at which Newton's method alone would not converge.
     lookups : tuple of Lookup
         Numbers of the ground that the expressions contain as symbols; `function` looks them up.
 
     Notes
     -----
-    ``model.x.x``, ``model.x.y`` and ``model.z.position.z`` are local: they count from the ground's
-    origin, ``ground.origin`` in map coordinates. In costs, limits, events and feedback laws, add
-    ``model.shift``: the map's x is ``model.x.x + model.shift[0][0]``.
+    ``model.x.x``, ``model.x.y`` and ``model.z.position.z`` are local: they are relative to the
+    ground's origin, ``ground.origin`` in map coordinates. In costs, limits, events and feedback
+    laws, add ``model.shift``: the map's x is ``model.x.x + model.shift[0][0]``.
 
     Examples
     --------
-    The distance from a place of the map, as an expression for a cost or an event.
+    The distance from a map position, as an expression for a cost or an event.
 
     >>> import casadi as ca
     >>> import numpy as np
@@ -220,19 +221,24 @@ class Dae:
     def __post_init__(self) -> None:
         blocks: Any = self.z
         if len(self.alg) != len(blocks):
-            raise ModelError(f"{len(self.alg)} blocks of equations for {len(blocks)} of unknowns")
+            raise ModelError(
+                f"alg: expected one block of equations for each of the {len(blocks)} fields of z, "
+                f"found {len(self.alg)}"
+            )
         sizes = [("ode", self.ode, self.x), ("quad", self.quad, self.q)]
         sizes += [(f"alg[{i}]", b, blocks[i]) for i, b in enumerate(self.alg)]
         for name, rows, record in sizes:
             count = len(list(leaves(record)))
             if rows.shape != (count, 1):
-                raise ModelError(f"{name} has shape {rows.shape}, its unknowns number {count}")
+                raise ModelError(f"{name}: expected {count} rows, found shape {rows.shape}")
         if not 0 < self.size < float("inf"):
             raise ModelError(f"size: expected a positive length in metres, found {self.size}")
         names = [label.full for label in leaves(tuple(self.labels[:5]))]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
-            raise ModelError(f"the model uses the name {min(twice)} twice: rename a coordinate")
+            raise ModelError(
+                f"the name {min(twice)} occurs twice in the model: rename a coordinate"
+            )
 
     def __repr__(self) -> str:
         counts = [
@@ -249,7 +255,7 @@ class Dae:
 
     @cached_property
     def sizes(self) -> Sizes:
-        """Units in which the solvers count the states, the unknowns and the residuals."""
+        """Scales of the states, the unknowns and the residuals."""
         labels = self.labels
         return Sizes(
             *(
@@ -259,12 +265,12 @@ class Dae:
         )
 
     def size_of(self, label: Label) -> float:
-        """Return the unit in which the solvers count a quantity, in the label's unit."""
+        """Return the scale of a quantity in the solvers, in the label's unit."""
         return float(self.size ** power_of_length(label.unit))
 
     @property
     def residuals(self) -> tuple[ca.SX, ...]:
-        """The blocks of ``alg`` without unit, divided by their sizes."""
+        """Dimensionless blocks of ``alg``, divided by their scales."""
         ends = np.cumsum([0, *(rows.numel() for rows in self.alg)]).tolist()
         sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
         return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
@@ -296,7 +302,7 @@ class Dae:
         return np.array(values) - shift
 
     def start(self, **values: float) -> Array:
-        """Return ``x`` in local coordinates from map values by name; what is not named is zero.
+        """Return ``x`` in local coordinates from map values by name; states without value are zero.
 
         Raises
         ------
@@ -311,7 +317,7 @@ class Dae:
         return np.array([values.get(name, 0.0) for name in names]) - self.shift[0]
 
     def named(self, name: str) -> list[ca.SX]:
-        """Return the expressions of a quantity, one a wheel if it belongs to wheels; local.
+        """Return the local expressions of a quantity: one, or one per wheel.
 
         Raises
         ------
@@ -343,11 +349,11 @@ class Dae:
         Parameters
         ----------
         name : str
-            Of the function.
+            Name of the function.
         symbols, expressions : sequence of SX
-            Its arguments, and its results.
+            Its arguments and its results.
         options : dict, optional
-            Of the casadi Function of the expressions.
+            Options of the casadi Function.
         """
         return lookup_function(self.lookups, name, symbols, expressions, options)
 

@@ -8,7 +8,7 @@ class SlipfreeError(Exception):
 
 
 class ModelError(SlipfreeError, ValueError):
-    """The question is ill posed: geometry, shapes, domain, a start off the ground."""
+    """Invalid or ill-posed input: geometry, shapes, domain, or a start off the ground."""
 
 
 class DataError(SlipfreeError, ValueError):

@@ -1,7 +1,7 @@
-"""Forks of the process wait until no other thread computes.
+"""Delay of forks of the process until no other thread computes.
 
-A forked child has one thread, but also the locks of CasADi, functools and the linear algebra as the
-others held them: nobody will ever release these. OpenBLAS can even hang in ``fork`` itself, where
+A forked child has a single thread, but the locks of CasADi, functools and the linear algebra remain
+as other threads held them, and are never released. OpenBLAS can even hang in ``fork`` itself, since
 it waits for threads that compute.
 """
 
@@ -18,11 +18,11 @@ from slipfree.errors import SlipfreeError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-PATIENCE = 10.0  # of a fork with the other threads [s]
+MAX_WAIT = 10.0  # of a fork for other threads [s]
 
 
 class _Forks:
-    """The threads that compute, and whether a fork waits for them."""
+    """Threads that compute, and whether a fork waits for them."""
 
     def __init__(self) -> None:
         self.changed = threading.Condition()
@@ -48,7 +48,7 @@ class _Forks:
     def before(self) -> None:
         self.changed.acquire()
         self.waiting += 1
-        self.changed.wait_for(self._is_alone, PATIENCE)
+        self.changed.wait_for(self._is_alone, MAX_WAIT)
 
     def in_parent(self) -> None:
         self.waiting -= 1
@@ -76,12 +76,12 @@ if hasattr(os, "register_at_fork"):
 
 
 def computing(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the same function, which forks in other threads wait for, 10 s at most.
+    """Return a function that delays forks in other threads until it returns, by at most 10 s.
 
     Raises
     ------
     SlipfreeError
-        By the function: in a process that was forked while another thread computed for longer.
+        When the function is called in a process that was forked while another thread computed.
     """
 
     @wraps(function)

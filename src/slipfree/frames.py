@@ -1,7 +1,7 @@
-"""Frames that headings refer to.
+"""Reference frames of headings.
 
-Motions are computed and stored in one frame, "paper": headings count from the y axis. What is
-printed, exported or drawn is in the frame of the problem.
+Motions are computed and stored in the frame "paper", with headings measured from the y axis.
+Printed, exported and drawn headings are in the frame of the problem.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from slipfree.trajectory import Column, Trajectory
 Frame = Literal["paper", "rep103"]
 STORED = "frame"  # attribute of a motion: the frame of its samples
 WANTED = "problem_frame"  # attribute of a motion: the frame of its problem
-OFFSET: dict[str, float] = {"paper": 0.0, "rep103": pi / 2}  # from headings counted from y [rad]
+OFFSET: dict[str, float] = {"paper": 0.0, "rep103": pi / 2}  # added to headings from y [rad]
 HEADING = Label("heading", "rad", "counter-clockwise angle of the left axis from the y axis")
 
 

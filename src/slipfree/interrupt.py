@@ -1,7 +1,7 @@
-"""Ctrl-C, and what callbacks raise, while code runs in which exceptions get lost.
+"""Preservation of Ctrl-C and of exceptions in callbacks while CasADi runs.
 
-CasADi turns an exception out of a callback, or out of the handler of a signal that arrives in its
-own code, into an error of its own, a step that is tried again, an end of the search, or nothing.
+CasADi does not propagate an exception from a callback, or from a signal handler that runs inside
+its code: it raises an error of its own, retries the step, ends the search, or ignores it.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ R = TypeVar("R")
 
 
 class InterruptGuard:
-    """A context that keeps what the handler of SIGINT raises, and raises it at its end.
+    """Context that stores exceptions of callbacks and of the SIGINT handler and raises them again.
 
-    There it comes in place of any other ``Exception``. A handler that raises nothing, as one that
-    only remembers, stays what it is. A context within another shares what it keeps. Outside the
-    main thread, where no handler runs, only what callbacks raise is kept.
+    At its end the stored exception replaces any other ``Exception``. A handler that raises no
+    exception works as before. Nested contexts share the stored exception. Outside the main thread,
+    where no handler runs, only exceptions of callbacks are stored.
     """
 
     def __init__(self) -> None:
-        self._kept: list[BaseException] = []  # one at most
+        self._kept: list[BaseException] = []  # at most one
         self._former: Callable[[int, FrameType | None], Any] | None = None
 
     def __enter__(self) -> Self:
@@ -51,16 +51,16 @@ class InterruptGuard:
         self._kept.clear()
 
     def check(self) -> None:
-        """Raise what was raised before and got lost, if anything did."""
+        """Raise the stored exception, if there is one."""
         if self._kept:
             error = self._kept.pop()
             raise error from error.__cause__
 
     def call(self, function: Callable[P, R], *args: P.args, **more: P.kwargs) -> R:
-        """Return what a function returns, called in a callback: what it raises is kept.
+        """Call a function in a callback, and store the exception that it raises.
 
-        What was raised before ends the callback at once. What is raised in the function and dealt
-        with there is forgotten.
+        An exception stored before is raised at once. When the function returns, exceptions that it
+        has handled are discarded.
         """
         if self._kept:
             raise self._kept[0]
@@ -73,7 +73,7 @@ class InterruptGuard:
         return result
 
     def keep(self, error: BaseException) -> None:
-        """Keep what was raised in a callback; it may be what became of an interruption."""
+        """Store an exception of a callback; it may be the consequence of an interrupt."""
         if not self._kept or not isinstance(error, Exception):
             self._kept[:] = [error]
 
@@ -83,7 +83,7 @@ class InterruptGuard:
                 self._former(number, frame)
         except BaseException as error:
             self._kept[:] = [error]
-            # Raised there, it would keep a handler from its place, which Python code puts there.
+            # not inside __enter__ and __exit__, which must finish installing the handler
             while frame is not None:
                 if frame.f_code in (_ENTER, _EXIT):
                     return
@@ -94,8 +94,8 @@ class InterruptGuard:
 _ENTER, _EXIT = InterruptGuard.__enter__.__code__, InterruptGuard.__exit__.__code__
 
 
-def heeded(function: Callable[P, R]) -> Callable[P, R]:
-    """Return the same function, in which no Ctrl-C gets lost."""
+def with_interrupt_guard(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function that runs inside an `InterruptGuard`."""
 
     @wraps(function)
     def within(*args: P.args, **more: P.kwargs) -> R:
@@ -109,7 +109,7 @@ def heeded(function: Callable[P, R]) -> Callable[P, R]:
 def ended_by_interrupt(end: Callable[[], object]) -> Iterator[None]:
     """Call a function at Ctrl-C, before its handler, and raise KeyboardInterrupt at the end.
 
-    Also where the handler raises nothing: for waiting, in which nobody asks whether it was pressed.
+    KeyboardInterrupt is raised even if the handler raises nothing, for code that only waits.
     """
     former, pressed = signal.getsignal(signal.SIGINT), False
     if threading.current_thread() is not threading.main_thread() or not callable(former):

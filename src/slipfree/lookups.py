@@ -1,9 +1,9 @@
-"""Lookups: numbers that a model takes from a ground, as symbols of the model.
+"""Lookups: numbers of a ground that are symbols of a model.
 
-Inside a cell a bicubic ground is a polynomial. Its coefficients are symbols of the model; a
-function finds them for every place, and is constant in each cell. Its derivatives are zero, so that
-the model is an SX graph without calls and its derivatives, of any order, are CasADi's own. Any
-other function is looked up as its Taylor polynomial about the place itself.
+Inside a cell a bicubic ground is a polynomial. Its coefficients are symbols of the model; a lookup
+function returns them for a position and is constant within each cell. CasADi takes its derivatives
+as zero. The model is therefore an SX graph without calls, whose derivatives of any order CasADi
+computes. Any other function is looked up as its Taylor polynomial about the position itself.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from slipfree.errors import ModelError
 
 
 class Lookup(NamedTuple):
-    """An argument of a function in a model, and the symbols of the result.
+    """A lookup function, its argument in a model, and the symbols of its result.
 
     Attributes
     ----------
@@ -27,10 +27,10 @@ class Lookup(NamedTuple):
     found : SX, shape (m, 1)
         Symbols of the result, constant with respect to all others.
     function : casadi Function
-        From the question to the result; CasADi takes it for constant.
+        Function from the argument to the result, constant for CasADi.
     order : float
-        Number of derivatives by the question up to which expressions of the result are those of
-        what is looked up: infinite for cells of a bicubic ground.
+        Highest order of derivatives by the argument up to which expressions of the result are
+        exact; infinite for cells of a bicubic ground.
     """
 
     question: ca.SX
@@ -40,12 +40,12 @@ class Lookup(NamedTuple):
 
 
 class LookupTable:
-    """The lookups of a model while it is made; identical questions share one.
+    """Table of the lookups of a model under construction; equal arguments share a lookup.
 
     Attributes
     ----------
     lookups : tuple of Lookup
-        In the order in which they were made.
+        The lookups in the order of their creation.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class LookupTable:
 
     @property
     def lookups(self) -> tuple[Lookup, ...]:
-        """All lookups, each after those that its question contains."""
+        """All lookups, each after those that its argument contains."""
         return tuple(lookup for lookup, _ in self._known.values())
 
     def find(self, function: ca.Function, question: ca.SX, *, order: float = inf) -> ca.SX:
@@ -62,7 +62,7 @@ class LookupTable:
         Parameters
         ----------
         function : casadi Function
-            From one dense column to one.
+            Function from one dense column to one dense column.
         question : SX, shape (n, 1)
             Its argument, in the symbols of the model and of earlier lookups.
         order : float
@@ -74,24 +74,24 @@ class LookupTable:
         if key not in self._known:
             found = ca.SX.sym(f"found{len(self._known)}", function.numel_out(0))
             lookup = Lookup(question, found, _constant(function), order)
-            self._known[key] = lookup, function  # the hash is that of a living function
+            self._known[key] = lookup, function  # keeps the function alive, and with it the hash
         return self._known[key][0].found
 
 
 def _constant(function: ca.Function) -> ca.Function:
-    """Return a function that CasADi takes for constant: it would differentiate through others."""
+    """Return a function with zero derivatives, so that CasADi does not differentiate it."""
     at = ca.MX.sym("at", function.sparsity_in(0))
     alone: dict[str, Any] = {"is_diff_in": [False], "is_diff_out": [False], "never_inline": True}
     return ca.Function("lookup", [at], function.call([at]), alone)
 
 
 def found_column(lookups: Sequence[Lookup]) -> ca.SX:
-    """Return the symbols of the results of lookups, a column."""
+    """Return the symbols of the results of lookups as a column."""
     return ca.vertcat(ca.SX(0, 1), *(each.found for each in lookups))
 
 
 def needed_lookups(lookups: Sequence[Lookup], expressions: Sequence[ca.SX]) -> tuple[Lookup, ...]:
-    """Return the lookups that expressions depend on, by themselves or by way of questions."""
+    """Return the lookups on which expressions depend, directly or through other lookups."""
     used = _symbols(ca.veccat(ca.SX(0, 1), *expressions))
     needed = list[Lookup]()
     for lookup in reversed(lookups):
@@ -107,26 +107,26 @@ def _symbols(expression: ca.SX) -> set[int]:
 
 
 def check_order(lookups: Sequence[Lookup], order: int, purpose: str) -> None:
-    """Raise ModelError if expressions of lookups do not have derivatives up to an order."""
+    """Raise ModelError if lookups are not differentiable up to an order."""
     least = min((each.order for each in lookups), default=inf)
     if least < order:
         raise ModelError(
-            f"{purpose} needs derivatives of the ground up to order {order}, found a lookup whose "
-            f"derivatives are right up to order {least:g}; give the ground as a formula or a map"
+            f"{purpose} needs derivatives of the ground up to order {order}, found a lookup with "
+            f"derivatives up to order {least:g}; use a ground given by a formula or a map"
         )
 
 
 def substitute_lookups(
     lookups: Sequence[Lookup], symbols: Sequence[ca.SX], values: Sequence[ca.SX]
 ) -> tuple[tuple[Lookup, ...], list[ca.SX], list[ca.SX]]:
-    """Return lookups with values in place of symbols, and the substitution of their results.
+    """Return lookups with symbols replaced by values, and the substitution of their results.
 
     Returns
     -------
     lookups : tuple of Lookup
-        With symbols of their own.
+        New lookups with new symbols of their results.
     symbols, values : list of SX
-        The given ones, and the results of the given lookups with those of the new ones.
+        The given symbols and values, extended by the results of the given and of the new lookups.
     """
     before, after, new = [*symbols], [*values], list[Lookup]()
     for lookup in lookups:
@@ -141,7 +141,7 @@ def substitute_lookups(
 def lookup_results(
     lookups: Sequence[Lookup], symbols: Sequence[ca.SX], given: Sequence[ca.MX]
 ) -> ca.MX:
-    """Return the results of lookups where the symbols of a model have given values, a column."""
+    """Return the results of lookups for given values of a model's symbols, as a column."""
     found = ca.MX(0, 1)
     for group in _stages(lookups):
         before = found_column(lookups[: group.start])
@@ -154,7 +154,7 @@ def lookup_results(
 
 
 def _stages(lookups: Sequence[Lookup]) -> Iterator[range]:
-    """Yield ranges of lookups whose questions contain no results of their own range."""
+    """Yield ranges of lookups whose arguments contain no results of the same range."""
     start, found = 0, set[int]()
     for k, lookup in enumerate(lookups):
         if not found.isdisjoint(_symbols(lookup.question)):
@@ -172,18 +172,18 @@ def lookup_function(
     expressions: Sequence[ca.SX],
     options: dict[str, Any] | None = None,
 ) -> ca.Function:
-    """Return expressions as a function that looks up what they need.
+    """Return expressions as a function that evaluates the required lookups.
 
     Parameters
     ----------
     lookups : sequence of Lookup
-        Of the model; those that the expressions do not depend on are left out.
+        Lookups of the model; those on which the expressions do not depend are omitted.
     name : str
-        Of the function.
+        Name of the function.
     symbols, expressions : sequence of SX
-        Its arguments, and its results.
+        Its arguments and its results.
     options : dict, optional
-        Of the casadi Function of the expressions.
+        Options of the casadi Function.
     """
     needed = needed_lookups(lookups, expressions)
     if not needed:

@@ -1,4 +1,4 @@
-"""A nonlinear program: what models of their own transcription hand to the solver of plans."""
+"""Nonlinear program: interface between other transcriptions and the solver of plans."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from slipfree.records import Array
 
 @dataclass(frozen=True, eq=False)
 class Nlp:
-    """A function of unknowns to be made least within bounds of the unknowns and of rows.
+    """Nonlinear program: minimise ``f(x)`` within bounds of ``x`` and of ``g(x)``.
 
     Attributes
     ----------
     x, f, g : MX
-        Unknowns, each divided by its scale; cost and rows in their terms.
+        Unknowns divided by their scales; objective and constraints as functions of them.
     guess, scale, lower, upper : ndarray, shape (n_x,)
-        Where to start, sizes of the unknowns, and their bounds; none of them divided.
+        Initial guess, scales and bounds of the unknowns, in physical units.
     g_lower, g_upper : ndarray, shape (n_g,)
-        Bounds of the rows.
+        Bounds of the constraints.
     where : mapping of str to ndarray
-        By name, which of the unknowns a quantity is, in its own shape.
+        Indices of the unknowns of each quantity, in the shape of the quantity.
     """
 
     x: ca.MX

@@ -1,4 +1,4 @@
-"""Models with the symbols of another model in other places, such as inputs that are solved for."""
+"""Rearrangement of models, such as inputs that become unknowns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Variable:
     Attributes
     ----------
     label : Label
-        Name, unit and words.
+        Name, unit and description.
     symbol : SX, shape (1, 1)
         The symbol.
     rate, guess : SX, shape (1, 1)
@@ -41,7 +41,7 @@ class Variable:
 
 
 def variables(dae: Dae) -> tuple[Any, Any, Any]:
-    """Return the records of states, unknowns and inputs of a model, with variables as scalars."""
+    """Return the records of states, unknowns and inputs of a model as records of variables."""
     x = zip(leaves(dae.labels.x), leaves(dae.x), _entries(dae.ode), dae.shift[0], strict=True)
     z = zip(
         leaves(dae.labels.z),
@@ -65,7 +65,7 @@ def _entries(column: ca.SX) -> list[ca.SX]:
 
 
 def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> Variable:
-    """Return a variable of typical size in a model; its symbol is a new one by default."""
+    """Return a variable with a typical scale for a model, by default with a new symbol."""
     symbol = ca.SX.sym(label.full) if symbol is None else symbol
     return Variable(label, symbol, ca.SX(0), ca.SX(0), dae.size_of(label))
 
@@ -77,10 +77,10 @@ def rearrange(
     u: Any,
     equations: Sequence[tuple[ca.SX, Sequence[Label]]],
 ) -> Dae:
-    """Return a model whose states, unknowns and inputs are those of another in other places.
+    """Return a model with rearranged states, unknowns and inputs.
 
-    Rates, guesses and numbers follow the symbols. In guesses, symbols that are no longer states
-    are zero. In checks, symbols that are no longer states or unknowns are zero.
+    Rates, guesses, scales and shifts follow their symbols. In guesses, symbols that are no longer
+    states are zero. In checks, symbols that are no longer states or unknowns are zero.
 
     Parameters
     ----------
@@ -121,9 +121,9 @@ def rearrange(
 
 
 def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> Dae:
-    """Return a model with values in place of some symbols in its equations, outputs and limits.
+    """Return a model with symbols replaced by values in its equations, outputs and limits.
 
-    Lookups must not depend on the symbols. `rearrange` takes the symbols out of the inputs.
+    Lookups must not depend on the symbols. `rearrange` removes the symbols from the inputs.
     """
     before, after = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *values)
 
@@ -146,7 +146,7 @@ def blocks(dae: Dae) -> list[tuple[ca.SX, tuple[Label, ...]]]:
 
 
 def with_outputs(dae: Dae, outputs: Sequence[tuple[Label, ca.SX]]) -> Dae:
-    """Return a model with outputs in addition."""
+    """Return a model with additional outputs."""
     labels, expressions = (tuple(each[k] for each in outputs) for k in (0, 1))
     return replace(
         dae,
@@ -156,7 +156,7 @@ def with_outputs(dae: Dae, outputs: Sequence[tuple[Label, ca.SX]]) -> Dae:
 
 
 def _each(record: Any, name: str) -> Any:
-    """Return a record of variables with one of their attributes in place of each."""
+    """Return the record of an attribute of a record of variables."""
     return unpack(record, [getattr(each, name) for each in leaves(record)])
 
 
@@ -170,14 +170,14 @@ def _hashes(record: Any) -> set[int]:
 
 @dataclass(frozen=True, eq=False)
 class _RearrangedCheck:
-    """A check of a model on the states and unknowns of a rearranged one."""
+    """Check of a model in terms of the states and unknowns of a rearranged model."""
 
     check: SampledCheck
     states: ca.Function
 
     @property
     def label(self) -> Label:
-        """Name, unit and words of the margin."""
+        """Name, unit and description of the margin."""
         return self.check.label
 
     def margin(self, x: Array, z: Array) -> Array:
@@ -186,12 +186,12 @@ class _RearrangedCheck:
         return self.check.margin(*(np.array(each) for each in found))
 
     def describe(self, x: Array, z: Array) -> str:
-        """Return what is wrong, and where, with one state."""
+        """Return the description of a violation in a state."""
         return self.check.describe(*(np.array(each).ravel() for each in self.states(x, z)))
 
 
 def _rearranged_checks(dae: Dae, new: Dae) -> tuple[SampledCheck, ...]:
-    """Return the checks of a model for a model with its symbols in other places."""
+    """Return the checks of a model for its rearrangement."""
     known = _hashes((new.x, new.z))
     former = [
         [each if each.element_hash() in known else ca.SX(0) for each in leaves(record)]

@@ -1,8 +1,8 @@
 """Named vectors: one record type for symbols, start values and results.
 
-A vector such as the state of a model is declared once, as a ``NamedTuple`` of scalars or of
-nested records. The same type then carries CasADi symbols while the model is built and numbers
-afterwards, so that ``state.contacts[0].x`` means the same thing everywhere.
+A vector such as the state of a model is declared once, as a ``NamedTuple`` of scalars or of nested
+records. The same type contains CasADi symbols while the model is built and numbers afterwards, so
+that ``state.contacts[0].x`` has the same meaning everywhere.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ MAX_VALUE = 60  # characters of a value in a repr
 
 @dataclass(frozen=True)
 class Label:
-    """What a scalar of a record is called in messages, tables and files.
+    """Name, unit and description of a quantity in messages, tables and files.
 
     Attributes
     ----------
     name : str
         Name of the quantity, such as ``"tilt_right"`` or ``"slip_along"``.
     unit : str
-        Unit as CF spells it: ``"m"``, ``"rad"``, ``"m s-1"``, ``"1"``.
+        Unit in the spelling of the CF conventions: ``"m"``, ``"rad"``, ``"m s-1"``, ``"1"``.
     words : str
-        One line that says what the quantity is.
+        Description in one line.
     wheel : str or None
-        The wheel it belongs to; labels that differ only in the wheel form one quantity.
+        Name of its wheel; labels that differ only in the wheel form one quantity.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Label:
 
     @property
     def full(self) -> str:
-        """The name with its wheel, as in ``slip_along[front]``."""
+        """Name with the wheel, as in ``slip_along[front]``."""
         return self.name if self.wheel is None else f"{self.name}[{self.wheel}]"
 
 
@@ -65,7 +65,7 @@ def pack(record: Any) -> ca.SX:
 
 
 def unpack(like: R, rows: Iterable[Any]) -> R:
-    """Return a record shaped like ``like`` whose scalars are taken from ``rows``."""
+    """Return a record with the structure of ``like`` and the scalars of ``rows``."""
     remaining = iter(rows)
 
     def build(node: Any) -> Any:
@@ -79,7 +79,7 @@ def unpack(like: R, rows: Iterable[Any]) -> R:
 
 
 def symbols(labels: R) -> R:
-    """Return a record of SX symbols shaped and named like a record of labels."""
+    """Return a record of SX symbols with the structure and names of a record of labels."""
     return unpack(labels, [ca.SX.sym(label.full) for label in leaves(labels)])
 
 

@@ -22,7 +22,7 @@ KINDS = {
 
 @contextmanager
 def regular_file(path: Path, expected: str) -> Iterator[int]:
-    """Give the size of a regular file, and turn system errors of reading it into DataError.
+    """Yield the size of a regular file, and raise system errors of reading it as DataError.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def read_bytes(path: Path, expected: str) -> bytes:
 
 
 def check_name(path: Path) -> None:
-    """Raise DataError for a path that cannot name a file to write, whether there is one or not."""
+    """Raise DataError for a path that cannot be the name of a file to write."""
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -70,7 +70,7 @@ def check_name(path: Path) -> None:
 
 
 def resolve_links(path: Path) -> Path:
-    """Return a path without symbolic links; a path that is no valid name as it is."""
+    """Return a path with symbolic links resolved; an invalid name is returned unchanged."""
     try:
         return Path(os.path.realpath(path))
     except ValueError:  # a null character: reading or writing it reports that
@@ -83,7 +83,7 @@ def escape_name(name: str) -> str:
 
 
 def unescape_name(text: str) -> str:
-    """Return the file name that `escape_name` made a text of."""
+    """Return the file name of a text from `escape_name`."""
     return re.sub(r"\\udc([89a-f][0-9a-f])", lambda found: chr(int(f"dc{found[1]}", 16)), text)
 
 

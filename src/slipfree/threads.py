@@ -1,6 +1,6 @@
-"""One thread for linear algebra: its matrices are small here, and threads only wait for each other.
+"""Single-threaded linear algebra: for small matrices, several threads only wait for each other.
 
-It counts if it is asked for before numpy is imported.
+The setting has an effect only before numpy is imported.
 """
 
 import os
@@ -9,6 +9,6 @@ NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_M
 
 
 def single() -> None:
-    """Ask for one thread, where the user has not asked for another number."""
+    """Set one thread for linear algebra, unless the user has set another number."""
     for name in NAMES:
         os.environ.setdefault(name, "1")

@@ -278,7 +278,7 @@ def test_plans_that_cannot_be(setting, words):
 
 def test_the_least_friction_takes_no_coefficient():
     with pytest.raises(
-        ProblemError, match=r"climb_plan_step.toml:\d+: plan: climb: expected the coe"
+        ProblemError, match=r"climb_plan_step.toml:\d+: plan: climb: expected a coe"
     ):
         run_problem(load_problem(PLAN_FILE, ["plan.cost=friction"]))
 
@@ -318,14 +318,14 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "kinetic = 0.675",
             "kinetic = 1",
-            "p.toml:16: friction: contact: expected damping from 0 "
-            "on and static friction not below the dynamic one",
+            "p.toml:16: friction: contact: expected a damping of at "
+            "least 0 and a static friction not below the dynamic one",
         ),
         (
             "speed = 0.25",
             "speed = 0.25\nperiod = 0.005",
             "p.toml:22: control.period: period: "
-            "expected a time between 0 and 0.0025 s = 2 J / (n kp), at which the rear axle",
+            "expected a time between 0 and 0.0025 s = 2 J / (n kp), the stability limit of the",
         ),
         (
             "speed = 0.25",

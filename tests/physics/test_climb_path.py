@@ -334,7 +334,7 @@ def test_whole_climbs(profile):
     [
         ({"cost": "comfort"}, "expected a cost of time, friction, slip, found 'comfort'"),
         ({"cost": "time"}, "coefficient of friction"),
-        ({"cost": "friction", "mu": 0.5}, "none for friction"),
+        ({"cost": "friction", "mu": 0.5}, "none for the cost friction"),
         ({"cost": "time", "mu": 0.8, "s": [0.0, 0.02, 0.01]}, "increasing nodes"),
         ({"cost": "time", "mu": 0.8, "speed": 0.0}, "expected positive speed and mu"),
     ],

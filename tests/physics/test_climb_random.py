@@ -75,7 +75,7 @@ def test_what_goes_on_is_not_finished():
         0.1 * T, stop=Stop("solver", 4.0, "the integrator stopped", Outcome.SOLVER_FAILURE)
     )
     assert str(found) == "unfinished"
-    assert found.words == "until t = 4 s the vehicle was still getting on; the integrator stopped"
+    assert found.words == "until t = 4 s the vehicle was still advancing; the integrator stopped"
     assert "has met only the floor" in ending(0.25 * T, touching=False).words
 
 

@@ -206,7 +206,7 @@ def test_largest_period_of_a_sampled_controller():
         ({"directions": "eyes"}, "directions one of"),
         ({"smoothing": 0.0}, "smoothing must be positive"),
         ({"unwinding": -1.0}, "unwinding must not be negative"),
-        ({"cap": 0.9}, "a cap from 1 on"),
+        ({"cap": 0.9}, "a cap of at least 1"),
     ],
 )
 def test_unusable_controls_are_refused(values, words):

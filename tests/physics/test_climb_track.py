@@ -103,7 +103,7 @@ def test_legs_rest_where_they_meet():
 def test_what_leads_down_is_refused():
     plan, unknowns = plans()[2]
     backwards = replace(plan, nodes=plan.nodes._replace(q=plan.nodes.q[::-1]))
-    with pytest.raises(ModelError, match=r"mean of place and height.*falls at -?0\.\d+ m"):
+    with pytest.raises(ModelError, match=r"mean of x . z.*decrease at -?0\.\d+ m"):
         course([(backwards, unknowns)])
 
 

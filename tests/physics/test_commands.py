@@ -248,7 +248,7 @@ def test_a_path_is_checked():
 
 def test_exactness_is_refused_in_words_that_name_the_remedy():
     vehicle = VEHICLES["four_wheel_steered"]
-    with pytest.raises(ModelError, match=r"has 2 driven wheels.*or set exact = false"):
+    with pytest.raises(ModelError, match=r"at most 2 given rates.*or set exact = false"):
         inverse_kinematics(VEHICLES["ackermann"], FLAT, given=tuple(COMMANDS))
     dae = inverse_kinematics(vehicle, FLAT, given=("right",))
     stand = settle(direct_kinematics(vehicle, FLAT))

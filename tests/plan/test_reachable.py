@@ -84,7 +84,7 @@ def test_the_distance_to_a_place_to_keep_out_of_is_that_of_the_point_not_of_its_
     reach = layers.limits.reach
     ((_, words, sure),) = told(layers, START, ("goal", 20.0 + 2.0 + reach - 0.01, 20.0))
     assert sure
-    assert "1.41 m from the keep-out disc at (20, 20) of 2 m radius, where wheels" in words
+    assert "1.41 m from the keep-out disc at (20, 20) of 2 m radius, and wheels" in words
     for each in unreachable(layers, [START, ("goal", 20.0 + 2.0 + reach + 0.01, 20.0)]):
         assert not each.sure
 
@@ -148,8 +148,8 @@ def test_places_to_keep_out_of_that_divide_the_map():
     ((place, words, sure),) = told(layers, START, ("goal", 25.0, 25.0))
     assert (place, sure) == ("goal", True)
     assert words.endswith(
-        "the keep-out polygon of 4 points about (15, 15) lies between them, and the map has no "
-        "way around it"
+        "the keep-out polygon of 4 points about (15, 15) lies between them, and no route leads "
+        "around it"
     )
 
 

@@ -81,7 +81,7 @@ def test_a_fork_waits_for_a_computation_and_no_longer() -> None:
 
 
 def test_a_child_of_a_long_computation_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forks, "PATIENCE", 0.1)
+    monkeypatch.setattr(forks, "MAX_WAIT", 0.1)
     begun, over = threading.Event(), threading.Event()
 
     @forks.computing

@@ -25,7 +25,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.cli import app
 from slipfree.cli.common import interruptible
 from slipfree.files import netcdf
-from slipfree.interrupt import InterruptGuard, ended_by_interrupt, heeded
+from slipfree.interrupt import InterruptGuard, ended_by_interrupt, with_interrupt_guard
 from slipfree.nlp import Nlp
 from slipfree.plan import ipopt
 from slipfree.plan import plan as planning
@@ -87,7 +87,7 @@ def test_it_comes_instead_of_what_became_of_it():
         raise SystemError("returned a result with an exception set")
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        heeded(fail)()
+        with_interrupt_guard(fail)()
     assert caught.value.__suppress_context__
 
 

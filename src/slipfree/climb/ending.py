@@ -79,7 +79,9 @@ def _ending_below_top(run: Trajectory, way: Array, end: float) -> ClimbEnding:
     k = int(np.argmax(way > way.max() - STALL_PROGRESS))
     t, x, back = float(run.t[k]), float(run["axle_x", "front"][k]), float(way.max() - way[-1])
     if t > end - STALL_TIME:
-        return ClimbEnding("unfinished", end, _unfinished_words(run, "the vehicle was still advancing"))
+        return ClimbEnding(
+            "unfinished", end, _unfinished_words(run, "the vehicle was still advancing")
+        )
     words = f"from t = {t:.3g} s on it does not advance, the front axle at x = {x:.3g} m"
     if back > SLIDE_BACK:
         return ClimbEnding("slides back", t, f"{words}: it ends {1e3 * back:.0f} mm behind")

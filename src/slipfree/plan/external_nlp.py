@@ -7,14 +7,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from slipfree.interrupt import heeded
+from slipfree.interrupt import with_interrupt_guard
 from slipfree.nlp import Nlp
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, MAX_ITERATIONS, Solution
 from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import SolverError
 
 
-@heeded
+@with_interrupt_guard
 def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
     """Return the solution of a nonlinear program, found by IPOPT with exact derivatives.
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.interrupt import heeded
+from slipfree.interrupt import with_interrupt_guard
 from slipfree.plan.ipopt import MAX_ITERATIONS, largest_violation, warm_solver
 from slipfree.plan.plan import Plan
 from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
@@ -179,7 +179,7 @@ def first_cycle(window: Horizon) -> Cycle:
 
 
 @computing
-@heeded
+@with_interrupt_guard
 def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     """Update a plan while the vehicle moves: return the next cycle.
 

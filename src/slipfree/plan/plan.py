@@ -18,7 +18,7 @@ import numpy as np
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.interrupt import heeded
+from slipfree.interrupt import with_interrupt_guard
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.explanation import explanation
 from slipfree.plan.ipopt import (
@@ -162,7 +162,7 @@ class _SearchState(NamedTuple):
 
 
 @computing
-@heeded
+@with_interrupt_guard
 def plan(
     dae: Dae,
     start: Trajectory,

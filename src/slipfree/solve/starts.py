@@ -12,7 +12,7 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.interrupt import heeded
+from slipfree.interrupt import with_interrupt_guard
 from slipfree.lookups import check_order, needed_lookups
 from slipfree.rearrange import blocks, rearrange, variables
 from slipfree.records import Array, leaves, unpack
@@ -119,7 +119,7 @@ def _settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajector
 
 
 @computing
-@heeded
+@with_interrupt_guard
 def settle_nearest(
     dae: Dae,
     *,
