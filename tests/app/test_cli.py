@@ -85,7 +85,7 @@ def test_run_with_all_options(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert result.exit_code == 0, result.output
     assert {p.name for p in folder.iterdir()} == {"p.toml", "a.nc", "a.csv", "deep"}
     assert list((folder / "deep" / "er").iterdir())
-    assert (folder / "a.csv").read_text().startswith("time (s),x (m),")
+    assert (folder / "a.csv").read_text().startswith("time,x,")
     assert netcdf.read("a.nc").attributes["settings"] == "time.duration=0.2"
 
 

@@ -65,14 +65,14 @@ def test_a_heading_comes_back_as_it_was_given(problem: Path) -> None:
     assert "start                x 0.5, heading 0.3, z" in _invoke("check", str(problem))
     assert "heading 0.3 rad" in _invoke("run", str(problem), "--no-draw", "--csv", "p.csv")
     table = np.genfromtxt("p.csv", delimiter=",", names=True, deletechars="")
-    assert_allclose(table["heading_(rad)"], 0.3, atol=1e-9)
-    assert_allclose(np.diff(table["y_(m)"]) / np.diff(table["x_(m)"]), np.tan(0.3), atol=1e-6)
+    assert_allclose(table["heading"], 0.3, atol=1e-9)
+    assert_allclose(np.diff(table["y"]) / np.diff(table["x"]), np.tan(0.3), atol=1e-6)
     assert "heading 0.3 rad" in _invoke("info", "p.nc")
     found = json.loads(_invoke("info", "p.nc", "--json"))["result"]["quantities"]["heading"]
     assert found["last"] == pytest.approx(0.3, abs=1e-9)
     _invoke("export", "p.nc", "--path", "path.csv")
     table = np.genfromtxt("path.csv", delimiter=",", names=True, deletechars="")
-    assert_allclose(table["heading_(rad)"], 0.3, atol=1e-9)
+    assert_allclose(table["heading"], 0.3, atol=1e-9)
 
 
 def test_results_hold_headings_from_the_y_axis_and_say_so(problem: Path) -> None:

@@ -82,14 +82,14 @@ def test_a_path_on_a_projected_map(tmp_path: Path) -> None:
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
     head, rows = _rows(tmp_path / "path.csv")
     assert head == [
-        "time (s)",
-        "x (m)",
-        "y (m)",
-        "z (m)",
-        "heading (rad)",
-        "pitch (rad)",
-        "roll (rad)",
-        "yaw (rad)",
+        "time",
+        "x",
+        "y",
+        "z",
+        "heading",
+        "pitch",
+        "roll",
+        "yaw",
     ]
     names = ("x", "y", "z", "heading", "pitch", "roll", "yaw")
     assert_allclose(rows, np.column_stack([found.t, *(found[name] for name in names)]), rtol=1e-15)
@@ -120,7 +120,7 @@ def test_a_path_on_a_map_in_degrees(tmp_path: Path) -> None:
     assert "taken for a sphere" in found.attributes["ground_degrees"]
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
     head, rows = _rows(tmp_path / "path.csv")
-    assert head[1:4] == ["longitude (degree)", "latitude (degree)", "z (m)"]
+    assert head[1:4] == ["longitude", "latitude", "z"]
     # The origin is the middle of the south-western cell; a degree of the sphere is 111195.08 m.
     assert_allclose(rows[:, 2], 47 - 39.5 * step + found["y"] / 111195.08, rtol=0, atol=1e-11)
     east = found["x"] / (111195.08 * np.cos(np.deg2rad(47 - 20 * step)))
@@ -136,10 +136,10 @@ def test_rates_that_a_robot_plays(tmp_path: Path) -> None:
     export_rates(tmp_path / "out.nc", tmp_path / "rates.csv")
     head, rows = _rows(tmp_path / "rates.csv")
     assert head == [
-        "time (s)",
-        "right_rate (rad s-1)",
-        "left_rate (rad s-1)",
-        "steer_rate (rad s-1)",
+        "time",
+        "right_rate",
+        "left_rate",
+        "steer_rate",
     ]
     assert_allclose(rows[:, 0], found.t)
     assert set(rows[:, 1]) == {0.5, 0.4}

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,12 +18,14 @@ from slipfree.errors import DataError
 from slipfree.regular_files import check_name
 
 if TYPE_CHECKING:
+    from slipfree.show.sweep_results import Swept
     from slipfree.sweep.grid import Sweep
-    from slipfree.sweep.log import Row
+    from slipfree.sweep.log import Rows
     from slipfree.sweep.pools import Pool
 
 MOST_KEYS = 2  # that are drawn
 FIGURES = "figures"
+FIRST_LINE, LINES_APART = 1.0, 60.0  # of progress without a terminal [s]
 
 
 def sweep(
@@ -70,6 +74,9 @@ def sweep(
         ),
     ] = None,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be run, and how long; run nothing.")
+    ] = False,
 ) -> None:
     """Run a problem for many values and seeds: write one table, print a summary, draw figures.
 
@@ -79,24 +86,29 @@ def sweep(
         from slipfree.codegen_cache import obstacle
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
-        from slipfree.sweep.table import NAME, chosen, facts
+        from slipfree.sweep.table import NAME, choose_figures, drawn_grids, grids, sweep_facts
 
-        plan = sweep_of(file, vary or [], settings or [], repeat, seed)
+        with _progress("checking values") as checked:
+            plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked)
         folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
+        if dry_run:
+            _tell_plan(plan, folder, processes or _cores())
+            return
         if draw:
             _check_figures(folder / FIGURES)
         if plan.problem.spec.solver.compiled and (why := obstacle()):
             warn(f"equations that are not kept yet are interpreted, not compiled: {why}")
         rows = _done(plan, folder, _pool(processes, scheduler), keep, again)
-        names = chosen(plan, rows, figures or [])
-        tell(facts(plan, rows, names))
+        names = choose_figures(plan, rows, figures or [])
+        found = grids(plan, rows, names)
+        tell(sweep_facts(plan, rows, found, names))
         put_file(folder / NAME)
         say(f"wrote {folder / NAME}")
         if keep:
             _tell_missing(plan, rows, folder)
         if draw:
-            _draw(plan, rows, names, folder / FIGURES)
-        if any(row.outcome in (FAILED, LOST) for row in rows):
+            _draw(plan, drawn_grids(rows, found, names), folder / FIGURES)
+        if rows.ended(FAILED, LOST):
             raise typer.Exit(STOPPED)
 
 
@@ -110,12 +122,39 @@ def _check_figures(folder: Path) -> None:
         )
 
 
-def _tell_missing(plan: Sweep, rows: Sequence[Row], folder: Path) -> None:
-    """Warn of runs that were finished before their results were to be kept."""
-    from slipfree.sweep.run import not_kept, result_path
+def _tell_plan(plan: Sweep, folder: Path, processes: int) -> None:
+    """Print what a sweep would run, and how long as far as finished runs tell."""
+    from slipfree.sweep.log import NAME, Log
+    from slipfree.sweep.table import plan_facts
 
-    if missing := not_kept(folder, plan, rows):
-        first = missing[0]
+    facts, log = plan_facts(plan), folder / NAME
+    left, words = plan.count, "not known before the first run"
+    if log.is_file():
+        with Log(log, plan.head) as opened:
+            rows = opened.rows
+            left -= len(rows)
+            facts.append(("finished", f"{len(rows)} in {folder}"))
+            if len(rows):
+                each = sum(row.seconds for row in rows) / len(rows)
+                about_all = duration(left * each / processes)
+                words = f"about {about_all}: {each:.3g} s a run on {processes} processes"
+    tell([*facts, ("time", words if left else "nothing is left to run")])
+
+
+def duration(seconds: float) -> str:
+    """Return a duration in the largest fitting unit."""
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"
+
+
+def _tell_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
+    """Warn of runs that were finished before their results were to be kept."""
+    from slipfree.sweep.run import missing_results, result_path
+
+    if missing := missing_results(folder, plan, rows):
+        (first,) = rows.read(missing[:1])
         sets = [word for each in (*plan.settings, *first.settings) for word in ("--set", each)]
         file = result_path(folder, plan, first.run)
         words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
@@ -125,17 +164,18 @@ def _tell_missing(plan: Sweep, rows: Sequence[Row], folder: Path) -> None:
         )
 
 
-def _pool(count: int | None, scheduler: str | None) -> Pool:
-    from slipfree.sweep.pools import cluster, processes
+def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
+    from slipfree.sweep.cluster import Cluster
+    from slipfree.sweep.pools import ProcessPool
 
     if scheduler is None:
-        return processes(count or _cores())
+        return lambda: ProcessPool(count or _cores())
     if count is not None:
         raise DataError(
             "--scheduler: expected it without --processes, found both; a cluster has as many "
             "processes as workers"
         )
-    return cluster(scheduler)
+    return lambda: Cluster(scheduler, warn)
 
 
 def _cores() -> int:
@@ -145,55 +185,60 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _done(plan: Sweep, folder: Path, pool: Pool, keep: bool, again: bool) -> Sequence[Row]:
-    """Return the rows of all runs; show a bar meanwhile if somebody is looking."""
+def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:
+    """Return the rows of all runs; show progress meanwhile."""
+    from slipfree.sweep.log import FAILED, LOST
+    from slipfree.sweep.run import run_sweep
+
+    with interruptible() as poll, _progress("runs") as show:
+
+        def progress(rows: Rows) -> None:
+            wrong = rows.outcomes[FAILED] + rows.outcomes[LOST]
+            show(len(rows), plan.count, f"runs, {wrong} failed" if wrong else "runs")
+            last = f", the last: {rows.last.run}, {rows.last.outcome}" if rows.last else ""
+            detail(f"{len(rows)} of {plan.count} runs{last}")
+
+        return run_sweep(plan, folder, pool, keep=keep, again=again, poll=poll, progress=progress)
+
+
+@contextmanager
+def _progress(words: str) -> Iterator[Callable[..., None]]:
+    """Give a function that shows how much is done: a bar on a terminal, else lines on stderr.
+
+    It takes the number done, that of all, and words. Lines come after a second, then ever more
+    seldom, down to one a minute.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from slipfree.sweep.run import swept
-
     console = Console(stderr=True)
-    with interruptible() as poll:
-        if not (console.is_terminal and has_bar()):
-            show = _detailed(plan.count)
-            return swept(plan, folder, pool, keep=keep, again=again, poll=poll, progress=show)
-        columns = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task("runs", total=plan.count)
-            show = _shown(lambda done, words: bar.update(task, completed=done, description=words))
-            return swept(plan, folder, pool, keep=keep, again=again, poll=poll, progress=show)
+    if not (console.is_terminal and has_bar()):
+        begun, due = time.monotonic(), FIRST_LINE
+
+        def line(done: int, count: int, words: str = words) -> None:
+            nonlocal due
+            if has_bar() and (elapsed := time.monotonic() - begun) > due:
+                due = elapsed + min(elapsed / 2, LINES_APART)
+                say(f"{words}: {done} of {count}", err=True)
+
+        yield line
+        return
+    columns = "{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(words, total=None)
+        yield lambda done, count, words=words: bar.update(
+            task, completed=done, total=count, description=words
+        )
 
 
-def _detailed(count: int) -> Callable[[Sequence[Row]], None]:
-    """Return what tells every run that is finished as a detail."""
-
-    def told(rows: Sequence[Row]) -> None:
-        if rows:
-            last = rows[-1]
-            detail(f"{len(rows)} of {count} runs, the last: {last.run}, {last.outcome}")
-
-    return told
-
-
-def _shown(update: Callable[[int, str], None]) -> Callable[[Sequence[Row]], None]:
-    """Return what tells how many runs are done, and how many of them failed."""
-
-    def show(rows: Sequence[Row]) -> None:
-        wrong = sum(row.t is None for row in rows)
-        update(len(rows), f"runs, {wrong} failed" if wrong else "runs")
-
-    return show
-
-
-def _draw(plan: Sweep, rows: Sequence[Row], names: Sequence[str], folder: Path) -> None:
+def _draw(plan: Sweep, grids: Sequence[Swept], folder: Path) -> None:
     from slipfree.show.sweep_figures import save_sweep_figures
-    from slipfree.sweep.table import drawn
 
     if len(plan.axes) > MOST_KEYS:
         say(f"no figures: {len(plan.axes)} keys are varied, and figures have at most two")
         return
     if plan.count > 1:
-        paths = save_sweep_figures(drawn(plan, rows, names), folder)
+        paths = save_sweep_figures(grids, folder)
         for path in paths:
             put_file(path)
         say(f"drew {len(paths)} files in {folder}")

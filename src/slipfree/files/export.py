@@ -40,8 +40,8 @@ def export_path(file: Path, out: Path) -> None:
     file : Path
         A result file.
     out : Path
-        ``.csv``: one row a sample: time, x, y, z or longitude, latitude, z, and the attitude, with
-        units in the first row. ``.geojson``: a LineString of the places, with the times; a
+        ``.csv``: one row a sample: time, x, y, z or longitude, latitude (in degrees), z, and the
+        attitude. ``.geojson``: a LineString of the places, with the times; a
         reference system other than WGS 84 stands in the member ``crs`` of GeoJSON 2008.
 
     Raises

@@ -9,7 +9,6 @@ byte of a file name that is not, such as 0xff, is written as ``\udcff``.
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import platform
@@ -25,6 +24,7 @@ from scipy.io import netcdf_file
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
+from slipfree.files.tables import write_rows
 from slipfree.files.upgrade import upgrade_0_1
 from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
@@ -49,6 +49,7 @@ RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
 REMEDY = "run the problem again to get a whole file"
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)  # of scipy's reader
 LARGEST = 1e100  # number of a motion; beyond, bits were flipped
+BLOCK = 4096  # samples at once
 SIZE = "_size"  # suffix of the dimension of an array that is no sample
 NOTHING: Mapping[str, npt.NDArray[Any]] = {}
 Attribute = str | float
@@ -94,8 +95,8 @@ def write(
 def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
     """Write a trajectory as a table of comma-separated values, one row a sample.
 
-    The first row names the columns with their units, as in ``slip_along[front] (m s-1)``. Headings
-    are in the frame of the problem.
+    The first row names the columns, as in ``slip_along[front]``; values are in SI units, which a
+    netCDF file names. Headings are in the frame of the problem.
 
     Raises
     ------
@@ -106,19 +107,14 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
     """
     _check(run)
     run = to_problem_frame(run)
-    names, columns = ["time (s)"], [run.t]
+    names, columns = ["time"], [run.t]
     for name, column in run.columns.items():
         wheels = [""] if column.values.ndim == 1 else [f"[{wheel}]" for wheel in run.wheels]
-        names += [f"{name}{wheel} ({column.label.unit})" for wheel in wheels]
+        names += [f"{name}{wheel}" for wheel in wheels]
         columns += [*np.atleast_2d(column.values.T)]
-
-    def fill(part: Path) -> None:
-        with part.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(names)
-            writer.writerows(zip(*(values.tolist() for values in columns), strict=True))
-
-    replace_file(Path(path), fill)
+    blocks = (slice(k, k + BLOCK) for k in range(0, run.t.size, BLOCK))
+    rows = (row for part in blocks for row in np.column_stack([c[part] for c in columns]).tolist())
+    write_rows(Path(path), names, rows)
 
 
 def read(path: str | os.PathLike[str]) -> Trajectory:

@@ -259,7 +259,7 @@ def open_file(path: Path) -> File:
     for part in PARTS:
         if (part,) in lines and (part, 0) not in lines:
             starts = _element_lines(text, lines[(part,)])
-            lines |= {(part, index): line for index, line in enumerate(starts)}
+            lines = {**lines, **{(part, index): line for index, line in enumerate(starts)}}
     return File(Source(path, text, lines), data)
 
 

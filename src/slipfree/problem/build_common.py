@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.errors import DataError
 from slipfree.files.toml.errors import Fault, names, problem_error
 from slipfree.frames import OFFSET
 from slipfree.problem import schema
@@ -21,14 +18,12 @@ from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.problem.unit_checks import check_units
 from slipfree.records import Array, leaves
-from slipfree.regular_files import read_bytes
 from slipfree.solve.settle import settle
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 NEAR = 1e-9  # times closer than this part of the duration are one
-COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,33 +80,6 @@ def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
     values["heading"] = values.get("heading", 0.0) + turned(problem)
     with at(problem, ("start",)):
         return settle(dae, options=problem.spec.solver.options, **values)
-
-
-def read_columns(
-    file: Path, columns: Sequence[str], what: str = "way-points"
-) -> list[tuple[float, ...]]:
-    """Return the rows of a CSV file of numbers; a first line of names may reorder the columns."""
-    wanted = f"{COUNTS[len(columns)]} numbers {','.join(columns)}"
-    try:
-        text = read_bytes(file, f"{what} as CSV").decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(f"{file}: expected {what} as CSV, found no text file") from error
-    rows, order = [], list(range(len(columns)))
-    for number, line in enumerate(text.splitlines(), 1):
-        cells = [cell.strip() for cell in line.split(",")]
-        if not line.strip():
-            continue
-        if number == 1 and sorted(cells) == sorted(columns):
-            order = [cells.index(name) for name in columns]
-            continue
-        try:
-            row = [float(cell) for cell in cells]
-        except ValueError:
-            row = []
-        if len(row) != len(columns) or not all(map(isfinite, row)):
-            raise DataError(f"{file}:{number}: expected {wanted}, found {line.strip()!r}")
-        rows.append(tuple(row[k] for k in order))
-    return rows
 
 
 def samples(

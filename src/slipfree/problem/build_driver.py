@@ -9,8 +9,8 @@ import numpy as np
 from slipfree.control.path_following import follow, straight
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
+from slipfree.files.tables import read_columns
 from slipfree.geometry.path import Path
-from slipfree.problem.build_common import read_columns
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import Driver

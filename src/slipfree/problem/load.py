@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,13 @@ def load_problem(
     return _load(verbs_of(command), path, settings)
 
 
+def load_variants(path: str | Path, variants: Iterable[Sequence[str]]) -> Iterator[Problem[Any]]:
+    """Yield the problem in a TOML file for several settings; the file is read once."""
+    text = read_text(Path(path))
+    for settings in variants:
+        yield _from_text(verbs_of("run"), Path(path), text, settings)
+
+
 def load_earlier(path: str | Path, settings: Sequence[str] = ()) -> Problem[Any]:
     """Return a problem that this or an earlier version has run; see `load_problem`."""
     return _load(verbs_of("run"), path, settings, earlier=True)
@@ -68,8 +76,19 @@ def _load(
     Keys of earlier versions are errors, unless ``earlier`` accepts them.
     """
     path = Path(path)
-    text = read_text(path)
-    data = parse_toml(path, text)
+    return _from_text(verbs, path, read_text(path), settings, earlier=earlier)
+
+
+def _from_text(
+    verbs: Sequence[Verb],
+    path: Path,
+    text: str,
+    settings: Sequence[str],
+    *,
+    earlier: bool = False,
+) -> Problem[Any]:
+    """Return the problem in a text; see `_load`."""
+    data = _copy(_parsed(path, text))
     places = replace_values(data, settings)
     source = Source(path, text, key_lines(text), places)
     schema = _by_verb(verbs, data, source).schema
@@ -84,6 +103,19 @@ def _load(
         if not faults:
             return Problem(spec, source)
     raise problem_error(source, faults)
+
+
+@lru_cache(maxsize=1)
+def _parsed(path: Path, text: str) -> dict[str, Any]:
+    """Return the data in a text; variants of one problem share it."""
+    return parse_toml(path, text)
+
+
+def _copy(value: Any) -> Any:
+    """Return a copy of parsed TOML."""
+    if isinstance(value, dict):
+        return {key: _copy(each) for key, each in value.items()}
+    return [*map(_copy, value)] if isinstance(value, list) else value
 
 
 def _with_remedy(source: Source, faults: Sequence[Fault]) -> Iterator[Fault]:

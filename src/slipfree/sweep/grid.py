@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
@@ -17,8 +17,8 @@ import numpy as np
 
 from slipfree.errors import DataError
 from slipfree.files.toml.source_lines import key_path
-from slipfree.problem.input_files import digest, input_files
-from slipfree.problem.load import load_problem
+from slipfree.problem.input_files import digest, input_files, input_names
+from slipfree.problem.load import load_variants
 from slipfree.problem.problem import Problem
 from slipfree.version import __version__
 
@@ -148,8 +148,12 @@ def sweep_of(
     settings: Sequence[str] = (),
     repeat: int | None = None,
     seed: int = 1,
+    progress: Callable[[int, int], None] = lambda _, __: None,
 ) -> Sweep:
-    """Return the sweep of a problem file; every point of its grid is a valid problem.
+    """Return the sweep of a problem file; every value of its axes makes a valid problem.
+
+    Each value is checked by itself, beside the first ones of the other axes. A combination that
+    does not fit the schema although its values do is a run that fails.
 
     Parameters
     ----------
@@ -164,12 +168,14 @@ def sweep_of(
         How often each combination is run, with other seeds; once by default, with the file's.
     seed : int
         The first seed.
+    progress : callable
+        Called with the number of checked values, and that of all.
 
     Raises
     ------
     DataError
         If what is varied cannot be read, is given twice, or nothing has a seed to repeat with;
-        a ProblemError if a combination does not fit the schema.
+        a ProblemError if a value does not fit the schema.
     """
     axes = tuple(axis_of(each) for each in vary)
     _check_keys(axes, settings)
@@ -178,13 +184,15 @@ def sweep_of(
         raise DataError(
             f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values"
         )
-    problems = [
-        load_problem(file, [*settings, *(f"{a.key}={v}" for a, v in zip(axes, point, strict=True))])
-        for point in product(*(axis.values for axis in axes))
-    ]
-    paths = {name: path for each in problems for name, path in input_files(each).items()}
-    files = {name: digest(paths[name]) for name in sorted(paths)}
-    bare = Sweep(problems[0], tuple(settings), axes, (), 1, seed, files)
+    problems = load_variants(file, ([*settings, *point] for point in _checked_points(axes)))
+    first = next(problems)
+    files, count = input_files(first), sum(len(axis.values) for axis in axes)
+    for done, problem in enumerate(problems, 1 + len(axes)):
+        if not {*input_names(problem.spec)} <= files.keys():
+            files |= input_files(problem)
+        progress(done, count)
+    digests = {name: digest(files[name]) for name in sorted(files)}
+    bare = Sweep(first, tuple(settings), axes, (), 1, seed, digests)
     if repeat is None:
         return bare
     found = seed_keys(bare.problem.spec.model_dump())
@@ -198,6 +206,15 @@ def sweep_of(
             "[control.noise], or leave out --repeat"
         )
     return replace(bare, seeds=seeds, repeat=repeat)
+
+
+def _checked_points(axes: Sequence[Axis]) -> Iterator[list[str]]:
+    """Yield the first point of a grid, then those that differ from it in one value."""
+    first = [f"{axis.key}={axis.values[0]}" for axis in axes]
+    yield first
+    for k, axis in enumerate(axes):
+        for value in axis.values[1:]:
+            yield [*first[:k], f"{axis.key}={value}", *first[k + 1 :]]
 
 
 def axis_of(text: str) -> Axis:

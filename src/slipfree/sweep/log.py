@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -65,13 +67,89 @@ class Row(NamedTuple):
     seconds: float
 
 
+class Rows:
+    """The finished runs in a log, read from the disk as they are needed.
+
+    Attributes
+    ----------
+    outcomes : Counter of str
+        How many runs ended how.
+    last : Row or None
+        The run that was finished last in this process.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._places: dict[int, tuple[int, str]] = {}  # of runs: byte in the file, outcome
+        self._units: dict[str, tuple[int, int, str]] = {}  # of figures, and where they come first
+        self.outcomes: Counter[str] = Counter()
+        self.last: Row | None = None
+
+    def __len__(self) -> int:
+        """Return the number of finished runs."""
+        return len(self._places)
+
+    def __contains__(self, run: int) -> bool:
+        """Return whether a run is finished."""
+        return run in self._places
+
+    def __iter__(self) -> Iterator[Row]:
+        """Yield the rows in the order of the runs."""
+        return self.read(sorted(self._places))
+
+    def read(self, runs: Iterable[int]) -> Iterator[Row]:
+        """Yield the rows of finished runs."""
+        with self._path.open("rb") as file:
+            for run in runs:
+                file.seek(self._places[run][0])
+                yield row_of(json.loads(file.readline()))
+
+    def ended(self, *outcomes: str) -> list[int]:
+        """Return the numbers of the runs with one of these outcomes, ascending."""
+        return sorted(run for run, (_, outcome) in self._places.items() if outcome in outcomes)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of all figures by name, in the order in which the runs have them."""
+        ordered = sorted(self._units.items(), key=lambda each: each[1])
+        return {name: unit for name, (_, _, unit) in ordered}
+
+    def add(self, row: Row, place: int) -> None:
+        """Add a run that begins at a byte of the file; it replaces an earlier one."""
+        self.discard(row.run)
+        self._places[row.run] = place, sys.intern(row.outcome)
+        self.outcomes[row.outcome] += 1
+        for k, (name, (_, unit)) in enumerate(row.figures.items()):
+            found = self._units.get(name)
+            if found is None or (row.run, k) < found[:2]:
+                self._units[sys.intern(name)] = row.run, k, sys.intern(unit)
+
+    def discard(self, run: int) -> None:
+        """Remove a run, if it is there."""
+        if run in self._places:
+            self.outcomes[self._places.pop(run)[1]] -= 1
+
+
+def row_of(line: Mapping[str, Any]) -> Row:
+    """Return the row of a line of the log.
+
+    Raises
+    ------
+    TypeError, ValueError, AttributeError
+        If it is none.
+    """
+    row = Row(**line)
+    figures = {name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()}
+    return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
+
+
 class Log:
     """The open log of a sweep; a context manager.
 
     Attributes
     ----------
-    rows : list of Row
-        Of the runs that are finished, in the order in which they did.
+    rows : Rows
+        The finished runs.
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any], *, again: bool = False) -> None:
@@ -93,7 +171,8 @@ class Log:
             raise self._unwritable(error) from error
         try:
             self._lock()
-            self.rows = self._read(head)
+            self.rows = Rows(path)
+            self._read(head)
         except BaseException:
             with suppress(OSError):  # of what could not be written, which is told
                 self._file.close()
@@ -107,8 +186,8 @@ class Log:
         DataError
             If it cannot be written.
         """
-        self._write(row._asdict())
-        self.rows.append(row)
+        self.rows.add(row, self._write(row._asdict()))
+        self.rows.last = row
 
     def __enter__(self) -> Log:
         """Return the log."""
@@ -136,25 +215,22 @@ class Log:
                 "writes to it; wait for it, or choose another folder with -o"
             ) from error
 
-    def _read(self, head: Mapping[str, Any]) -> list[Row]:
-        """Return the finished runs; drop a line that was cut short; begin an empty log."""
+    def _read(self, head: Mapping[str, Any]) -> None:
+        """Find the finished runs; drop a line that was cut short; begin an empty log."""
         self._file.seek(0)
-        data = self._file.read()
-        whole = data.rfind(b"\n") + 1
-        if whole < len(data):
-            self._file.truncate(whole)
-        lines = [self._parsed(k, line) for k, line in enumerate(data[:whole].splitlines(), 1)]
-        if not lines:
+        place = 0
+        for number, line in enumerate(self._file, 1):
+            if not line.endswith(b"\n"):
+                self._file.truncate(place)
+                break
+            found = self._parsed(number, line)
+            if number == 1:
+                self._check(found, head)
+            else:
+                self._add(number, found, place)
+            place += len(line)
+        if not place:
             self._write(dict(head))
-            return []
-        self._check(lines[0], head)
-        rows: dict[int, Row] = {}
-        for k, line in enumerate(lines[1:], 2):
-            row = self._row(k, line)
-            rows.pop(row.run, None)  # it was done again
-            if row.outcome not in self._open:
-                rows[row.run] = row
-        return list(rows.values())
 
     def _parsed(self, number: int, line: bytes) -> dict[str, Any]:
         try:
@@ -165,15 +241,15 @@ class Log:
             raise self._damaged(number)
         return found
 
-    def _row(self, number: int, line: Mapping[str, Any]) -> Row:
+    def _add(self, number: int, line: Mapping[str, Any], place: int) -> None:
         try:
-            row = Row(**line)
-            figures = {
-                name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()
-            }
-            return row._replace(run=int(row.run), settings=tuple(row.settings), figures=figures)
+            row = row_of(line)
         except (TypeError, ValueError, AttributeError) as error:
             raise self._damaged(number) from error
+        if row.outcome in self._open:
+            self.rows.discard(row.run)  # it was done again
+        else:
+            self.rows.add(row, place)
 
     def _damaged(self, number: int) -> DataError:
         return DataError(
@@ -191,13 +267,16 @@ class Log:
                     "remove this one"
                 )
 
-    def _write(self, what: Mapping[str, Any]) -> None:
+    def _write(self, what: Mapping[str, Any]) -> int:
+        """Write a line; return the byte where it begins."""
         try:
+            place = self._file.seek(0, os.SEEK_END)
             self._file.write(json.dumps(what, allow_nan=False).encode() + b"\n")
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
             raise self._unwritable(error) from error
+        return place
 
     def _unwritable(self, error: OSError) -> DataError:
         return DataError(

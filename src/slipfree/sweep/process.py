@@ -1,4 +1,4 @@
-"""Process of a pool: it receives tasks from its parent and sends their results."""
+"""Process of a pool: its preparation, and the function that it is sent with each task."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ import signal
 import threading
 import warnings
 from multiprocessing import parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
+
+from slipfree.sweep.task import Done, Task
 
 
-def serve(pipe: Connection) -> None:
-    """Do tasks from a pipe until its other end is closed, or the process there has ended."""
+def prepare_process() -> None:
+    """Prepare a new process: no Ctrl-C, no output on stdout, end with the parent."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent decides
-    warnings.simplefilter("ignore")  # which the parent tells
-    os.dup2(2, 1)  # what solvers print must not get into the summary
+    warnings.simplefilter("ignore")  # the parent reports them
+    os.dup2(2, 1)  # output of solvers must not get into the summary
+
+
+def run_task(task: Task) -> Done:
+    """Return the result of a task."""
     from slipfree.sweep.worker import work  # with the solvers, which the parent does not need
 
-    try:
-        pipe.send(None)  # ready
-        while True:
-            pipe.send(work(pipe.recv()))
-    except (EOFError, OSError):
-        return
+    return work(task)
 
 
 def _end_with_parent() -> None:
-    """End this process, even in the middle of a run, as soon as that which began it ends."""
+    """End this process, even in the middle of a run, as soon as its parent ends."""
     if (parent := parent_process()) is not None:
         wait([parent.sentinel])
         os._exit(1)

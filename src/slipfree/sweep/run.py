@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -10,24 +10,27 @@ from slipfree.errors import DataError
 from slipfree.files.netcdf import write
 from slipfree.regular_files import check_name
 from slipfree.sweep.grid import Sweep
-from slipfree.sweep.log import NAME, Log, Row
-from slipfree.sweep.pools import Poll, Pool
+from slipfree.sweep.log import FAILED, LOST, NAME, Log, Rows
+from slipfree.sweep.pools import Poll, Pool, finish_tasks
 from slipfree.sweep.table import NAME as TABLE
 from slipfree.sweep.table import write_table
 from slipfree.sweep.task import Task
 
 
-def swept(
+def run_sweep(
     sweep: Sweep,
     folder: Path,
-    pool: Pool,
+    pool: Callable[[], Pool],
     *,
     keep: bool = False,
     again: bool = False,
     poll: Poll = lambda: None,
-    progress: Callable[[Sequence[Row]], None] = lambda _: None,
-) -> list[Row]:
-    """Return what came of all runs; those that the folder has already are not done again.
+    progress: Callable[[Rows], None] = lambda _: None,
+) -> Rows:
+    """Do all runs of a sweep but those that are finished in its folder, and return all results.
+
+    Tasks are made when the pool has room for them, and results stay on the disk: the memory that
+    a sweep takes does not grow with its figures.
 
     Parameters
     ----------
@@ -36,14 +39,14 @@ def swept(
     folder : Path
         Where ``runs.jsonl`` gets a line as soon as a run is finished, and ``table.csv`` is written
         at the end, be that an interruption.
-    pool : Pool
-        Where the runs are done: ``processes(2)``, ``cluster("tcp://...")``.
+    pool : callable
+        Makes the pool, if there is anything to do: ``lambda: ProcessPool(2)``.
     keep : bool
         Whether to write every motion as ``run_0001.nc`` and so on.
     again : bool
-        Whether to repeat runs that failed; those that were lost are always done again.
+        Whether to repeat runs that failed; those that were lost are always repeated.
     poll : callable
-        Called several times a second; what it raises interrupts the sweep.
+        Called several times a second; an exception of it interrupts the sweep.
     progress : callable
         Called with the finished runs, at the beginning and after every run.
 
@@ -52,31 +55,33 @@ def swept(
     DataError
         If the folder cannot be written, or holds the results of another sweep.
     SlipfreeError
-        If a cluster goes away.
+        If the pool fails.
     """
-    path = str(sweep.problem.source.path.resolve())
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(f"{folder}: expected a folder for the sweep, found a file")
     with Log(folder / NAME, sweep.head, again=again) as log:
-        finished = {row.run for row in log.rows}
-        tasks = [
-            Task(run.number, path, sweep.problem.source.text, run.settings, len(sweep.keys), keep)
-            for run in sweep.runs()
-            if run.number not in finished
-        ]
         try:
             progress(log.rows)
-            with closing(pool(tasks, poll)) as results:
-                for done in results:
-                    if done.trajectory is not None:
-                        file = result_path(folder, sweep, done.row.run)
-                        write(file, done.trajectory, done.arrays)
-                    log.append(done.row)
-                    progress(log.rows)
+            if len(log.rows) < sweep.count:
+                with closing(pool()) as opened:
+                    for done in finish_tasks(_tasks(sweep, log.rows, keep), opened, poll):
+                        if done.trajectory is not None:
+                            file = result_path(folder, sweep, done.row.run)
+                            write(file, done.trajectory, done.arrays)
+                        log.append(done.row)
+                        progress(log.rows)
         finally:
             write_table(folder / TABLE, sweep, log.rows)
         return log.rows
+
+
+def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[Task]:
+    """Yield the tasks of all runs that are not finished."""
+    path, text = str(sweep.problem.source.path.resolve()), sweep.problem.source.text
+    for run in sweep.runs():
+        if run.number not in rows:
+            yield Task(run.number, path, text, run.settings, len(sweep.keys), keep)
 
 
 def result_path(folder: Path, sweep: Sweep, number: int) -> Path:
@@ -84,10 +89,7 @@ def result_path(folder: Path, sweep: Sweep, number: int) -> Path:
     return folder / f"run_{number:0{max(4, len(str(sweep.count)))}d}.nc"
 
 
-def not_kept(folder: Path, sweep: Sweep, rows: Sequence[Row]) -> list[Row]:
+def missing_results(folder: Path, sweep: Sweep, rows: Rows) -> list[int]:
     """Return the runs that have a motion, but no result file in a folder."""
-    return [
-        row
-        for row in rows
-        if row.t is not None and not result_path(folder, sweep, row.run).exists()
-    ]
+    moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST}))
+    return [run for run in moved if not result_path(folder, sweep, run).exists()]

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
+from slipfree.files.tables import write_rows
 from slipfree.problem.units import unit_of
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.records import Array
 from slipfree.show.sweep_results import Swept, Varied
 from slipfree.sweep.grid import Run, Sweep
-from slipfree.sweep.log import FAILED, LOST, Row
+from slipfree.sweep.log import FAILED, LOST, Row, Rows
 from slipfree.sweep.task import COMPLETE
 
 if TYPE_CHECKING:
@@ -27,46 +25,33 @@ NAME = "table.csv"
 SHOWN = 3  # failures that are told in words
 MOST_VALUES = 10  # of a key whose figures are told
 MOST_LETTERS = 300  # of the words of a run; the log has all
+KEPT = "within_limits"  # figure of plans: 1 if they keep to their limits
 REMEDIES = {
     FAILED: "--again repeats runs that failed",
     LOST: "the same command does runs that were lost again",
 }
 
 
-def write_table(file: Path, sweep: Sweep, rows: Sequence[Row]) -> None:
+def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
     """Write one line a finished run, in the order of the runs.
 
-    The columns are number, varied keys, seeds, outcome, words, time reached and figures with their
-    units; what a run does not have is empty. Wall times are left to the log, so that the same
-    sweep gives the same table.
+    The columns are number, varied keys, seeds, outcome, words, time reached (s) and figures in the
+    units of the log; what a run does not have is empty. Wall times are left to the log, so that
+    the same sweep gives the same table.
 
     Raises
     ------
     DataError
         If the file cannot be written.
     """
-    done = {row.run: row for row in rows}
-    ordered = [done[number] for number in sorted(done)]
-    units = {name: unit for row in ordered for name, (_, unit) in row.figures.items()}
-    head = [
-        "run",
-        *sweep.keys,
-        "outcome",
-        "words",
-        "time reached (s)",
-        *(f"{name} ({unit})" if unit else name for name, unit in units.items()),
-    ]
-    lines = [_line(run, done[run.number], units) for run in sweep.runs() if run.number in done]
-
-    def fill(part: Path) -> None:
-        with part.open("w", newline="", encoding="utf-8", errors="backslashreplace") as open_file:
-            writer = csv.writer(open_file, lineterminator="\n")
-            writer.writerows([head, *lines])
-
-    replace_file(file, fill)
+    units = rows.units
+    head = ["run", *sweep.keys, "outcome", "words", "time_reached", *units]
+    runs = (run for run in sweep.runs() if run.number in rows)
+    lines = (_line(run, row, units) for run, row in zip(runs, rows, strict=True))
+    write_rows(file, head, lines)
 
 
-def _line(run: Run, row: Row, names: dict[str, str]) -> list[object]:
+def _line(run: Run, row: Row, names: Iterable[str]) -> list[object]:
     values = [row.figures[name][0] if name in row.figures else "" for name in names]
     time = "" if row.t is None else row.t
     return [run.number, *run.values, *run.seeds, row.outcome, _line_of(row.words), time, *values]
@@ -78,15 +63,15 @@ def _line_of(words: str) -> str:
     return joined if len(joined) <= MOST_LETTERS else f"{joined[: MOST_LETTERS - 3]}..."
 
 
-def chosen(sweep: Sweep, rows: Sequence[Row], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the figures to look at: those asked for, or those of the verb that there are.
+def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the figures to look at: the given ones, or those of the verb that the runs have.
 
     Raises
     ------
     DataError
-        If a figure is asked for that no run has.
+        If no run has one of the given figures.
     """
-    known = {name for row in rows for name in row.figures}
+    known = rows.units
     if not names:
         return tuple(name for name in verb_of(sweep.problem).metrics_shown if name in known)
     for name in names:
@@ -99,21 +84,41 @@ def chosen(sweep: Sweep, rows: Sequence[Row], names: Sequence[str]) -> tuple[str
     return tuple(names)
 
 
-def facts(sweep: Sweep, rows: Sequence[Row], figures: Sequence[str]) -> Facts:
+def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
+    """Return figures over the grid and the repetitions; not a number where a run has none.
+
+    Besides those asked for they are ``complete``, and ``within_limits`` if the runs have it.
+    """
+    names = dict.fromkeys([*figures, COMPLETE, KEPT])
+    units = {name: unit for name, unit in rows.units.items() if name in names}
+    values = {name: np.full(sweep.count, np.nan) for name in names if name in units}
+    for row in rows:
+        for name in row.figures.keys() & values.keys():
+            values[name][row.run - 1] = row.figures[name][0]
+    shape = (*(len(axis.values) for axis in sweep.axes), sweep.repeat)
+    spec = sweep.problem.spec
+    axes = tuple(
+        Varied(axis.key, unit_of(spec, axis.key), axis.values, axis.numbers) for axis in sweep.axes
+    )
+    return {k: Swept(k, units[k], axes, each.reshape(shape)) for k, each in values.items()}
+
+
+def sweep_facts(
+    sweep: Sweep, rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]
+) -> Facts:
     """Return name and value of what matters about a sweep, ready to print."""
-    return [*_outcomes(sweep, rows), *_kept(rows), *_spreads(sweep, rows, figures)]
+    spreads = (fact for name in figures for fact in _spreads(found[name]))
+    return [*_outcomes(sweep, rows), *_kept(len(rows), found.get(KEPT)), *spreads]
 
 
-def _outcomes(sweep: Sweep, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
-    counts = Counter(row.outcome for row in rows)
-    listed = ", ".join(f"{count} {outcome}" for outcome, count in counts.most_common())
+def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
+    counts = ((outcome, count) for outcome, count in rows.outcomes.most_common() if count)
+    listed = ", ".join(f"{count} {outcome}" for outcome, count in counts)
     yield "runs", f"{len(rows)} of {sweep.count}" + (f": {listed}" if listed else "")
-    for i, key in enumerate(sweep.seeds):
-        first = sweep.seed + i * sweep.repeat
-        yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
+    yield from seed_facts(sweep)
     for outcome, remedy in REMEDIES.items():
-        wrong = sorted((row for row in rows if row.outcome == outcome), key=lambda row: row.run)
-        for row in wrong[:SHOWN]:
+        wrong = rows.ended(outcome)
+        for row in rows.read(wrong[:SHOWN]):
             given = f" ({', '.join(row.settings)})" if row.settings else ""
             yield f"  run {row.run} {outcome}", f"{_line_of(row.words)}{given}"
         more = f"{len(wrong) - SHOWN} more; the table has their words; " * (len(wrong) > SHOWN)
@@ -121,32 +126,35 @@ def _outcomes(sweep: Sweep, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
             yield "  ...", f"{more}{remedy}"
 
 
-def _kept(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
+    """Yield the seeds of every key that the repetitions change."""
+    for i, key in enumerate(sweep.seeds):
+        first = sweep.seed + i * sweep.repeat
+        yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
+
+
+def _kept(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
     """Yield the share of plans that keep to their limits."""
-    if not any("within_limits" in row.figures for row in rows):
+    if kept is None:
         return
-    kept = sum(row.figures.get("within_limits", (0.0, ""))[0] for row in rows)
+    good = np.nansum(kept.values)
     yield (
         "within limits",
-        f"{kept:.0f} of {len(rows)} runs ({100 * kept / len(rows):.0f} %): solved, and their "
+        f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and their "
         "simulation keeps goal and limits to plan.accuracy",
     )
 
 
-def _spreads(
-    sweep: Sweep, rows: Sequence[Row], figures: Sequence[str]
-) -> Iterator[tuple[str, str]]:
-    """Yield mean and range of figures: over all runs, and for every value of every key."""
-    for name in figures:
-        swept = swept_of(sweep, rows, name)
-        unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
-        yield name, f"{_spread(swept.values, unit)}"
-        for k, axis in enumerate(swept.axes):
-            parts = np.moveaxis(swept.values, k, 0)
-            for value, part in list(zip(axis.values, parts, strict=True))[:MOST_VALUES]:
-                yield f"  {axis.name} = {value}", _spread(part, unit)
-            if len(parts) > MOST_VALUES:
-                yield "  ...", f"{len(parts) - MOST_VALUES} more values; {NAME} has all"
+def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
+    """Yield mean and range of a figure: over all runs, and for every value of every key."""
+    unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
+    yield swept.name, f"{_spread(swept.values, unit)}"
+    for k, axis in enumerate(swept.axes):
+        parts = np.moveaxis(swept.values, k, 0)
+        for value, part in list(zip(axis.values, parts, strict=True))[:MOST_VALUES]:
+            yield f"  {axis.name} = {value}", _spread(part, unit)
+        if len(parts) > MOST_VALUES:
+            yield "  ...", f"{len(parts) - MOST_VALUES} more values; {NAME} has all"
 
 
 def _spread(values: Array, unit: str) -> str:
@@ -159,23 +167,24 @@ def _spread(values: Array, unit: str) -> str:
     )
 
 
-def swept_of(sweep: Sweep, rows: Sequence[Row], name: str) -> Swept:
-    """Return a figure over the grid and the repetitions; not a number where a run has none."""
-    shape = (*(len(axis.values) for axis in sweep.axes), sweep.repeat)
-    values, unit = np.full(int(np.prod(shape)), np.nan), ""
-    for row in rows:
-        if name in row.figures:
-            values[row.run - 1], unit = row.figures[name]
-    spec = sweep.problem.spec
-    axes = tuple(
-        Varied(axis.key, unit_of(spec, axis.key), axis.values, axis.numbers) for axis in sweep.axes
-    )
-    return Swept(name, unit, axes, values.reshape(shape))
-
-
-def drawn(sweep: Sweep, rows: Sequence[Row], figures: Sequence[str]) -> list[Swept]:
+def drawn_grids(rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]) -> list[Swept]:
     """Return what to draw: the figures, and the share of complete runs if some are not."""
-    short = [] if all(row.outcome == "complete" for row in rows) else [COMPLETE]
-    names = dict.fromkeys([*figures, *short])
-    found = (swept_of(sweep, rows, name) for name in names)
-    return [swept for swept in found if np.isfinite(swept.values).any()]
+    is_complete = rows.outcomes["complete"] == len(rows)
+    names = dict.fromkeys([*figures, *([] if is_complete else [COMPLETE])])
+    swept = (found[name] for name in names if name in found)
+    return [each for each in swept if np.isfinite(each.values).any()]
+
+
+def plan_facts(sweep: Sweep) -> Facts:
+    """Return what a sweep would run: how many runs, which values, which seeds."""
+    sizes = [len(axis.values) for axis in sweep.axes] + [sweep.repeat] * bool(sweep.seeds)
+    times = f" = {' x '.join(map(str, sizes))}" if len(sizes) > 1 else ""
+    facts = [("runs", f"{sweep.count}{times}")]
+    for axis in sweep.axes:
+        few = (
+            axis.values
+            if len(axis.values) <= MOST_VALUES
+            else (*axis.values[:3], "...", axis.values[-1])
+        )
+        facts.append((f"  {axis.key}", f"{', '.join(few)} ({len(axis.values)} values)"))
+    return [*facts, *seed_facts(sweep)]

@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 Place = tuple[str | int, ...]
@@ -77,6 +78,7 @@ def spelled(place: Place) -> str:
     return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
 
 
+@lru_cache(maxsize=64)
 def key_path(text: str) -> tuple[str, ...]:
     """Return the parts of a dotted key.
 
@@ -92,7 +94,8 @@ def key_path(text: str) -> tuple[str, ...]:
     return tuple(parts)
 
 
-def key_lines(text: str) -> dict[Place, int]:
+@lru_cache(maxsize=1)
+def key_lines(text: str) -> Mapping[Place, int]:
     """Return the line of every key and table of a valid TOML text.
 
     Keys inside an inline table or an array have no entry: the key before them has.

@@ -23,9 +23,10 @@ from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
+from slipfree.files.tables import read_columns
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
-from slipfree.problem.build_common import read_columns, samples
+from slipfree.problem.build_common import samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.summary import Facts

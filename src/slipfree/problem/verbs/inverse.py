@@ -12,6 +12,7 @@ from slipfree.control.path_tracking import path_inputs, track_path
 from slipfree.dae import Dae
 from slipfree.errors import ModelError, SlipfreeError
 from slipfree.files.netcdf import NOTHING
+from slipfree.files.tables import read_columns
 from slipfree.files.toml.angles import unit_faults
 from slipfree.files.toml.errors import Fault, names, problem_error
 from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
@@ -33,7 +34,6 @@ from slipfree.problem.build_common import (
     build_terrain,
     build_vehicle,
     check_names,
-    read_columns,
     samples,
     turned,
 )

@@ -11,15 +11,15 @@ import casadi as ca
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
+from slipfree.files.tables import read_columns, read_names
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.types import Piecewise
 from slipfree.models.given_rates import COMMANDS
-from slipfree.problem.build_common import read_columns, samples
+from slipfree.problem.build_common import samples
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.schema import Time
 from slipfree.problem.verbs.inverse_schema import FILE, Inverse
-from slipfree.regular_files import read_bytes
 from slipfree.vehicle.formula import evaluate
 
 ROBOT = {"v_x": "forward", "v_y": "right", "omega_z": "yaw_rate"}  # REP 103: v_y to the left
@@ -62,13 +62,12 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
 
 def _read_file(file: Path) -> dict[str, Piecewise]:
     """Return the columns of a CSV file; a command holds until the next one."""
-    header = read_bytes(file, "commands as CSV").decode("utf-8-sig", "replace").partition("\n")[0]
-    names = [name.strip() for name in header.split(",")]
+    names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
         raise DataError(
             f"{file}: expected a first line of names with commas between, t and some of "
-            f"{', '.join(COMMANDS)} or some of {', '.join(ROBOT)}, found {header.strip()!r}"
+            f"{', '.join(COMMANDS)} or some of {', '.join(ROBOT)}, found {','.join(names)!r}"
         )
     rows = read_columns(file, ["t", *rates], "commands")
     if not rows:

@@ -1,0 +1,157 @@
+"""Pool of the workers of a running Dask scheduler."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from typing import Any
+
+from slipfree.errors import DataError, SlipfreeError
+from slipfree.sweep.log import LOST
+from slipfree.sweep.process import run_task
+from slipfree.sweep.task import Done, Task, without_motion
+from slipfree.version import __version__
+
+CONNECT = 10.0  # how long to look for a scheduler [s]
+PATIENCE = 1.0  # between two looks at the number of workers [s]
+NONE_LEFT = "no workers are left; waiting for some to come back (Ctrl-C ends the sweep)"
+BACK = "workers are back; the sweep goes on"
+AHEAD = 2  # tasks that each worker holds, so that it need not wait for the next one
+
+
+class Cluster:
+    """A pool of the workers of a Dask scheduler.
+
+    Workers need the same version of slipfree, and the files that the problem names under the same
+    path. A worker does one run at a time, however many threads it has.
+
+    Parameters
+    ----------
+    address : str
+        As in ``tcp://10.0.0.1:8786``.
+    warn : callable
+        Called with words when all workers are gone, and when some are back.
+
+    Raises
+    ------
+    DataError
+        If distributed is not installed, no scheduler answers, it has no workers, or these have
+        another version.
+    """
+
+    def __init__(self, address: str, warn: Callable[[str], None]) -> None:
+        self._address, self._warn = address, warn
+        self._client = _connect(address)
+        self._workers, self._asked = 1, 0.0
+        self._open: dict[str, Any] = {}
+
+    def room(self) -> int:
+        """Return how many tasks the workers take; warn when all are gone, and when some are back.
+
+        Raises
+        ------
+        SlipfreeError
+            If the scheduler is gone.
+        """
+        if self._client.status != "running":
+            raise self._gone()
+        if (now := time.monotonic()) - self._asked > PATIENCE:
+            before, self._asked = self._workers, now
+            with suppress(OSError):  # of a scheduler that goes away: the status tells
+                self._workers = len(self._client.nthreads())
+            if bool(before) != bool(self._workers):
+                self._warn(f"--scheduler {self._address}: {BACK if self._workers else NONE_LEFT}")
+        return max(1, AHEAD * self._workers)
+
+    def submit(self, task: Task) -> Any:
+        """Return the future of a task."""
+        key = f"slipfree-{os.urandom(8).hex()}"
+        self._open[key] = self._client.submit(run_task, task, key=key)
+        return self._open[key]
+
+    def result(self, future: Any, task: Task) -> Done:
+        """Return the result of a future."""
+        del self._open[future.key]
+        if future.status == "finished":
+            done: Done = future.result()
+            return done
+        if future.status == "error":
+            return without_motion(task, LOST, f"its worker failed ({future.exception()})")
+        raise self._gone()
+
+    def close(self) -> None:
+        """Cancel open tasks and leave the cluster."""
+        with suppress(Exception):  # of a scheduler that may be gone
+            self._client.cancel([*self._open.values()])
+        self._client.close()
+
+    def _gone(self) -> SlipfreeError:
+        return SlipfreeError(
+            f"--scheduler {self._address}: the scheduler went away; finished runs are kept, and "
+            "the same command with a running scheduler goes on"
+        )
+
+
+def _connect(address: str) -> Any:
+    """Return a client of a scheduler whose workers are fit for the runs."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise DataError(
+            "--scheduler needs the package distributed: pip install 'slipfree[cluster]'"
+        ) from error
+    try:
+        with ThreadPoolExecutor(1) as alone:  # a notebook's thread has an event loop of its own
+            alone.submit(asyncio.run, _reach(address)).result()
+        client = Client(address, timeout=CONNECT, set_as_default=False)
+    except Exception as error:  # whatever the transport that the address names raises
+        reason = f"{type(error).__name__}: {error}".removesuffix(": ")
+        raise DataError(
+            f"--scheduler {address}: expected the address of a running Dask scheduler, as in "
+            f"tcp://10.0.0.1:8786, found none ({reason}); start one: dask scheduler"
+        ) from error
+    try:
+        _check_workers(client, address)
+    except BaseException:
+        client.close()
+        raise
+    return client
+
+
+async def _reach(address: str) -> None:
+    """Connect to a scheduler once: a client that cannot takes 20 s to close, with a traceback."""
+    from distributed.comm.core import connect
+    from distributed.security import Security
+
+    security = Security().get_connection_args("client")
+    async with asyncio.timeout(CONNECT):  # connect itself waits forever for one that hangs
+        comm = await connect(address, timeout=CONNECT, **security)
+        await comm.close()
+
+
+def _check_workers(client: Any, address: str) -> None:
+    try:
+        found = set(client.run(_version).values())
+    except Exception as error:  # whatever the workers raise on import
+        raise DataError(
+            f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
+            f"{type(error).__name__}: {error}; install it there"
+        ) from error
+    if not found:
+        raise DataError(
+            f"--scheduler {address}: expected workers, found none; start some: "
+            f"dask worker {address} --nworkers 4 --nthreads 1"
+        )
+    if found != {__version__}:
+        raise DataError(
+            f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
+            f"{', '.join(sorted(found))}; install the same everywhere"
+        )
+
+
+def _version() -> str:
+    return __version__
