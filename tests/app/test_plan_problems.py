@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -178,7 +179,7 @@ def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
 
 
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
-    monkeypatch.setattr("slipfree.plan.plan.MAX_REFINEMENTS", 1)
+    monkeypatch.setattr(sys.modules["slipfree.plan.plan"], "MAX_REFINEMENTS", 1)
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
     stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"

@@ -13,7 +13,9 @@ from slipfree.solve.system import System
 from slipfree.trajectory import Stop
 
 PREDICTION_TIME = 1e-3  # after the last sample that the integrator reached [s]
+SHARE = 0.1  # of that time
 MIN_JUMP = 0.05  # change of an unknown in that time, in its typical size, that is a jump
+MIN_LASTING_JUMP = 5e-3  # the same if half of it or more happens in that share of the time
 
 
 def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:
@@ -33,22 +35,26 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
         return None
     k = -1 if violation is None else violation
     t, x, z, u = float(samples.t[k]), samples.x[:, k], samples.z[:, k], samples.u[:, k]
+    soon = x
     if violation is None:
         if not _is_solved(system, t, x, z, u):
             return None  # the integrator failed at its start after a jump of the inputs
-        x = x + PREDICTION_TIME * np.array(system.core(t, x, z[: system.motion_size], u)[0]).ravel()
+        rates = np.array(system.core(t, x, z[: system.motion_size], u)[0]).ravel()
+        soon = x + PREDICTION_TIME * rates
     try:
-        found = solve_initial_conditions(system, t, x, z, u)
+        found = solve_initial_conditions(system, t, soon, z, u)
     except ModelError as error:
         reached = error.z if isinstance(error, UnsolvedError) else z  # else they are singular
         for limit in system.dae.limits:
-            words = limit.describe(x, reached) if limit.describe else ""
+            words = limit.describe(soon, reached) if limit.describe else ""
             if words:
                 return Stop(limit.label.full, t, words, limit.outcome)
         return None
-    jump = np.abs((found - z) / system.dae.scale)[: system.motion_size]
+    jump = _change(system, z, found)
     k = int(jump.argmax())
-    if jump[k] < MIN_JUMP:
+    sooner = x + SHARE * (soon - x)
+    lasts = violation is None and _lasts(system, t, sooner, z, u, least=float(jump[k]) / 2)
+    if jump[k] < MIN_JUMP and not lasts:
         return None
     label = list(leaves(system.dae.labels.z))[k]
     unit = "" if label.unit == "1" else f" {label.unit}"
@@ -67,4 +73,23 @@ def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
         found = solve_initial_conditions(system, t, x, z, u, continuation=False)
     except ModelError:
         return True  # nothing to compare with
-    return bool(np.abs((found - z) / system.dae.scale)[: system.motion_size].max() < MIN_JUMP)
+    return bool(_change(system, z, found).max() < MIN_JUMP)
+
+
+def _lasts(system: System, t: float, x: Array, z: Array, u: Array, *, least: float) -> bool:
+    """Return whether the unknowns change by ``least`` or more at states nearby too.
+
+    A jump stays as it is where the time shrinks; continuous changes shrink with it.
+    """
+    if 2 * least < MIN_LASTING_JUMP:
+        return False
+    try:
+        found = solve_initial_conditions(system, t, x, z, u)
+    except ModelError:
+        return False
+    return bool(_change(system, z, found).max() >= least)
+
+
+def _change(system: System, z: Array, found: Array) -> Array:
+    """Return the change of the motion's unknowns, in their typical sizes."""
+    return np.asarray(np.abs((found - z) / system.dae.scale)[: system.motion_size])
