@@ -58,7 +58,7 @@ def _names(listed: str) -> str:
     entries = _entries(listed)
     rows = (f"| [`{name}`](#{name.lower()}) | {_summary(value)} |" for _, name, value in entries)
     sections = (_section(*entry) for entry in entries)
-    return "\n".join(["| name | |", "| --- | --- |", *rows, "", *sections])
+    return "\n".join(["| name | summary |", "| --- | --- |", *rows, "", *sections])
 
 
 def _entries(listed: str) -> list[tuple[str, str, Any]]:
