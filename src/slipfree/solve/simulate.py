@@ -525,7 +525,7 @@ def _finish_motion(
             return replace(run, stop=why._replace(t=t))
     if failed:
         words = f"the integrator stopped at t = {t:.6g} s: {end}"
-        run = replace(run, stop=Stop("solver", t, words, Outcome.SOLVER_FAILURE))
+        run = replace(run, stop=Stop("solver", t, str(end), Outcome.SOLVER_FAILURE))
         raise SolverError(words, run)
     if isinstance(end, _ProgressError) and found is None:
         words = "the progress callable ended the motion by returning False"

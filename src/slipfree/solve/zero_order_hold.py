@@ -86,7 +86,7 @@ def simulate_sampled(
         run = run.part(slice(fault[0] + 1), fault[1])
     elif failure:
         words = f"the integrator stopped at t = {run.t[-1]:.6g} s: {failure}"
-        run = replace(run, stop=Stop("solver", float(run.t[-1]), words, Outcome.SOLVER_FAILURE))
+        run = replace(run, stop=Stop("solver", float(run.t[-1]), failure, Outcome.SOLVER_FAILURE))
         raise SolverError(words, run)
     cost |= {"tolerance": options.tolerance, "cpu_seconds": time.process_time() - clock}
     return replace(run, statistics=cost)
