@@ -24,7 +24,7 @@ Plan
     `plan`, the inputs of least `Cost` to a goal. `replan`, while driving. `Region`, to keep out of.
     `Route`, a way over a map.
 Problem file
-    `load_problem`, `run_problem`: as ``slipfree run`` does.
+    `load_problem`, `run_problem`: as ``slipfree run`` does. `open_result`, a result file.
 Errors
     `ModelError`, `DataError`, `SolverError`; all are `SlipfreeError`.
 

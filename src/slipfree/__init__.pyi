@@ -19,6 +19,7 @@ from .plan.plan import plan
 from .plan.stage import Cost
 from .problem.build_vehicle import read_vehicle
 from .problem.load import load_problem
+from .problem.result import open_result
 from .problem.solve import run_problem
 from .routing.regions import Region
 from .routing.search import Route
@@ -65,6 +66,7 @@ __all__ = [
     "inverse_kinematics",
     "load_problem",
     "montana_kinematics",
+    "open_result",
     "plan",
     "quasi_statics",
     "read_map",

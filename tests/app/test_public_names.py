@@ -24,7 +24,7 @@ NAMES = {
     *("settle", "simulate", "plan", "replan", "cross_check"),
     *("Cost", "Region", "Route"),
     *("Dae", "Trajectory", "Outcome", "SolverOptions"),
-    *("load_problem", "run_problem"),
+    *("load_problem", "run_problem", "open_result"),
     *("SlipfreeError", "ModelError", "DataError", "SolverError"),
     "__version__",
 }

@@ -38,10 +38,13 @@ def test_ending_of_a_climb_gets_its_own_key() -> None:
     assert upgrade_0_1(old) == {"outcome": "complete", "climb": old["outcome"]}
 
 
+LEAST = {"model": "kinematics", "law": "least"}
+
+
 @pytest.mark.parametrize(
     ("problem", "settings", "expected"),
     [
-        ('verb = "direct"', "", {"verb": "direct", "model": "kinematics", "law": "least"}),
+        ('verb = "direct"', "", {"verb": "direct", "formulation": "closure", **LEAST}),
         (
             'verb = "plan"',
             "slip=traction",

@@ -55,6 +55,8 @@ def _question(attributes: Mapping[str, str | float]) -> dict[str, str]:
         is_traction = slip == "traction"
         found["model"] = "quasi-static" if is_traction else "kinematics"
         found["law"] = "coulomb" if is_traction else slip
+    if verb == "direct":
+        found["formulation"] = str(data.get("formulation", "closure"))
     if verb == "inverse":
         is_collocated = "path" in data and data.get("steering", "angle") == "angle"
         found["solved_by"] = "collocation" if is_collocated else "integration"

@@ -28,6 +28,7 @@ from slipfree.problem.build_model import build_model, slip_law
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
 from slipfree.problem.verbs.base import CROSS_CHECK, CrossCheck, Result, Watch
+from slipfree.problem.verbs.drive_facts import FORMULATION
 from slipfree.problem.verbs.driving import DriveVerb, integrate, model_attributes
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory
@@ -92,8 +93,10 @@ class DirectVerb(DriveVerb):
         return integrate(setup, problem.spec.solver.options, watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
-        """Return also the model and the law."""
-        return super().attributes(problem, setup) | model_attributes(problem.spec)
+        """Return also the model, the law and the formulation."""
+        spec = problem.spec
+        found = super().attributes(problem, setup) | model_attributes(spec)
+        return found | {FORMULATION: spec.formulation}
 
     def cross_check(self, result: Result) -> CrossCheck:
         """Return the differences from the motion in the other formulation of contact."""

@@ -10,6 +10,7 @@ from slipfree.contact.certify import NONE
 from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory, path_length
 
+FORMULATION = "formulation"  # attribute of results of direct kinematics
 UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
 CHECKS = (
     "closure residual",
@@ -122,7 +123,7 @@ def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str,
     tolerance : float or None
         Tolerance of its integrator; None if it was not integrated.
     """
-    if "drift_position" in run.columns:
+    if run.attributes.get(FORMULATION) == "montana":
         drift, turned = (run[f"drift_{name}"].max() for name in ("position", "rotation"))
         yield "drift of the assembly", f"{drift:.2e} m, {turned:.2e} rad at most"
     else:

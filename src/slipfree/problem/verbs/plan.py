@@ -139,17 +139,9 @@ class PlanVerb(DriveVerb):
         if wrong:
             where = problem.source.where((key_of(wrong[0].place),))
             raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
-        start = build_start(problem, dae)
-        t, rates = samples(spec.time, spec.inputs or {})
+        start, (t, _) = build_start(problem, dae), samples(spec.time, spec.inputs or {})
         ways = ways_of(problem, spec, layers, places)
-        if spec.driver is None:
-            with at(problem, ("inputs",)):
-                starts = [(dae.inputs(**rates), float(t[-1]))]
-        elif ways:
-            with at(problem, ("driver",)):
-                starts = [_along(dae, vehicle, way, spec.driver.speed) for way in ways]
-        else:
-            starts = [(build_law(problem, spec.driver, dae, vehicle, start), float(t[-1]))]
+        starts = _starts(problem, dae, vehicle, start, ways)
         with at(problem, ("plan",)):
             task_of(
                 dae,
@@ -172,7 +164,7 @@ class PlanVerb(DriveVerb):
             places,
             keep_out,
             ways,
-            tuple(starts),
+            starts,
             spec,
             between,
         )
@@ -264,6 +256,25 @@ class PlanVerb(DriveVerb):
         found, problem = super().shown(result, name), result.problem
         planned = poses_of_plan(result.trajectory, result.arrays, found.terrain)
         return found._replace(keep_out=regions(problem, problem.spec), plan=planned)
+
+
+def _starts(
+    problem: Problem[plan_schema.Plan],
+    dae: Dae,
+    vehicle: Vehicle,
+    start: Trajectory,
+    ways: tuple[Array, ...],
+) -> tuple[tuple[Any, float], ...]:
+    """Return the inputs of the motions from which the search starts, and their durations [s]."""
+    spec = problem.spec
+    t, rates = samples(spec.time, spec.inputs or {})
+    if spec.driver is None:
+        with at(problem, ("inputs",)):
+            return ((dae.inputs(**rates), float(t[-1])),)
+    if not ways:
+        return ((build_law(problem, spec.driver, dae, vehicle, start), float(t[-1])),)
+    with at(problem, ("driver",)):
+        return tuple(_along(dae, vehicle, way, spec.driver.speed) for way in ways)
 
 
 def _along(dae: Dae, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
