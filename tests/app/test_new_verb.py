@@ -5,7 +5,7 @@ imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/verbs/regis
 Problem files, commands, sweeps, reports and result files accept the verb without other changes.
 """
 
-from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Literal
 
@@ -128,11 +128,29 @@ def test_options_of_other_verbs_are_refused_by_name() -> None:
     )
 
 
-def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
-    def in_process(tasks: Any, _: Any) -> Iterator[Any]:
-        yield from map(work, tasks)
+class InProcess:
+    """A pool in this process: those of others do not have the verb."""
 
-    monkeypatch.setattr("slipfree.sweep.pools.processes", lambda _: in_process)
+    def __init__(self, _: int) -> None:
+        """Take the number of processes."""
+
+    def room(self) -> int:
+        return 1
+
+    def submit(self, task: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(work(task))
+        return future
+
+    def result(self, future: Future[Any], _: Any) -> Any:
+        return future.result()
+
+    def close(self) -> None:
+        """Have nothing to end."""
+
+
+def test_it_is_swept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slipfree.sweep.pools.ProcessPool", InProcess)
     found = _called("sweep", "p.toml", "--vary", "vehicle.mass=20:40:3", "--no-draw")
     assert "load_least" in found
     assert len(Path("p_sweep/table.csv").read_text().splitlines()) == 4
