@@ -37,7 +37,7 @@ from slipfree.problem.result import motion_facts
 from slipfree.problem.solve import run_problem
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.show.html_report import page
-from slipfree.show.motion_figures import write
+from slipfree.show.plots import save
 
 KINDS = ("direct", "direct", "direct", "inverse", "inverse", "plan", "climb")
 COMPILED = ("direct", "plan")  # of these every third, what is compiled stays loaded
@@ -92,7 +92,7 @@ def whole(text: str, folder: Path, rng: Random) -> str:
     if "y" in motion.columns:
         export_path(folder / "p.nc", folder / "p.geojson")
     if rng.random() < 0.2:
-        write(verb_of(problem).figures(outcome), folder, ("png",))
+        save(verb_of(problem).figures(outcome), folder)
     if rng.random() < 0.1:
         page(report(folder / "p.nc", folder))
     return "complete" if motion.stop is None else "stopped"

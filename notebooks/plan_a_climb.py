@@ -33,7 +33,8 @@ from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.show import ground_drawing, style
-from slipfree.show.plan_figures import cost_map, plan_figures, ways
+from slipfree.show.plan_figures import cost_map, plan_plots, ways
+from slipfree.show.plots import draw
 from slipfree.trajectory import path_length
 
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
@@ -104,13 +105,15 @@ figure
 
 # %%
 climb = outcomes["friction used up to 95 %"]
-figures = plan_figures(
-    climb.trajectory,
-    ground,
-    climb.setup.layers,
-    places=climb.setup.places,
-    bounds=climb.setup.spec.bounds,
-    limits=climb.setup.spec.limits,
+figures = draw(
+    plan_plots(
+        climb.trajectory,
+        ground,
+        climb.setup.layers,
+        places=climb.setup.places,
+        bounds=climb.setup.spec.bounds,
+        limits=climb.setup.spec.limits,
+    )
 )
 figures["plan"]
 

@@ -42,6 +42,7 @@ from slipfree.routing.search import routes
 from slipfree.routing.traversability import reasons, traversability
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.plan_figures import cost_map, ways
+from slipfree.show.plots import draw
 from slipfree.terrain.base import Grid
 from slipfree.terrain.rolled import rolled
 from slipfree.trajectory import path_length
@@ -106,7 +107,7 @@ print(f"closure residual {run['closure_residual'].max():.0e} m, ", end="")
 print(f"clearance beside the contacts {run['clearance'].min():.2f} m at least")
 
 # %%
-figures = motion_figures.figures(run, grid)
+figures = draw(motion_figures.motion_plots(run, grid))
 figures["map"]
 
 # %% [markdown]

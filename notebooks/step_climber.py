@@ -45,6 +45,7 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.show import climb_figures as show
 from slipfree.show import style
+from slipfree.show.plots import draw
 from slipfree.solve.simulate import simulate
 
 above = [Path.cwd(), *Path.cwd().parents, *Path(slipfree.__file__).parents]
@@ -202,9 +203,8 @@ figure
 
 # %%
 proposed = step["proposed, sensors"]
-show.climb_figures(proposed.trajectory, proposed.setup.climber, proposed.setup.profile)[
-    "references"
-]
+plots = show.climb_plots(proposed.trajectory, proposed.setup.climber, proposed.setup.profile)
+draw(plots)["references"]
 
 # %% [markdown]
 # ## Slip and disturbance over time (Figure 14)
@@ -304,4 +304,4 @@ for law, settings in LAWS.items():
 
 # %%
 setup = planned.setup
-show.climb_figures(planned.trajectory, setup.climber, setup.profile, setup.plan)["plan"]
+draw(show.climb_plots(planned.trajectory, setup.climber, setup.profile, setup.plan))["plan"]

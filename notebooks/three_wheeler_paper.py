@@ -39,6 +39,7 @@ from slipfree.models.inverse import inverse_kinematics, steering_note
 from slipfree.models.montana import cross_check, montana_kinematics
 from slipfree.models.slip import measured_slip
 from slipfree.show import motion_figures
+from slipfree.show.plots import draw
 from slipfree.terrain.synthetic import blank, power_law
 
 # %% [markdown]
@@ -74,7 +75,7 @@ for wheel in start.wheels:
 # %%
 rates = model.inputs(right_rate=0.5, left_rate=0.4, steer_rate=0.0)
 run = simulate(model, start, rates, np.linspace(0, 6, 301), options=SolverOptions(tolerance=1e-10))
-figures = motion_figures.figures(run, ground)
+figures = draw(motion_figures.motion_plots(run, ground))
 figures["terrain"]
 
 # %%

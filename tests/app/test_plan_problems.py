@@ -14,7 +14,8 @@ from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.plan import figure_options
 from slipfree.problem.verbs.plan_goals import regions
-from slipfree.show.plan_figures import plan_figures
+from slipfree.show.plan_figures import plan_plots
+from slipfree.show.plots import draw
 
 FIELD = Path(__file__).parents[2] / "problems" / "plan_crater_field.toml"
 SHORT = (
@@ -171,7 +172,7 @@ def test_of_a_range_what_lies_on_the_map_counts():
 def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
     outcome = run_problem(load_problem(HILLS, [*QUICK, f"bounds={bounds}"]))
     motion, setup = outcome.trajectory, outcome.setup
-    drawn = plan_figures(motion, setup.ground.grid, setup.layers, **figure_options(setup))
+    drawn = draw(plan_plots(motion, setup.ground.grid, setup.layers, **figure_options(setup)))
     panel = drawn["plan"].axes[0]
     names = ["right rate", "left rate", "steer rate"]
     assert panel.get_legend_handles_labels()[1] == names + (["bound"] * 2 if bounds else [])

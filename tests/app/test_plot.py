@@ -18,13 +18,14 @@ from helpers.cases import function_of
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.records import Label
-from slipfree.show import force_figures, motion_figures
+from slipfree.show import force_figures, motion_figures, plots
 from slipfree.trajectory import Column, Trajectory
 
 FIRST_COMMAND = Path(__file__).parents[2] / "problems" / "real_dem_direct.toml"
 DOMAIN = (-5.0, 5.0, -4.0, 4.0)
-NAMES = ["map", "terrain", "tilts", "loci", "elevation", "slip", "checks"]
-LOADS = ["forces", "utilisation", "utilisation_map", "energy"]
+NAMES = ["map", "elevation", "tilts", "checks", "rates", "loci", "terrain"]
+LOADS = ["utilisation", "forces", "utilisation_map", "energy"]
+WITH_LOADS = [*NAMES[:2], LOADS[0], *NAMES[2:5], *LOADS[1:], *NAMES[5:]]
 
 
 def hills(x, y):
@@ -105,6 +106,18 @@ def with_mass(run: Trajectory) -> Trajectory:
 def without_mass(run: Trajectory) -> Trajectory:
     columns = {k: c for k, c in run.columns.items() if k not in made_up_loads(run)}
     return replace(run, columns=columns, attributes={})
+
+
+def figures(run: Trajectory, grid: sf.Grid, surface=None) -> dict[str, Figure]:
+    return plots.draw(motion_figures.motion_plots(run, grid, surface))
+
+
+def loads(run: Trajectory, grid: sf.Grid) -> dict[str, Figure]:
+    return plots.draw(force_figures.force_plots(run, grid))
+
+
+def save_figures(run: Trajectory, grid: sf.Grid, folder: Path, formats=("png",)) -> list[Path]:
+    return plots.save(motion_figures.motion_plots(run, grid), folder, formats)
 
 
 def moved(run: Trajectory, x: float, y: float) -> Trajectory:
@@ -241,11 +254,10 @@ def test_other_joints_are_found_but_not_their_stops(stopped, ax):
     ]
 
 
-def test_a_vehicle_without_joints_is_said_to_have_none(run, ax):
+def test_a_vehicle_without_joints_has_no_figure_of_them(run, grid):
     columns = {k: c for k, c in run.columns.items() if not k.startswith(("tilt_", "steer"))}
-    motion_figures.tilts(replace(run, columns=columns), ax)
-    assert not ax.lines
-    assert ax.texts[0].get_text() == "no joint moves"
+    found = motion_figures.motion_plots(replace(run, columns=columns), grid)
+    assert "tilts" not in [plot.name for plot in found]
 
 
 @pytest.mark.parametrize("view", [("x", "y"), ("x", "z"), ("y", "z")])
@@ -284,7 +296,7 @@ def analytic_slope(run: Trajectory) -> np.ndarray:
 def test_slope_is_that_of_a_formula_to_rounding(run, grid, ax):
     motion_figures.slope(run, sf.Analytic(hills), ax)
     np.testing.assert_allclose(ax.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
-    lower = motion_figures.figures(run, grid, sf.Analytic(hills))["elevation"].axes[1]
+    lower = figures(run, grid, sf.Analytic(hills))["elevation"].axes[1]
     np.testing.assert_allclose(lower.lines[0].get_ydata(), analytic_slope(run), atol=1e-15)
 
 
@@ -305,11 +317,12 @@ def test_slope_differs_from_the_pitch_by_reach_times_curvature(ax):
     assert reach.max() * curvature < 0.007
 
 
-def test_slip_at_rounding_is_said_to_be_none(run, ax):
-    motion_figures.slip(run, "along", ax)
-    assert not labels(ax)
-    assert "rounding" in ax.texts[0].get_text()
-    assert ax.get_ylabel() == "slip along the wheel [mm/s]"
+def test_slip_has_a_panel_per_direction_above_rounding(run, grid):
+    assert "slip" not in [plot.name for plot in motion_figures.motion_plots(run, grid)]
+    slipping = changed(run, "slip_across", np.outer(np.sin(run.t), [1e-3, 2e-3, 3e-3]))
+    figure = drawn(figures(slipping, grid)["slip"])
+    assert [ax.get_ylabel() for ax in figure.axes] == ["slip across the wheel [mm/s]"]
+    assert "least slip" in words(figure)
 
 
 def test_slip_is_drawn_in_millimetres_per_second(run, ax):
@@ -340,23 +353,22 @@ def test_checks_have_scale_and_reference(run, ax, name):
 
 def test_figures_come_by_name(run, grid):
     settings = dict(mpl.rcParams)
-    figures = motion_figures.figures(run, grid)
-    assert list(figures) == NAMES
+    drawings = figures(run, grid)
+    assert list(drawings) == NAMES
     assert dict(mpl.rcParams) == settings
-    for name, figure in figures.items():
+    for name, figure in drawings.items():
         assert "Stopped" not in words(figure)
         assert figure.axes, name
-    assert "least slip" in words(figures["slip"])
-    assert {"whole ground", "around the path"} <= {ax.get_title() for ax in figures["map"].axes}
-    rise = figures["elevation"].axes[1].lines[0].get_ydata()  # of the spline through the grid
+    assert {"whole ground", "around the path"} <= {ax.get_title() for ax in drawings["map"].axes}
+    rise = drawings["elevation"].axes[1].lines[0].get_ydata()  # of the spline through the grid
     np.testing.assert_allclose(rise, analytic_slope(run), atol=1e-4)
 
 
 def test_filled_holes_are_hatched_on_the_map(run, grid):
-    assert "filled holes" not in words(motion_figures.figures(run, grid)["map"])
+    assert "filled holes" not in words(figures(run, grid)["map"])
     filled = np.zeros(grid.z.shape, dtype=bool)
     filled[30:33, 20:28] = True
-    figure = drawn(motion_figures.figures(run, replace(grid, filled=filled))["map"])
+    figure = drawn(figures(run, replace(grid, filled=filled))["map"])
     assert words(figure).count("filled holes") == 1
     hatched = [c for ax in figure.axes for c in ax.collections if getattr(c, "hatches", [None])[0]]
     assert hatched
@@ -367,7 +379,7 @@ def test_filled_holes_are_hatched_on_the_map(run, grid):
 
 def test_every_figure_says_why_the_motion_stopped(stopped, grid):
     assert stopped.stop is not None
-    for figure in motion_figures.figures(with_mass(stopped), grid).values():
+    for figure in figures(with_mass(stopped), grid).values():
         text = " ".join(words(figure).split())
         assert stopped.stop.words in text
 
@@ -376,7 +388,7 @@ def test_every_figure_says_why_the_motion_stopped(stopped, grid):
 def test_nothing_reaches_over_the_edge(stopped, grid, half_width):
     kept = np.abs(grid.x) <= half_width
     grid = sf.Grid(grid.x[kept], grid.y, grid.z[kept])
-    for name, figure in motion_figures.figures(lifted(with_mass(stopped)), grid).items():
+    for name, figure in figures(lifted(with_mass(stopped)), grid).items():
         drawn(figure)
         width, height = figure.bbox.size
         places = [*figure.axes, *(child for ax in figure.axes for child in ax.child_axes)]
@@ -392,58 +404,56 @@ def test_nothing_reaches_over_the_edge(stopped, grid, half_width):
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_very_short_motions_are_drawn(run, grid, count):
-    for figure in motion_figures.figures(run.part(slice(count)), grid).values():
+    for figure in figures(run.part(slice(count)), grid).values():
         drawn(figure)
 
 
 def test_large_map_coordinates_count_from_a_round_one(run, grid):
     x, y = 500_123.0, 4_512_340.0
-    figures = motion_figures.figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z))
+    drawings = figures(moved(run, x, y), sf.Grid(grid.x + x, grid.y + y, grid.z))
     for name in ("map", "terrain", "loci"):
-        axes = drawn(figures[name]).axes[0]
+        axes = drawn(drawings[name]).axes[0]
         assert axes.get_xlabel() == "east $x$ - 500000 [m]"
         assert axes.get_ylabel() == "north $y$ - 4512000 [m]"
 
 
 def test_files_are_written(run, grid, tmp_path):
-    files = motion_figures.save_figures(
-        run, grid, tmp_path / "new" / "folder", formats=("png", "pdf")
-    )
+    files = save_figures(run, grid, tmp_path / "new" / "folder", formats=("png", "pdf"))
     assert [f.name for f in files] == [f"{n}.{end}" for n in NAMES for end in ("png", "pdf")]
     assert all(file.stat().st_size > 1000 for file in files)
 
 
 def test_unknown_formats_are_refused_before_anything_is_drawn(run, grid, tmp_path):
     with pytest.raises(sf.ModelError, match=r"formats: 'gifx' is not known; known: .*png"):
-        motion_figures.save_figures(run, grid, tmp_path / "none", formats=("gifx",))
+        save_figures(run, grid, tmp_path / "none", formats=("gifx",))
     assert not (tmp_path / "none").exists()
 
 
 def test_missing_quantities_are_named(run, grid):
     columns = {k: c for k, c in run.columns.items() if k != "slip_across"}
     with pytest.raises(sf.ModelError, match="the trajectory has no 'slip_across'"):
-        motion_figures.figures(replace(run, columns=columns), grid)
+        figures(replace(run, columns=columns), grid)
 
 
 def test_a_motion_on_another_ground_is_refused(run, grid):
     with pytest.raises(sf.ModelError, match=r"not on this ground: x is .* reaches from -5 to 5 m"):
-        motion_figures.figures(moved(run, 100.0, 0.0), grid)
+        figures(moved(run, 100.0, 0.0), grid)
 
 
 def test_vehicles_without_mass_have_no_figures_of_loads(run, grid):
-    assert force_figures.load_figures(run, grid) == {}
+    assert loads(run, grid) == {}
 
 
 def test_loads_are_drawn_for_vehicles_with_mass(loaded, grid):
     settings = dict(mpl.rcParams)
-    figures = motion_figures.figures(loaded, grid)
-    assert list(figures) == [*NAMES, *LOADS]
+    drawings = figures(loaded, grid)
+    assert list(drawings) == WITH_LOADS
     assert dict(mpl.rcParams) == settings
 
 
 def test_files_of_loads_are_written(loaded, grid, tmp_path):
-    files = motion_figures.save_figures(loaded, grid, tmp_path)
-    assert [file.name for file in files] == [f"{name}.png" for name in [*NAMES, *LOADS]]
+    files = save_figures(loaded, grid, tmp_path)
+    assert [file.name for file in files] == [f"{name}.png" for name in WITH_LOADS]
     assert all(file.stat().st_size > 1000 for file in files)
 
 
@@ -466,18 +476,17 @@ def test_drives_that_give_nothing_are_not_drawn(loaded, ax):
     assert ax.get_ylabel() == "torque [N m]"
 
 
-def test_no_drive_at_all_is_said(loaded, ax):
+def test_a_motion_without_torques_has_no_panel_of_them(loaded, grid):
     coasting = changed(loaded, "drive_torque", np.zeros((loaded.t.size, 3)))
-    force_figures.drives(changed(coasting, "steer_torque", np.zeros(loaded.t.size)), ax)
-    assert not labels(ax)
-    assert ax.texts[0].get_text() == "no torque"
+    still = changed(coasting, "steer_torque", np.zeros(loaded.t.size))
+    assert len(loads(still, grid)["forces"].axes) == 2
 
 
 def test_forces_of_sliding_joints_have_a_panel_of_their_own(loaded, grid):
-    assert len(force_figures.load_figures(loaded, grid)["forces"].axes) == 3
+    assert len(loads(loaded, grid)["forces"].axes) == 3
     force = Column(Label("slide_force", "N", "slide_force"), np.cos(loaded.t))
     sliding = replace(loaded, columns={**loaded.columns, "slide_force": force})
-    figure = drawn(force_figures.load_figures(sliding, grid)["forces"])
+    figure = drawn(loads(sliding, grid)["forces"])
     assert labels(figure.axes[2]) == ["right", "left", "steer torque"]
     assert labels(figure.axes[3]) == ["slide force"]
     assert figure.axes[3].get_ylabel() == "joint force [N]"
@@ -552,7 +561,7 @@ def test_tip_over_margin_has_degrees(loaded, ax):
 def test_utilisation_is_drawn_without_what_only_some_vehicles_have(loaded, grid):
     some = ("tip_over_margin", "utilisation_best")
     fewer = replace(loaded, columns={k: c for k, c in loaded.columns.items() if k not in some})
-    figure = drawn(force_figures.load_figures(fewer, grid)["utilisation"])
+    figure = drawn(loads(fewer, grid)["utilisation"])
     assert len(figure.axes) == 1
     assert "forces distributed best" not in words(figure)
 
@@ -611,14 +620,14 @@ def test_power_has_the_colours_of_energy(loaded, ax):
 def test_a_quantity_that_is_missing_from_loads_is_named(loaded, grid):
     columns = {k: c for k, c in loaded.columns.items() if k != "force_across"}
     with pytest.raises(sf.ModelError, match="the trajectory has no 'force_across'"):
-        force_figures.load_figures(replace(loaded, columns=columns), grid)
+        loads(replace(loaded, columns=columns), grid)
 
 
 @pytest.mark.parametrize("count", [1])
 def test_loads_of_very_short_motions_are_drawn(loaded, grid, count):
-    for figure in force_figures.load_figures(loaded.part(slice(count)), grid).values():
+    for figure in loads(loaded.part(slice(count)), grid).values():
         drawn(figure)
 
 
 def test_loads_on_flat_ground_are_drawn(loaded, grid):
-    drawn(force_figures.load_figures(loaded, replace(grid, z=0 * grid.z))["utilisation_map"])
+    drawn(loads(loaded, replace(grid, z=0 * grid.z))["utilisation_map"])

@@ -16,6 +16,7 @@ from slipfree.climb.vehicle import AXLES
 from slipfree.errors import ModelError
 from slipfree.records import Label
 from slipfree.show import climb_figures as show
+from slipfree.show import plots
 from slipfree.trajectory import Column, Trajectory
 
 
@@ -126,19 +127,19 @@ def test_plan_and_motion_over_the_way(case):
     assert 0.6 < used.max() <= 0.9 + 1e-9  # static friction
     lines = named(show.planned_speeds(run, plan, climber, Figure().subplots()))
     assert_allclose(lines["front"].get_ydata(), 2 * 0.066)
-    assert "plan" in show.climb_figures(run, climber, profile, plan)
+    assert "plan" in plots.draw(show.climb_plots(run, climber, profile, plan))
 
 
 def test_figures_are_written(case, tmp_path):
     climber, profile, run = case
-    files = show.save_climb_figures(run, climber, profile, tmp_path / "figures")
+    files = plots.save(show.climb_plots(run, climber, profile), tmp_path / "figures")
     assert [file.stem for file in files] == ["strobe", "references", "slip", "forces"]
     for file in files:
         pixels = image.imread(file)
         assert pixels.shape[1] == pytest.approx(200 * 180 / 25.4, abs=2)
         assert pixels[..., :3].std() > 0.05
     with pytest.raises(ModelError, match="formats: 'bmpx' is not known"):
-        show.save_climb_figures(run, climber, profile, tmp_path, formats=["bmpx"])
+        plots.save(show.climb_plots(run, climber, profile), tmp_path, ["bmpx"])
 
 
 def test_the_film_moves(case, tmp_path):

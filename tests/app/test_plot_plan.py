@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import slipfree as sf
 from slipfree.routing.regions import Region
 from slipfree.routing.traversability import blocked_by, traversability
-from slipfree.show import ground_drawing, plan_figures
+from slipfree.show import ground_drawing, plan_figures, plots
 from slipfree.terrain.synthetic import blank, craters
 from slipfree.trajectory import Trajectory
 
@@ -56,6 +56,10 @@ def labels(ax) -> list[str]:
 
 def way() -> np.ndarray:
     return np.array([[6.0, 8.0], [14.0, 20.0], [24.0, 20.0]])
+
+
+def figures(*args, **options) -> dict[str, Figure]:
+    return plots.draw(plan_figures.plan_plots(*args, **options))
 
 
 def test_costs_and_what_blocks_lie_where_they_belong(layers, grid, ax):
@@ -141,10 +145,10 @@ def test_room_is_the_distance_less_what_the_wheels_reach(run, layers, ax):
 
 
 def test_figures_of_a_plan_are_complete_and_fit(run, grid, layers):
-    drawn = plan_figures.plan_figures(
+    drawn = figures(
         run, grid, layers, places=(START, GOAL), found=[way()], bounds=BOUNDS, limits=LIMITS
     )
-    assert list(drawn) == ["traversability", "plan"]
+    assert list(drawn) == ["plan", "traversability"]
     assert len(drawn["plan"].axes) == 1 + 2 + 1 + 2
     note = " ".join(text.get_text() for text in drawn["plan"].texts).replace("\n", " ")
     assert "misses the plan by x 1.2e-04 m, heading 3.0e-05 rad." in note
@@ -164,7 +168,7 @@ def test_labels_of_the_panels_do_not_meet(run, grid, layers, count, limits):
     columns = {f"steer_rear_right_{k}_rate": run.columns["steer_rate"] for k in range(count)}
     many = replace(run, columns={**run.columns, **columns})
     bounds = BOUNDS | dict.fromkeys(columns, (-np.inf, np.inf))
-    figure = plan_figures.plan_figures(many, grid, layers, bounds=bounds, limits=limits)["plan"]
+    figure = figures(many, grid, layers, bounds=bounds, limits=limits)["plan"]
     figure.draw_without_rendering()
     boxes = [ax.yaxis.label.get_window_extent() for ax in figure.axes]
     assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))
@@ -172,23 +176,21 @@ def test_labels_of_the_panels_do_not_meet(run, grid, layers, count, limits):
 
 def test_a_plan_without_bounds_limits_or_keep_outs_is_drawn(run, grid, layers):
     bare = layers._replace(limits=layers.limits._replace(keep_out=()))
-    figure = plan_figures.plan_figures(run, grid, bare)["plan"]
+    figure = figures(run, grid, bare)["plan"]
     assert len(figure.axes) == 2
 
 
 def test_a_short_way_is_drawn_without_the_rest_of_the_map(run, grid, layers):
-    figure = plan_figures.plan_figures(run, grid, layers)["traversability"]
+    figure = figures(run, grid, layers)["traversability"]
     assert np.ptp(figure.axes[0].get_xlim()) < 0.6 * 40
-    whole = plan_figures.plan_figures(
-        run, grid, layers, found=[np.array([[2.0, 2.0], [38.0, 38.0]])]
-    )
+    whole = figures(run, grid, layers, found=[np.array([[2.0, 2.0], [38.0, 38.0]])])
     assert np.ptp(whole["traversability"].axes[0].get_xlim()) == pytest.approx(40)
 
 
-def test_files_are_written_with_those_of_the_motion(run, grid, layers, tmp_path):
-    files = plan_figures.save_plan_figures(run, grid, layers, tmp_path, bounds=BOUNDS)
+def test_files_are_written(run, grid, layers, tmp_path):
+    files = plots.save(plan_figures.plan_plots(run, grid, layers, bounds=BOUNDS), tmp_path)
     names = [file.name for file in files]
-    assert names[:3] == ["traversability.png", "plan.png", "map.png"]
+    assert names == ["plan.png", "traversability.png"]
     assert all(file.stat().st_size > 1000 for file in files)
     with pytest.raises(sf.ModelError, match="formats: 'gifx' is not known"):
-        plan_figures.save_plan_figures(run, grid, layers, tmp_path, formats=("gifx",))
+        plots.save(plan_figures.plan_plots(run, grid, layers), tmp_path, ("gifx",))

@@ -75,7 +75,7 @@ def _invoke(*words: str) -> Any:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out what takes long."""
-    monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: {})
+    monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: ())
 
 
 @pytest.mark.parametrize("kind", SETTINGS)
@@ -83,7 +83,7 @@ def test_a_page_holds_all_of_a_result(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not FIGURES[kind]:  # they are drawn as those of an inverse motion
-        monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: {})
+        monkeypatch.setattr("slipfree.problem.verbs.driving.DriveVerb.figures", lambda *_: ())
     file = _result(kind, tmp_path)
     result = _invoke(str(file))
     assert result.exit_code == 0, result.output
@@ -173,7 +173,13 @@ def test_running_again_replaces_nothing(tmp_path: Path) -> None:
 def test_a_planned_climb_shows_its_plan(tmp_path: Path) -> None:
     settings = "plan.cost=time", "plan.nodes=20", "time.duration=4", "control.law="
     found = report(_result("climb", tmp_path, *settings))
-    assert set(found.figures) == {"strobe", "references", "slip", "forces", "plan"}
+    assert {plot.name for plot in found.figures} == {
+        "strobe",
+        "references",
+        "slip",
+        "forces",
+        "plan",
+    }
     assert "least friction" in {name.strip() for name, _ in found.tables["What came of it"]}
 
 

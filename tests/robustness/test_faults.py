@@ -25,7 +25,8 @@ from slipfree.cli import app
 from slipfree.errors import DataError
 from slipfree.files import netcdf
 from slipfree.show.film import film_writer, write_film
-from slipfree.show.motion_figures import write as write_figures
+from slipfree.show.plots import Plot
+from slipfree.show.plots import save as save_figures
 from slipfree.sweep.log import WORDS, Log, Row
 from slipfree.trajectory import Trajectory
 
@@ -55,8 +56,8 @@ def _film(file: Path) -> None:
 WRITERS: dict[str, Callable[[Trajectory, Path], Any]] = {
     "r.nc": lambda run, file: netcdf.write(file, run, {"more": np.ones(9)}),
     "r.csv": lambda run, file: netcdf.write_csv(file, run),
-    "f.png": lambda _, file: write_figures({"f": _figure()}, file.parent, ["png"]),
-    "f.pdf": lambda _, file: write_figures({"f": _figure()}, file.parent, ["pdf"]),
+    "f.png": lambda _, file: save_figures([Plot("f", "", _figure)], file.parent),
+    "f.pdf": lambda _, file: save_figures([Plot("f", "", _figure)], file.parent, ["pdf"]),
     "film.gif": lambda _, file: _film(file),
     "film.mp4": lambda _, file: _film(file),
     "page.html": lambda _, file: replace_file(file, lambda part: part.write_text("<html>")),
@@ -229,9 +230,9 @@ def test_figures_need_no_display(folder: Path) -> None:
         k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MPLBACKEND")
     }
     code = (
-        "from slipfree.show.motion_figures import write; from slipfree.show import style\n"
+        "from slipfree.show.plots import Plot, save; from slipfree.show import style\n"
         "figure = style.figure(3, 3); figure.subplots().plot([0, 1]); "
-        "print(*write({'f': figure}, '.', ['png']))"
+        "print(*save([Plot('f', '', lambda: figure)], '.'))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from helpers.fuzz_files import bases, document
 from slipfree.cli import app
-from slipfree.show.motion_figures import write
+from slipfree.show.plots import Plot, save
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
 FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -127,7 +127,7 @@ def test_names_with_signs_of_latex_are_drawn_as_they_are(tmp_path: Path) -> None
     with rc_context({"text.usetex": True}), rc_context(style.STYLE):
         figure = style.figure(1, 1)
         figure.suptitle(r"\input{/etc/hostname} _ %", parse_math=False)
-    assert write({"a": figure}, tmp_path, ["png"]) == [tmp_path / "a.png"]
+    assert save([Plot("a", "", lambda: figure)], tmp_path) == [tmp_path / "a.png"]
 
 
 def test_modules_in_the_current_folder_are_not_imported(folder: Path) -> None:

@@ -31,10 +31,13 @@ from slipfree.cli.progress import reporting
 from slipfree.errors import DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.problem.problem import Problem
     from slipfree.problem.result import Result
     from slipfree.problem.verbs.base import MotionVerb
+    from slipfree.show.plots import Plot
 
 
 Out = Annotated[
@@ -54,6 +57,9 @@ Figures = Annotated[
     typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
 ]
 Draw = Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")]
+DrawAll = Annotated[
+    bool, typer.Option("--figures-all", help="Draw all figures, not only the main ones.")
+]
 CrossCheck = Annotated[
     bool,
     typer.Option(
@@ -79,6 +85,7 @@ def run(
     settings: Settings = None,
     figures: Figures = None,
     draw: Draw = True,
+    figures_all: DrawAll = False,
     cross_check: CrossCheck = False,
     resume: Resume = None,
     animation: Animation = None,
@@ -101,7 +108,7 @@ def run(
         if cross_check:
             _cross_check(result)
         if folder is not None:
-            _draw(result, verb, folder)
+            _draw(verb.figures(result), folder, every=figures_all)
         if animation is not None:
             verb.animate(result, animation)
             _wrote(animation)
@@ -185,13 +192,16 @@ def _save(result: Result, out: Path, csv: Path | None) -> None:
         write_csv(csv, result.trajectory)
 
 
-def _draw(result: Result, verb: MotionVerb, folder: Path) -> None:
-    from slipfree.show.motion_figures import write
+def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
+    """Draw the main figures, or all of them."""
+    from slipfree.show.plots import main_plots, save
 
-    files = write(verb.figures(result), folder, ("png",))
+    files = save(plots if every else main_plots(plots), folder)
     for file in files:
         put_file(file)
-    say(f"drew {len(files)} figures in {folder}")
+    names, rest = ", ".join(file.stem for file in files), len(plots) - len(files)
+    more = f"; {rest} more with --figures-all" if rest else ""
+    say(f"drew {names} in {folder}{more}")
     detail(f"drew {len(files)} figures in {folder}")
 
 

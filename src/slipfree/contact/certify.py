@@ -21,7 +21,6 @@ RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # around the wheel, ze
 SPACING = np.deg2rad(3.0)  # distance of neighbouring points on the tread [rolling radii]
 CHUNK = 256  # samples evaluated together; limits the memory
 TOLERANCE = 1e-7  # penetration that counts as contact [size]
-NONE = 1.0  # clearance reported where there is no second local minimum of the gap [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +54,7 @@ class SecondContact:
         """Name, unit and description of the clearance."""
         words = (
             f"smallest clearance between wheel {self.wheel.name} and the ground apart from the "
-            "contact point; 1 where no second point is near the ground"
+            "contact point; infinite where no second point is near the ground"
         )
         return Label("clearance", "m", words, self.wheel.name)
 
@@ -81,7 +80,7 @@ class SecondContact:
         low = _second_minima(gap)
         # points inside the ground count everywhere, also next to the contact point
         touching = TOLERANCE * self.size
-        values = np.where(low | (gap < -touching), gap, NONE)
+        values = np.where(low | (gap < -touching), gap, np.inf)
         for k, i, j in zip(*np.nonzero(low & (gap < self.wheel.radius / 10)), strict=True):
             values[k, i, j] = _vertex(gap[k], i, j)
         flat = values.reshape(len(values), -1)

@@ -8,8 +8,6 @@ from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-from matplotlib.figure import Figure
-
 from slipfree.files.netcdf import ORIGIN
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.result import Result, motion_facts, open_result
@@ -17,6 +15,7 @@ from slipfree.problem.summary import Facts, outcome_fact, ranges
 from slipfree.problem.verbs.base import MotionVerb
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.show.html_report import Report
+from slipfree.show.plots import Plot
 from slipfree.trajectory import Trajectory, outcome_words
 from slipfree.version import __version__
 
@@ -38,9 +37,9 @@ ELSEWHERE = (  # attributes that are told in other places
 
 
 class _Drawn(NamedTuple):
-    """Figures by name, or why there are none."""
+    """Figures, or why there are none."""
 
-    figures: Mapping[str, Figure]
+    figures: Sequence[Plot]
     note: str
 
 
@@ -131,8 +130,8 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
 def _drawn(result: Result) -> _Drawn:
     """Return the figures that ``slipfree run`` draws, or why they cannot be drawn again."""
     if "problem" not in result.trajectory.attributes:
-        return _Drawn({}, "None: the result holds no problem file, so its ground is not known.")
+        return _Drawn((), "None: the result holds no problem file, so its ground is not known.")
     try:
         return _Drawn(verb_of(result.problem).figures(result), "")
     except ProblemError as error:
-        return _Drawn({}, f"None: {error}")
+        return _Drawn((), f"None: {error}")

@@ -1,14 +1,13 @@
 """Figures of a climb: where the vehicle was, references, slip and disturbance, forces; a film.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``climb_figures`` composes the figures, ``save_climb_figures``
-writes them, and ``animate`` writes a moving picture.
+axes; legends are the caller's. ``climb_plots`` composes the figures, and ``animate`` writes a
+film.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.records import Array
 from slipfree.show import style
 from slipfree.show.film import FRAMES, film_writer, write_film
-from slipfree.show.motion_figures import check_formats, write
+from slipfree.show.plots import Panel, Plot, stack
 from slipfree.show.scene import stopped
 from slipfree.show.style import MM, PAGE, PLATFORM, STYLE
 from slipfree.trajectory import Trajectory
@@ -39,7 +38,6 @@ GROUND = "0.85"
 ROOM, BELOW = 0.04, 0.03  # around and below what is drawn [m]
 HIGHEST = 100.0  # of ratios that are drawn [%]
 WIDTH = 110  # letters in a line of a film
-ROW = 38 * MM  # height of a panel over time [in]
 
 
 def ground(profile: Profile, ax: Axes) -> Axes:
@@ -256,60 +254,66 @@ def _over_time(run: Trajectory, ax: Axes) -> Axes:
     return style.time_axis(run, ax)
 
 
-def climb_figures(
+def climb_plots(
     run: Trajectory, climber: Climber, profile: Profile, plan: Trajectory | None = None
-) -> dict[str, Figure]:
-    """Return the figures of a climb, by name.
+) -> tuple[Plot, ...]:
+    """Return the figures of a climb, the most important first.
 
     Parameters
     ----------
     run : Trajectory
         A motion of `slipfree.climb.dynamics.climbing`.
     climber, profile : Climber, Profile
-        What climbed what.
+        Vehicle and ground.
     plan : Trajectory, optional
         The plan that the motion tracks.
 
     Returns
     -------
-    dict of str to Figure
-        ``strobe, references, slip, forces``, 180 mm wide; ``plan`` if there is one.
+    tuple of Plot
+        ``strobe, references, slip, forces``, 180 mm wide; ``plan`` after the first one if there is
+        a plan.
     """
-    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
-        return {
-            "strobe": _strobe(run, climber, profile),
-            "references": _references(run, climber),
-            "slip": _slip(run, climber, profile),
-            "forces": _forces(run, climber, profile),
-        } | ({} if plan is None else {"plan": _plan(run, plan, climber, profile)})
-
-
-def save_climb_figures(
-    run: Trajectory,
-    climber: Climber,
-    profile: Profile,
-    folder: str | Path,
-    formats: Sequence[str] = ("png",),
-    plan: Trajectory | None = None,
-) -> list[Path]:
-    """Write the figures of a climb to a folder, which is made if needed, and return their files.
-
-    Parameters
-    ----------
-    run, climber, profile, plan
-        As for `climb_figures`.
-    folder : str or Path
-        Where the files go, as ``strobe.png`` and so on.
-    formats : sequence of str
-        What to write: ``"png"`` (200 dpi), ``"pdf"``, ``"svg"``.
-
-    Raises
-    ------
-    ModelError
-        If a format is not known.
-    """
-    check_formats(formats)
-    return write(climb_figures(run, climber, profile, plan), folder, formats)
+    left_out = "Shaded: not averaged."
+    strobed = Plot(
+        "strobe", "The vehicle at several times.", lambda: _strobe(run, climber, profile)
+    )
+    stacks = {
+        "references": (
+            "Rates of the wheels: references and motion.",
+            [Panel(partial(references, run, climber)), Panel(partial(tilts, run))],
+            f"Thin: speed of the rim. {left_out}",
+        ),
+        "slip": (
+            "Slip and disturbance of every axle.",
+            [
+                Panel(partial(slip, run, climber)),
+                Panel(partial(true_slip, run, climber, profile), has_legend=False),
+                Panel(partial(disturbance, run), has_legend=False),
+            ],
+            f"Drawn up to {HIGHEST:g} %. Equation (20) takes the middle axle's speed for all "
+            f"wheels. {left_out}",
+        ),
+        "forces": (
+            "Normal forces and torques of every axle.",
+            [
+                Panel(partial(loads, run, profile)),
+                Panel(partial(torques, run, climber), has_legend=False),
+            ],
+            f"Short peaks of impacts are cut off. {left_out}",
+        ),
+    }
+    if plan is not None:
+        panels = [
+            Panel(partial(planned_speeds, run, plan, climber)),
+            Panel(partial(planned_friction, run, plan, profile), has_legend=False),
+        ]
+        note = "Thin: driven. Dashed: the friction that the plan uses."
+        stacks = {"plan": ("Planned speeds and friction.", panels, note), **stacks}
+    return strobed, *(
+        Plot(name, caption, partial(stack, run, panels, note))
+        for name, (caption, panels, note) in stacks.items()
+    )
 
 
 def _strobe(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
@@ -327,57 +331,6 @@ def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
     """Make a figure as high as its axes of equal aspect need."""
     width, height = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
     figure.set_figheight((PAGE - 14 * MM) * float(height / width) + room)
-
-
-def _references(run: Trajectory, climber: Climber) -> Figure:
-    figure = style.figure(PAGE, 2 * ROW + 24 * MM)
-    panels = figure.subplots(2, 1, sharex=True)
-    references(run, climber, panels[0])
-    tilts(run, panels[1])
-    return style.finished(
-        style.stacked(figure, panels), run, panels, "Thin: speed of the rim. Shaded: not averaged."
-    )
-
-
-def _slip(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
-    figure = style.figure(PAGE, 3 * ROW + 24 * MM)
-    panels = figure.subplots(3, 1, sharex=True)
-    slip(run, climber, panels[0])
-    true_slip(run, climber, profile, panels[1])
-    disturbance(run, panels[2])
-    return style.finished(
-        style.stacked(figure, panels),
-        run,
-        panels[:1],
-        f"Drawn up to {HIGHEST:g} %. Equation (20) takes the middle axle's speed for all wheels. "
-        "Shaded: not averaged.",
-    )
-
-
-def _forces(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
-    figure = style.figure(PAGE, 2 * ROW + 24 * MM)
-    panels = figure.subplots(2, 1, sharex=True)
-    loads(run, profile, panels[0])
-    torques(run, climber, panels[1])
-    return style.finished(
-        style.stacked(figure, panels),
-        run,
-        panels[:1],
-        "Short peaks of impacts are cut off. Shaded: not averaged.",
-    )
-
-
-def _plan(run: Trajectory, plan: Trajectory, climber: Climber, profile: Profile) -> Figure:
-    figure = style.figure(PAGE, 2 * ROW + 24 * MM)
-    panels = figure.subplots(2, 1, sharex=True)
-    planned_speeds(run, plan, climber, panels[0])
-    planned_friction(run, plan, profile, panels[1])
-    return style.finished(
-        style.stacked(figure, panels),
-        run,
-        panels[:1],
-        "Thin: driven. Dashed: the friction that the plan uses.",
-    )
 
 
 def _outcome(run: Trajectory) -> str:

@@ -1,12 +1,13 @@
 """Figures of what a vehicle with mass asks of the ground and of its drives.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``load_figures`` composes the figures for which a motion has the
-quantities: those of vehicles without mass have none.
+axes; legends are the caller's. ``force_plots`` composes the figures for which a motion has the
+quantities; vehicles without mass have none.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from matplotlib.figure import Figure
 
 from slipfree.records import Array
 from slipfree.show import ground_drawing, style
-from slipfree.show.style import COLUMN, MM, PAGE, PALETTE, PLATFORM
+from slipfree.show.plots import Panel, Plot, stack
+from slipfree.show.style import COLUMN, MM, PALETTE, PLATFORM
 from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
 
@@ -63,8 +65,6 @@ def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
         if run.columns[name].label.unit == unit:
             ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
     what = "torque" if unit == "N m" else "joint force"
-    if not ax.lines:
-        style.remark(ax, f"no {what}")
     ax.set_ylabel(f"{what} [{unit}]")
     return style.time_axis(run, _with_zero(ax))
 
@@ -165,8 +165,8 @@ def power(run: Trajectory, ax: Axes) -> Axes:
     return style.time_axis(run, _with_zero(ax))
 
 
-def load_figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
-    """Return the figures of the forces and energies of a motion, by name.
+def force_plots(run: Trajectory, grid: Grid) -> tuple[Plot, ...]:
+    """Return the figures of forces and energies, the most important first.
 
     Parameters
     ----------
@@ -177,47 +177,49 @@ def load_figures(run: Trajectory, grid: Grid) -> dict[str, Figure]:
 
     Returns
     -------
-    dict of str to Figure
-        ``forces, utilisation, utilisation_map, energy``, as far as the motion has the quantities;
+    tuple of Plot
+        ``utilisation, forces, utilisation_map, energy``, as far as the motion has the quantities;
         nothing for a vehicle without mass.
-
-    Raises
-    ------
-    ModelError
-        If it has a quantity but not those that belong to it, or is not on this ground.
     """
-    drawn: dict[str, Figure] = {}
-    if "force_normal" in run:
-        drawn["forces"] = _forces(run)
+    plots: list[Plot] = []
     if "utilisation" in run:
-        drawn["utilisation"] = _utilisation(run)
-        drawn["utilisation_map"] = _utilisation_map(run, grid)
+        plots.append(_utilisation(run))
+    if "force_normal" in run:
+        plots.append(_forces(run))
+    if "utilisation" in run:
+        caption = "Friction needed along the tracks."
+        plots.append(Plot("utilisation_map", caption, lambda: _utilisation_map(run, grid)))
     if "work" in run:
-        drawn["energy"] = _energy(run)
-    return drawn
+        plots.append(_energy(run))
+    return tuple(plots)
 
 
-def _forces(run: Trajectory) -> Figure:
-    slides = "N" in {run.columns[name].label.unit for name in _joints(run)}
-    figure = style.figure(PAGE, (150 if slides else 118) * MM)
-    panels = list(figure.subplots(4 if slides else 3, 1, sharex=True))
-    normal_forces(run, panels[0])
-    tangential_forces(run, panels[1])
-    drives(run, panels[2])
-    if slides:
-        drives(run, panels[3], "N")
-    return style.finished(style.stacked(figure, panels), run, panels)
+def _forces(run: Trajectory) -> Plot:
+    panels = [
+        Panel(partial(normal_forces, run)),
+        Panel(partial(tangential_forces, run)),
+    ]
+    units = {run.columns[name].label.unit for name in _joints(run)}
+    if "N m" in units or run["drive_torque"].any():
+        panels.append(Panel(partial(drives, run)))
+    if "N" in units:
+        panels.append(Panel(partial(drives, run, unit="N")))
+    caption = "Forces between wheels and ground, and torques of the drives."
+    return Plot("forces", caption, lambda: stack(run, panels))
 
 
-def _utilisation(run: Trajectory) -> Figure:
-    if "tip_over_margin" not in run:
-        figure = style.figure(PAGE, 72 * MM)
-        return style.finished(figure, run, [utilisation(run, figure.subplots())])
-    figure = style.figure(PAGE, 100 * MM)
-    panels = list(figure.subplots(2, 1, sharex=True, height_ratios=(5, 2)))
-    utilisation(run, panels[0])
-    tip_over(run, panels[1])
-    return style.finished(style.stacked(figure, panels), run, panels[:1])
+def _utilisation(run: Trajectory) -> Plot:
+    panels = [Panel(partial(utilisation, run), 60)]
+    if "tip_over_margin" in run:
+        panels.append(Panel(partial(tip_over, run), 26, has_legend=False))
+    caption = "Friction that every wheel needs over time, and the margin to tipping over."
+    return Plot("utilisation", caption, lambda: stack(run, panels))
+
+
+def _energy(run: Trajectory) -> Plot:
+    panels = [Panel(partial(energy, run), 48), Panel(partial(power, run), 32)]
+    caption = "Work of the drives, potential energy, and losses."
+    return Plot("energy", caption, lambda: stack(run, panels))
 
 
 def _utilisation_map(run: Trajectory, grid: Grid) -> Figure:
@@ -227,14 +229,6 @@ def _utilisation_map(run: Trajectory, grid: Grid) -> Figure:
     style.finished(figure, run, [utilisation_map(run, grid, figure.subplots())])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure
-
-
-def _energy(run: Trajectory) -> Figure:
-    figure = style.figure(PAGE, 100 * MM)
-    panels = list(figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
-    energy(run, panels[0])
-    power(run, panels[1])
-    return style.finished(style.stacked(figure, panels), run, panels)
 
 
 def _by_wheel(run: Trajectory, values: Array, ax: Axes, zeros: bool = True) -> None:

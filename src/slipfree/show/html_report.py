@@ -15,28 +15,12 @@ from typing import NamedTuple
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from slipfree.show.plots import Plot, draw
 from slipfree.show.style import DPI, STYLE
 
 MOST = 400_000  # bytes of a vector graphic; larger ones become pixels
 PIXELS = 120  # of the page to an inch of a figure
 VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # the same page for the same result
-CAPTIONS = {
-    "map": "Ground and way in plan.",
-    "terrain": "Ground around the way, platform and tracks of the contact points.",
-    "tilts": "Angles of the joints over time.",
-    "loci": "Where platform, wheel centres and contact points have been.",
-    "elevation": "Heights and slopes along the way.",
-    "slip": "Slip of every wheel over time.",
-    "checks": "What makes the motion trustworthy: residuals and margins over time.",
-    "forces": "Forces between wheels and ground, and what the drives give.",
-    "utilisation": "Friction that every wheel needs over time.",
-    "utilisation_map": "Where friction is needed.",
-    "energy": "Work of the drives, potential energy, and what is lost.",
-    "traversability": "Where the vehicle can go, ways that started the search, and the motion.",
-    "plan": "What was planned, and its limits.",
-    "strobe": "The vehicle on its way up.",
-    "references": "Rates of the wheels: references and motion.",
-}
 STYLES = """
 body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff;
        max-width: 60rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
@@ -65,8 +49,8 @@ class Report(NamedTuple):
         Whether it ended as asked for.
     tables : mapping of str to sequence of (str, ...)
         Rows by heading; the first of a row names it, indented if it belongs to the one above.
-    figures : mapping of str to Figure
-        By name.
+    figures : sequence of Plot
+        Figures.
     note : str
         Why there are no figures; empty if there are.
     texts : mapping of str to str
@@ -77,7 +61,7 @@ class Report(NamedTuple):
     lead: str
     good: bool
     tables: Mapping[str, Sequence[tuple[str, ...]]]
-    figures: Mapping[str, Figure]
+    figures: Sequence[Plot]
     note: str
     texts: Mapping[str, str]
 
@@ -86,7 +70,7 @@ def page(report: Report) -> str:
     """Return a report as an HTML page that needs no other file, no network and no script."""
     parts = {name: _table(rows) for name, rows in report.tables.items() if rows}
     first, *others = parts
-    shown = _note(report.note) + "".join(_figure(*each) for each in report.figures.items())
+    shown = _note(report.note) + "".join(_figure(plot) for plot in report.figures)
     sections = {
         first: parts[first],
         **({"Figures": shown} if shown else {}),
@@ -126,8 +110,8 @@ def _note(words: str) -> str:
     return f"<p>{escape(words)}</p>\n" if words else ""
 
 
-def _figure(name: str, figure: Figure) -> str:
-    caption = escape(CAPTIONS.get(name, name.replace("_", " ")))
+def _figure(plot: Plot) -> str:
+    caption, (figure,) = escape(plot.caption), draw([plot]).values()
     width = PIXELS * float(figure.get_figwidth())
     return (
         f'<figure><img alt="{caption}" width="{width:.0f}" src="{image(figure)}">'

@@ -1,37 +1,32 @@
 """Figures of a motion and of the ground it happens on.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``figures`` composes the usual set and ``save_figures`` writes it.
+axes; legends are the caller's. ``motion_plots`` composes the usual figures.
 Angles are drawn in radians, with degrees on a second axis.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import ScalarFormatter
 from matplotlib.transforms import Bbox
 
-from slipfree.atomic_files import replace_file
-from slipfree.contact.certify import NONE
-from slipfree.errors import DataError, ModelError
 from slipfree.frames import to_problem_frame
 from slipfree.records import Array
 from slipfree.show import ground_drawing, style
-from slipfree.show.force_figures import load_figures
+from slipfree.show.force_figures import force_plots
 from slipfree.show.ground_drawing import HEATMAP, Window
-from slipfree.show.style import COLUMN, DPI, FLAT, MM, PAGE, PLATFORM, STOPPED, STYLE
+from slipfree.show.plots import Panel, Plot, stack
+from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Trajectory
@@ -43,6 +38,7 @@ ROUNDING = 1e-9  # slip below this is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
 STILL = 1e-9  # a joint that moves less stays where it is [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # seen under what follows it
+DISTINCT = 0.01  # distance of lines that can be told apart [width of the axes]
 NEAR = 0.6  # a path that takes up less than this of the map is drawn again, larger
 RELIEF = (0.22, 0.6)  # height of a drawn surface as a part of its width
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
@@ -74,7 +70,7 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
         ax.contour(x, y, z.T, levels=12, colors="white", linewidths=0.4, alpha=0.6)
     _hatch_filled(grid, x, y, ax)
     bar = ax.figure.colorbar(heights, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)))
-    bar.set_label("height $z$ [m]")
+    bar.set_label("height $z$ [m], relief shaded")
     bar.locator, bar.formatter = style.ticks(6), ScalarFormatter(useOffset=False)
     return ax
 
@@ -148,7 +144,7 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
         clip_on=False,
     )
     over: dict[str, Any] = {"zorder": 3, "clip_on": False, "path_effects": style.halo(2.2)}
-    for k, wheel in enumerate(run.wheels):
+    for k, wheel in enumerate(run.wheels if _tracks_differ(run, np.ptp(x)) else ()):
         at = [run[f"contact_{axis}", wheel] for axis in "xyz"]
         ax.plot(*at, label=f"contact {style.words(wheel)}", **style.look(k), **over)
     ax.plot(*(run[axis] for axis in "xyz"), color=PLATFORM, label="platform", **over)
@@ -183,11 +179,9 @@ def history(run: Trajectory, name: str, ax: Axes) -> Axes:
 
 def tilts(run: Trajectory, ax: Axes) -> Axes:
     """Draw the angles of the joints over time: all tilts, and what else moves."""
-    angles = [n for n in _joints(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
+    angles = _moving_joints(run)
     for k, name in enumerate(angles):
         ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
-    if not angles:
-        style.remark(ax, "no joint moves")
     ax.set_ylabel("joint angle [rad]")
     return style.time_axis(run, style.degrees(ax))
 
@@ -224,8 +218,9 @@ def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
 
 def elevation(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     """Draw heights over the distance driven: platform, contacts, ground below the platform."""
-    s = _distance(run)
-    for k, wheel in enumerate(run.wheels):
+    s, z = _distance(run), run["z"]
+    are_apart = np.abs(run["contact_z"].T - z).max() > DISTINCT * np.ptp(z)
+    for k, wheel in enumerate(run.wheels if are_apart else ()):
         ax.plot(s, run["contact_z", wheel], label=f"contact {style.words(wheel)}", **style.look(k))
     ax.plot(s, run["z"], color=PLATFORM, label="platform")
     below = ground.elevation(run["x"], run["y"])
@@ -254,7 +249,7 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
 
 
 def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
-    """Draw the slip velocity of every wheel over time, unless it is nothing but rounding.
+    """Draw the slip velocity of every wheel over time.
 
     Parameters
     ----------
@@ -266,14 +261,8 @@ def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
         Where to draw, in mm/s.
     """
     values = run[f"slip_{direction}"]
-    largest = float(np.abs(values).max())
-    if largest < ROUNDING:
-        ax.plot(run.t, np.zeros(run.t.size), color="0.6", lw=0.6)
-        ax.set(ylim=(-1, 1), yticks=[0])
-        style.remark(ax, f"no slip: at most {largest:.0e} m/s, which is rounding")
-    else:
-        for k, wheel in enumerate(run.wheels):
-            ax.plot(run.t, 1e3 * values[:, k], label=style.words(wheel), **style.look(k))
+    for k, wheel in enumerate(run.wheels):
+        ax.plot(run.t, 1e3 * values[:, k], label=style.words(wheel), **style.look(k))
     ax.set_ylabel(f"slip {direction} the wheel [mm/s]")
     return style.time_axis(run, ax)
 
@@ -286,8 +275,6 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
     """
     history(run, name, ax)
     ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
-    if name == "clearance" and (run[name] >= NONE).all():
-        style.remark(ax, "no second place\ncomes near the ground")
     if CHECKS.get(name) == "log":
         for line in ax.lines:
             line.set_linewidth(0.8)
@@ -301,8 +288,8 @@ def check(run: Trajectory, name: str, ax: Axes) -> Axes:
     return ax
 
 
-def figures(run: Trajectory, grid: Grid, surface: Terrain | None = None) -> dict[str, Figure]:
-    """Return the usual figures of a motion, by name.
+def motion_plots(run: Trajectory, grid: Grid, surface: Terrain | None = None) -> tuple[Plot, ...]:
+    """Return the figures of a motion, the most important first.
 
     Parameters
     ----------
@@ -315,72 +302,34 @@ def figures(run: Trajectory, grid: Grid, surface: Terrain | None = None) -> dict
 
     Returns
     -------
-    dict of str to Figure
-        ``map, terrain, tilts, loci, elevation, slip, checks``, 120 or 180 mm wide; if the vehicle
-        has mass, also those of `slipfree.show.force_figures.load_figures`.
-
-    Raises
-    ------
-    ModelError
-        If a quantity is missing or the motion is not on this ground.
+    tuple of Plot
+        ``map, elevation, slip, utilisation, tilts, checks, rates, loci, terrain`` and those of
+        `slipfree.show.force_figures.force_plots`, 120 or 180 mm wide. Figures without content,
+        such as ``slip`` of a motion without slip, are left out.
     """
-    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
-        return {
-            "map": _map(run, grid),
-            "terrain": _terrain(run, grid),
-            "tilts": _tilts(run),
-            "loci": _loci(run),
-            "elevation": _elevation(run, surface or Bicubic(grid)),
-            "slip": _slip(run),
-            "checks": _checks(run),
-        } | load_figures(run, grid)
-
-
-def save_figures(
-    run: Trajectory, grid: Grid, folder: str | Path, formats: Sequence[str] = ("png",)
-) -> list[Path]:
-    """Write the usual figures to a folder, which is made if needed, and return their files.
-
-    Parameters
-    ----------
-    run, grid
-        As for `figures`.
-    folder : str or Path
-        Where the files go, as ``map.png`` and so on.
-    formats : sequence of str
-        What to write: ``"png"`` (200 dpi), ``"pdf"``, ``"svg"``.
-
-    Raises
-    ------
-    ModelError
-        As for `figures`, or if a format is not known.
-    """
-    check_formats(formats)
-    return write(figures(run, grid), folder, formats)
-
-
-def check_formats(formats: Sequence[str]) -> None:
-    """Refuse formats of files that are not known, before anything is drawn."""
-    known = FigureCanvasBase.get_supported_filetypes()
-    for name in formats:
-        if name not in known:
-            raise ModelError(f"formats: {name!r} is not known; known: {', '.join(sorted(known))}")
-
-
-def write(drawn: Mapping[str, Figure], folder: str | Path, formats: Sequence[str]) -> list[Path]:
-    """Write figures to a folder, which is made if needed, and return their files."""
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(
-            f"{folder}: expected a folder for figures, found none that can be made "
-            f"({error.strerror}); choose another place"
-        ) from error
-    files = [(Path(folder) / f"{name}.{end}", drawn[name]) for name in drawn for end in formats]
-    with rc_context(STYLE):  # type: ignore[arg-type]
-        for file, figure in files:
-            replace_file(file, partial(figure.savefig, dpi=DPI))
-    return [file for file, _ in files]
+    main, *others = force_plots(run, grid) or (None,)
+    profile = Plot(
+        "elevation",
+        "Heights and slopes along the path.",
+        lambda: _elevation(run, surface or Bicubic(grid)),
+    )
+    found = (
+        Plot("map", "Ground and path in plan.", lambda: _map(run, grid)),
+        profile,
+        _slip(run),
+        main,
+        _tilts(run),
+        Plot("checks", "Accuracy and validity: residuals and margins over time.", _checks(run)),
+        _rates(run),
+        *others,
+        _loci(run),
+        Plot(
+            "terrain",
+            "Ground around the path, platform and tracks of the contact points.",
+            lambda: _terrain(run, grid),
+        ),
+    )
+    return tuple(plot for plot in found if plot is not None)
 
 
 def _map(run: Trajectory, grid: Grid) -> Figure:
@@ -394,7 +343,8 @@ def _map(run: Trajectory, grid: Grid) -> Figure:
     panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for ax, part in zip(panels, (whole, window), strict=False):
         path(run, ground(grid, ax, part))
-    tracks(run, panels[-1])
+    if _tracks_differ(run, spans[-1][0]):
+        tracks(run, panels[-1])
     if twice:
         corner, size = (window[0], window[2]), spans[1]
         box: dict[str, Any] = {"fill": False, "ec": "white", "lw": 1.0}
@@ -402,6 +352,12 @@ def _map(run: Trajectory, grid: Grid) -> Figure:
         panels[0].set_title("whole ground")
         panels[1].set_title("around the path")
     return style.finished(figure, run, panels)
+
+
+def _tracks_differ(run: Trajectory, width: float) -> bool:
+    """Return whether tracks can be told from the path on a map of this width in metres."""
+    away = [run[f"contact_{axis}"] - run[axis][:, None] for axis in "xy"]
+    return bool(np.hypot(*away).max() > DISTINCT * width)
 
 
 def _terrain(run: Trajectory, grid: Grid) -> Figure:
@@ -437,12 +393,39 @@ def _seen(ax: Any) -> Any:
     return Bbox.union([Bbox([points.min(axis=0), points.max(axis=0)]), *labels])
 
 
-def _tilts(run: Trajectory) -> Figure:
-    figure = style.figure(COLUMN, 70 * MM)
-    return style.finished(figure, run, [tilts(run, figure.subplots())])
+def _tilts(run: Trajectory) -> Plot | None:
+    if not _moving_joints(run):
+        return None
+    panels = [Panel(partial(tilts, run), 50)]
+    return Plot(
+        "tilts", "Angles of the joints over time.", lambda: stack(run, panels, width=COLUMN)
+    )
 
 
-def _loci(run: Trajectory) -> Figure:
+def _rates(run: Trajectory) -> Plot:
+    joints = [f"{name}_rate" for name in _moving_joints(run) if f"{name}_rate" in run]
+    panels = [Panel(partial(history, run, "wheel_rate"))]
+    if joints:
+        panels.append(Panel(partial(_joint_rates, run, joints)))
+    return Plot("rates", "Rates of wheels and joints over time.", lambda: stack(run, panels))
+
+
+def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:
+    for k, name in enumerate(names, start=len(run.wheels)):
+        ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
+    units = dict.fromkeys(style.unit(run.columns[name].label.unit) for name in names)
+    ax.set_ylabel(f"joint rate [{', '.join(units)}]")
+    return style.time_axis(run, ax)
+
+
+def _loci(run: Trajectory) -> Plot | None:
+    if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
+        return None
+    caption = "Paths of platform, wheel centres and contact points."
+    return Plot("loci", caption, lambda: _loci_figure(run))
+
+
+def _loci_figure(run: Trajectory) -> Figure:
     figure = style.figure(PAGE, 95 * MM)
     plan, side = figure.subplots(1, 2, width_ratios=(1, 1))
     wide = np.ptp(run["x"]) >= np.ptp(run["y"])
@@ -460,28 +443,49 @@ def _elevation(run: Trajectory, ground: Terrain) -> Figure:
     return style.finished(figure, run, [top])
 
 
-def _slip(run: Trajectory) -> Figure:
-    figure = style.figure(PAGE, 72 * MM)
-    panels = list(figure.subplots(1, 2))
-    for ax, direction in zip(panels, ("along", "across"), strict=True):
-        slip(run, direction, ax)
-    note = "The least slip that kinematics allows; on real ground friction decides."
-    return style.finished(figure, run, panels, note)
+def _slip(run: Trajectory) -> Plot | None:
+    panels = [Panel(partial(slip, run, direction)) for direction in slipping_directions(run)]
+    if not panels:
+        return None
+    return Plot("slip", "Slip of every wheel over time.", lambda: stack(run, panels, _law(run)))
 
 
-def _checks(run: Trajectory) -> Figure:
-    figure = style.figure(PAGE, 105 * MM)
-    panels = list(figure.subplots(2, 3).ravel())
-    for ax, name in zip(panels, CHECKS, strict=False):
-        check(run, name, ax)
-        if run[name].ndim == 1:
-            ax.lines[0].set_label("_")  # its axis says what it is
-    panels[-1].set_axis_off()
-    return style.finished(figure, run, panels[1:])
+def slipping_directions(run: Trajectory) -> tuple[str, ...]:
+    """Return the directions, of "along" and "across", in which slip exceeds rounding."""
+    return tuple(d for d in ("along", "across") if np.abs(run[f"slip_{d}"]).max() >= ROUNDING)
+
+
+def _law(run: Trajectory) -> str:
+    """Return the meaning of the slip in a note."""
+    if run.attributes.get("model") == "quasi-static":
+        return "The slip of quasi-static equilibrium under friction; inertia is left out."
+    return "The least slip that kinematics allows: a lower bound. On real ground friction decides."
+
+
+def _checks(run: Trajectory) -> Callable[[], Figure]:
+    names = [name for name in CHECKS if name in run and np.isfinite(run[name]).any()]
+
+    def make() -> Figure:
+        figure = style.figure(PAGE, 105 * MM)
+        panels = list(figure.subplots(2, 3).ravel())
+        for ax, name in zip(panels, names, strict=False):
+            check(run, name, ax)
+            if run[name].ndim == 1:
+                ax.lines[0].set_label("_")  # its axis says what it is
+        for ax in panels[len(names) :]:
+            ax.set_axis_off()
+        return style.finished(figure, run, panels[1:])
+
+    return make
 
 
 def _colours(z: Array) -> dict[str, Any]:
     return {"cmap": HEIGHTS, "vmin": z.min(), "vmax": max(z.max(), z.min() + FLAT)}
+
+
+def _moving_joints(run: Trajectory) -> list[str]:
+    """Return the names of tilts, and of the other joints' angles that change."""
+    return [n for n in _joints(run) if n.startswith("tilt_") or np.ptp(run[n]) > STILL]
 
 
 def _joints(run: Trajectory) -> list[str]:

@@ -1,19 +1,18 @@
 """Figures of a plan: the map on which its route was sought, and what was planned within bounds.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``plan_figures`` composes the figures and ``save_plan_figures``
-writes them with those of the motion.
+axes; legends are the caller's. ``plan_plots`` composes the figures.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
@@ -24,7 +23,8 @@ from slipfree.routing.regions import Region
 from slipfree.routing.traversability import Traversability, blocked_by
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.ground_drawing import Window
-from slipfree.show.style import COLUMN, MM, PAGE, PLATFORM, STYLE
+from slipfree.show.plots import Panel, Plot, stack
+from slipfree.show.style import COLUMN, MM, PLATFORM
 from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
 
@@ -42,7 +42,7 @@ BLOCKED = {  # what blocks a node: its colour, and its words; of several the fir
 }
 FAR = 0.6  # a motion that takes up less than this of the map is drawn without the rest of it
 WRAP = 20  # characters of a line of labels and legends beside axes
-ROW = 34 * MM  # height of a row of the figure of a plan [in]
+ROW = 34.0  # height of a row of the figure of a plan [mm]
 ENTRIES = 7  # lines of a legend beside a row of that height
 Range = tuple[float, float]
 Place = tuple[str, float, float]
@@ -72,7 +72,7 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
         np.where(free, layers.cost, np.nan).T, cmap=COSTS, norm=Normalize(1, top), **where
     )
     ax.imshow(_blocked(layers, part, ax).transpose(1, 0, 2), **where)
-    ground_drawing.shade(*ground_drawing.patch(grid, window, ground_drawing.HEATMAP), ax)
+    ground_drawing.contours(grid, ax, window)
     for region in layers.limits.keep_out:
         ax.add_patch(_outline(region))
     dearer = inside.size > 0 and inside.max() > top
@@ -167,7 +167,7 @@ def room(run: Trajectory, layers: Traversability, ax: Axes) -> Axes:
     return style.time_axis(run, ax)
 
 
-def plan_figures(
+def plan_plots(
     run: Trajectory,
     grid: Grid,
     layers: Traversability,
@@ -176,13 +176,13 @@ def plan_figures(
     found: Sequence[Array] = (),
     bounds: Mapping[str, Range] | None = None,
     limits: Mapping[str, Range] | None = None,
-) -> dict[str, Figure]:
-    """Return the figures of a plan, by name: ``traversability`` and ``plan``.
+) -> tuple[Plot, ...]:
+    """Return the figures of a plan: ``plan``, if there is anything to draw, and ``traversability``.
 
     Parameters
     ----------
     run : Trajectory
-        The motion that was planned, as its simulation found it.
+        The simulated motion of the plan.
     grid : Grid
         The ground it happened on.
     layers : Traversability
@@ -190,42 +190,21 @@ def plan_figures(
     places : sequence of (str, float, float)
         Name, x and y in map coordinates of start, way-points and goal. [m]
     found : sequence of ndarray, shape (n, 2)
-        Ways from which the plan was sought. [m]
+        Routes from which the search started. [m]
     bounds : mapping of str to (float, float)
         Least and largest value of every input by name; infinite where there is no bound. Inputs
         that are not named here are not drawn.
     limits : mapping of str to (float, float)
-        Of quantities along the way, by name, or by name and wheel as in ``slip_along[front]``.
+        Limits of quantities by name, or by name and wheel as in ``slip_along[front]``.
     """
-    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
-        return {
-            "traversability": _traversability(run, grid, layers, places, found),
-            "plan": _plan(run, layers, bounds or {}, limits or {}),
-        }
-
-
-def save_plan_figures(
-    run: Trajectory,
-    grid: Grid,
-    layers: Traversability,
-    folder: str | Path,
-    formats: Sequence[str] = ("png",),
-    **options: Any,
-) -> list[Path]:
-    """Write the figures of a plan and the usual ones of its motion to a folder.
-
-    Parameters
-    ----------
-    run, grid, layers
-        As for `plan_figures`.
-    folder, formats
-        As for `slipfree.show.motion_figures.save_figures`.
-    **options
-        Passed to `plan_figures`.
-    """
-    motion_figures.check_formats(formats)
-    drawn = plan_figures(run, grid, layers, **options) | motion_figures.figures(run, grid)
-    return motion_figures.write(drawn, folder, formats)
+    panels = _panels(run, layers, bounds or {}, limits or {})
+    caption = "Planned inputs, and quantities with their limits."
+    planned = Plot("plan", caption, lambda: stack(run, panels, _promise(run)))
+    caption = "Cost of the ground, routes from which the search started, and the motion."
+    ground = Plot(
+        "traversability", caption, lambda: _traversability(run, grid, layers, places, found)
+    )
+    return (planned, ground) if panels else (ground,)
 
 
 def _traversability(
@@ -251,39 +230,39 @@ def _traversability(
     return figure
 
 
-def _plan(
+def _panels(
     run: Trajectory,
     layers: Traversability,
     bounds: Mapping[str, Range],
     limits: Mapping[str, Range],
-) -> Figure:
-    heights = [1.0] * (len(limits) + (len(layers.limits.keep_out) > 0) + 2)
+) -> list[Panel]:
+    """Return the panels of the figure of a plan."""
+    found: list[tuple[float, Callable[[Axes], Any]]] = []
     if bounds:
         entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
-        heights.insert(0, max(1.0, (entries + 1) / ENTRIES))
-    figure = style.figure(PAGE, sum(heights) * ROW + 10 * MM)
-    panels = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
-    free = iter(panels)
-    if bounds:
-        inputs(run, bounds, next(free))
-    for name, pair in limits.items():
-        limited(run, name, pair, next(free))
+        found.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
+    found += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
     if layers.limits.keep_out:
-        room(run, layers, next(free))
-    for direction in ("along", "across"):
-        motion_figures.slip(run, direction, next(free))
-    for ax in panels:
+        found.append((1.0, partial(room, run, layers)))
+    found += [
+        (1.0, partial(motion_figures.slip, run, direction))
+        for direction in motion_figures.slipping_directions(run)
+    ]
+    return [Panel(_beside(draw), ROW * height, has_legend=False) for height, draw in found]
+
+
+def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
+    """Return a panel with its own legend beside it, since colours differ between panels."""
+
+    def drawn(ax: Axes) -> None:
+        draw(ax)
         ax.set_ylabel(textwrap.fill(ax.get_ylabel(), WRAP))
-        _beside(ax)
-    return style.finished(style.stacked(figure, panels), run, [], _promise(run))
+        entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+        lines = {textwrap.fill(words, WRAP): handle for words, handle in entries.items()}
+        if lines:
+            ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(1.01, 0.5))
 
-
-def _beside(ax: Axes) -> None:
-    """Put the legend beside axes: the same colours mean other things in the next ones."""
-    entries = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-    lines = {textwrap.fill(words, WRAP): handle for words, handle in entries.items()}
-    if lines:
-        ax.legend(lines.values(), lines, loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return drawn
 
 
 def _promise(run: Trajectory) -> str:

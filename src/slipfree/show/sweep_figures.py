@@ -8,19 +8,19 @@ varied key the distribution over the runs, with one a curve, with two a heat map
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slipfree.errors import ModelError
 from slipfree.records import Array
 from slipfree.show import style
-from slipfree.show.motion_figures import check_formats, write
-from slipfree.show.style import COLUMN, MM, PALETTE, STYLE
+from slipfree.show.plots import Plot, save
+from slipfree.show.style import COLUMN, MM, PALETTE
 from slipfree.show.sweep_results import Swept, Varied
 
 COLOURS = "viridis"
@@ -110,12 +110,11 @@ def figure(swept: Swept) -> Figure:
             f"{swept.name}: expected at most two varied keys in a figure, found {len(swept.axes)}: "
             f"{', '.join(axis.name for axis in swept.axes)}"
         )
-    with rc_context(STYLE):  # type: ignore[arg-type]
-        made = style.figure(COLUMN, 85 * MM)
-        ax = draw(swept, made.subplots())
-        handles, labels = ax.get_legend_handles_labels()
-        if handles:
-            made.legend(handles, labels, loc="outside upper center", ncols=len(handles))
+    made = style.figure(COLUMN, 85 * MM)
+    ax = draw(swept, made.subplots())
+    handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        made.legend(handles, labels, loc="outside upper center", ncols=len(handles))
     return made
 
 
@@ -129,8 +128,9 @@ def save_sweep_figures(
     ModelError
         As for `figure`, or if a format is not known.
     """
-    check_formats(formats)
-    return write({each.name: figure(each) for each in quantities}, folder, formats)
+    return save(
+        [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats
+    )
 
 
 def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:

@@ -23,10 +23,9 @@ from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from slipfree.models.montana import Difference
     from slipfree.plan.warm_start import SavedPlan
+    from slipfree.show.plots import Plot
     from slipfree.show.scene import Scene
 
 VERB_ATTRIBUTE = "verb"  # of result files: the name of the verb
@@ -262,8 +261,8 @@ class MotionVerb(Verb):
         return ""
 
     @abstractmethod
-    def figures(self, result: Result) -> dict[str, Figure]:
-        """Return the figures of a result by name."""
+    def figures(self, result: Result) -> tuple[Plot, ...]:
+        """Return the figures of a result, the most important first."""
 
     @abstractmethod
     def viewer(self) -> Viewer:

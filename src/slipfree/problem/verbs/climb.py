@@ -58,10 +58,9 @@ from slipfree.solve.zero_order_hold import simulate_sampled
 from slipfree.trajectory import SolverError, Trajectory
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.show.climb_scene import Climbed
+    from slipfree.show.plots import Plot
 
 OBSTACLES: Mapping[str, Callable[..., Profile]] = {
     "ramp": ramp,
@@ -216,13 +215,13 @@ class ClimbVerb(MotionVerb):
         """Return how a climb ended."""
         return run.attributes[ENDING]
 
-    def figures(self, result: Result) -> dict[str, Figure]:
-        """Return the figures of a climb by name."""
-        from slipfree.show.climb_figures import climb_figures
+    def figures(self, result: Result) -> tuple[Plot, ...]:
+        """Return the figures of a climb, the most important first."""
+        from slipfree.show.climb_figures import climb_plots
 
         climber, profile = _parts(result)
         plan = plan_of(result.trajectory, result.arrays)
-        return climb_figures(result.trajectory, climber, profile, plan)
+        return climb_plots(result.trajectory, climber, profile, plan)
 
     def viewer(self) -> Viewer:
         """Return what draws climbs in space."""

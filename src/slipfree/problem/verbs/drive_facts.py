@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from slipfree.contact.certify import NONE
 from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory, path_length
 
@@ -159,7 +158,7 @@ def certificate(run: Trajectory) -> str:
         clean += " up to the stop"
     room = (
         "no second place where the ground comes near"
-        if clearance >= NONE
+        if np.isinf(clearance)
         else f"clearance beside the contacts {clearance:.4g} m at least"
     )
     words = f"{clean}: {room}, relative curvature {curvature:.4g} 1/m at least"

@@ -49,10 +49,9 @@ from slipfree.trajectory import SolverError, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from slipfree.plan.warm_start import SavedPlan
     from slipfree.show.drive_scene import Driven
+    from slipfree.show.plots import Plot
 
 EXTREMES = Extremes(
     end=("x", "y", "z", "heading", "pitch", "roll", "yaw"),
@@ -148,11 +147,11 @@ class DriveVerb(MotionVerb):
             found["slip_per_path"] = Quantity(mean, "m m-1")
         return found
 
-    def figures(self, result: Result) -> dict[str, Figure]:
-        """Return the figures of a motion by name."""
-        from slipfree.show.motion_figures import figures
+    def figures(self, result: Result) -> tuple[Plot, ...]:
+        """Return the figures of a motion, the most important first."""
+        from slipfree.show.motion_figures import motion_plots
 
-        return figures(result.trajectory, ground_of(result).grid)
+        return motion_plots(result.trajectory, ground_of(result).grid)
 
     def viewer(self) -> Viewer:
         """Return what draws motions over terrain in space."""

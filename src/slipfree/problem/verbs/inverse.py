@@ -40,7 +40,7 @@ from slipfree.problem.build_common import (
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts, integrator_fact
-from slipfree.problem.verbs.base import Extremes, Quantity, Watch, differences
+from slipfree.problem.verbs.base import Extremes, Quantity, Result, Watch, differences
 from slipfree.problem.verbs.drive_facts import trust_facts
 from slipfree.problem.verbs.driving import DriveVerb, integrate
 from slipfree.problem.verbs.inverse_commands import ROBOT, are_commands, read_commands
@@ -66,6 +66,7 @@ from slipfree.vehicle.tree import Coordinate, Vehicle
 
 if TYPE_CHECKING:
     from slipfree.plan.warm_start import SavedPlan
+    from slipfree.show.plots import Plot
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
@@ -80,6 +81,11 @@ class InverseVerb(DriveVerb):
     schema = Inverse
     checks = (*DriveVerb.checks, *CHECKS)
     metrics_shown = ("inverse_margin_least", "slip_rms", "utilisation_largest")
+
+    def figures(self, result: Result) -> tuple[Plot, ...]:
+        """Return the figures of a motion, the rates of wheels and joints among the first."""
+        plots = super().figures(result)
+        return tuple(sorted(plots, key=lambda plot: plot.name not in ("map", "rates")))
 
     def build(self, problem: Problem[Inverse]) -> Setup:
         """Return the models, the start and the inputs of a problem."""

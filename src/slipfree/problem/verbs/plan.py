@@ -71,9 +71,8 @@ from slipfree.trajectory import (
 from slipfree.vehicle.tree import Vehicle
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from slipfree.show.drive_scene import Driven
+    from slipfree.show.plots import Plot
 
 MAX_SAMPLES = 401  # of a plan in space
 ROUNDING = 1e-6  # of a limit that a plan meets, in its unit
@@ -241,15 +240,15 @@ class PlanVerb(DriveVerb):
         found["within_limits"] = Quantity(float(is_kept), "1")
         return found
 
-    def figures(self, result: Result) -> dict[str, Figure]:
-        """Return the figures of a plan and of its motion by name."""
-        from slipfree.show.plan_figures import plan_figures
+    def figures(self, result: Result) -> tuple[Plot, ...]:
+        """Return the figures of a plan and of its motion, the most important first."""
+        from slipfree.show.plan_figures import plan_plots
 
         setup = result.setup or self.build(result.problem)
-        drawn = plan_figures(
+        plots = plan_plots(
             result.trajectory, setup.ground.grid, setup.layers, **figure_options(setup)
         )
-        return drawn | super().figures(replace(result, setup=setup))
+        return *plots, *super().figures(replace(result, setup=setup))
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground, vehicle, keep-outs and plan."""

@@ -1,0 +1,139 @@
+"""Figures as data: a name, a caption and a recipe, drawn and written only on request.
+
+Most figures are stacks of panels over a common axis; a panel is a function that draws on given axes
+and names the artists that belong in the legend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backend_bases import FigureCanvasBase
+from matplotlib.figure import Figure
+
+from slipfree.atomic_files import replace_file
+from slipfree.errors import DataError, ModelError
+from slipfree.show import style
+from slipfree.show.style import DPI, MM, PAGE, STYLE
+from slipfree.trajectory import Trajectory
+
+MAIN_COUNT = 4  # of figures that are drawn unless all are requested
+PANEL = 38.0  # height of a panel [mm]
+MARGIN = 24.0  # of a figure, for legend, axis and note [mm]
+
+
+class Panel(NamedTuple):
+    """Axes of a figure.
+
+    Attributes
+    ----------
+    draw : callable
+        Draws on the axes.
+    height : float
+        Height. [mm]
+    has_legend : bool
+        Whether its artists appear in the legend of the figure.
+    """
+
+    draw: Callable[[Axes], Any]
+    height: float = PANEL
+    has_legend: bool = True
+
+
+class Plot(NamedTuple):
+    """A figure that has not been drawn yet.
+
+    Attributes
+    ----------
+    name : str
+        Name of its file, without ending.
+    caption : str
+        Sentence about its content.
+    make : callable
+        Draws it.
+    """
+
+    name: str
+    caption: str
+    make: Callable[[], Figure]
+
+
+def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:
+    """Return a figure of panels over a common axis, with one legend.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion; the figure says why it ended early.
+    panels : sequence of Panel
+        From top to bottom.
+    note : str
+        Text below the figure.
+    width : float
+        Width of the figure. [in]
+    """
+    heights = [panel.height for panel in panels]
+    figure = style.figure(width, (sum(heights) + MARGIN) * MM)
+    axes = list(
+        figure.subplots(len(panels), 1, sharex=True, height_ratios=heights, squeeze=False).ravel()
+    )
+    for panel, ax in zip(panels, axes, strict=True):
+        panel.draw(ax)
+    legends = [ax for panel, ax in zip(panels, axes, strict=True) if panel.has_legend]
+    return style.finished(style.stacked(figure, axes), run, legends, note)
+
+
+def main_plots(plots: Iterable[Plot]) -> tuple[Plot, ...]:
+    """Return the figures that matter most: the first ones."""
+    return tuple(plots)[:MAIN_COUNT]
+
+
+def draw(plots: Iterable[Plot]) -> dict[str, Figure]:
+    """Return figures by name."""
+    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
+        return {plot.name: plot.make() for plot in plots}
+
+
+def save(
+    plots: Iterable[Plot], folder: str | Path, formats: Sequence[str] = ("png",)
+) -> list[Path]:
+    """Write figures to a folder, which is made if needed, and return their files.
+
+    Parameters
+    ----------
+    plots : iterable of Plot
+        The figures, for files such as ``map.png``.
+    folder : str or Path
+        The folder.
+    formats : sequence of str
+        Endings: ``"png"`` (200 dpi), ``"pdf"``, ``"svg"``.
+
+    Raises
+    ------
+    ModelError
+        If a format is unknown.
+    DataError
+        If the folder cannot be made.
+    """
+    known = FigureCanvasBase.get_supported_filetypes()
+    for name in formats:
+        if name not in known:
+            raise ModelError(f"formats: {name!r} is not known; known: {', '.join(sorted(known))}")
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"{folder}: expected a folder for figures, found none that can be made "
+            f"({error.strerror}); choose another place"
+        ) from error
+    drawn = draw(plots)
+    files = [(Path(folder) / f"{name}.{end}", drawn[name]) for name in drawn for end in formats]
+    with rc_context(STYLE):  # type: ignore[arg-type]
+        for file, figure in files:
+            replace_file(file, partial(figure.savefig, dpi=DPI))
+    return [file for file, _ in files]
