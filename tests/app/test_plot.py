@@ -113,7 +113,8 @@ def figures(run: Trajectory, grid: sf.Grid, surface=None) -> dict[str, Figure]:
 
 
 def loads(run: Trajectory, grid: sf.Grid) -> dict[str, Figure]:
-    return plots.draw(force_figures.force_plots(run, grid))
+    found = motion_figures.motion_plots(run, grid)
+    return plots.draw(plot for plot in found if plot.name in LOADS)
 
 
 def save_figures(run: Trajectory, grid: sf.Grid, folder: Path, formats=("png",)) -> list[Path]:

@@ -1,8 +1,7 @@
 """Figures of what a vehicle with mass asks of the ground and of its drives.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``force_plots`` composes the figures for which a motion has the
-quantities; vehicles without mass have none.
+axes; legends are the caller's. Functions that end in ``_plot`` compose figures.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from matplotlib.figure import Figure
 
 from slipfree.records import Array
 from slipfree.show import ground_drawing, style
-from slipfree.show.plots import Panel, Plot, stack
+from slipfree.show.plots import Drive, Panel, Plot, stack
 from slipfree.show.style import COLUMN, MM, PALETTE, PLATFORM
 from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
@@ -165,40 +164,24 @@ def power(run: Trajectory, ax: Axes) -> Axes:
     return style.time_axis(run, _with_zero(ax))
 
 
-def force_plots(run: Trajectory, grid: Grid) -> tuple[Plot, ...]:
-    """Return the figures of forces and energies, the most important first.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    grid : Grid
-        The ground it happened on.
-
-    Returns
-    -------
-    tuple of Plot
-        ``utilisation, forces, utilisation_map, energy``, as far as the motion has the quantities;
-        nothing for a vehicle without mass.
-    """
-    plots: list[Plot] = []
-    if "utilisation" in run:
-        plots.append(_utilisation(run))
-    if "force_normal" in run:
-        plots.append(_forces(run))
-    if "utilisation" in run:
-        caption = "Friction needed along the tracks."
-        plots.append(Plot("utilisation_map", caption, lambda: _utilisation_map(run, grid)))
-    if "work" in run:
-        plots.append(_energy(run))
-    return tuple(plots)
+def utilisation_plot(scene: Drive) -> Plot | None:
+    """Return the figure of the friction that the wheels need; None without mass."""
+    run = scene.run
+    if "utilisation" not in run:
+        return None
+    panels = [Panel(partial(utilisation, run), 60)]
+    if "tip_over_margin" in run:
+        panels.append(Panel(partial(tip_over, run), 26, has_legend=False))
+    caption = "Friction that every wheel needs over time, and the margin to tipping over."
+    return Plot("utilisation", caption, lambda: stack(run, panels))
 
 
-def _forces(run: Trajectory) -> Plot:
-    panels = [
-        Panel(partial(normal_forces, run)),
-        Panel(partial(tangential_forces, run)),
-    ]
+def forces_plot(scene: Drive) -> Plot | None:
+    """Return the figure of the forces on wheels and in drives; None without mass."""
+    run = scene.run
+    if "force_normal" not in run:
+        return None
+    panels = [Panel(partial(normal_forces, run)), Panel(partial(tangential_forces, run))]
     units = {run.columns[name].label.unit for name in _joints(run)}
     if "N m" in units or run["drive_torque"].any():
         panels.append(Panel(partial(drives, run)))
@@ -208,15 +191,19 @@ def _forces(run: Trajectory) -> Plot:
     return Plot("forces", caption, lambda: stack(run, panels))
 
 
-def _utilisation(run: Trajectory) -> Plot:
-    panels = [Panel(partial(utilisation, run), 60)]
-    if "tip_over_margin" in run:
-        panels.append(Panel(partial(tip_over, run), 26, has_legend=False))
-    caption = "Friction that every wheel needs over time, and the margin to tipping over."
-    return Plot("utilisation", caption, lambda: stack(run, panels))
+def utilisation_map_plot(scene: Drive) -> Plot | None:
+    """Return the map of the friction that the wheels need; None without mass."""
+    if "utilisation" not in scene.run:
+        return None
+    caption = "Friction needed along the tracks."
+    return Plot("utilisation_map", caption, lambda: _utilisation_map(scene.run, scene.grid))
 
 
-def _energy(run: Trajectory) -> Plot:
+def energy_plot(scene: Drive) -> Plot | None:
+    """Return the figure of work, energy and losses; None without mass."""
+    run = scene.run
+    if "work" not in run:
+        return None
     panels = [Panel(partial(energy, run), 48), Panel(partial(power, run), 32)]
     caption = "Work of the drives, potential energy, and losses."
     return Plot("energy", caption, lambda: stack(run, panels))

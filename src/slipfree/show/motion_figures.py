@@ -23,9 +23,14 @@ from matplotlib.transforms import Bbox
 from slipfree.frames import to_problem_frame
 from slipfree.records import Array
 from slipfree.show import ground_drawing, style
-from slipfree.show.force_figures import force_plots
+from slipfree.show.force_figures import (
+    energy_plot,
+    forces_plot,
+    utilisation_map_plot,
+    utilisation_plot,
+)
 from slipfree.show.ground_drawing import HEATMAP, Window
-from slipfree.show.plots import Panel, Plot, stack
+from slipfree.show.plots import Drive, Panel, Plot, stack
 from slipfree.show.style import COLUMN, FLAT, MM, PAGE, PLATFORM, STOPPED
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.terrain.bicubic import Bicubic
@@ -303,33 +308,84 @@ def motion_plots(run: Trajectory, grid: Grid, surface: Terrain | None = None) ->
     Returns
     -------
     tuple of Plot
-        ``map, elevation, slip, utilisation, tilts, checks, rates, loci, terrain`` and those of
-        `slipfree.show.force_figures.force_plots`, 120 or 180 mm wide. Figures without content,
-        such as ``slip`` of a motion without slip, are left out.
+        Those of `FIGURES` that have content, 120 or 180 mm wide.
     """
-    main, *others = force_plots(run, grid) or (None,)
-    profile = Plot(
-        "elevation",
-        "Heights and slopes along the path.",
-        lambda: _elevation(run, surface or Bicubic(grid)),
-    )
-    found = (
-        Plot("map", "Ground and path in plan.", lambda: _map(run, grid)),
-        profile,
-        _slip(run),
-        main,
-        _tilts(run),
-        Plot("checks", "Accuracy and validity: residuals and margins over time.", _checks(run)),
-        _rates(run),
-        *others,
-        _loci(run),
-        Plot(
-            "terrain",
-            "Ground around the path, platform and tracks of the contact points.",
-            lambda: _terrain(run, grid),
-        ),
-    )
-    return tuple(plot for plot in found if plot is not None)
+    drive = Drive(run, grid, surface or Bicubic(grid))
+    return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
+
+
+def map_plot(drive: Drive) -> Plot:
+    """Return the figure of ground and path in plan."""
+    return Plot("map", "Ground and path in plan.", lambda: _map(drive.run, drive.grid))
+
+
+def elevation_plot(drive: Drive) -> Plot:
+    """Return the figure of heights and slopes along the path."""
+    caption = "Heights and slopes along the path."
+    return Plot("elevation", caption, lambda: _elevation(drive.run, drive.surface))
+
+
+def slip_plot(drive: Drive) -> Plot | None:
+    """Return the figure of the slip; None if there is none."""
+    run = drive.run
+    panels = [Panel(partial(slip, run, direction)) for direction in slipping_directions(run)]
+    caption = "Slip of every wheel over time."
+    return Plot("slip", caption, lambda: stack(run, panels, _law(run))) if panels else None
+
+
+def tilts_plot(drive: Drive) -> Plot | None:
+    """Return the figure of the joints' angles; None if no joint moves."""
+    if not _moving_joints(drive.run):
+        return None
+    panels = [Panel(partial(tilts, drive.run), 50)]
+    caption = "Angles of the joints over time."
+    return Plot("tilts", caption, lambda: stack(drive.run, panels, width=COLUMN))
+
+
+def checks_plot(drive: Drive) -> Plot:
+    """Return the figure of residuals and margins."""
+    caption = "Accuracy and validity: residuals and margins over time."
+    return Plot("checks", caption, lambda: _checks(drive.run))
+
+
+def rates_plot(drive: Drive) -> Plot:
+    """Return the figure of the rates of wheels and joints."""
+    run, caption = drive.run, "Rates of wheels and joints over time."
+    joints = [f"{name}_rate" for name in _moving_joints(run) if f"{name}_rate" in run]
+    panels = [Panel(partial(history, run, "wheel_rate"))]
+    if joints:
+        panels.append(Panel(partial(_joint_rates, run, joints)))
+    return Plot("rates", caption, lambda: stack(run, panels))
+
+
+def loci_plot(drive: Drive) -> Plot | None:
+    """Return the figure of the paths of all parts; None if they cannot be told apart."""
+    run = drive.run
+    if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
+        return None
+    return Plot("loci", "Paths of platform, wheels and contact points.", lambda: _loci(run))
+
+
+def terrain_plot(drive: Drive) -> Plot:
+    """Return the view of the ground around the path."""
+    caption = "Ground around the path, platform and tracks of the contact points."
+    return Plot("terrain", caption, lambda: _terrain(drive.run, drive.grid))
+
+
+FIGURES: tuple[Callable[[Drive], Plot | None], ...] = (
+    map_plot,
+    elevation_plot,
+    slip_plot,
+    utilisation_plot,
+    tilts_plot,
+    checks_plot,
+    rates_plot,
+    forces_plot,
+    utilisation_map_plot,
+    energy_plot,
+    loci_plot,
+    terrain_plot,
+)  # of a motion over terrain, the most important first
 
 
 def _map(run: Trajectory, grid: Grid) -> Figure:
@@ -393,23 +449,6 @@ def _seen(ax: Any) -> Any:
     return Bbox.union([Bbox([points.min(axis=0), points.max(axis=0)]), *labels])
 
 
-def _tilts(run: Trajectory) -> Plot | None:
-    if not _moving_joints(run):
-        return None
-    panels = [Panel(partial(tilts, run), 50)]
-    return Plot(
-        "tilts", "Angles of the joints over time.", lambda: stack(run, panels, width=COLUMN)
-    )
-
-
-def _rates(run: Trajectory) -> Plot:
-    joints = [f"{name}_rate" for name in _moving_joints(run) if f"{name}_rate" in run]
-    panels = [Panel(partial(history, run, "wheel_rate"))]
-    if joints:
-        panels.append(Panel(partial(_joint_rates, run, joints)))
-    return Plot("rates", "Rates of wheels and joints over time.", lambda: stack(run, panels))
-
-
 def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:
     for k, name in enumerate(names, start=len(run.wheels)):
         ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
@@ -418,14 +457,7 @@ def _joint_rates(run: Trajectory, names: Sequence[str], ax: Axes) -> Axes:
     return style.time_axis(run, ax)
 
 
-def _loci(run: Trajectory) -> Plot | None:
-    if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
-        return None
-    caption = "Paths of platform, wheel centres and contact points."
-    return Plot("loci", caption, lambda: _loci_figure(run))
-
-
-def _loci_figure(run: Trajectory) -> Figure:
+def _loci(run: Trajectory) -> Figure:
     figure = style.figure(PAGE, 95 * MM)
     plan, side = figure.subplots(1, 2, width_ratios=(1, 1))
     wide = np.ptp(run["x"]) >= np.ptp(run["y"])
@@ -443,13 +475,6 @@ def _elevation(run: Trajectory, ground: Terrain) -> Figure:
     return style.finished(figure, run, [top])
 
 
-def _slip(run: Trajectory) -> Plot | None:
-    panels = [Panel(partial(slip, run, direction)) for direction in slipping_directions(run)]
-    if not panels:
-        return None
-    return Plot("slip", "Slip of every wheel over time.", lambda: stack(run, panels, _law(run)))
-
-
 def slipping_directions(run: Trajectory) -> tuple[str, ...]:
     """Return the directions, of "along" and "across", in which slip exceeds rounding."""
     return tuple(d for d in ("along", "across") if np.abs(run[f"slip_{d}"]).max() >= ROUNDING)
@@ -462,21 +487,17 @@ def _law(run: Trajectory) -> str:
     return "The least slip that kinematics allows: a lower bound. On real ground friction decides."
 
 
-def _checks(run: Trajectory) -> Callable[[], Figure]:
+def _checks(run: Trajectory) -> Figure:
     names = [name for name in CHECKS if name in run and np.isfinite(run[name]).any()]
-
-    def make() -> Figure:
-        figure = style.figure(PAGE, 105 * MM)
-        panels = list(figure.subplots(2, 3).ravel())
-        for ax, name in zip(panels, names, strict=False):
-            check(run, name, ax)
-            if run[name].ndim == 1:
-                ax.lines[0].set_label("_")  # its axis says what it is
-        for ax in panels[len(names) :]:
-            ax.set_axis_off()
-        return style.finished(figure, run, panels[1:])
-
-    return make
+    figure = style.figure(PAGE, 105 * MM)
+    panels = list(figure.subplots(2, 3).ravel())
+    for ax, name in zip(panels, names, strict=False):
+        check(run, name, ax)
+        if run[name].ndim == 1:
+            ax.lines[0].set_label("_")  # its axis says what it is
+    for ax in panels[len(names) :]:
+        ax.set_axis_off()
+    return style.finished(figure, run, panels[1:])
 
 
 def _colours(z: Array) -> dict[str, Any]:

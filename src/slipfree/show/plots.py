@@ -20,6 +20,7 @@ from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
 from slipfree.show import style
 from slipfree.show.style import DPI, MM, PAGE, STYLE
+from slipfree.terrain.base import Grid, Terrain
 from slipfree.trajectory import Trajectory
 
 MAIN_COUNT = 4  # of figures that are drawn unless all are requested
@@ -61,6 +62,24 @@ class Plot(NamedTuple):
     name: str
     caption: str
     make: Callable[[], Figure]
+
+
+class Drive(NamedTuple):
+    """Motion over terrain, as its figures take it.
+
+    Attributes
+    ----------
+    run : Trajectory
+        The motion.
+    grid : Grid
+        The ground it happened on.
+    surface : Terrain
+        The same ground as the model has it.
+    """
+
+    run: Trajectory
+    grid: Grid
+    surface: Terrain
 
 
 def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float = PAGE) -> Figure:

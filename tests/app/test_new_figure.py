@@ -1,0 +1,38 @@
+"""Add a figure: one function and one line of registration.
+
+The function `pitch_plot` below belongs in ``show/motion_figures.py``, and its name in the tuple
+``FIGURES`` there: one file is touched. ``slipfree run --figures-all`` and ``slipfree report`` then
+draw it for every motion over terrain.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.show import motion_figures
+from slipfree.show.motion_figures import FIGURES, history
+from slipfree.show.plots import Drive, Panel, Plot, stack
+
+PROBLEM = Path(__file__).parents[2] / "problems" / "paper_direct.toml"
+
+
+def pitch_plot(drive: Drive) -> Plot:
+    """Return the figure of pitch and roll."""
+    panels = [Panel(partial(history, drive.run, name)) for name in ("pitch", "roll")]
+    return Plot("attitude", "Pitch and roll over time.", lambda: stack(drive.run, panels))
+
+
+@pytest.mark.parametrize(("option", "is_drawn"), [("--figures-all", True), ("--draw", False)])
+def test_a_new_figure_is_drawn_with_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, is_drawn: bool
+) -> None:
+    monkeypatch.setattr(motion_figures, "FIGURES", (*FIGURES[:4], pitch_plot))
+    words = ["run", str(PROBLEM), "-o", str(tmp_path / "r.nc"), "--set", "time.duration=0.2"]
+    result = CliRunner().invoke(app, [*words, option])
+    assert result.exit_code == 0, result.output
+    drawn = sorted(file.stem for file in (tmp_path / "r_figures").iterdir())
+    assert ("attitude" in drawn) == is_drawn
+    assert {"map", "elevation", "utilisation"} <= set(drawn)
