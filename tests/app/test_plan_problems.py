@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 
 from slipfree.files.toml.errors import ProblemError
 from slipfree.outcome import Outcome
+from slipfree.plan import plan as planning
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.problem.verbs.plan import figure_options
@@ -180,7 +180,7 @@ def test_all_inputs_are_drawn_however_many_are_bounded(bounds):
 
 
 def test_an_accuracy_that_is_missed_is_an_early_stop_with_its_reason(monkeypatch):
-    monkeypatch.setattr(sys.modules["slipfree.plan.plan"], "MAX_REFINEMENTS", 1)
+    monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
     settings = [*QUICK, "plan.degree=1", "plan.intervals=1", "plan.accuracy=1e-7", "costs.slip="]
     stop = run_problem(load_problem(HILLS, settings)).trajectory.stop
     assert stop.name == "plan_accuracy"

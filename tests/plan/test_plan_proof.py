@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -120,7 +118,7 @@ def test_what_is_violated_between_the_points_is_told_and_made_small(model):
 
 
 def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
-    monkeypatch.setattr(sys.modules[plan.__module__], "MAX_REFINEMENTS", 1)
+    monkeypatch.setattr(planning, "MAX_REFINEMENTS", 1)
     found = asked(model, accuracy=1e-13, intervals=1, degree=1, costs={"effort": 1.0})
     assert found.success
     assert not found.accurate
