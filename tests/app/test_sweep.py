@@ -1,26 +1,33 @@
-"""Sweeps: what they run, what they keep when they are killed, what they tell and draw."""
+"""Sweeps: what they run, keep, tell and draw."""
 
 from __future__ import annotations
 
 import csv
 import json
-import signal
 import socket
-import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from multiprocessing import active_children
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import distributed
 import numpy as np
-import psutil
 import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
+from helpers.sweep_cases import (
+    GRID,
+    PROBLEM,
+    ROUGH,
+    RUNS,
+    SPEED,
+    invoke_sweep,
+    log_lines,
+    sweep_in,
+    table_rows,
+    tasks_of,
+)
 from slipfree.cli import app
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
@@ -29,49 +36,14 @@ from slipfree.problem.units import unit_of
 from slipfree.show import sweep_figures as show
 from slipfree.show.sweep_results import Swept, Varied
 from slipfree.sweep import cluster, pools
-from slipfree.sweep.cluster import Cluster
 from slipfree.sweep.grid import axis_of, sweep_of
 from slipfree.sweep.log import Log, Row
 from slipfree.sweep.pools import ProcessPool, finish_tasks
 from slipfree.sweep.table import drawn_grids, grids, sweep_facts, write_table
 from slipfree.sweep.task import Task
 from slipfree.sweep.worker import work
-from slipfree.version import __version__
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
-PROBLEM = """\
-verb = "direct"
-
-[terrain.synthetic]
-x = [-3, 3]
-y = [-3, 2.25]
-spacing = 0.25
-
-[terrain.synthetic.power_law]
-rms = 0.02
-hurst = 0.9
-longest = 4.0
-shortest = 2.0
-seed = 1
-
-[vehicle]
-catalog = "three_wheeler"
-
-[start]
-heading = 0
-
-[driver]
-name = "straight"
-speed = 1.0
-
-[time]
-duration = 0.3
-step = 0.1
-"""
-SPEED, ROUGH = "driver.speed", "terrain.synthetic.power_law.rms"
-GRID = ["--vary", f"{SPEED}=0.5,1.0", "--vary", f"{ROUGH}=0.01,0.02", "--repeat", "3"]
-SLOW = [*GRID, "--set", "time.step=0.003"]  # so long that many are left when it is killed
-RUNS = 12  # of the grid
 
 
 @pytest.fixture
@@ -86,78 +58,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """A sweep that nothing interrupts, and what it printed."""
     folder = tmp_path_factory.mktemp("whole")
     (folder / "p.toml").write_text(PROBLEM)
-    return folder, _sweep(folder, *GRID, "--processes", "2", "--keep")
-
-
-@pytest.fixture(scope="module")
-def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a sweep of longer runs that nothing interrupts."""
-    folder = tmp_path_factory.mktemp("slow")
-    (folder / "p.toml").write_text(PROBLEM)
-    assert _sweep(folder, *SLOW, "--processes", "2", "--no-draw").exit_code == 0
-    return folder
-
-
-@pytest.fixture(scope="module")
-def dask() -> Iterator[str]:
-    """The address of a cluster of two processes."""
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=True,
-        dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-    ) as local:
-        yield local.scheduler_address
-
-
-def _invoke(*words: str) -> Any:
-    return CliRunner().invoke(app, ["sweep", *words])
-
-
-def _sweep(folder: Path, *words: str) -> Any:
-    return _invoke(str(folder / "p.toml"), "-o", str(folder / "out"), *words)
-
-
-def _begun(folder: Path, *words: str) -> subprocess.Popen[str]:
-    """Begin a sweep in a process of its own, and return it when some runs are finished."""
-    command = [
-        sys.executable,
-        "-m",
-        "slipfree",
-        "sweep",
-        str(folder / "p.toml"),
-        "-o",
-        str(folder / "out"),
-        *words,
-    ]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    log, end = folder / "out" / "runs.jsonl", time.monotonic() + 60
-    while not log.exists() or log.read_bytes().count(b"\n") < 3:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.005)
-    return process
-
-
-def _kill(process: subprocess.Popen[str]) -> None:
-    """End a sweep at once; its processes end by themselves."""
-    children = psutil.Process(process.pid).children(recursive=True)
-    process.kill()
-    process.communicate()
-    _, alive = psutil.wait_procs(children, timeout=20)
-    assert not alive
-
-
-def _lines(folder: Path) -> list[bytes]:
-    return (folder / "out" / "runs.jsonl").read_bytes().splitlines(keepends=True)
-
-
-def _table(folder: Path) -> list[dict[str, str]]:
-    with (folder / "out" / "table.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
+    return folder, sweep_in(folder, *GRID, "--processes", "2", "--keep")
 
 
 @pytest.mark.parametrize(
@@ -232,15 +133,15 @@ def test_each_value_is_checked_once(file: Path) -> None:
 
 def test_values_that_do_not_fit_together_are_a_run_that_fails(file: Path) -> None:
     grid = ["--vary", "time.duration=0.3,0.15", "--vary", "time.step=0.1,0.2"]
-    result = _sweep(file.parent, *grid, "--no-draw", "--processes", "1")
+    result = sweep_in(file.parent, *grid, "--no-draw", "--processes", "1")
     assert result.exit_code == 1
     assert "4 of 4: 3 complete, 1 failed" in result.stdout
-    assert "expected at most the duration, 0.15 s" in _table(file.parent)[3]["words"]
+    assert "expected at most the duration, 0.15 s" in table_rows(file.parent)[3]["words"]
 
 
 def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
     words = ["--vary", "time.step=0.05:0.3:11", "--repeat", "2", "--processes", "1"]
-    result = _sweep(file.parent, *words, "--dry-run")
+    result = sweep_in(file.parent, *words, "--dry-run")
     assert result.exit_code == 0
     assert "22 = 11 x 2" in result.stdout
     assert "0.05, 0.075, 0.1, ..., 0.3 (11 values)" in result.stdout
@@ -251,7 +152,7 @@ def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
     with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
         log.append(ROW._replace(seconds=6.0))
         log.append(ROW._replace(run=2, seconds=8.0))
-    result = _sweep(file.parent, *words, "--dry-run")
+    result = sweep_in(file.parent, *words, "--dry-run")
     assert "about 2.3 min: 7 s a run on 1 processes" in result.stdout
 
 
@@ -284,7 +185,7 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
     ],
 )
 def test_bad_input_is_refused_before_anything_runs(file: Path, words: list[str], said: str) -> None:
-    result = _invoke("p.toml", *words)
+    result = invoke_sweep("p.toml", *words)
     assert result.exit_code == 2, result.output
     assert said in result.stderr
     assert {path.name for path in file.parent.iterdir()} == {"p.toml"}
@@ -305,7 +206,7 @@ def test_a_sweep_tells_tabulates_and_draws(whole: tuple[Path, Any]) -> None:
         "drew 6 files",
     ):
         assert words in result.stdout, words
-    table = _table(folder)
+    table = table_rows(folder)
     assert [row["run"] for row in table] == [str(k) for k in range(1, RUNS + 1)]
     assert [row[SPEED] for row in table] == ["0.5"] * 6 + ["1.0"] * 6
     assert [row["terrain.synthetic.power_law.seed"] for row in table] == ["1", "2", "3"] * 4
@@ -324,7 +225,7 @@ def test_the_table_holds_what_the_results_hold(whole: tuple[Path, Any]) -> None:
     folder, _ = whole
     files = sorted((folder / "out").glob("run_*.nc"))
     assert [path.name for path in files] == [f"run_{k:04d}.nc" for k in range(1, RUNS + 1)]
-    for path, row in zip(files, _table(folder), strict=True):
+    for path, row in zip(files, table_rows(folder), strict=True):
         run = netcdf.read(path)
         assert run.attributes["problem"] == PROBLEM
         assert f"{ROUGH}={row[ROUGH]}" in run.attributes["settings"].splitlines()
@@ -338,7 +239,7 @@ def test_the_table_holds_what_the_results_hold(whole: tuple[Path, Any]) -> None:
 
 def test_the_same_run_by_itself_is_the_same(whole: tuple[Path, Any], tmp_path: Path) -> None:
     folder, _ = whole
-    line = json.loads(next(line for line in _lines(folder) if b'{"run": 3,' in line))
+    line = json.loads(next(line for line in log_lines(folder) if b'{"run": 3,' in line))
     words = [word for setting in line["settings"] for word in ("--set", setting)]
     command = ["run", str(folder / "p.toml"), "--no-draw", "-o", str(tmp_path / "a.nc"), *words]
     assert CliRunner().invoke(app, command).exit_code == 0
@@ -349,54 +250,21 @@ def test_the_same_run_by_itself_is_the_same(whole: tuple[Path, Any], tmp_path: P
         np.testing.assert_allclose(alone[name], swept[name], rtol=1e-9, atol=1e-12)
 
 
-def test_a_killed_sweep_goes_on(slow: Path, file: Path) -> None:
-    process = _begun(file.parent, *SLOW, "--processes", "2")
-    _kill(process)
-    kept = [line for line in _lines(file.parent) if line.endswith(b"\n")]
-    assert 3 <= len(kept) < RUNS + 1
-    with (file.parent / "out" / "runs.jsonl").open("ab") as log:
-        log.write(b'{"run": 11, "settings": ["dri')  # as if it had been killed while it wrote
-    result = _sweep(file.parent, *SLOW, "--processes", "2", "--no-draw")
-    assert result.exit_code == 0, result.output
-    _check_resumed(file.parent, kept, slow)
-
-
-def test_a_killed_sweep_goes_on_through_a_cluster(slow: Path, file: Path, dask: str) -> None:
-    process = _begun(file.parent, *SLOW, "--scheduler", dask)
-    process.kill()
-    process.communicate()
-    kept = [line for line in _lines(file.parent) if line.endswith(b"\n")]
-    assert 3 <= len(kept) < RUNS + 1
-    result = _sweep(file.parent, *SLOW, "--scheduler", dask, "--no-draw")
-    assert result.exit_code == 0, result.output
-    _check_resumed(file.parent, kept, slow)
-
-
-def _check_resumed(folder: Path, kept: list[bytes], whole: Path) -> None:
-    """Check that finished runs are as they were, none is there twice, and the table is the same."""
-    lines = _lines(folder)
-    assert lines[: len(kept)] == kept
-    numbers = [json.loads(line)["run"] for line in lines[1:]]
-    assert sorted(numbers) == list(range(1, RUNS + 1))
-    table = "out/table.csv"
-    assert (folder / table).read_bytes() == (whole / table).read_bytes()
-
-
 def test_a_finished_sweep_runs_nothing(whole: tuple[Path, Any]) -> None:
     folder, first = whole
-    before, table = _lines(folder), _table(folder)
-    result = _sweep(folder, *GRID, "--scheduler", "tcp://127.0.0.1:1", "--figure", "end_y", "-v")
+    before, table = log_lines(folder), table_rows(folder)
+    result = sweep_in(folder, *GRID, "--scheduler", "tcp://127.0.0.1:1", "--figure", "end_y", "-v")
     assert result.exit_code == 0, result.output
     assert "12 of 12 runs" in result.stderr
-    assert _lines(folder) == before
-    assert _table(folder) == table
+    assert log_lines(folder) == before
+    assert table_rows(folder) == table
     assert "end_y " in result.stdout
     assert "slip_rms" in first.stdout
     assert "slip_rms" not in result.stdout
 
 
 def test_an_unknown_figure_is_refused_with_those_there_are(whole: tuple[Path, Any]) -> None:
-    result = _sweep(whole[0], *GRID, "--figure", "slip_mean")
+    result = sweep_in(whole[0], *GRID, "--figure", "slip_mean")
     assert result.exit_code == 2
     assert "--figure slip_mean: expected a figure of these runs, one of " in result.stderr
     assert "slip_rms" in result.stderr
@@ -414,12 +282,12 @@ def test_an_unknown_figure_is_refused_with_those_there_are(whole: tuple[Path, An
 def test_results_of_another_sweep_are_not_mixed(
     whole: tuple[Path, Any], change: list[str], said: str
 ) -> None:
-    before = _lines(whole[0])
-    result = _sweep(whole[0], *GRID, *change)
+    before = log_lines(whole[0])
+    result = sweep_in(whole[0], *GRID, *change)
     assert result.exit_code == 2
     assert said in result.stderr
     assert "choose another folder with -o, or remove this one" in result.stderr
-    assert _lines(whole[0]) == before
+    assert log_lines(whole[0]) == before
 
 
 def test_results_of_another_problem_are_not_mixed(file: Path) -> None:
@@ -521,45 +389,15 @@ def test_runs_that_were_lost_are_done_again(tmp_path: Path) -> None:
         assert [(row.run, row.outcome) for row in log.rows] == [(k, "complete") for k in (1, 2, 3)]
 
 
-def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as full:
-        full.setattr("slipfree.sweep.worker.run_problem", fail)
-        (task,) = _tasks(file, "time.step=0.1")
-        done = work(task)
-    assert (done.row.outcome, done.row.t) == ("lost", None)
-    assert done.row.words == "OSError: [Errno 28] No space left on device"
-    sweep = sweep_of(file, ["time.step=0.1,0.05"])
-    failed = done.row._replace(run=2, outcome="failed", words="by chance")
-    with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
-        log.append(done.row)
-        log.append(failed)
-        told = dict(sweep_facts(sweep, log.rows, {}, ()))
-    assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
-    assert told["  run 2 failed"] == "by chance (time.step=0.1)"
-    assert told["  ..."] == "the same command does runs that were lost again"
-    words = ["--vary", "time.step=0.1,0.05", "--processes", "1", "--no-draw"]
-    result = _sweep(file.parent, *words)
-    assert result.exit_code == 1
-    assert "2 of 2: 1 failed, 1 complete" in result.stdout
-    assert "--again repeats runs that failed" in result.stdout
-    result = _sweep(file.parent, *words, "--again")
-    assert result.exit_code == 0
-    assert "2 of 2: 2 complete" in result.stdout
-    assert [row["outcome"] for row in _table(file.parent)] == ["complete", "complete"]
-
-
 def test_results_that_were_not_kept_are_told(file: Path) -> None:
     words = ["--set", "time.step=0.15", "--no-draw", "--processes", "1"]
-    assert _sweep(file.parent, *words).exit_code == 0
-    result = _sweep(file.parent, *words, "--keep")
+    assert sweep_in(file.parent, *words).exit_code == 0
+    result = sweep_in(file.parent, *words, "--keep")
     assert result.exit_code == 0
     assert "--keep: 1 runs were finished without it and have no result file" in result.stderr
     command = result.stderr[result.stderr.index("slipfree run") :].split()
     assert CliRunner().invoke(app, [*command[1:], "--no-draw"]).exit_code == 0
-    assert "no result file" not in _sweep(file.parent, *words, "--keep").stderr
+    assert "no result file" not in sweep_in(file.parent, *words, "--keep").stderr
 
 
 def test_long_words_are_one_line_in_table_and_summary(file: Path) -> None:
@@ -589,7 +427,7 @@ def test_a_summary_tells_of_ten_values_a_key(file: Path) -> None:
 def test_places_of_figures_are_checked_before_anything_runs(file: Path) -> None:
     (file.parent / "out").mkdir()
     (file.parent / "out" / "figures").write_text("")
-    result = _sweep(file.parent, "--repeat", "2")
+    result = sweep_in(file.parent, "--repeat", "2")
     assert result.exit_code == 2
     assert "figures: expected a folder for figures, found a file" in result.stderr
     assert [path.name for path in (file.parent / "out").iterdir()] == ["figures"]
@@ -602,7 +440,7 @@ def test_figures_that_cannot_be_written_are_told(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", fail)
-    result = _sweep(file.parent, "--vary", "time.step=0.1,0.15", "--processes", "1")
+    result = sweep_in(file.parent, "--vary", "time.step=0.1,0.15", "--processes", "1")
     assert result.exit_code == 2
     assert "cannot be written (No space left on device)" in result.stderr
 
@@ -623,76 +461,19 @@ def test_runs_that_fail_are_rows_and_counted_in_the_bar(
     monkeypatch.setattr("rich.console.Console.is_terminal", True)
     words = ["--vary", "start.x=0,40", "--vary", "terrain.file=gone.npz"]
     words += ["--set", "terrain.synthetic=", "--processes", "1"]
-    result = _sweep(file.parent, *words)
+    result = sweep_in(file.parent, *words)
     assert result.exit_code == 1
     assert "2 of 2: 2 failed" in result.stdout
     assert "run 2 failed" in result.stdout
     assert "(start.x=40, terrain.file=gone.npz)" in result.stdout
     assert "runs, 2 failed" in result.stderr
     assert "2/2" in result.stderr
-    for row in _table(file.parent):
+    for row in table_rows(file.parent):
         assert row["outcome"] == "failed"
         assert "gone.npz" in row["words"]
         assert str(file.parent) not in row["words"]
         assert row["time_reached"] == ""
         assert row["complete"] == "0.0"
-
-
-def _tasks(file: Path, *settings: str) -> list[Task]:
-    return [
-        Task(k, str(file), PROBLEM, (setting,), 1, False) for k, setting in enumerate(settings, 1)
-    ]
-
-
-def test_a_process_that_dies_costs_one_run(file: Path) -> None:
-    before, aims = {each.pid for each in active_children()}, [False]
-    pool = ProcessPool(1)
-
-    def poll() -> None:
-        if aims[0]:
-            aims[0] = False
-            (child,) = (each for each in active_children() if each.pid not in before)
-            child.kill()
-
-    slow = "time.step=0.00003"
-    found = finish_tasks(_tasks(file, "time.step=0.1", slow, "time.step=0.05"), pool, poll)
-    assert next(found).row.outcome == "complete"
-    aims[0] = True
-    row = next(found).row
-    assert (row.run, row.outcome) == (2, "lost")
-    assert row.words == "its process died (signal SIGKILL; was memory short?)"
-    row = next(found).row
-    assert (row.run, row.outcome) == (3, "complete")
-    assert list(found) == []
-    pool.close()
-    assert {each.pid for each in active_children()} <= before
-
-
-def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "slipfree",
-        "sweep",
-        str(file),
-        "-o",
-        str(file.parent / "out"),
-        "--set",
-        "time.step=0.000001",
-        "--processes",
-        "1",
-    ]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        seen, end = psutil.Process(process.pid), time.monotonic() + 60
-        while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
-            assert time.monotonic() < end
-            time.sleep(0.05)
-        children = seen.children(recursive=True)
-        process.kill()
-    _, alive = psutil.wait_procs(children, timeout=3)
-    for each in alive:
-        each.kill()
-    assert not alive
 
 
 def test_processes_that_cannot_start_are_no_fault_of_the_runs(
@@ -701,7 +482,7 @@ def test_processes_that_cannot_start_are_no_fault_of_the_runs(
     monkeypatch.setattr(pools, "prepare_process", sys.exit)  # ends at once
     pool = ProcessPool(1)
     with pytest.raises(SlipfreeError, match=r"could not start \(exit code 0\): see its output"):
-        list(finish_tasks(_tasks(file, "time.step=0.1"), pool, lambda: None))
+        list(finish_tasks(tasks_of(file, "time.step=0.1"), pool, lambda: None))
 
 
 def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -709,18 +490,8 @@ def test_an_error_that_nobody_expects_is_a_row(file: Path, monkeypatch: pytest.M
         raise ZeroDivisionError("by chance")
 
     monkeypatch.setattr("slipfree.sweep.worker.run_problem", fail)
-    (task,) = _tasks(file, "time.step=0.1")
+    (task,) = tasks_of(file, "time.step=0.1")
     assert work(task).row.words == "ZeroDivisionError: by chance"
-
-
-def test_ctrl_c_keeps_what_is_finished(file: Path) -> None:
-    process = _begun(file.parent, *GRID, "--processes", "1")
-    process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=20)
-    assert process.returncode == 130
-    assert stderr.endswith("interrupted\n")
-    assert 2 <= len(_table(file.parent)) < RUNS
-    assert len(_table(file.parent)) == len(_lines(file.parent)) - 1
 
 
 @pytest.mark.parametrize(
@@ -800,15 +571,9 @@ def test_units_of_keys_are_those_of_their_descriptions(file: Path) -> None:
         assert unit_of(spec, key) == unit, key
 
 
-def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "__version__", "9.9")
-    with pytest.raises(DataError, match=f"that have slipfree 9.9, found {__version__};"):
-        Cluster(dask, print)
-
-
 def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "CONNECT", 0.3)
-    result = _sweep(file.parent, "--scheduler", "tcp://127.0.0.1:1")
+    result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
     assert "expected the address of a running Dask scheduler" in result.stderr
     for address, found in {
@@ -817,12 +582,12 @@ def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> N
         "foo://x:1": "ValueError: unknown address scheme",
         "tls://127.0.0.1:1": "TypeError: TLS",
     }.items():
-        result = _sweep(file.parent, "--scheduler", address)
+        result = sweep_in(file.parent, "--scheduler", address)
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
         assert f"--scheduler {address}: expected the address of a running" in result.stderr
         assert f"found none ({found}" in result.stderr
     monkeypatch.setitem(sys.modules, "distributed", None)
-    result = _sweep(file.parent, "--scheduler", "tcp://127.0.0.1:1")
+    result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
     assert "pip install 'slipfree[cluster]'" in result.stderr
 
@@ -892,55 +657,7 @@ def test_a_scheduler_that_does_not_answer(file: Path, monkeypatch: pytest.Monkey
     with socket.create_server(("127.0.0.1", 0)) as dead:
         address = f"tcp://127.0.0.1:{dead.getsockname()[1]}"
         begun = time.monotonic()
-        result = _sweep(file.parent, "--scheduler", address)
+        result = sweep_in(file.parent, "--scheduler", address)
         assert time.monotonic() - begun < 10
     assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
     assert f"--scheduler {address}: expected the address of a running" in result.stderr
-
-
-def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.05)
-    said: list[str] = []
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-        protocol="tcp://",
-    ) as local:
-
-        def poll() -> None:
-            if len(local.workers) and not said:
-                local.scale(0)
-            elif len(said) == 1:
-                local.scale(1)
-
-        pool = Cluster(local.scheduler_address, said.append)
-        tasks = _tasks(file, "time.step=0.00003", "time.step=0.05")
-        found = list(finish_tasks(tasks, pool, poll))
-        pool.close()
-    assert {done.row.outcome for done in found} == {"complete"}
-    assert ["no workers are left" in said[0], "workers are back" in said[1]] == [True, True]
-    assert len(said) == 2
-
-
-def test_a_scheduler_that_goes_away(file: Path) -> None:
-    local = distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        dashboard_address="127.0.0.1:0",
-        host="127.0.0.1",
-        protocol="tcp://",
-    )
-    looked = []
-
-    def poll() -> None:
-        looked.append(1)
-        if len(looked) == 1:
-            local.close()
-
-    tasks = _tasks(file, "time.step=0.1", "time.step=0.05")
-    with pytest.raises(SlipfreeError, match="the scheduler went away; finished runs are kept"):
-        list(finish_tasks(tasks, Cluster(local.scheduler_address, print), poll))

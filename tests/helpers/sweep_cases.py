@@ -1,0 +1,104 @@
+"""Sweeps that tests share: a small problem, its grid, and how to begin, kill and read a sweep."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import psutil
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.sweep.task import Task
+
+PROBLEM = """\
+verb = "direct"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 2.25]
+spacing = 0.25
+
+[terrain.synthetic.power_law]
+rms = 0.02
+hurst = 0.9
+longest = 4.0
+shortest = 2.0
+seed = 1
+
+[vehicle]
+catalog = "three_wheeler"
+
+[start]
+heading = 0
+
+[driver]
+name = "straight"
+speed = 1.0
+
+[time]
+duration = 0.3
+step = 0.1
+"""
+SPEED, ROUGH = "driver.speed", "terrain.synthetic.power_law.rms"
+GRID = ["--vary", f"{SPEED}=0.5,1.0", "--vary", f"{ROUGH}=0.01,0.02", "--repeat", "3"]
+RUNS = 12  # of the grid
+
+
+def invoke_sweep(*words: str) -> Any:
+    return CliRunner().invoke(app, ["sweep", *words])
+
+
+def sweep_in(folder: Path, *words: str) -> Any:
+    return invoke_sweep(str(folder / "p.toml"), "-o", str(folder / "out"), *words)
+
+
+def begin_sweep(folder: Path, *words: str) -> subprocess.Popen[str]:
+    """Begin a sweep in a process of its own, and return it when some runs are finished."""
+    command = [
+        sys.executable,
+        "-m",
+        "slipfree",
+        "sweep",
+        str(folder / "p.toml"),
+        "-o",
+        str(folder / "out"),
+        *words,
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    log, end = folder / "out" / "runs.jsonl", time.monotonic() + 60
+    while not log.exists() or log.read_bytes().count(b"\n") < 3:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    return process
+
+
+def kill_sweep(process: subprocess.Popen[str]) -> None:
+    """End a sweep at once; its processes end by themselves."""
+    children = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.communicate()
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+
+
+def log_lines(folder: Path) -> list[bytes]:
+    return (folder / "out" / "runs.jsonl").read_bytes().splitlines(keepends=True)
+
+
+def table_rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "out" / "table.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def tasks_of(file: Path, *settings: str) -> list[Task]:
+    return [
+        Task(k, str(file), PROBLEM, (setting,), 1, False) for k, setting in enumerate(settings, 1)
+    ]

@@ -1,0 +1,246 @@
+"""Sweeps that are killed, whose processes, workers or disks fail: what is finished is kept."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from multiprocessing import active_children
+from pathlib import Path
+
+import distributed
+import psutil
+import pytest
+
+from helpers.sweep_cases import (
+    GRID,
+    PROBLEM,
+    RUNS,
+    begin_sweep,
+    kill_sweep,
+    log_lines,
+    sweep_in,
+    table_rows,
+    tasks_of,
+)
+from slipfree.errors import DataError, SlipfreeError
+from slipfree.sweep import cluster
+from slipfree.sweep.cluster import Cluster
+from slipfree.sweep.grid import sweep_of
+from slipfree.sweep.log import Log
+from slipfree.sweep.pools import ProcessPool, finish_tasks
+from slipfree.sweep.table import sweep_facts
+from slipfree.sweep.worker import work
+from slipfree.version import __version__
+
+SLOW = [*GRID, "--set", "time.step=0.003"]  # so long that many are left when it is killed
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "p.toml").write_text(PROBLEM)
+    return tmp_path / "p.toml"
+
+
+@pytest.fixture(scope="module")
+def dask() -> Iterator[str]:
+    """The address of a cluster of two processes."""
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+    ) as local:
+        yield local.scheduler_address
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a sweep of longer runs that nothing interrupts."""
+    folder = tmp_path_factory.mktemp("slow")
+    (folder / "p.toml").write_text(PROBLEM)
+    assert sweep_in(folder, *SLOW, "--processes", "2", "--no-draw").exit_code == 0
+    return folder
+
+
+def test_a_killed_sweep_goes_on(slow: Path, file: Path) -> None:
+    process = begin_sweep(file.parent, *SLOW, "--processes", "2")
+    kill_sweep(process)
+    kept = [line for line in log_lines(file.parent) if line.endswith(b"\n")]
+    assert 3 <= len(kept) < RUNS + 1
+    with (file.parent / "out" / "runs.jsonl").open("ab") as log:
+        log.write(b'{"run": 11, "settings": ["dri')  # as if it had been killed while it wrote
+    result = sweep_in(file.parent, *SLOW, "--processes", "2", "--no-draw")
+    assert result.exit_code == 0, result.output
+    _check_resumed(file.parent, kept, slow)
+
+
+def test_a_killed_sweep_goes_on_through_a_cluster(slow: Path, file: Path, dask: str) -> None:
+    process = begin_sweep(file.parent, *SLOW, "--scheduler", dask)
+    process.kill()
+    process.communicate()
+    kept = [line for line in log_lines(file.parent) if line.endswith(b"\n")]
+    assert 3 <= len(kept) < RUNS + 1
+    result = sweep_in(file.parent, *SLOW, "--scheduler", dask, "--no-draw")
+    assert result.exit_code == 0, result.output
+    _check_resumed(file.parent, kept, slow)
+
+
+def _check_resumed(folder: Path, kept: list[bytes], whole: Path) -> None:
+    """Check that finished runs are as they were, none is there twice, and the table is the same."""
+    lines = log_lines(folder)
+    assert lines[: len(kept)] == kept
+    numbers = [json.loads(line)["run"] for line in lines[1:]]
+    assert sorted(numbers) == list(range(1, RUNS + 1))
+    table = "out/table.csv"
+    assert (folder / table).read_bytes() == (whole / table).read_bytes()
+
+
+def test_a_process_that_dies_costs_one_run(file: Path) -> None:
+    before, aims = {each.pid for each in active_children()}, [False]
+    pool = ProcessPool(1)
+
+    def poll() -> None:
+        if aims[0]:
+            aims[0] = False
+            (child,) = (each for each in active_children() if each.pid not in before)
+            child.kill()
+
+    slow = "time.step=0.00003"
+    found = finish_tasks(tasks_of(file, "time.step=0.1", slow, "time.step=0.05"), pool, poll)
+    assert next(found).row.outcome == "complete"
+    aims[0] = True
+    row = next(found).row
+    assert (row.run, row.outcome) == (2, "lost")
+    assert row.words == "its process died (signal SIGKILL; was memory short?)"
+    row = next(found).row
+    assert (row.run, row.outcome) == (3, "complete")
+    assert list(found) == []
+    pool.close()
+    assert {each.pid for each in active_children()} <= before
+
+
+def test_processes_end_in_the_middle_of_a_run_if_the_sweep_is_killed(file: Path) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "slipfree",
+        "sweep",
+        str(file),
+        "-o",
+        str(file.parent / "out"),
+        "--set",
+        "time.step=0.000001",
+        "--processes",
+        "1",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        seen, end = psutil.Process(process.pid), time.monotonic() + 60
+        while not any(each.cpu_times().user > 2 for each in seen.children(recursive=True)):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        children = seen.children(recursive=True)
+        process.kill()
+    _, alive = psutil.wait_procs(children, timeout=3)
+    for each in alive:
+        each.kill()
+    assert not alive
+
+
+def test_ctrl_c_keeps_what_is_finished(file: Path) -> None:
+    process = begin_sweep(file.parent, *GRID, "--processes", "1")
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert stderr.endswith("interrupted\n")
+    assert 2 <= len(table_rows(file.parent)) < RUNS
+    assert len(table_rows(file.parent)) == len(log_lines(file.parent)) - 1
+
+
+def test_workers_that_go_away_and_come_back(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.05)
+    said: list[str] = []
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        protocol="tcp://",
+    ) as local:
+
+        def poll() -> None:
+            if len(local.workers) and not said:
+                local.scale(0)
+            elif len(said) == 1:
+                local.scale(1)
+
+        pool = Cluster(local.scheduler_address, said.append)
+        tasks = tasks_of(file, "time.step=0.00003", "time.step=0.05")
+        found = list(finish_tasks(tasks, pool, poll))
+        pool.close()
+    assert {done.row.outcome for done in found} == {"complete"}
+    assert ["no workers are left" in said[0], "workers are back" in said[1]] == [True, True]
+    assert len(said) == 2
+
+
+def test_a_scheduler_that_goes_away(file: Path) -> None:
+    local = distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
+        host="127.0.0.1",
+        protocol="tcp://",
+    )
+    looked = []
+
+    def poll() -> None:
+        looked.append(1)
+        if len(looked) == 1:
+            local.close()
+
+    tasks = tasks_of(file, "time.step=0.1", "time.step=0.05")
+    with pytest.raises(SlipfreeError, match="the scheduler went away; finished runs are kept"):
+        list(finish_tasks(tasks, Cluster(local.scheduler_address, print), poll))
+
+
+def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("slipfree.sweep.worker.run_problem", fail)
+        (task,) = tasks_of(file, "time.step=0.1")
+        done = work(task)
+    assert (done.row.outcome, done.row.t) == ("lost", None)
+    assert done.row.words == "OSError: [Errno 28] No space left on device"
+    sweep = sweep_of(file, ["time.step=0.1,0.05"])
+    failed = done.row._replace(run=2, outcome="failed", words="by chance")
+    with Log(file.parent / "out" / "runs.jsonl", sweep.head) as log:
+        log.append(done.row)
+        log.append(failed)
+        told = dict(sweep_facts(sweep, log.rows, {}, ()))
+    assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
+    assert told["  run 2 failed"] == "by chance (time.step=0.1)"
+    assert told["  ..."] == "the same command does runs that were lost again"
+    words = ["--vary", "time.step=0.1,0.05", "--processes", "1", "--no-draw"]
+    result = sweep_in(file.parent, *words)
+    assert result.exit_code == 1
+    assert "2 of 2: 1 failed, 1 complete" in result.stdout
+    assert "--again repeats runs that failed" in result.stdout
+    result = sweep_in(file.parent, *words, "--again")
+    assert result.exit_code == 0
+    assert "2 of 2: 2 complete" in result.stdout
+    assert [row["outcome"] for row in table_rows(file.parent)] == ["complete", "complete"]
+
+
+def test_a_cluster_that_does_not_fit_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "__version__", "9.9")
+    with pytest.raises(DataError, match=f"that have slipfree 9.9, found {__version__};"):
+        Cluster(dask, print)
