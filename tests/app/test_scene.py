@@ -27,9 +27,8 @@ from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.result import shown
 from slipfree.problem.verbs.plan import poses_of_plan
 from slipfree.show.climb_scene import climb_scene
-from slipfree.show.drive_film import _Film
 from slipfree.show.drive_scene import SIDE, Driven, drive_scene, ground_normals
-from slipfree.show.film import film_writer
+from slipfree.show.film import Film, film_writer
 from slipfree.show.html_page import with_legend
 from slipfree.show.mesh_refinement import MOST, refined
 from slipfree.show.meshes import clipped, extruded, plate, rod, spokes
@@ -339,7 +338,8 @@ def test_arrows_have_colors_of_their_own(drive: Driven) -> None:
 
 def test_the_origin_has_no_minus_zero(drive: Driven) -> None:
     scene = drive_scene([drive])
-    again = framed(scene.ground, scene.actors, np.array([-0.0, 0.0, -0.0]), 1.0, [])
+    zero = np.array([-0.0, 0.0, -0.0])
+    again = framed(scene.ground, scene.actors, zero, 1.0, scene.backdrop, [])
     assert "The scene's origin is (0, 0, 0) m on the map." in again.notes
 
 
@@ -586,7 +586,7 @@ def test_an_interrupted_film_leaves_nothing(
         if len(seen) == 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("slipfree.show.drive_film._Film.show", show)
+    monkeypatch.setattr("slipfree.show.film.Film.show", show)
     done = CliRunner().invoke(app, ["show", str(file), "--animation", str(out)])
     assert done.exit_code == 130
     assert out.read_bytes() == b"the film before"
@@ -598,12 +598,12 @@ def test_the_time_of_a_film_lies_beside_its_legend(drive: Driven) -> None:
     drives = [drive._replace(run=run)]
     figure = Figure(figsize=(7, 3.2), layout="constrained")
     FigureCanvasAgg(figure)
-    film = _Film(figure, drive_scene(drives), drives, 1.0)
+    film = Film(figure, drive_scene(drives), "hills", 1.0)
     film.show(0.5)
     figure.draw_without_rendering()
     legend = figure.axes[0].get_legend()
     assert legend is not None
-    assert not film.title.get_window_extent().overlaps(legend.get_window_extent())
+    assert not film.head.get_window_extent().overlaps(legend.get_window_extent())
     told = {handle.get_label(): handle.get_color() for handle in legend.legend_handles}
     for name, color in ARROWS.items():
         assert_allclose(np.array(told[f"{name} (arrows)"]) * 255, color)

@@ -18,6 +18,7 @@ from slipfree.regular_files import escape_name
 
 if TYPE_CHECKING:
     from slipfree.problem.verbs.base import Viewer
+    from slipfree.show.scene import Scene
 
 Layer = Literal["height", "slope", "traversability"]
 
@@ -55,7 +56,7 @@ def show(
         for words in scene.warnings:
             warn(words)
         if animation is not None:
-            _film(viewer, found, animation)
+            _film(scene, _title(found), animation)
             put_file(animation)
         if html is not None:
             from slipfree.atomic_files import replace_file
@@ -117,9 +118,10 @@ def _title(found: Sequence[Any]) -> str:
     return title
 
 
-def _film(viewer: Viewer, found: Sequence[Any], file: Path) -> None:
-    words = viewer.film(found, file)
-    say(f"wrote {file}{', ' if words else ''}{words}")
+def _film(scene: Scene, title: str, file: Path) -> None:
+    from slipfree.show.film import animate
+
+    say(f"wrote {file}, {animate(scene, file, title)}")
 
 
 def _ready(url: str, browser: bool) -> None:

@@ -1,23 +1,19 @@
-"""Figures of a climb: where the vehicle was, references, slip and disturbance, forces; a film.
+"""Figures of a climb: where the vehicle was, references, slip and disturbance, forces.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``climb_plots`` composes the figures, and ``animate`` writes a
-film.
+axes; legends are the caller's. ``climb_plots`` composes the figures.
 """
 
 from __future__ import annotations
 
-import textwrap
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
 from slipfree.climb.metrics import MIN_LOAD, disturbance_ratio, slip_ratio
@@ -25,10 +21,8 @@ from slipfree.climb.profile import Profile
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.records import Array
 from slipfree.show import style
-from slipfree.show.film import FRAMES, film_writer, write_film
 from slipfree.show.plots import Panel, Plot, stack
-from slipfree.show.scene import stopped
-from slipfree.show.style import MM, PAGE, PLATFORM, STYLE
+from slipfree.show.style import MM, PAGE, PLATFORM
 from slipfree.trajectory import Trajectory
 
 EVERY, POSES = 0.3, 2  # between dots [s], and in how many of them the vehicle is drawn once
@@ -37,7 +31,6 @@ LATEST = 0.85  # of the scale of colors: its yellow end is too light for lines
 GROUND = "0.85"
 ROOM, BELOW = 0.04, 0.03  # around and below what is drawn [m]
 HIGHEST = 100.0  # of ratios that are drawn [%]
-WIDTH = 110  # letters in a line of a film
 
 
 def ground(profile: Profile, ax: Axes) -> Axes:
@@ -84,7 +77,7 @@ def strobe(
             _pose(run, climber, int(k), ax, color)
         dots = {"mfc": "white", "mec": color, "mew": 0.8, "ms": 2.6, "ls": "none", "zorder": 4}
         ax.plot(run["axle_x"][k], run["axle_z"][k], "o", **dots)
-    return _framed(run, climber, ax)
+    return frame_motions([run], climber, ax)
 
 
 def _pose(run: Trajectory, climber: Climber, k: int, ax: Axes, color: Any) -> None:
@@ -111,9 +104,10 @@ def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
     return np.stack([ends[0], joint, ends[1]], axis=1), np.stack(centers, axis=1)
 
 
-def _framed(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Show all of a motion, and a little of the ground below it."""
-    reach, x, z = climber.radius + ROOM, run["axle_x"], run["axle_z"]
+def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axes:
+    """Show all of the motions, and a little of the ground below them."""
+    reach = climber.radius + ROOM
+    x, z = (np.concatenate([run[name].ravel() for run in runs]) for name in ("axle_x", "axle_z"))
     top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)
     ax.set(xlim=(x.min() - reach, x.max() + reach), ylim=(z.min() - climber.radius - BELOW, top))
     return ax
@@ -337,65 +331,3 @@ def _outcome(run: Trajectory) -> str:
     """Return how a climb ended, as its problem says, in a sentence."""
     words = run.attributes.get("climb", "")
     return f" It {words}." if words.startswith(("climbs", "stalls", "slides", "tips")) else ""
-
-
-def animate(
-    run: Trajectory, climber: Climber, profile: Profile, file: str | Path, rate: int = FRAMES
-) -> None:
-    """Write a climb as a film in real time.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The motion.
-    climber, profile : Climber, Profile
-        What climbed what.
-    file : str or Path
-        Its name ends in ``.gif`` or ``.mp4``.
-    rate : int
-        Pictures in a second. [1/s]
-
-    Raises
-    ------
-    DataError
-        If the ending is unknown, or ffmpeg is missing.
-    """
-    writer = film_writer(Path(file), rate)
-    with rc_context(STYLE):  # type: ignore[arg-type]
-        figure = style.figure(PAGE, 70 * MM)
-        FigureCanvasAgg(figure)
-        ax = _framed(run, climber, ground(profile, figure.subplots()))
-        _sized(figure, ax, 12 * MM)
-        film = _Film(climber, ax)
-        times = np.append(np.arange(run.t[0], run.t[-1], 1 / rate), run.t[-1])
-        samples = np.searchsorted(run.t, times - 1e-9).tolist()
-        write_film(writer, figure, Path(file), partial(film.show, run), samples)
-
-
-class _Film:
-    """The artists of a film: wheels with a spoke, links, centers of mass, and the time."""
-
-    def __init__(self, climber: Climber, ax: Axes) -> None:
-        self.climber, colors = climber, style.PALETTE[: len(AXLES)]
-        self.wheels = [
-            Circle((0, 0), climber.radius, fc="white", ec=each, lw=1.6) for each in colors
-        ]
-        for wheel in self.wheels:
-            ax.add_patch(wheel)
-        self.spokes: list[Line2D] = [ax.plot([], [], color=each, lw=1)[0] for each in colors]
-        (self.links,) = ax.plot([], [], "-o", color=PLATFORM, lw=2, ms=3)
-        (self.centers,) = ax.plot([], [], "+", color=PLATFORM, ms=6)
-        self.time = ax.text(0.01, 0.97, "", transform=ax.transAxes, va="top", parse_math=False)
-
-    def show(self, run: Trajectory, k: int) -> None:
-        """Move everything to where it is at a sample."""
-        links, centers = _skeleton(run, self.climber, k)
-        self.links.set_data(*links)
-        self.centers.set_data(*centers)
-        for i in range(len(AXLES)):
-            x, z, angle = (run[name][k, i] for name in ("axle_x", "axle_z", "wheel_angle"))
-            self.wheels[i].center = (x, z)
-            spoke = self.climber.radius * np.array([np.cos(angle), -np.sin(angle)])
-            self.spokes[i].set_data([x - spoke[0], x + spoke[0]], [z - spoke[1], z + spoke[1]])
-        end = f"\n{textwrap.fill(stopped(run), WIDTH)}" if k == run.t.size - 1 else ""
-        self.time.set_text(f"t = {run.t[k]:.2f} s{end}")

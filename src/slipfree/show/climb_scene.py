@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from slipfree.climb.metrics import MIN_LOAD
 from slipfree.climb.profile import Profile
@@ -19,7 +20,7 @@ from slipfree.errors import ModelError
 from slipfree.geometry.mesh import Mesh
 from slipfree.models.poses import spun
 from slipfree.records import Array
-from slipfree.show import scene
+from slipfree.show import climb_figures, scene
 from slipfree.show.meshes import clipped, extruded, joined, plate, rod, spokes
 from slipfree.show.scene import PLATE, ROD, TYRE, Actor, Arrows, Color, Ground, Scene
 from slipfree.trajectory import Trajectory
@@ -86,7 +87,32 @@ def climb_scene(climbs: Sequence[Climbed]) -> Scene:
                 _actor(each, each.plan, f"{each.name}: plan", k + len(climbs), origin, ghost=True)
             )
     notes = ["A climb is computed in a plane: the width of ground and vehicle is only drawn."]
-    return scene.framed(ground, actors, origin, reach, notes)
+    return scene.framed(ground, actors, origin, reach, _backdrop(climbs, origin, reach), notes)
+
+
+def _backdrop(climbs: Sequence[Climbed], origin: Array, reach: float) -> scene.Backdrop:
+    """Return the ground of a film: its section, and the solids around the vehicle."""
+    first = climbs[0]
+    width = WIDTH * TRACK * first.climber.radius
+
+    def draw(ax: Axes) -> Axes:
+        climb_figures.ground(first.profile, ax)
+        return climb_figures.frame_motions([each.run for each in climbs], first.climber, ax)
+
+    def near(middle: Array, half: float) -> Sequence[Array]:
+        x = middle[0] + origin[0]
+        faces = []
+        for solid in first.profile.solids:
+            corners = clipped(
+                solid.points, (x - half, -ROOM * first.climber.radius), (x + half, np.inf)
+            )
+            if len(corners) >= 3:
+                right, left = (np.insert(corners, 1, y, axis=1) for y in (-width, width))
+                edges = left, np.roll(left, -1, axis=0), np.roll(right, -1, axis=0), right
+                faces += [*np.stack(edges, axis=1), right]
+        return [face - origin for face in faces]
+
+    return scene.Backdrop(draw, scene.SECTION, near, reach, (14.0, -115.0))
 
 
 def _span(runs: Sequence[Trajectory], name: str) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from slipfree.errors import ModelError
 from slipfree.models.poses import Placed, part_poses, wheel_poses
@@ -18,10 +19,12 @@ from slipfree.show.mesh_refinement import Refined, refined
 from slipfree.show.meshes import joined, rod, spokes
 from slipfree.show.scene import (
     BLOCKED,
+    PLAN,
     ROD,
     TYRE,
     Actor,
     Arrows,
+    Backdrop,
     Body,
     Color,
     Ground,
@@ -45,6 +48,8 @@ MARGIN = 0.35  # of the ground around the paths, in parts of their extent
 NEXT = 3.0  # least margin, in parts of the vehicle's reach
 FINE = 0.125  # distance of nodes near the ways, in parts of the vehicle's reach
 SEEN = 0.1  # how far the drawn ground may be from wheels before it is said, in their radii
+AROUND = 1.6  # half of the ground seen with the vehicle of a film, in its reach
+CELLS = 24  # of the ground around the vehicle of a film, along a side
 SAME = 1e-9  # difference of grounds that is none [m]
 
 
@@ -111,7 +116,30 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
             )
     notes = [_cropped(grid, fine), *_off(drives, fine, 0.0)]
     ground = Ground(fine.mesh(origin), tuple(layers))
-    return framed(ground, actors, origin, reach, notes, warnings)
+    backdrop = _backdrop(first.terrain, window, origin, reach)
+    return framed(ground, actors, origin, reach, backdrop, notes, warnings)
+
+
+def _backdrop(terrain: Bicubic, window: Window, origin: Array, reach: float) -> Backdrop:
+    """Return the ground of a film: shaded in plan, and as a fine surface around the vehicle."""
+
+    def near(middle: Array, half: float) -> Sequence[Array]:
+        west, east, south, north = terrain.domain
+        x, y = (
+            np.clip(np.linspace(at - half, at + half, CELLS) + start, low, high)
+            for at, start, low, high in zip(
+                middle, origin, (west, south), (east, north), strict=False
+            )
+        )
+        x, y = np.meshgrid(x, y, indexing="ij")
+        points = np.stack([x, y, terrain.elevation(x, y)], axis=-1) - origin
+        corners = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
+        return list(np.stack(corners, axis=2).reshape(-1, 4, 3))
+
+    def draw(ax: Axes) -> Axes:
+        return ground_drawing.muted(terrain.grid, ax, window)
+
+    return Backdrop(draw, PLAN, near, AROUND * reach, (28.0, -55.0))
 
 
 def _runs(drives: Sequence[Driven]) -> list[Trajectory]:

@@ -1,20 +1,35 @@
-"""What films have in common: how many pictures, and what writes them."""
+"""Films of scenes: the whole path in plan or as a section, and the first vehicle from near by."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from subprocess import CalledProcessError
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import numpy as np
+from matplotlib import rc_context
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
+from slipfree.records import Array
+from slipfree.show import style
+from slipfree.show.scene import ARROWS, PLAN, Actor, Color, Scene, scale_words
+from slipfree.show.style import MM, PAGE, STYLE
 
 FRAMES, FILM_DPI = 20, 110  # of a film, by second and by inch
 ENDINGS = (".gif", ".mp4")
+MOST = 400  # pictures of a film; a longer motion is sped up
+ROWS = {"height_ratios": (2, 3)}  # of a film of a section, which is wide
+HEIGHTS = (130.0, 86.0)  # of a film of a section, and of one in plan [mm]
+HEIGHT = 0.6  # of the space around the vehicle, in its width
+WIDTH = 150  # letters in a line below
 T = TypeVar("T")
 
 
@@ -67,3 +82,138 @@ def write_film(
         raise DataError(
             f"{file}: cannot be written (ffmpeg: {error}); choose another place"
         ) from error
+
+
+def animate(scene: Scene, file: str | Path, title: str = "") -> str:
+    """Write the motions of a scene as a film.
+
+    Parameters
+    ----------
+    scene : Scene
+        One or more motions; the first one is seen from near by.
+    file : str or Path
+        Its name ends in ``.gif`` or ``.mp4``.
+    title : str
+        Words above the film.
+
+    Returns
+    -------
+    str
+        Speed of the film in words.
+
+    Raises
+    ------
+    DataError
+        If the ending is unknown, or ffmpeg is missing.
+    """
+    writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
+    count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
+    speed = max(1.0, FRAMES * (last - first) / count)
+    with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
+        figure = style.figure(PAGE, HEIGHTS[scene.backdrop.axes == PLAN] * MM)
+        FigureCanvasAgg(figure)
+        film = Film(figure, scene, title, speed)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # nothing moves from one picture to the next
+        times = np.linspace(first, last, count).tolist()
+        write_film(writer, figure, Path(file), film.show, times)
+    return f"{speed:.3g} times as fast as it happened"
+
+
+class Film:
+    """The artists of a film: places in plan or section, and the first vehicle in space."""
+
+    def __init__(self, figure: Figure, scene: Scene, title: str, speed: float) -> None:
+        is_plan = scene.backdrop.axes == PLAN
+        grid = figure.add_gridspec(1, 2) if is_plan else figure.add_gridspec(2, 1, **ROWS)
+        flat, space = figure.add_subplot(grid[0]), figure.add_subplot(grid[1], projection="3d")
+        self.scene, self.space = scene, space
+        self.places = _draw_paths(flat, scene)
+        self.title = title
+        self.head = figure.suptitle("", x=0.98, ha="right", fontsize=8, parse_math=False)
+        told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
+        told += [f"{speed:.3g} times as fast"] if speed > 1 else []
+        lines = ["; ".join(told), *scene.warnings]
+        lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
+        words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
+        figure.supxlabel(words, x=0.02, ha="left", fontsize=7, parse_math=False)
+        space.set_axis_off()
+        space.computed_zorder = False  # the vehicle is always in front of its ground
+        elevation, azimuth = scene.backdrop.camera
+        space.view_init(elev=elevation, azim=azimuth)
+        self.drawn: list[Any] = []
+
+    def show(self, t: float) -> None:
+        """Move everything to where it is at a time."""
+        right, up = self.scene.backdrop.axes
+        for actor, place in zip(self.scene.actors, self.places, strict=True):
+            at = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin
+            place.set_data([at[right]], [at[up]])
+        for artist in self.drawn:
+            artist.remove()
+        actor = self.scene.actors[0]
+        k = _sample(actor, t)
+        middle, half = actor.bodies[0].origins[k], self.scene.backdrop.half
+        ground = self.scene.backdrop.near(middle, half)
+        self.drawn = [self._ground(ground), *self._vehicle(actor, k), *self._arrows(actor, k)]
+        for axis, value in zip("xyz", middle, strict=True):
+            part = half * (HEIGHT if axis == "z" else 1.0)
+            getattr(self.space, f"set_{axis}lim")(value - part, value + part)
+        self.space.set_box_aspect((1, 1, HEIGHT), zoom=1.45)
+        self.head.set_text(f"{self.title}   t = {t:.2f} s".strip())
+
+    def _ground(self, faces: Iterable[Array]) -> Any:
+        shape = Poly3DCollection(
+            list(faces), facecolors="0.95", edgecolors="0.65", lw=0.2, shade=True, zorder=0
+        )
+        return self.space.add_collection3d(shape)
+
+    def _vehicle(self, actor: Actor, k: int) -> list[Any]:
+        """Draw the faces of the vehicle's parts, the nearest last."""
+        faces, colors = [], []
+        for body in actor.bodies:
+            for mesh, color in body.meshes:
+                points = mesh.vertices @ body.rotations[k].T + body.origins[k]
+                faces.append(points[mesh.faces])
+                colors += [_shares(color)] * len(mesh.faces)
+        shape = Poly3DCollection(np.concatenate(faces), facecolors=colors, shade=True, zorder=1)
+        return [self.space.add_collection3d(shape)]
+
+    def _arrows(self, actor: Actor, k: int) -> list[Any]:
+        """Draw slip and forces as lines that begin at the contact points."""
+        found = []
+        for each in actor.arrows:
+            if scale := self.scene.scales[each.name]:
+                lines = np.stack([each.starts[k], each.starts[k] + scale * each.vectors[k]], axis=1)
+                lines = lines[np.isfinite(lines).all(axis=(1, 2))]
+                style_ = Line3DCollection(
+                    lines, colors=_shares(ARROWS[each.name]), lw=1.2, zorder=2
+                )
+                found.append(self.space.add_collection3d(style_))
+        return found
+
+
+def _sample(actor: Actor, t: float) -> int:
+    return int(np.clip(np.searchsorted(actor.t, t), 0, actor.t.size - 1))
+
+
+def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
+    """Draw the ground and the paths of all motions; return the marks of their places."""
+    scene.backdrop.draw(ax)
+    right, up = scene.backdrop.axes
+    places = []
+    for actor in scene.actors:
+        path, color = actor.bodies[0].origins + scene.origin, _shares(actor.color)
+        look: dict[str, Any] = {"lw": 1, "ls": "--" if actor.ghost else "-", "zorder": 3}
+        ax.plot(path[:, right], path[:, up], color=color, label=actor.name, **look)
+        places += ax.plot([], [], "o", mfc=color, mec="white", ms=5, zorder=4)
+    for name in scene.scales:
+        if scene.scales[name]:
+            ax.plot([], [], color=_shares(ARROWS[name]), label=f"{name} (arrows)")
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    return places
+
+
+def _shares(color: Color) -> tuple[float, ...]:
+    """Return red, green and blue from 0 to 1."""
+    return tuple(part / 255 for part in color)

@@ -1,17 +1,18 @@
 """Scene in space: ground, vehicles with their poses, arrows and colours.
 
 Everything is numbers in scene coordinates: map coordinates less ``Scene.origin``, z up. What draws
-them is elsewhere: a web page in `slipfree.show.viewer`, a film in `slipfree.show.drive_film`.
+them is elsewhere: a web page in `slipfree.show.viewer`, a film in `slipfree.show.film`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
@@ -31,6 +32,7 @@ UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # colors that no run has
 FAR = 20.0  # a way of more of the vehicle's reaches is followed from near by
+PLAN, SECTION = (0, 1), (0, 2)  # coordinates to the right and up
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
 
@@ -140,6 +142,31 @@ class Actor(NamedTuple):
     stop: str = ""
 
 
+class Backdrop(NamedTuple):
+    """The ground of a film.
+
+    Attributes
+    ----------
+    draw : callable
+        Draws the ground on axes, in map coordinates: in plan or as a section.
+    axes : tuple of 2 ints
+        Coordinates that these axes show, `PLAN` or `SECTION`.
+    near : callable
+        Returns the faces of the ground near a point, each of shape (n, 3), for the point and half
+        the width of the surroundings, both in scene coordinates. [m]
+    half : float
+        Half the width of the surroundings that are seen with the vehicle. [m]
+    camera : tuple of 2 floats
+        Elevation and azimuth from which the vehicle is seen. [deg]
+    """
+
+    draw: Callable[[Axes], Any]
+    axes: tuple[int, int]
+    near: Callable[[Array, float], Sequence[Array]]
+    half: float
+    camera: tuple[float, float]
+
+
 class Scene(NamedTuple):
     """All there is to draw.
 
@@ -153,6 +180,8 @@ class Scene(NamedTuple):
         Map coordinates of the scene's origin. [m]
     reach : float
         Radius of a circle that holds the largest vehicle. [m]
+    backdrop : Backdrop
+        The ground of a film.
     scales : dict of str to float
         Length of the arrows by name, for one unit of what they show. [m s/m, m/N]
     notes : tuple of str
@@ -165,6 +194,7 @@ class Scene(NamedTuple):
     actors: tuple[Actor, ...]
     origin: Array
     reach: float
+    backdrop: Backdrop
     scales: dict[str, float]
     notes: tuple[str, ...]
     warnings: tuple[str, ...] = ()
@@ -193,6 +223,7 @@ def framed(
     actors: Iterable[Actor],
     origin: Array,
     reach: float,
+    backdrop: Backdrop,
     notes: Iterable[str],
     warnings: Iterable[str] = (),
 ) -> Scene:
@@ -204,7 +235,7 @@ def framed(
     for name, scale in scales.items():
         if not scale:
             told.append(f"No {name} is drawn: {_why_none(name, actors)}.")
-    return Scene(ground, actors, origin, reach, scales, tuple(told), tuple(warnings))
+    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(told), tuple(warnings))
 
 
 def stopped(run: Trajectory) -> str:

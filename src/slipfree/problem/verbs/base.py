@@ -161,13 +161,10 @@ class Viewer(NamedTuple):
         The motions, in words.
     scene : callable
         Returns the scene of several motions.
-    film : callable
-        Writes a film of several motions to a file, and returns words about it.
     """
 
     noun: str
     scene: Callable[[Sequence[Any]], Scene]
-    film: Callable[[Sequence[Any], Path], str]
 
 
 class Verb(ABC):
@@ -295,8 +292,11 @@ class MotionVerb(Verb):
         raise NotImplementedError(CROSS_CHECK)
 
     def animate(self, result: Result, file: Path) -> None:
-        """Write a film of a result; for verbs that offer it."""
-        raise NotImplementedError(ANIMATION)
+        """Write a film of a result."""
+        from slipfree.show.film import animate
+
+        title = result.trajectory.attributes.get("title", "")
+        animate(self.viewer().scene([self.shown(result, "motion")]), file, title)
 
 
 class Extremes(NamedTuple):

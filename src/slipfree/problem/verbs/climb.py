@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
 from math import degrees, isfinite
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from slipfree.climb.plan_tracking import Tracking, course
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
-from slipfree.errors import DataError, ModelError
+from slipfree.errors import ModelError
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.errors import Fault, problem_error
 from slipfree.files.toml.source_lines import Place
@@ -227,7 +226,7 @@ class ClimbVerb(MotionVerb):
         """Return what draws climbs in space."""
         from slipfree.show.climb_scene import climb_scene
 
-        return Viewer("climbs", climb_scene, _film)
+        return Viewer("climbs", climb_scene)
 
     def shown(self, result: Result, name: str) -> Climbed:
         """Return the motion of a result with ground and vehicle, for the viewer."""
@@ -237,12 +236,6 @@ class ClimbVerb(MotionVerb):
         plan = poses_of_plan(result.trajectory, result.arrays, climber)
         return Climbed(name, result.trajectory, climber, profile, plan)
 
-    def animate(self, result: Result, file: Path) -> None:
-        """Write a climb as a moving picture."""
-        from slipfree.show.climb_figures import animate
-
-        animate(result.trajectory, *_parts(result), file)
-
 
 def _parts(result: Result) -> tuple[Climber, Profile]:
     """Return vehicle and ground of a result, from its solution or built again."""
@@ -251,16 +244,6 @@ def _parts(result: Result) -> tuple[Climber, Profile]:
     problem = result.problem
     with at(problem, ("vehicle",)):
         return _climber(problem.spec.vehicle), _profile(problem)
-
-
-def _film(climbs: Sequence[Climbed], file: Path) -> str:
-    """Write a climb as a moving picture."""
-    from slipfree.show.climb_figures import animate
-
-    if len(climbs) > 1:
-        raise DataError(f"--animation: expected one climb, found {len(climbs)}")
-    animate(climbs[0].run, climbs[0].climber, climbs[0].profile, file)
-    return ""
 
 
 def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:

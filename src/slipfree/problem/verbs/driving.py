@@ -155,10 +155,9 @@ class DriveVerb(MotionVerb):
 
     def viewer(self) -> Viewer:
         """Return what draws motions over terrain in space."""
-        from slipfree.show.drive_film import animate_drives
         from slipfree.show.drive_scene import drive_scene
 
-        return Viewer("motions over terrain", drive_scene, animate_drives)
+        return Viewer("motions over terrain", drive_scene)
 
     def shown(self, result: Result, name: str) -> Driven:
         """Return the motion of a result with ground and vehicle, for the viewer."""
