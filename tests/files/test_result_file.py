@@ -286,6 +286,7 @@ def test_results_of_earlier_versions_are_read() -> None:
     assert old.outcome is Outcome.COMPLETE
     np.testing.assert_allclose(old.t, 0.1 * np.arange(6), atol=1e-15)
     assert old.columns["force_normal"].label.unit == "N"
+    assert np.isinf(old["clearance"]).all()  # stored as 1 m
     problem = load_problem(PROBLEMS / "paper_direct.toml", ["time.duration=0.5", "time.step=0.1"])
     new = run_problem(problem).trajectory
     for name in ("x", "y", "z", "heading", "tilt_right", "contact_x", "wheel_angle", "work"):

@@ -25,7 +25,7 @@ from scipy.io import netcdf_file
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
 from slipfree.files.tables import write_rows
-from slipfree.files.upgrade import upgrade_0_1
+from slipfree.files.upgrade import upgrade_0_1, upgrade_columns_0_1
 from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
 from slipfree.records import Label
@@ -44,6 +44,7 @@ from slipfree.version import __version__
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # the attribute by which a result file is recognised
+OLD = "0.1."  # how the versions begin whose results are upgraded
 ORDER = "quantities"  # the attribute with the order of the quantities, which netCDF does not keep
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
 REMEDY = "run the problem again to get a whole file"
@@ -243,7 +244,7 @@ def _open(path: Path) -> _File:
     if ORIGIN not in attributes:
         remedy = "give a file that slipfree run wrote"
         raise _fault(path, "a netCDF file of something else", remedy)
-    if str(attributes[ORIGIN]).startswith("0.1."):
+    if str(attributes[ORIGIN]).startswith(OLD):
         attributes = upgrade_0_1(attributes)
     if not all(file.dimensions.values()):
         raise _fault(path, "an empty or unlimited dimension")
@@ -284,9 +285,12 @@ def _trajectory(file: _File) -> Trajectory:
         for name, value in found.items()
         if name not in RESERVED and not name.startswith(STATISTICS)
     }
+    columns = {name: _column(file, name, sizes) for name in order}
+    if str(found[ORIGIN]).startswith(OLD):
+        columns = upgrade_columns_0_1(columns)
     return Trajectory(
         t,
-        {name: _column(file, name, sizes) for name in order},
+        columns,
         names,
         stop,
         {k.removeprefix(STATISTICS): file.number(k) for k in found if k.startswith(STATISTICS)},

@@ -1,15 +1,18 @@
-"""Upgrade the attributes of result files of version 0.1."""
+"""Upgrade the attributes and quantities of result files of version 0.1."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
 
+import numpy as np
+
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.settings import replace_values
 from slipfree.outcome import Outcome
-from slipfree.trajectory import OUTCOME, STATISTICS, STOP
+from slipfree.trajectory import OUTCOME, STATISTICS, STOP, Column
 
+NO_PLACE = 1.0  # least clearance that meant that the ground comes near at no second place [m]
 ROUNDING = 1e-6  # of a limit that a plan meets, in its unit
 
 OUTCOMES = {  # of the names of stops; limits and checks have their own
@@ -40,6 +43,15 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
     if violated := _violations(found):
         found["plan_violations"] = violated
     return {**_question(found), **found}
+
+
+def upgrade_columns_0_1(columns: Mapping[str, Column]) -> dict[str, Column]:
+    """Return the quantities of a result of version 0.1, which stored 1 m for no second place."""
+    found = dict(columns)
+    if "clearance" in found:
+        label, values = found["clearance"]
+        found["clearance"] = Column(label, np.where(values >= NO_PLACE, np.inf, values))
+    return found
 
 
 def _question(attributes: Mapping[str, str | float]) -> dict[str, str]:
