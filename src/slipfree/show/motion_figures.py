@@ -407,7 +407,9 @@ def _map(run: Trajectory, grid: Grid) -> Figure:
         panels[0].add_patch(Rectangle(corner, *size, **box, zorder=4))
         panels[0].set_title("whole ground")
         panels[1].set_title("around the path")
-    return style.finished(figure, run, panels)
+    style.finished(figure, run, panels)
+    figure.draw_without_rendering()  # the first layout sees the colour bars of wider axes
+    return figure
 
 
 def _tracks_differ(run: Trajectory, width: float) -> bool:
