@@ -261,3 +261,13 @@ def test_empty_tables_and_notes_leave_nothing_behind() -> None:
     seen = _Page(text)
     assert [each["id"] for each in seen.of("section")] == ["a"]
     assert '<th scope="row" class="below">y</th><td>&lt;2&gt;</td>' in text
+
+
+def test_figures_of_a_long_motion_show_fewer_samples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slipfree.problem.report.FIGURE_SAMPLES", 5)
+    file = _result("direct", tmp_path, "time.step=0.001")
+    found = report(file)
+    assert re.match(r"The figures show \d{2,3} of 1001 samples, the extremes of all", found.note)
+    assert ("duration", "1 s, 1001 samples") in found.tables["What came of it"]

@@ -21,6 +21,7 @@ from slipfree.outcome import Outcome
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import run_problem
 from slipfree.records import Label
+from slipfree.show.thinning import thin
 from slipfree.trajectory import Column, Stop, Trajectory
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -291,3 +292,33 @@ def test_results_of_earlier_versions_are_read() -> None:
     new = run_problem(problem).trajectory
     for name in ("x", "y", "z", "heading", "tilt_right", "contact_x", "wheel_angle", "work"):
         np.testing.assert_allclose(new[name], old[name], atol=1e-6, err_msg=name)
+
+
+def test_quantities_read_one_by_one_are_the_same(tmp_path: Path, motion: Trajectory) -> None:
+    path = tmp_path / "a.nc"
+    netcdf.write(path, motion)
+    found = netcdf.read(path, lazy=True)
+    _assert_same(found, motion)
+    netcdf.write(path, motion.part(slice(1)))  # another file of that name
+    _assert_same(found, motion)
+    with pytest.raises(KeyError):
+        found.columns["other"]
+
+
+def test_fewer_samples_keep_all_extremes(rng: np.random.Generator) -> None:
+    values = rng.normal(size=(2000, 2))
+    values[:10] = np.nan
+    columns = {
+        "x": Column(Label("x", "m", "x"), rng.normal(size=2000)),
+        "slip": Column(Label("slip", "m s-1", "slip"), values),
+        "unknown": Column(Label("unknown", "1", "unknown"), np.full(2000, np.nan)),
+    }
+    run = Trajectory(np.arange(2000.0), columns, ("left", "right"))
+    few = thin(run, 50)
+    assert 50 <= few.t.size <= 56
+    assert few.t[[0, -1]].tolist() == [0, 1999]
+    for name in ("x", "slip"):
+        for end in (np.nanmin, np.nanmax):
+            np.testing.assert_array_equal(end(few[name], axis=0), end(run[name], axis=0))
+    np.testing.assert_array_equal(few["slip"], values[few.t.astype(int)])
+    assert thin(run, 2000) is run

@@ -156,7 +156,7 @@ except DataError as error:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.startswith("refused: "), done.stderr
     with Log(tmp_path / "runs.jsonl", HEAD) as log:
-        assert log.rows == []
+        assert list(log.rows) == []
 
 
 def test_a_log_on_a_full_disk_tells_so_and_goes_on_later(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ except DataError as error:
     assert done.stderr.startswith("refused: "), done.stderr
     assert "cannot be written (File too large)" in done.stderr
     with Log(tmp_path / "runs.jsonl", HEAD) as log:
-        assert log.rows == [row]
+        assert list(log.rows) == [row]
 
 
 @pytest.fixture

@@ -116,7 +116,7 @@ def info(
         from slipfree.problem.result import motion_facts
         from slipfree.problem.summary import outcome_fact, ranges
 
-        motion = read(file)
+        motion = read(file, lazy=True)
         attributes = dict(motion.attributes)
         text = attributes.pop("problem", None)
         if problem:

@@ -34,7 +34,7 @@ def report(
         check_page(target, [file])
         found = made(file, folder)
         detail(f"made {len(found.figures)} figures of {file}")
-        if found.note:
+        if found.note and not found.figures:
             warn(f"figures: {found.note}")
         text = page(found)
         replace_file(target, lambda part: _write(part, text))

@@ -92,12 +92,13 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
     """Return the motions of result files, and what draws them."""
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of
+    from slipfree.show.thinning import SCENE_SAMPLES
 
     viewers: dict[str, Viewer] = {}
     found = []
     for file, name in zip(files, _names(files), strict=True):
         with about(file):
-            result = open_result(file, folder)
+            result = open_result(file, folder, samples=SCENE_SAMPLES)
             verb = verb_of(result.problem)
             found.append(verb.shown(result, name))
             viewers.setdefault(verb.viewer().noun, verb.viewer())

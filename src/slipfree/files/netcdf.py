@@ -12,11 +12,14 @@ from __future__ import annotations
 import math
 import os
 import platform
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
+from weakref import finalize
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +28,7 @@ from scipy.io import netcdf_file
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
 from slipfree.files.tables import write_rows
-from slipfree.files.upgrade import upgrade_0_1, upgrade_columns_0_1
+from slipfree.files.upgrade import upgrade_0_1, upgrade_column_0_1
 from slipfree.frames import to_problem_frame
 from slipfree.outcome import Outcome
 from slipfree.records import Label
@@ -50,7 +53,7 @@ RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
 REMEDY = "run the problem again to get a whole file"
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)  # of scipy's reader
 LARGEST = 1e100  # number of a motion; beyond, bits were flipped
-BLOCK = 4096  # samples at once
+BLOCK = 65536  # samples at once
 SIZE = "_size"  # suffix of the dimension of an array that is no sample
 NOTHING: Mapping[str, npt.NDArray[Any]] = {}
 Attribute = str | float
@@ -118,17 +121,31 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
     write_rows(Path(path), names, rows)
 
 
-def read(path: str | os.PathLike[str]) -> Trajectory:
+def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
     """Return the trajectory in a result file.
 
     Values, names, units and attributes come back as they were written.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    lazy : bool
+        Whether to read a quantity each time it is asked for, so that no two need be in memory.
 
     Raises
     ------
     DataError
         If the file is missing, is not netCDF-3, is not whole, or was not written by ``write``.
     """
-    return _trajectory(_open(Path(path)))
+    file = _open(Path(path))
+    with ExitStack() as stack:
+        stack.enter_context(file.stream)
+        run = _trajectory(file)
+        if not lazy:
+            return replace(run, columns=dict(run.columns))
+        finalize(run.columns, stack.pop_all().close)
+        return run
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
@@ -139,18 +156,16 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
     DataError
         As `read`.
     """
-    variables = _open(Path(path)).variables
-    return {
-        name: variable.data.astype(np.float64)
-        for name, variable in variables.items()
-        if variable.dimensions == (f"{name}{SIZE}",)
-    }
+    file = _open(Path(path))
+    names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
+    with file.stream:
+        return {name: file.values(name).astype(np.float64) for name in names}
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a result file of slipfree that can be read."""
     try:
-        _open(Path(path))
+        _open(Path(path)).stream.close()
     except DataError:
         return False
     return True
@@ -209,12 +224,30 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
     }
 
 
+class _Variable(NamedTuple):
+    """A variable of a netCDF file, without its values."""
+
+    dimensions: tuple[str, ...]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    start: int  # byte of the file
+    attributes: dict[str, Attribute]
+
+
 class _File(NamedTuple):
-    """Contents of a netCDF file."""
+    """Header of a netCDF file, and the open file."""
 
     path: Path
+    stream: BinaryIO
     attributes: dict[str, Attribute]
-    variables: dict[str, Any]
+    variables: dict[str, _Variable]
+
+    def values(self, name: str) -> npt.NDArray[Any]:
+        """Return the values of a variable."""
+        variable = self.variables[name]
+        self.stream.seek(variable.start)
+        size = math.prod(variable.shape)
+        return np.fromfile(self.stream, variable.dtype, size).reshape(variable.shape)
 
     def number(self, attribute: str) -> float:
         value = self.attributes[attribute]
@@ -228,27 +261,38 @@ def _fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
 
 
 def _open(path: Path) -> _File:
-    """Return the contents of a result file, all of which is read."""
-    with regular_file(path, "a result file of slipfree"), path.open("rb") as stream:
-        head = stream.read(4)
+    """Return the header of a result file, which is whole."""
+    with regular_file(path, "a result file of slipfree"):
+        with path.open("rb") as stream:
+            head = stream.read(4)
         if head in (b"\x89HDF", b"CDF\5"):
             raise _fault(path, "another kind of netCDF", "convert it: nccopy -k cdf2 IN.nc OUT.nc")
         if not b"CDF".startswith(head[:3]):
             raise _fault(path, f"a file that begins with {head!r}, not netCDF", "check the name")
-        stream.seek(0)
         try:
-            file = netcdf_file(stream, mmap=False)
+            with netcdf_file(path.open("rb"), mmap=True) as file:
+                attributes, dimensions = _attributes_of(file), dict(file.dimensions)
+                variables = {name: _variable(each) for name, each in file.variables.items()}
         except DAMAGED as error:
-            raise _fault(path, "a netCDF file that is cut off or damaged") from error
-    attributes = _attributes_of(file)
+            # Its traceback holds arrays, without which alone the file can be unmapped.
+            found = "a netCDF file that is cut off or damaged"
+            raise _fault(path, found) from error.with_traceback(None)
     if ORIGIN not in attributes:
         remedy = "give a file that slipfree run wrote"
         raise _fault(path, "a netCDF file of something else", remedy)
     if str(attributes[ORIGIN]).startswith(OLD):
         attributes = upgrade_0_1(attributes)
-    if not all(file.dimensions.values()):
+    if not all(dimensions.values()):
         raise _fault(path, "an empty or unlimited dimension")
-    return _File(path, attributes, file.variables)
+    return _File(path, path.open("rb"), attributes, variables)
+
+
+def _variable(found: Any) -> _Variable:
+    data = root = found.data
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    start = data.ctypes.data - root.ctypes.data
+    return _Variable(found.dimensions, data.shape, data.dtype, start, _attributes_of(found))
 
 
 def _attributes_of(node: Any) -> dict[str, Attribute]:
@@ -268,8 +312,8 @@ def _trajectory(file: _File) -> Trajectory:
     missing = {"time", *order} - set(variables)
     if missing:
         raise _fault(file.path, f"no variable {min(missing)}")
-    t = variables["time"].data.astype(np.float64)
-    wheels = variables["wheel"].data if "wheel" in variables else np.empty((0, 4), "S1")
+    t = file.values("time").astype(np.float64)
+    wheels = file.values("wheel") if "wheel" in variables else np.empty((0, 4), "S1")
     if t.ndim != 1 or not np.isfinite(t).all() or (np.diff(t) < 0).any():
         raise _fault(file.path, "times that do not ascend")
     if wheels.ndim != 2 or wheels.dtype != "S1":
@@ -285,12 +329,9 @@ def _trajectory(file: _File) -> Trajectory:
         for name, value in found.items()
         if name not in RESERVED and not name.startswith(STATISTICS)
     }
-    columns = {name: _column(file, name, sizes) for name in order}
-    if str(found[ORIGIN]).startswith(OLD):
-        columns = upgrade_columns_0_1(columns)
     return Trajectory(
         t,
-        columns,
+        _Columns(file, {name: _label(file, name, sizes) for name in order}),
         names,
         stop,
         {k.removeprefix(STATISTICS): file.number(k) for k in found if k.startswith(STATISTICS)},
@@ -306,17 +347,41 @@ def _outcome(file: _File) -> Outcome:
     return Outcome[name]
 
 
-def _column(file: _File, name: str, sizes: Container[tuple[int, ...]]) -> Column:
-    variable = file.variables[name]
-    dimensions, values, words = variable.dimensions, variable.data, _attributes_of(variable)
-    if dimensions not in (("time",), ("time", "wheel")) or values.shape not in sizes:
+def _label(file: _File, name: str, sizes: Container[tuple[int, ...]]) -> Label:
+    """Return the label of a quantity; refuse what is none."""
+    dimensions, shape, dtype, _, words = file.variables[name]
+    if dimensions not in (("time",), ("time", "wheel")) or shape not in sizes:
         raise _fault(file.path, f"{name} over the dimensions ({', '.join(dimensions)})")
-    if values.dtype == "S1":
+    if dtype == "S1":
         raise _fault(file.path, f"text in {name}")
     if not {"units", "long_name"} <= set(words):
         raise _fault(file.path, f"{name} without units or long_name")
-    label = Label(name, str(words["units"]), str(words["long_name"]))
-    values = values.astype(np.float64)
-    if (np.abs(values[np.isfinite(values)]) > LARGEST).any():
-        raise _fault(file.path, f"numbers in {name} that no motion has")
-    return Column(label, values)
+    return Label(name, str(words["units"]), str(words["long_name"]))
+
+
+class _Columns(Mapping[str, Column]):
+    """Quantities of a file, each read when it is asked for."""
+
+    def __init__(self, file: _File, labels: Mapping[str, Label]) -> None:
+        self._file, self._labels = file, labels
+
+    def __getitem__(self, name: str) -> Column:
+        label = self._labels[name]
+        found = self._file.values(name)
+        values = np.empty(found.shape)
+        for k in range(0, len(found), BLOCK):
+            values[k : k + BLOCK] = block = found[k : k + BLOCK]
+            if (np.abs(block[np.isfinite(block)]) > LARGEST).any():
+                raise _fault(self._file.path, f"numbers in {name} that no motion has")
+        column = Column(label, values)
+        is_old = str(self._file.attributes[ORIGIN]).startswith(OLD)
+        return upgrade_column_0_1(column) if is_old else column
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._labels
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._labels)
+
+    def __len__(self) -> int:
+        return len(self._labels)

@@ -45,13 +45,12 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
     return {**_question(found), **found}
 
 
-def upgrade_columns_0_1(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return the quantities of a result of version 0.1, which stored 1 m for no second place."""
-    found = dict(columns)
-    if "clearance" in found:
-        label, values = found["clearance"]
-        found["clearance"] = Column(label, np.where(values >= NO_PLACE, np.inf, values))
-    return found
+def upgrade_column_0_1(column: Column) -> Column:
+    """Return a quantity of a result of version 0.1, which stored 1 m for no second place."""
+    label, values = column
+    if label.name != "clearance":
+        return column
+    return Column(label, np.where(values >= NO_PLACE, np.inf, values))
 
 
 def _question(attributes: Mapping[str, str | float]) -> dict[str, str]:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
 
-from slipfree.files.netcdf import ORIGIN
+from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.errors import ProblemError
+from slipfree.problem.input_files import digest
 from slipfree.problem.result import Result, motion_facts, open_result
 from slipfree.problem.summary import Facts, outcome_fact, ranges
 from slipfree.problem.verbs.base import MotionVerb
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.show.html_report import Report
 from slipfree.show.plots import Plot
+from slipfree.show.thinning import FIGURE_SAMPLES
 from slipfree.trajectory import Trajectory, outcome_words
 from slipfree.version import __version__
 
@@ -58,8 +59,8 @@ def report(file: Path, folder: Path | None = None) -> Report:
     DataError
         If the file cannot be read, or files that its problem names are missing.
     """
-    result = open_result(file, folder)
-    run, verb = result.trajectory, find_motion_verb(result.kind)
+    result = open_result(file, folder, samples=FIGURE_SAMPLES)
+    run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts, names = [outcome_fact(run), *motion_facts(run)], verb.checks if verb else ()
     found = run.attributes
     told = [(name, words) for name, words in facts if name not in names]
@@ -77,7 +78,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
         _lead(run, verb),
         run.stop is None,
         tables,
-        *_drawn(result),
+        *_drawn(result, run.t.size),
         _texts(file, found),
     )
 
@@ -110,7 +111,7 @@ def _versions(file: Path, found: Mapping[str, str]) -> Facts:
         ("computed", found.get("date_created", "unknown when")),
         *parts,
         ("result file", file.name),
-        ("its SHA-256", sha256(file.read_bytes()).hexdigest()),
+        ("its SHA-256", digest(file)),
         ("this page", f"written by slipfree {__version__}"),
     ]
 
@@ -127,11 +128,15 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
     return {"Problem": found["problem"], "To run it again": again}
 
 
-def _drawn(result: Result) -> _Drawn:
+def _drawn(result: Result, count: int) -> _Drawn:
     """Return the figures that ``slipfree run`` draws, or why they cannot be drawn again."""
     if "problem" not in result.trajectory.attributes:
         return _Drawn((), "None: the result holds no problem file, so its ground is not known.")
     try:
-        return _Drawn(verb_of(result.problem).figures(result), "")
+        shown = result.trajectory.t.size
+        note = f"The figures show {shown} of {count} samples, the extremes of all quantities among "
+        note += "them; the tables are of all samples."
+        figures = verb_of(result.problem).figures(result)
+        return _Drawn(figures, note if shown < count else "")
     except ProblemError as error:
         return _Drawn((), f"None: {error}")

@@ -21,10 +21,13 @@ from slipfree.problem.verbs.base import VERB_ATTRIBUTE
 from slipfree.problem.verbs.base import Result as Result
 from slipfree.problem.verbs.registry import find_motion_verb, verb_of
 from slipfree.regular_files import resolve_links, unescape_name
+from slipfree.show.thinning import thin
 from slipfree.trajectory import Trajectory
 
 
-def open_result(path: str | os.PathLike[str], folder: Path | None = None) -> Result:
+def open_result(
+    path: str | os.PathLike[str], folder: Path | None = None, *, samples: int | None = None
+) -> Result:
     """Return the result in a file of ``slipfree run``.
 
     Parameters
@@ -34,6 +37,9 @@ def open_result(path: str | os.PathLike[str], folder: Path | None = None) -> Res
     folder : Path, optional
         Where names of files in the problem start; by default the folder that the problem was in,
         that of the result, or the current one, whichever has them first.
+    samples : int, optional
+        Number of samples, about, to keep of a longer motion, and all extremes besides (see
+        `slipfree.show.thinning.thin`); all by default.
 
     Raises
     ------
@@ -41,7 +47,7 @@ def open_result(path: str | os.PathLike[str], folder: Path | None = None) -> Res
         If the file cannot be read.
     """
     file = Path(path)
-    run = read(file)
+    run = read(file) if samples is None else thin(read(file, lazy=True), samples)
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     kind, verification = (verb.name, verb.verification(run)) if verb else ("", {})
     problem = cache(partial(problem_of, file, run, folder))
