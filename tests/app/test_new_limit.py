@@ -74,7 +74,7 @@ def test_a_limit_ends_the_motions_of_all_models(
         assert run["nose_up"].max() < STEEPEST
         return
     assert result.exit_code == 1, result.output
-    assert "the load slides off the platform (pitch)" in result.stderr
+    assert "the load slides off the platform (pitch)" in result.stdout
     assert run.stop is not None
     assert run.stop.name == "nose_up"
     assert 3 < run.stop.t < 12
