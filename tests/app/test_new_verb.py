@@ -1,6 +1,6 @@
 """Add a verb of problem files: one module and one entry of the registry.
 
-`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (25 lines without docstrings and
+`Stand` and `StandVerb` are the module ``problem/verbs/stand.py`` (28 lines without docstrings and
 imports), and ``StandVerb()`` is the entry of ``VERBS`` in ``problem/verbs/registry.py``: two files.
 Problem files, commands, sweeps, reports and result files accept the verb without other changes.
 """
@@ -25,6 +25,7 @@ from slipfree.problem.verbs import registry
 from slipfree.problem.verbs.base import Quantity
 from slipfree.problem.verbs.driving import DriveVerb
 from slipfree.records import leaves
+from slipfree.show.plots import Plot
 from slipfree.sweep.worker import work
 
 
@@ -64,11 +65,16 @@ class StandVerb(DriveVerb):
         """Return the least load."""
         return {"load_least": Quantity(run["force_normal"].min(), "N")}
 
-    def figures(self, result: Any) -> dict[str, Figure]:
+    def figures(self, result: Any) -> tuple[Plot, ...]:
         """Return a bar for each wheel."""
-        figure, run = Figure(), result.trajectory
-        figure.subplots().bar(run.wheels, run["force_normal"][0])
-        return {"loads": figure}
+        run = result.trajectory
+
+        def loads() -> Figure:
+            figure = Figure()
+            figure.subplots().bar(run.wheels, run["force_normal"][0])
+            return figure
+
+        return (Plot("loads", "Loads on the wheels.", loads),)
 
 
 PROBLEM = """\
@@ -104,7 +110,7 @@ def _called(*words: str, code: int = 0) -> str:
 def test_commands_take_a_new_verb() -> None:
     found = _called("run", "p.toml")
     assert "load on wheel front" in found
-    assert "drew 1 figures" in found
+    assert Path("p_figures/loads.png").is_file(), found
     assert "ok" in _called("check", "p.toml")
     assert "wheel front" in _called("vehicle", "p.toml")
     assert "load on wheel front" in _called("info", "p.nc")
