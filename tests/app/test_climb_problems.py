@@ -263,7 +263,7 @@ def test_there_is_no_plan_without_enough_friction():
         ("plan.friction=2", "--set plan.friction: expected at most friction.static, 0.75, found 2"),
         (
             "control.law=fixed",
-            "--set control.law: expected speed and proportional alone beside "
+            "--set control.law: expected only speed and proportional with "
             "[plan], which is tracked, found fixed",
         ),
         ("plan.cost=fee", "--set plan.cost: expected 'time', 'friction' or 'slip', found 'fee'"),
@@ -404,7 +404,7 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "[2, 0.09], [0, 0.09]",
             "[2, -0.1], [0, -0.1]",
-            "p.toml:3: profile: profile: expected a solid in the way of wheels on the floor",
+            "p.toml:3: profile: profile: expected an obstacle for wheels on the floor",
         ),
         (
             "[-5, -1], [5, -1], [5, 0], [-5, 0]",

@@ -33,13 +33,13 @@ def test_a_vehicle_file_by_itself():
     assert facts(found)["suspension"] == "0 of 0 needed"
     assert facts(found)["condition of rates"].endswith("at the start, weakest in caster_rate")
     notes = [words for name, words in found.facts if name == "vehicle file"]
-    assert notes[0] == "left out, since they carry no wheel and no mass: lidar_mount"
+    assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
     assert notes[1].startswith("wheel right_drive: its rate is positive forward here")
 
 
 def test_a_urdf_by_itself_is_drawn_with_what_it_lacks():
     found = describe(DATA / "cart.urdf")
-    assert "    caster: turns about z by caster (not said what decides it)" in found.tree
+    assert "    caster: turns about z by caster (kind not given)" in found.tree
     where = [fault.partition("cart.urdf:")[2].partition(": expected")[0] for fault in found.faults]
     assert where == ["37: joint 'caster'", "41: joint 'caster_axle'"]
     assert facts(found)["driven wheels"] == "2: left_drive, right_drive"

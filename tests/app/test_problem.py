@@ -134,7 +134,7 @@ def test_lines_of_keys() -> None:
             "step = 2",
             "p.toml:24: time.step: expected at most the duration, 1 s, found 2",
         ),
-        ("step = 0.25", "step = 1e-9", "p.toml:24: time.step: expected a step that makes at most"),
+        ("step = 0.25", "step = 1e-9", "p.toml:24: time.step: expected a step with at most"),
         (
             "step = 0.25",
             "step = 1\n[solver]\ntolerance = 0",

@@ -469,7 +469,7 @@ def test_what_cannot_be_shown_is_refused(
     assert_allclose(shown(named, "named", data).terrain.grid.z, grid.z)
     old = {**run.attributes, "problem": PROBLEM.replace("speed", "pace")}
     netcdf.write(bare, replace(run, attributes=old))
-    assert "its problem is not one of this version:\nhills.toml:" in refused(str(bare))
+    assert "its problem is not valid in this version:\nhills.toml:" in refused(str(bare))
     assert "expected a file of its own, found the result file" in refused(
         str(file), "--html", str(file)
     )
@@ -510,7 +510,7 @@ def test_a_changed_ground_is_refused(named: Path, tmp_path: Path) -> None:
     with np.load(folder / "hills.npz") as grid:
         np.savez(tmp_path / "hills.npz", x=grid["x"], y=grid["y"], z=grid["z"] + 0.01)
     words = refused(str(named), "--folder", str(tmp_path))
-    assert "expected the ground that it was run with, found another one (hills.npz)" in words
+    assert "expected the ground of its run, found another one (hills.npz)" in words
     assert "up to 0.01 m from the contact points" in words
 
 

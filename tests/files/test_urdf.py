@@ -298,13 +298,15 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
     [
         (
             'urdf = "cart.urdf"',
-            "cart.urdf:37: joint 'caster': expected what moves it, found no "
-            'transmission, command interface or mimic; write joints = { caster = "passive" }',
+            "cart.urdf:37: joint 'caster': expected a transmission, command "
+            "interface, mimic or an entry in 'joints', found none; "
+            'write joints = { caster = "passive" }',
         ),
         (
             'urdf = "cart.urdf"',
-            "joint 'caster_axle': expected what moves it, found no "
-            "transmission, command interface or mimic; write wheels = { caster_axle = { driven = ",
+            "joint 'caster_axle': expected a transmission, command "
+            "interface, mimic or an entry in 'wheels', found none; "
+            "write wheels = { caster_axle = { driven = ",
         ),
         (
             'urdf = "cart.urdf"\n[joints]\ncastor = "passive"',
@@ -558,7 +560,7 @@ def test_endings_count_in_any_case(tmp_path):
     (tmp_path / "CART.TOML").write_text(text)
     (tmp_path / "CART.XACRO").write_text("<robot/>")
     assert len(read_vehicle(tmp_path / "CART.TOML").wheels) == 3
-    assert "CART.URDF:37: joint 'caster': expected what moves it" in faults(tmp_path / "CART.URDF")
+    assert "CART.URDF:37: joint 'caster': expected a transmission" in faults(tmp_path / "CART.URDF")
     assert is_vehicle_file(tmp_path / "CART.URDF")
     with pytest.raises(DataError, match="expand it first: xacro"):
         read_vehicle(tmp_path / "CART.XACRO")

@@ -115,7 +115,7 @@ def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
         ("a = " + "{a=" * 100_000, "nested a few deep"),
         ("a" + ".a" * 100_000 + " = 1", "keys of a few parts"),
         ("\n'a'" + ". 'b'" * 100_000 + " = 1", ":2: expected keys of a few parts"),
-        ("a = 1" + "0" * 10_000, "expected numbers, found one that is none"),
+        ("a = 1" + "0" * 10_000, "expected numbers, found an invalid one"),
         ("x" * 10_000_001, "at most 10 MB, found 10 MB"),
     ],
 )

@@ -1,4 +1,4 @@
-"""From a result file to what other programs take: a path on the map, rates for a robot."""
+"""Export of results: the path on the map as CSV or GeoJSON, rates for a robot as CSV."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slipfree.trajectory import Column, Trajectory
 ANGLES = ("heading", "pitch", "roll", "yaw")
 NUMBER = r"[-+.\deE]+"
 LINE = re.compile(rf"(\w+) = ({NUMBER}) \+ ({NUMBER}) ([xyz])(?:, |$)")
-WGS84 = "EPSG:4326"  # what GeoJSON means when it names no reference system
+WGS84 = "EPSG:4326"  # default reference system of GeoJSON
 RUN_AGAIN = "give the result of a run on terrain"
 
 
@@ -40,9 +40,9 @@ def export_path(file: Path, out: Path) -> None:
     file : Path
         A result file.
     out : Path
-        ``.csv``: one row a sample: time, x, y, z or longitude, latitude (in degrees), z, and the
-        attitude. ``.geojson``: a LineString of the places, with the times; a
-        reference system other than WGS 84 stands in the member ``crs`` of GeoJSON 2008.
+        ``.csv``: one row per sample with time, x, y, z or longitude, latitude (in degrees), z, and
+        the attitude. ``.geojson``: a LineString of the positions, with times; a reference system
+        other than WGS 84 is in the member ``crs`` of GeoJSON 2008.
 
     Raises
     ------
@@ -55,9 +55,9 @@ def export_path(file: Path, out: Path) -> None:
 
 
 def export_rates(file: Path, out: Path) -> None:
-    """Write the rates of driven wheels and of joints with actuators as CSV, one row a sample.
+    """Write the rates of driven wheels and of joints with actuators as CSV, one row per sample.
 
-    Between two samples rates are to be interpolated linearly; a jump stands between two rows.
+    Rates between two samples follow by linear interpolation; a jump has two rows of the same time.
 
     Raises
     ------
@@ -87,7 +87,7 @@ Write = Callable[[Trajectory, Path], None]
 
 
 def _checked(out: Path, file: Path, writers: Mapping[str, Write]) -> Write:
-    """Return what writes a file, by its ending."""
+    """Return the function that writes a file, by its ending."""
     if out.suffix.lower() not in writers:
         raise DataError(
             f"{out}: expected a name that ends in {' or '.join(writers)}, found "
@@ -99,14 +99,14 @@ def _checked(out: Path, file: Path, writers: Mapping[str, Write]) -> Write:
 
 
 def map_lines(run: Trajectory) -> list[_Line]:
-    """Return how the coordinates of the map follow from those of the ground."""
+    """Return the linear functions from coordinates of the ground to those of the map."""
     words = run.attributes.get("map_coordinates", "")
     found = [_Line(name, float(a), float(k), of) for name, a, k, of in LINE.findall(words)]
     return found or [_Line(name, 0.0, 1.0, name) for name in "xyz"]
 
 
 def _places(run: Trajectory) -> dict[str, tuple[str, Array]]:
-    """Return unit and values of the coordinates of the map."""
+    """Return units and values of the map coordinates, by name."""
     lines = map_lines(run)
     return {
         line.name: (

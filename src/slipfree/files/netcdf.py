@@ -1,10 +1,10 @@
 r"""Results on disk: netCDF with CF metadata, and CSV.
 
 A result file is netCDF-3 (64-bit offsets), which xarray, MATLAB, R, Julia, Panoply and ncdump open
-without further ado. It has the dimensions ``time`` and ``wheel``, one variable for each quantity
-with ``units`` and ``long_name``, and global attributes that say where it comes from: versions,
-date, the whole problem file, and why the motion ended if it ended early. Attributes are UTF-8; a
-byte of a file name that is not, such as 0xff, is written as ``\udcff``.
+directly. It has the dimensions ``time`` and ``wheel``, one variable for each quantity with
+``units`` and ``long_name``, and global attributes on its origin: versions, date, the complete
+problem file, and the reason of an early stop. Attributes are UTF-8; a byte of a file name that is
+not UTF-8, such as 0xff, is written as ``\udcff``.
 """
 
 from __future__ import annotations
@@ -64,8 +64,7 @@ def write(
 ) -> None:
     """Write a trajectory as a netCDF file.
 
-    The file appears under its name when it is complete; until then an existing file of that name
-    stays as it is.
+    The file is replaced only when the new one is complete.
 
     Parameters
     ----------
@@ -75,12 +74,12 @@ def write(
         The motion. Versions and date are added to its attributes, unless it has them already
         because it was read from a file.
     arrays : mapping of str to ndarray of shape (n,), optional
-        What else to keep, for `read_arrays`: not samples, so each has a dimension of its own.
+        Further arrays, for `read_arrays`; each has a dimension of its own.
 
     Raises
     ------
     ModelError
-        If the trajectory is empty, or uses a name that means something else in the file.
+        If the trajectory is empty, or uses a reserved name.
     DataError
         If the file cannot be written.
     """
@@ -97,7 +96,7 @@ def write(
 
 
 def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
-    """Write a trajectory as a table of comma-separated values, one row a sample.
+    """Write a trajectory as comma-separated values, one row per sample.
 
     The first row names the columns, as in ``slip_along[front]``; values are in SI units, which a
     netCDF file names. Headings are in the frame of the problem.
@@ -124,7 +123,7 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
 def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
     """Return the trajectory in a result file.
 
-    Values, names, units and attributes come back as they were written.
+    Values, names, units and attributes are equal to those that were written.
 
     Parameters
     ----------
@@ -136,7 +135,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
     Raises
     ------
     DataError
-        If the file is missing, is not netCDF-3, is not whole, or was not written by ``write``.
+        If the file is missing, is not netCDF-3, is incomplete, or was not written by ``write``.
     """
     file = _open(Path(path))
     with ExitStack() as stack:
@@ -149,12 +148,12 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return what a result file keeps besides samples, by name.
+    """Return the arrays of a result file that are not samples, by name.
 
     Raises
     ------
     DataError
-        As `read`.
+        As in `read`.
     """
     file = _open(Path(path))
     names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
@@ -296,7 +295,7 @@ def _variable(found: Any) -> _Variable:
 
 
 def _attributes_of(node: Any) -> dict[str, Attribute]:
-    """Return the attributes of a file or a variable, of which scipy has no public list."""
+    """Return the attributes of a file or a variable; scipy has no public list of them."""
     return {
         name: value.decode(errors="replace")
         if isinstance(value, bytes)
@@ -306,7 +305,7 @@ def _attributes_of(node: Any) -> dict[str, Attribute]:
 
 
 def _trajectory(file: _File) -> Trajectory:
-    """Return what a result file holds."""
+    """Return the trajectory in the contents of a result file."""
     found, variables = file.attributes, file.variables
     order = str(found.get(ORDER, "")).split()
     missing = {"time", *order} - set(variables)
@@ -340,7 +339,7 @@ def _trajectory(file: _File) -> Trajectory:
 
 
 def _outcome(file: _File) -> Outcome:
-    """Return the outcome that a result file names."""
+    """Return the outcome stored in a result file."""
     name = str(file.attributes.get(OUTCOME, "")).upper()
     if name not in Outcome.__members__:
         raise _fault(file.path, f"the attribute {OUTCOME} = {name.lower()!r}, which is no outcome")

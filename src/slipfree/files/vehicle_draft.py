@@ -1,4 +1,4 @@
-"""Drafts of vehicles: what a file says, before it is known to be a vehicle."""
+"""Drafts of vehicles: contents of a file before the check that they form a vehicle."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from slipfree.vehicle.formula import CONSTANTS, FUNCTIONS
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-TAKEN = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
+RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 NO_BODY = Body()
-LARGEST = 100.0  # length of a vehicle's part [m]
+MAX_LENGTH = 100.0  # largest length in a vehicle [m]
 FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # from rep103
 
 
 @dataclass(frozen=True)
 class Draft:
-    """The parts of a vehicle, with nothing asked of them.
+    """Parts of a vehicle, without checks.
 
     Attributes
     ----------
@@ -45,19 +45,19 @@ class Draft:
         return tuple(c for c in self.coordinates if c.kind == kind)
 
     def vehicle(self) -> Vehicle:
-        """Return the vehicle; ModelError if the parts do not make one."""
+        """Return the vehicle; raise ModelError if the parts do not form one."""
         return Vehicle(self.name, self.coordinates, self.joints, self.wheels, self.body, self.notes)
 
 
 class UnfitError(DataError):
-    """A file holds no vehicle.
+    """A file does not contain a valid vehicle.
 
     Attributes
     ----------
     faults : tuple of str
-        One for each fault: where it is, what was expected and what was found.
+        One text per error: place, expected and found.
     draft : Draft or None
-        What can be said about the vehicle all the same.
+        The parts of the vehicle that are known.
     """
 
     def __init__(self, faults: Sequence[str], draft: Draft | None = None) -> None:
@@ -66,7 +66,7 @@ class UnfitError(DataError):
 
 
 def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
-    """Yield what was expected and found where wheels and suspension do not match."""
+    """Yield expected and found numbers of wheels and suspension coordinates that do not match."""
     count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if count < 3:
         yield "three wheels or more, so that it stands", f"{count}"
@@ -97,22 +97,24 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
 
 
 def is_symbol(name: str) -> bool:
-    """Return whether a coordinate may have a name: formulas and results must know it."""
-    used = name in FUNCTIONS or name in CONSTANTS or name in TAKEN or keyword.iskeyword(name)
+    """Return whether a name is valid for a coordinate in formulas and results."""
+    used = (
+        name in FUNCTIONS or name in CONSTANTS or name in RESERVED_NAMES or keyword.iskeyword(name)
+    )
     return name.isidentifier() and not used
 
 
 def degrees_words(angle: float) -> str:
-    """Return the remedy for an angle beyond a full turn; empty if it is none."""
+    """Return the advice for an angle beyond a full turn; empty for smaller angles."""
     if abs(angle) <= FULL_TURN:
         return ""
     return f"did you mean {angle:.6g} degrees? write {math.radians(angle):.6g}"
 
 
 def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names with parents before children, and those that do not hang on the root.
+    """Return the names with parents before children, and those not connected to the root.
 
-    Otherwise the order is that of the mapping.
+    Apart from that, the order is that of the mapping.
     """
     done, left = {root}, list(parents)
     ordered: list[str] = []
@@ -124,7 +126,7 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
 
 
 def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the loop that a name hangs on, each the parent of the one before it."""
+    """Return the names of the loop above a name; each is the parent of the one before it."""
     way = [name]
     while parents.get(way[-1]) not in (None, *way):
         way.append(parents[way[-1]])
@@ -133,7 +135,7 @@ def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def from_rep103(draft: Draft) -> Draft:
-    """Return a draft with axes x right, y forward from one with x forward, y left."""
+    """Return a draft converted from axes x forward, y left to axes x right, y forward."""
     return replace(
         draft,
         joints=tuple(
@@ -155,7 +157,7 @@ def from_rep103(draft: Draft) -> Draft:
 
 
 def turned_right(vector: Vector) -> Vector:
-    """Return a vector of axes x forward, y left in axes x right, y forward."""
+    """Return a vector converted from axes x forward, y left to axes x right, y forward."""
     forward, left, up = vector
     return 0.0 - left, forward, up
 
@@ -165,7 +167,7 @@ def _body(body: Body) -> Body:
 
 
 def _angles_right(turned: Vector) -> Vector:
-    """Return the fixed angles about x, y, z of the same turn in axes x right, y forward."""
+    """Return roll, pitch and yaw of the same rotation in axes x right, y forward."""
     if not any(turned[:2]):
         return turned
     rotation = FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T

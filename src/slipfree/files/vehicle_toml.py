@@ -1,4 +1,4 @@
-"""Vehicle files: TOML, checked in two passes: every value by itself, then the parts together."""
+"""Vehicle files in TOML, checked in two passes: single values, then the parts together."""
 
 from __future__ import annotations
 
@@ -33,13 +33,20 @@ from slipfree.files.toml.angles import (
     in_radians,
     unit_faults,
 )
-from slipfree.files.toml.errors import Fault, ProblemError, listed, names, validation_fault, vast
+from slipfree.files.toml.errors import (
+    Fault,
+    ProblemError,
+    listed,
+    name_errors,
+    validation_fault,
+    value_errors,
+)
 from slipfree.files.toml.reader import parse_toml, read_text
 from slipfree.files.toml.source_lines import PIECE, Place, Source, key_lines, spelled
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.toml.types import Place as Place3
 from slipfree.files.vehicle_draft import (
-    LARGEST,
+    MAX_LENGTH,
     Draft,
     from_rep103,
     in_order,
@@ -63,12 +70,12 @@ T = TypeVar("T")
 
 
 class VehicleError(ProblemError):
-    """A file holds no vehicle.
+    """A file does not contain a valid vehicle.
 
     Attributes
     ----------
     draft : Draft or None
-        What can be said about the vehicle all the same.
+        The parts of the vehicle that are known.
     """
 
     def __init__(self, *faults: str, draft: Draft | None = None) -> None:
@@ -77,10 +84,10 @@ class VehicleError(ProblemError):
 
 
 def meters(value: float) -> float:
-    """Return a length unless it is too large for a part of a vehicle."""
-    if abs(value) > LARGEST:
+    """Return a length; raise an error if it is too large for a part of a vehicle."""
+    if abs(value) > MAX_LENGTH:
         raise _expected(
-            f"metres, at most {LARGEST:g} (did you mean millimetres? write {value / 1000:g})"
+            f"metres, at most {MAX_LENGTH:g} (did you mean millimetres? write {value / 1000:g})"
         )
     return value
 
@@ -106,7 +113,8 @@ def _axis(value: Any) -> str | Vector:
         return value
     numbers = value if isinstance(value, list) else []
     good = [
-        isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < LARGEST for n in numbers
+        isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < MAX_LENGTH
+        for n in numbers
     ]
     if len(good) == 3 and all(good) and math.hypot(*numbers) > 0:
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
@@ -124,7 +132,7 @@ Name = Annotated[str, Field(min_length=1)]
 
 
 class CoordinateTable(Record):
-    """An angle or a length that joints follow."""
+    """Angle or length of one or more joints."""
 
     name: Name
     kind: Kind
@@ -139,7 +147,7 @@ class CoordinateTable(Record):
 
 
 class JointTable(Record):
-    """A part that turns about or slides along an axis of its parent."""
+    """A part that rotates about an axis of its parent or slides along it."""
 
     name: Name
     parent: Name
@@ -153,7 +161,7 @@ class JointTable(Record):
 
 
 class AnyWheelTable(Record):
-    """A wheel, whatever its section."""
+    """Common keys of wheels of every section."""
 
     name: Name
     parent: Name
@@ -167,21 +175,21 @@ class AnyWheelTable(Record):
 
 
 class WheelTable(AnyWheelTable):
-    """A wheel without the name of a section: a torus, disc or sphere."""
+    """A wheel without the key ``section``: a torus, disc or sphere."""
 
     radius: Annotated[Positive, AfterValidator(meters)]
     tube: NonNegative = 0.0
 
 
 class UnknownSectionTable(AnyWheelTable):
-    """A wheel with a section that is not known; its other keys are not judged."""
+    """A wheel with an unknown section; its other keys are not checked."""
 
     model_config = ConfigDict(extra="ignore")
     section: Annotated[Any, PlainValidator(_known_section)]
 
 
 def wheel_table(data: Any) -> type[AnyWheelTable]:
-    """Return the schema of a wheel: with the fields of the section that it names as keys."""
+    """Return the schema of a wheel, which has the fields of its section as keys."""
     if not isinstance(data, dict) or "section" not in data:
         return WheelTable
     section = SECTIONS.get(data["section"]) if isinstance(data["section"], str) else None
@@ -228,13 +236,13 @@ TABLES: Tables = {
 
 
 class File(NamedTuple):
-    """The text of a vehicle file and what TOML makes of it."""
+    """Text and values of a vehicle file."""
 
     source: Source
     data: dict[str, Any]
 
     def line(self, fault: Fault) -> str:
-        """Return a fault in words, with the name of the element it concerns."""
+        """Return the text of an error, with the name of its element."""
         where = self.source.where(fault.place)
         return f"{where}{self._who(fault.place)}: expected {fault.expected}, found {fault.found}"
 
@@ -246,13 +254,13 @@ class File(NamedTuple):
         return f" ({str(place[0])[:-1]} {name!r})" if name else ""
 
     def error(self, faults: list[Fault], draft: Draft | None = None) -> VehicleError:
-        """Return the error that reports all faults, in the order of their lines."""
+        """Return the exception that reports all errors, in the order of their lines."""
         ordered = sorted(faults, key=lambda fault: self.source.order(fault.place))
         return VehicleError(*map(self.line, ordered), draft=draft)
 
 
 def open_file(path: Path) -> File:
-    """Return what a TOML file holds; ProblemError if it cannot be read."""
+    """Return the contents of a TOML file; raise ProblemError if it cannot be read."""
     text = read_text(path)
     data = parse_toml(path, text)
     lines = key_lines(text)
@@ -264,7 +272,7 @@ def open_file(path: Path) -> File:
 
 
 def _element_lines(text: str, start: int) -> Iterator[int]:
-    """Yield the lines on which the tables of an array begin that begins on a line."""
+    """Yield the first lines of the inline tables of an array that begins on a line."""
     line, depth = start, 0
     rest = text.replace("\r\n", "\n").split("\n", start - 1)[-1]
     for piece in PIECE.findall(rest):
@@ -277,14 +285,14 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
 
 
 def validated(model: type[Record], parts: Tables, file: File) -> Any:
-    """Return the record that a file holds; VehicleError for every value that is wrong."""
+    """Return the record in a file; raise VehicleError with all invalid values."""
     try:
         found = model.model_validate(file.data)
     except ValidationError as error:
         errors = error.errors(include_url=False)
         faults = [_worded(model, parts, file.data, dict(each)) for each in errors]
         raise file.error(faults) from error
-    if faults := [*vast(file.data)]:
+    if faults := [*value_errors(file.data)]:
         raise file.error(faults)
     return found
 
@@ -295,7 +303,7 @@ def _worded(
     place, kind = tuple(error["loc"]), error["type"]
     if kind == "extra_forbidden":
         table = parts[place[0]](data[place[0]][place[1]]) if len(place) > 1 else model
-        (unknown,) = names(place[:-1], [str(place[-1])], list(table.model_fields))
+        (unknown,) = name_errors(place[:-1], [str(place[-1])], list(table.model_fields))
         return unknown
     if kind == "missing" and isinstance(place[-1], str):
         expected = {"frame": FRAMES, "parent": PARENT, "wheels": "three wheels or more"}
@@ -304,16 +312,21 @@ def _worded(
 
 
 def read_toml(file: File) -> Draft:
-    """Return the draft of the vehicle of a file, with what is sure to make one.
+    """Return the draft of the vehicle in a file, checked to form a vehicle.
 
     Raises
     ------
     VehicleError
-        For all that is wrong, by line; with a draft if its values by themselves are right.
+        With all errors by line, and with a draft if the single values are valid.
     """
     table: VehicleTable = validated(VehicleTable, TABLES, file)
-    faults = [*_names(table), *_hanging(table), *_values(table), *_sizes(table)]
-    parts, wrong = _built(table)
+    faults = [
+        *_name_errors(table),
+        *_parent_errors(table),
+        *_value_errors(table),
+        *_dimension_errors(table),
+    ]
+    parts, wrong = _build_draft(table)
     draft = parts if table.frame == "paper" else from_rep103(parts)
     faults += wrong
     if len(draft.wheels) == len(table.wheels):
@@ -324,12 +337,12 @@ def read_toml(file: File) -> Draft:
 
 
 def _counted(table: VehicleTable) -> str:
-    """Return the part to which faults of counting belong."""
+    """Return the key to which errors in numbers of parts belong."""
     return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
 
 
-def _names(table: VehicleTable) -> Iterator[Fault]:
-    """Yield faults of names: used twice, taken, or nothing that a formula can hold."""
+def _name_errors(table: VehicleTable) -> Iterator[Fault]:
+    """Yield errors of names: used twice, reserved, or invalid in formulas."""
     seen: dict[str, str] = {}
     for part in ("coordinates", "wheels", "joints"):
         if part == "joints":
@@ -347,8 +360,8 @@ def _names(table: VehicleTable) -> Iterator[Fault]:
                 yield Fault(place, expected, repr(each.name))
 
 
-def _hanging(table: VehicleTable) -> Iterator[Fault]:
-    """Yield faults of parents: unknown ones, and loops."""
+def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
+    """Yield errors of parents: unknown names and loops."""
     parents = {joint.name: joint.parent for joint in table.joints}
     known = ["platform", *parents]
     for part in ("joints", "wheels"):
@@ -372,8 +385,8 @@ def _near(name: str, known: list[str]) -> str:
     return f"{name!r}" + (f"; did you mean {nearest[0]!r}?" if nearest else "")
 
 
-def _values(table: VehicleTable) -> Iterator[Fault]:
-    """Yield faults of the joints' formulas and of coordinates that none of them uses."""
+def _value_errors(table: VehicleTable) -> Iterator[Fault]:
+    """Yield errors of the joints' formulas, and coordinates without joints."""
     known = [c.name for c in table.coordinates]
     motions: dict[str, set[str]] = {name: set() for name in known}
     for index, joint in enumerate(table.joints):
@@ -396,16 +409,16 @@ def _values(table: VehicleTable) -> Iterator[Fault]:
             yield Fault(("coordinates", index), "joints that all turn or all slide by it", "both")
 
 
-def _sizes(table: VehicleTable) -> Iterator[Fault]:
-    """Yield errors of stops and of wheels' sections."""
+def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
+    """Yield errors of stops and of wheel sections."""
     slides = {
         name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
     }
     for index, c in enumerate(table.coordinates):
         for key in ("lower", "upper", "rest"):
             value = getattr(c, key) or 0.0
-            if c.name in slides and abs(value) > LARGEST:
-                expected = f"metres, at most {LARGEST:g}"
+            if c.name in slides and abs(value) > MAX_LENGTH:
+                expected = f"metres, at most {MAX_LENGTH:g}"
                 yield Fault(("coordinates", index, key), expected, f"{value:g}")
             elif c.name not in slides and (expected := bare_words(value)):
                 yield Fault(("coordinates", index, key), expected, f"{value:g}")
@@ -431,11 +444,11 @@ def _names_in(formula: str) -> frozenset[str]:
         return frozenset()
 
 
-def _built(table: VehicleTable) -> tuple[Draft, list[Fault]]:
-    """Return what can be built of the parts, parents before children, and what cannot."""
+def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
+    """Return the draft of the valid parts, parents before children, and the errors of others."""
     faults: list[Fault] = []
 
-    def built(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:
+    def build(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:
         made = []
         for index, each in enumerate(getattr(table, part)):
             try:
@@ -444,11 +457,11 @@ def _built(table: VehicleTable) -> tuple[Draft, list[Fault]]:
                 faults.append(Fault((part, index), "a valid one of its kind", str(error)))
         return tuple(made)
 
-    coordinates = built("coordinates", _coordinate)
-    joints = {joint.name: joint for joint in built("joints", _joint)}
+    coordinates = build("coordinates", _coordinate)
+    joints = {joint.name: joint for joint in build("joints", _joint)}
     parents = {name: joint.parent for name, joint in joints.items()}
     hung, loose = in_order(parents, "platform")
-    wheels = built("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
+    wheels = build("wheels", lambda each: _wheel(each, SIDEWAYS[table.frame]))
     body = Body(table.mass, table.center_of_mass)
     ordered = tuple(joints[name] for name in (*hung, *loose))
     draft = Draft(table.name, coordinates, ordered, wheels, body)

@@ -1,1 +1,1 @@
-"""Problem files: what they hold, how they are read, and what comes of them."""
+"""Problem files: schema, loading, solving and summaries."""

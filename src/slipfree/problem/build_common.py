@@ -1,4 +1,4 @@
-"""What the solving of every problem begins with: vehicle, start, times and names."""
+"""Common set-up of problems: vehicle, start, times and names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.files.toml.errors import Fault, names, problem_error
+from slipfree.files.toml.errors import Fault, name_errors, problem_error
 from slipfree.frames import OFFSET
 from slipfree.problem import schema
 from slipfree.problem.build_ground import Ground, at, ground_facts
@@ -23,27 +23,27 @@ from slipfree.terrain.bicubic import Bicubic
 from slipfree.trajectory import Column, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-NEAR = 1e-9  # times closer than this part of the duration are one
+TIME_TOLERANCE = 1e-9  # times at a smaller distance count as equal [duration]
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """All that a problem needs before it is integrated.
+    """Everything that the integration of a problem needs.
 
     Attributes
     ----------
     ground, terrain, vehicle : Ground, Bicubic, Vehicle
-        What moves, and on what, as data and as a surface.
+        The ground as data and as a surface, and the vehicle.
     model, dae : Dae
-        The closure model, which settles the start, and what is integrated.
+        The closure model, which settles the start, and the model to integrate.
     start : Trajectory
-        The vehicle at its start: at rest, or as the given rates of its platform move it.
+        The vehicle at its start, at rest or with the given rates of its platform.
     inputs : record
         Rates, or a driving law.
     t : ndarray, shape (n,)
         Times of the samples. [s]
     driven : str
-        What drives it, in words.
+        Description of the inputs.
     """
 
     ground: Ground
@@ -64,18 +64,18 @@ class Setup:
 
 
 def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
-    """Return the ground as a surface, in coordinates from the start."""
+    """Return the ground as a surface, with its local origin at the start."""
     start = problem.spec.start
     return Bicubic(ground.grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
 
 
 def turned(problem: Problem[S]) -> float:
-    """Return what leads from the frame's headings to those from the y axis. [rad]."""
+    """Return the offset from headings of the problem's frame to headings from the y axis. [rad]."""
     return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 
 def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
-    """Return the vehicle at rest where the problem starts."""
+    """Return the vehicle at rest at the start of the problem."""
     values: dict[str, Any] = dict(problem.spec.start)
     values["heading"] = values.get("heading", 0.0) + turned(problem)
     with at(problem, ("start",)):
@@ -85,16 +85,16 @@ def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
 def samples(
     time: schema.Time, inputs: Mapping[str, float | schema.Piecewise]
 ) -> tuple[Array, dict[str, float | Array]]:
-    """Return the times of the samples, jumps of the inputs among them, and rates by interval.
+    """Return the sample times, including jumps of the inputs, and the rates by interval.
 
     Returns
     -------
     t : ndarray, shape (n,)
         From zero to the duration. [s]
     rates : dict of str to float or ndarray of shape (n - 1,)
-        Constants, and values in every interval of what is piecewise constant. [rad/s]
+        Constants, or values per interval of piecewise constant rates. [rad/s]
     """
-    near = NEAR * time.duration
+    near = TIME_TOLERANCE * time.duration
     regular = time.step * np.arange(int(time.duration / time.step) + 1)
     jumps = [pair[0] for value in inputs.values() if isinstance(value, tuple) for pair in value]
     t = np.sort(np.concatenate([regular, [time.duration], jumps]))
@@ -113,11 +113,11 @@ def samples(
 
 
 def check_names(problem: Problem[S], dae: Dae, inputs: Iterable[str] | None) -> None:
-    """Raise for states and inputs that the model does not have or lacks, and for wrong units."""
-    faults = [*names(("start",), problem.spec.start, _names(dae.labels.x))]
+    """Raise ProblemError for unknown or missing states and inputs, and for wrong units."""
+    faults = [*name_errors(("start",), problem.spec.start, _names(dae.labels.x))]
     if inputs is not None:
         known = _names(dae.labels.u)
-        faults += names(("inputs",), inputs, known)
+        faults += name_errors(("inputs",), inputs, known)
         faults += [
             Fault(("inputs", name), "a rate", "none") for name in known if name not in inputs
         ]
@@ -131,7 +131,7 @@ def _names(labels: Iterable[Any]) -> list[str]:
 
 
 def vehicle_facts(vehicle: Vehicle) -> Facts:
-    """Return what to tell about a vehicle."""
+    """Return the facts about a vehicle."""
     wheels = ", ".join(
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )

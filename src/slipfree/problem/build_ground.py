@@ -1,4 +1,4 @@
-"""From the [terrain] table of a problem to a ground."""
+"""Ground of a problem, from its table [terrain]."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from slipfree.terrain.rolled import NODES, Rolled, rolled
 from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
 from slipfree.trajectory import Trajectory
 
-OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys that only files have
+OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys only for map files
 
 
 class Ground(NamedTuple):
@@ -32,18 +32,17 @@ class Ground(NamedTuple):
     Attributes
     ----------
     grid : Grid
-        As the wheels meet it.
+        Heights of the ground under the wheels.
     source : str
-        Where it comes from, in words.
+        Description of its origin.
     rolled : Rolled or None
-        What was changed for the wheels, if that was asked for.
+        Change by ``rolled``, if requested.
     mu : float, Grid or None
         Coefficient of friction, or a map of it. [1]
     friction : str
-        The same in words; empty if there is none.
+        Description of the friction; empty without friction.
     told : list of (str, str)
-        What else to tell: the map it was made of, what was changed, and how to return to the
-        coordinates of the map.
+        Further facts: the map, the changes, and the relation to the coordinates of the map.
     """
 
     grid: Grid
@@ -56,7 +55,7 @@ class Ground(NamedTuple):
 
 @contextmanager
 def at(problem: Problem[A], place: Place) -> Iterator[None]:
-    """Say which line of the problem an error of the library concerns."""
+    """Raise errors of the library as ProblemError with the line of the problem."""
     try:
         yield
     except (ModelError, DataError) as error:
@@ -66,10 +65,10 @@ def at(problem: Problem[A], place: Place) -> Iterator[None]:
 
 
 def build_ground(problem: Problem[S]) -> Ground:
-    """Return the ground that a problem asks for.
+    """Return the ground of a problem.
 
-    In this order: the file is read, in its window; holes are filled; degrees become metres; it is
-    scaled, (if it is no file) cut to the window, smoothed, disturbed, and rolled.
+    The order of operations is: read the file inside the window, fill holes, convert degrees to
+    metres, scale, cut to the window (if there is no file), smooth, add the error, and roll.
     """
     spec = problem.spec.terrain
     _check_keys(problem)
@@ -91,17 +90,17 @@ def build_ground(problem: Problem[S]) -> Ground:
 
 
 def _check_keys(problem: Problem[S]) -> None:
-    """Refuse keys that mean nothing for a ground that is no file."""
+    """Raise ProblemError for keys that apply only to map files."""
     spec = problem.spec.terrain
     for key in OF_FILES:
         read = spec.file is not None or isinstance(spec.friction, str)
         if not read and getattr(spec, key) is not None:
             where = problem.source.where(("terrain", key))
-            raise ProblemError(f"{where}: expected it beside a file alone; take it out")
+            raise ProblemError(f"{where}: expected this key only with a map file; remove it")
 
 
 def _scales(spec: schema.Terrain) -> tuple[float, float]:
-    """Return by what x and y, and heights, are multiplied."""
+    """Return the scale of x and y, and that of heights."""
     return spec.scale * spec.horizontal_scale, spec.scale * spec.vertical_scale
 
 
@@ -113,7 +112,7 @@ def _scale_words(spec: schema.Terrain) -> str:
 
 
 def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
-    """Return a ground smoothed and disturbed, as far as that is asked for, and words on it."""
+    """Return the ground after optional smoothing and elevation error, and facts about them."""
     spec, told = problem.spec.terrain, []
     if spec.smooth is not None:
         with at(problem, ("terrain", "smooth")):
@@ -137,7 +136,7 @@ def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
 
 
 def _origin(found: Map, horizontal: float, vertical: float) -> Facts:
-    """Return the reference system of a map, and what leads back to its coordinates."""
+    """Return the reference system of a map and the relation to its coordinates as facts."""
     facts = [("map crs", found.crs)] if found.crs else []
     x0, kx, y0, ky = found.frame
     if found.frame != Frame() or (horizontal, vertical) != (1, 1):
@@ -162,7 +161,7 @@ def _check_size(width: float, length: float, spacing: float) -> None:
 
 
 def _source(problem: Problem[S]) -> tuple[Map, str]:
-    """Return the ground before it is scaled, and what to call it."""
+    """Return the ground before scaling, and its description."""
     spec = problem.spec.terrain
     if spec.file is not None:
         window, (horizontal, _) = spec.window, _scales(spec)
@@ -181,7 +180,7 @@ def _source(problem: Problem[S]) -> tuple[Map, str]:
 
 
 def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, str]:
-    """Return the friction of the ground, and what to tell about it."""
+    """Return the friction of the ground, and its description."""
     spec = problem.spec.terrain
     name, (horizontal, _) = spec.friction, _scales(spec)
     if not isinstance(name, str):
@@ -194,8 +193,8 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
         asked["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
         found = read_map(problem.folder / name, **asked)
-        check_friction(found.grid)  # before it is scaled: the message gives places of the file
-    # Both files describe one place, so that both are scaled; coefficients have no length.
+        check_friction(found.grid)  # before scaling: the message has coordinates of the file
+    # both files describe the same area, so that both are scaled; coefficients are not
     mu = scaled(found.grid, horizontal, 1.0)
     told = "".join(
         f"; {key.removeprefix('ground ')} {words}"
@@ -221,7 +220,7 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
 
 
 def filled_words(grid: Grid, run: Trajectory) -> str:
-    """Return how far the wheels of a motion roll on filled ground; empty if none was filled."""
+    """Return the distances of the wheels on filled ground, as text; empty without filled ground."""
     if grid.filled is None:
         return ""
     on = grid.touches_filled(run["contact_x"], run["contact_y"])
@@ -241,7 +240,7 @@ def filled_words(grid: Grid, run: Trajectory) -> str:
 
 
 def ground_facts(ground: Ground) -> Facts:
-    """Return what to tell about a ground."""
+    """Return the facts about a ground."""
     grid = ground.grid
     (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing
     facts = [

@@ -25,7 +25,7 @@ L = TypeVar("L")
 def build_model(
     problem: Problem[S], spec: schema.Modelled, vehicle: Vehicle, terrain: Terrain
 ) -> Dae:
-    """Return the model of a vehicle on a ground that a problem names, with its law."""
+    """Return the model of a problem for a vehicle on a ground, with its law."""
     if spec.model == "kinematics":
         slip = slip_law(problem, spec)
         with at(problem, ("slip",)):
@@ -56,7 +56,7 @@ def law_name(spec: schema.Modelled) -> str:
 
 
 def ground_law(problem: Problem[S], spec: schema.Modelled) -> GroundLaw:
-    """Return the wheel-ground law of a quasi-static problem: the one with a table, or Coulomb's."""
+    """Return the wheel-ground law of a quasi-static problem; Coulomb's by default."""
     name = law_name(spec)
     if "slip" in spec.model_fields_set:
         expected = "no slip law with model = 'quasi-static', where forces determine the slip"
@@ -69,7 +69,7 @@ def ground_law(problem: Problem[S], spec: schema.Modelled) -> GroundLaw:
 
 
 def _with_parameters(problem: Problem[S], spec: schema.Modelled, law: Callable[..., L]) -> L:
-    """Return a law with the parameters that a problem gives; the others have their defaults."""
+    """Return a law with the parameters of a problem and defaults for the others."""
     name = law_name(spec)
     given = spec.law.parameters(name)
     for key, parameter in signature(law).parameters.items():

@@ -1,4 +1,4 @@
-"""From a problem's table of a vehicle, or a vehicle's own file, to a vehicle."""
+"""Vehicle of a problem, from its table [vehicle] or from a vehicle file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from slipfree.errors import DataError, ModelError
-from slipfree.files.toml.errors import Fault, names
+from slipfree.files.toml.errors import Fault, name_errors
 from slipfree.files.toml.source_lines import Place
 from slipfree.files.toml.types import NonNegative, Positive, Record
 from slipfree.files.urdf.reader import JointRole, Roles, WheelRole, read_urdf
@@ -32,7 +32,7 @@ from slipfree.vehicle.tree import Vehicle, actuated
 
 
 class JointTable(Record):
-    """What moves a joint of a URDF; the keys of a coordinate."""
+    """Kind of a joint of a URDF, and keys of its coordinate."""
 
     kind: Literal["commanded", "passive", "suspension", "fixed"]
     words: str | None = None
@@ -46,7 +46,7 @@ class JointTable(Record):
 
 
 class WheelTable(Record):
-    """What a URDF cannot say about a wheel."""
+    """Properties of a wheel that URDF does not have."""
 
     driven: bool | None = None
     radius: Annotated[Positive, AfterValidator(meters)] | None = None
@@ -77,12 +77,12 @@ def build_vehicle(spec: schema.Vehicle, folder: Path) -> Vehicle:
     spec : Vehicle
         The problem's table.
     folder : Path
-        Where relative names of files start.
+        Folder of relative file names.
 
     Raises
     ------
     VehicleError
-        If its file holds no vehicle.
+        If its file does not contain a valid vehicle.
     ModelError
         If a keyword of the catalogue is not allowed, or a joint has no free coordinate to actuate.
     """
@@ -97,8 +97,7 @@ def read_vehicle(path: str | Path) -> Vehicle:
     Raises
     ------
     VehicleError
-        For all that is wrong, with file and line; it holds a draft of what can be said all the
-        same.
+        With all errors by file and line, and a draft of the known parts.
     DataError
         If the name of the file has another ending.
     """
@@ -110,7 +109,7 @@ def read_vehicle(path: str | Path) -> Vehicle:
 
 
 def is_vehicle_file(path: Path) -> bool:
-    """Return whether a file is meant as a vehicle, not as a problem."""
+    """Return whether a file is a vehicle file, not a problem file."""
     if path.suffix.lower() in (".urdf", ".xacro"):
         return True
     data = open_file(path).data
@@ -147,7 +146,7 @@ def _completed(file: File) -> Draft:
 
 
 def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
-    """Return the draft of a URDF; faults of the roles belong to the file that has them."""
+    """Return the draft of a URDF; errors in the roles name the file of the roles."""
     by = f" (urdf of {file.source.path})" if file else ""
     try:
         data = read_bytes(path, f"a URDF{by}")
@@ -167,7 +166,7 @@ def _check(roles: Roles, known: list[str], file: File) -> None:
     """Raise for joints that the URDF does not have, or that are said to be two things."""
     faults: list[Fault] = []
     for table, given in (("joints", roles.joints), ("wheels", roles.wheels)):
-        faults += names((table,), given, known)
+        faults += name_errors((table,), given, known)
     for name in set(roles.joints) & set(roles.wheels):
         place: Place = ("joints", name)
         faults.append(Fault(place, "a joint that is no wheel", "the same name in wheels"))

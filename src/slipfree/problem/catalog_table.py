@@ -23,12 +23,12 @@ CATALOG: dict[str, Callable[..., Vehicle]] = {
 MAY_BE_ZERO = ("r1", "r2", "stiffness", "damping", "bump", "mass", "wheel_mass")
 ANGLES = ("steer_stop", "bend_stop", "tilt_stop")
 ANY_SIGN = ("trail", "joint", "preload")
-OWN = ("catalog", "file", "actuated", "name")  # keys that are none of the vehicle's function
+OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of the function
 
 
 @dataclass(frozen=True)
 class Found:
-    """What was found, in words."""
+    """Description of the value found."""
 
     words: str
 
@@ -37,14 +37,14 @@ class Found:
 
 
 def fault(place: str | None, expected: str, found: str) -> InitErrorDetails:
-    """Return a fault of a key of a table, or of the table."""
+    """Return an error in a key of a table, or in the table itself."""
     kind = PydanticCustomError("expected", "{words}", {"words": expected})
     return InitErrorDetails(type=kind, loc=(place,) if place else (), input=Found(found))
 
 
 @cache
 def table_of(base: type[BaseModel], catalog: str) -> type[BaseModel]:
-    """Return the schema of the table of a vehicle of the catalogue: base and its keywords."""
+    """Return the schema of the table of a catalogue vehicle: base keys and keywords."""
     function = CATALOG[catalog]
     hints = get_type_hints(function)
     fields: dict[str, Any] = {
@@ -54,7 +54,7 @@ def table_of(base: type[BaseModel], catalog: str) -> type[BaseModel]:
 
 
 def _kind(key: str, hint: Any) -> Any:
-    """Return what a keyword may be; further checks are the function's."""
+    """Return the type of a keyword; the vehicle's function checks its value."""
     if hint is float:
         if key in ANY_SIGN:
             return Annotated[float, Field()]
@@ -67,21 +67,21 @@ def _kind(key: str, hint: Any) -> Any:
 
 
 def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel]) -> BaseModel:
-    """Return the table of a vehicle: from a file, or with the keywords of the catalogue.
+    """Return the table of a vehicle, from a file or from the catalogue with its keywords.
 
     Parameters
     ----------
     base : type
-        What every such table holds.
+        Schema of the common keys.
     data : Any
-        What the file has.
+        Contents of the table.
     read : callable
-        Reads what ``base`` holds.
+        Validator of the common keys.
 
     Raises
     ------
     ValidationError
-        For all that does not fit; of unknown keys, with those that there are.
+        With all errors; for unknown keys it lists the known ones.
     """
     if not isinstance(data, dict) or not set(base.model_fields) <= set(OWN):
         return read(data)
@@ -102,7 +102,7 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
 
 
 def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
-    """Return an error of a table; one of an unknown key names the known keys."""
+    """Return an error of a table; for an unknown key it lists the known keys."""
     if error["type"] == "extra_forbidden":
         name = str(error["loc"][-1])
         nearest = difflib.get_close_matches(name, known, n=1)

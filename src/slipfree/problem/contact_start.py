@@ -1,4 +1,4 @@
-"""Start from the contact point of one wheel."""
+"""Starts with a given contact point of one wheel."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ def settle_contact(
     options: SolverOptions = SolverOptions(),
     **start: float,
 ) -> Trajectory:
-    """Return the vehicle standing with one wheel's contact at a given place.
+    """Return the vehicle at rest with a given contact point of one wheel.
 
-    The contact point of one wheel, the heading and the joints are chosen; nine closure equations
-    of a three-wheeler then determine place, height, roll and pitch of its platform and the other
+    The contact point of one wheel, the heading and the joints are given. The nine closure equations
+    of a three-wheeler then determine position, height, roll and pitch of its platform and the other
     two contact points.
 
     Parameters
     ----------
     dae : Dae
-        A closure model: its states hold ``x`` and ``y``, its first unknowns the contact points.
+        A closure model: its states include ``x`` and ``y``, its first unknowns are the contacts.
     wheel : str
         Name of the wheel.
     contact_x, contact_y : float
@@ -41,18 +41,18 @@ def settle_contact(
     Raises
     ------
     ModelError
-        If the wheel or a name is unknown, or the vehicle cannot stand so.
+        If the wheel or a name is unknown, or the vehicle cannot stand there.
     """
     known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
     if wheel not in known:
         names = ", ".join(sorted(filter(None, known))) or "none"
         raise ModelError(
-            f"settle_contact: no contact of a wheel {wheel!r} is sought; known: {names}"
+            f"settle_contact: the model has no contact of a wheel {wheel!r}; known: {names}"
         )
     fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
     if fixed:
         raise ModelError(
-            f"settle_contact: {' and '.join(fixed)} follow from the contact; leave them out"
+            f"settle_contact: {' and '.join(fixed)} follow from the contact; remove them"
         )
     place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
     exchange = dict(zip(("x", "y"), place, strict=True))

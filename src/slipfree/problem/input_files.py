@@ -1,4 +1,4 @@
-"""Files that a problem names, and what tells whether they are still the same."""
+"""Input files of a problem, and their digests."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from slipfree.problem.problem import Problem
 from slipfree.problem.schema import Asked
 from slipfree.regular_files import regular_file
 
-TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # that may name a file
-DRAWN = ("terrain", "vehicle", "profile")  # those of them that make ground and vehicle
+TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
+DRAWN = ("terrain", "vehicle", "profile")  # tables of ground and vehicle
 MISSING = "missing"
 
 
 def input_names(spec: Asked, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
-    """Return the names of the files that tables of a problem name, as they stand there."""
+    """Return the names of input files in tables of a problem, as written there."""
     found = [getattr(spec, name, None) for name in tables]
     names: list[Any] = [getattr(table, "file", None) for table in found]
     names += [getattr(table, "friction", None) for table in found]
@@ -30,7 +30,7 @@ def input_names(spec: Asked, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
 
 
 def input_files(problem: Problem[Any]) -> dict[str, Path]:
-    """Return all input files of a problem by their names; those that a vehicle file names too."""
+    """Return all input files of a problem by name, including those of its vehicle file."""
     names = list(input_names(problem.spec))
     for name in input_names(problem.spec, ["vehicle"]):
         names += _named_urdf(problem.folder, name)
@@ -40,7 +40,10 @@ def input_files(problem: Problem[Any]) -> dict[str, Path]:
 def digest(file: Path) -> str:
     """Return the SHA-256 of a file; ``"missing"`` if it cannot be read."""
     try:
-        with regular_file(file, "an input file"), file.open("rb") as stream:  # may exceed memory
+        with (
+            regular_file(file, "an input file"),
+            file.open("rb") as stream,
+        ):  # the file may exceed the memory
             return file_digest(stream, "sha256").hexdigest()
     except DataError:
         return MISSING
@@ -48,7 +51,7 @@ def digest(file: Path) -> str:
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
     """Return the name of the URDF that a vehicle file completes, from the problem's folder."""
-    with suppress(DataError):  # errors in it are reported where the vehicle is built
+    with suppress(DataError):  # build_vehicle reports errors in the file
         urdf = open_file(folder / name).data.get("urdf")
         if isinstance(urdf, str):
             return [str(Path(name).parent / urdf)]

@@ -1,4 +1,4 @@
-"""Problem files: from TOML to validated records, with all faults at once."""
+"""Loading of problem files: TOML to validated records, with all errors at once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from slipfree.files.toml.errors import (
     format_value,
     problem_error,
     validation_fault,
-    vast,
+    value_errors,
 )
 from slipfree.files.toml.reader import parse_toml, read_text
 from slipfree.files.toml.settings import replace_values
@@ -99,7 +99,7 @@ def _from_text(
     except ValidationError as error:
         faults += [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
     else:
-        faults += [*vast(data), *spec.faults()]
+        faults += [*value_errors(data), *spec.faults()]
         if not faults:
             return Problem(spec, source)
     raise problem_error(source, faults)
@@ -139,7 +139,7 @@ def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> 
 
 
 def _alternatives(schema: type[Asked], data: dict[str, Any]) -> Iterator[Fault]:
-    """Yield a fault where a table has none, or several, of keys that exclude each other."""
+    """Yield an error for a table with none or several of mutually exclusive keys."""
     for place, keys in schema.alternatives.items():
         table: Any = data
         for part in place:

@@ -1,4 +1,4 @@
-"""Problem and vehicle files of version 0.1, rewritten with today's keys in their own layout."""
+"""Migration of problem and vehicle files of version 0.1 to current keys, with their layout."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from slipfree.problem.old_keys import KeyChange, old_keys, upgrade_keys
 
 
 class Migrated(NamedTuple):
-    """A file with today's keys.
+    """A migrated file.
 
     Attributes
     ----------
     text : str
-        The file.
+        Text with current keys.
     changes : tuple of str
-        Line, old and new key of each change; empty if none is needed.
+        Line, old and new key of each change; empty if no change is needed.
     """
 
     text: str
@@ -30,20 +30,20 @@ class Migrated(NamedTuple):
 
 
 def migrate_text(path: Path, text: str) -> Migrated:
-    """Return a problem or vehicle file with today's keys.
+    """Return a problem or vehicle file with current keys.
 
     Parameters
     ----------
     path : Path
-        The name of the file, for errors.
+        Name of the file, for errors.
     text : str
-        The file.
+        Text of the file.
 
     Raises
     ------
     ProblemError
-        If it is not TOML, not a problem or vehicle, has an old key and its new one, or has old
-        keys in a layout that cannot be kept.
+        If it is not TOML, is not a problem or vehicle file, has both an old key and its
+        replacement, or has old keys in a layout that cannot be preserved.
     """
     data = parse_toml(path, text)
     if not {"verb", "wheels"} & set(data):
@@ -69,7 +69,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
     if parse_toml(path, changed) != upgrade_keys(data)[0]:
         wanted = ", ".join(f"{each.words[1]} by {each.words[0]}" for each in found)
         raise ProblemError(
-            f"{path}: expected keys in a usual layout, found one that cannot be kept; replace "
+            f"{path}: expected keys in a usual layout, found one that cannot be preserved; replace "
             f"{wanted} by hand"
         )
     words = (f"{source.where((c.old,))}: {c.words[1]} is now {c.words[0]}" for c in found)
@@ -77,7 +77,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
 
 
 def _rename(document: tomlkit.TOMLDocument, change: KeyChange) -> None:
-    """Replace a key, and its value if that changes too, where it stands."""
+    """Replace a key, and its value if it changes, at its position."""
     for index, (key, item) in enumerate(document.body):
         if key is None or key.key != change.old:
             continue
@@ -92,7 +92,7 @@ def _rename(document: tomlkit.TOMLDocument, change: KeyChange) -> None:
 
 
 def _key(old: Key, name: str) -> SingleKey:
-    """Return a key, perhaps a dotted one, with the spaces and the equals sign of another."""
+    """Return a key, possibly dotted, with the spaces and the equals sign of another key."""
     text = old.as_string()
     spaces = text[len(text.rstrip()) :]
     new = SingleKey(name, t=KeyType.Bare, sep=old.sep, original=name + spaces)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from slipfree.files.toml.errors import Fault
 
-VERBS = ("direct", "plan")  # whose keys changed
+VERBS = ("direct", "plan")  # verbs with changed keys
 
 
 class KeyChange(NamedTuple):
@@ -18,15 +18,15 @@ class KeyChange(NamedTuple):
     old : str
         The key.
     value : str or None
-        The value with which it is replaced; None for any value.
+        The value for which it is replaced; None for any value.
     new : tuple of str
         Tables and key that replace it.
     new_value : str or None
-        Their value; None for the old one.
+        The new value; None for the old value.
     words : tuple of str
-        New and old key as users write them.
+        New and old key in the user's spelling.
     found : str
-        What an old file has.
+        Description of the old key, for errors.
     """
 
     old: str
@@ -58,7 +58,7 @@ CHANGES = (
 
 
 def old_keys(data: Mapping[str, Any]) -> list[KeyChange]:
-    """Return the changes that the tables of a problem need."""
+    """Return the key changes that a problem needs."""
     if data.get("verb") not in VERBS:
         return []
     return [
@@ -69,12 +69,12 @@ def old_keys(data: Mapping[str, Any]) -> list[KeyChange]:
 
 
 def upgrade_keys(data: dict[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
-    """Return the tables of a problem with today's keys, and an error for each old key.
+    """Return the tables of a problem with current keys, and an error for each old key.
 
     Parameters
     ----------
     data : dict
-        The tables as the file has them. Where a new key stands beside the old one, it counts.
+        Tables of the file. A new key takes precedence over the old one.
     """
     found, faults = dict(data), list[Fault]()
     for change in old_keys(data):

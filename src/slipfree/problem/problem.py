@@ -33,5 +33,5 @@ class Problem(Generic[A]):
 
     @property
     def folder(self) -> Path:
-        """The folder that relative names of input files start from."""
+        """Folder of relative names of input files."""
         return self.source.path.parent

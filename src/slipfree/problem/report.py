@@ -1,4 +1,4 @@
-"""From a result file to a report of it: facts, checks, figures, the problem, versions."""
+"""Report of a result file: facts, checks, figures, problem and versions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from slipfree.trajectory import Trajectory, outcome_words
 from slipfree.version import __version__
 
 VERSION = "_version"
-ELSEWHERE = (  # attributes that are told in other places
+ELSEWHERE = (  # attributes reported in other sections
     "problem",
     "settings",
     "history",
@@ -38,7 +38,7 @@ ELSEWHERE = (  # attributes that are told in other places
 
 
 class _Drawn(NamedTuple):
-    """Figures, or why there are none."""
+    """Figures, or the reason why there are none."""
 
     figures: Sequence[Plot]
     note: str
@@ -57,7 +57,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
     Raises
     ------
     DataError
-        If the file cannot be read, or files that its problem names are missing.
+        If the file cannot be read, or input files of its problem are missing.
     """
     result = open_result(file, folder, samples=FIGURE_SAMPLES)
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
@@ -84,7 +84,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
 
 
 def _lead(run: Trajectory, verb: MotionVerb | None) -> str:
-    """Return how a motion ended in a sentence."""
+    """Return a sentence on the end of a motion."""
     words = outcome_words(run)
     if run.stop is None and verb is not None:
         words = verb.describe_end(run) or words
@@ -92,7 +92,7 @@ def _lead(run: Trajectory, verb: MotionVerb | None) -> str:
 
 
 def _set_up(found: Mapping[str, str]) -> Facts:
-    """Return what a result says about ground, vehicle and drive."""
+    """Return the facts of a result about ground, vehicle and inputs."""
     return [
         (name.replace("_", " "), words)
         for name, words in found.items()
@@ -101,7 +101,7 @@ def _set_up(found: Mapping[str, str]) -> Facts:
 
 
 def _versions(file: Path, found: Mapping[str, str]) -> Facts:
-    """Return what computed a result, and what identifies its file."""
+    """Return the versions and the digest of a result."""
     parts = [
         (name.removesuffix(VERSION), words)
         for name, words in found.items()
@@ -117,7 +117,7 @@ def _versions(file: Path, found: Mapping[str, str]) -> Facts:
 
 
 def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
-    """Return the problem file, and how to run it again."""
+    """Return the problem file and the commands to run it again."""
     if "problem" not in found:
         return {}
     name = f"{Path(found.get('problem_file', 'problem.toml')).stem}_again.toml"  # theirs is kept

@@ -73,8 +73,8 @@ def shown(file: Path, name: str, folder: Path | None = None) -> Any:
     Raises
     ------
     DataError
-        If the file cannot be read, holds no problem, or files that its problem names are missing or
-        make another ground or vehicle than that of the motion.
+        If the file cannot be read or has no problem, or if input files of its problem are missing
+        or result in another ground or vehicle than those of the motion.
     """
     result = open_result(file, folder)
     return verb_of(result.problem).shown(result, name)
@@ -99,20 +99,20 @@ def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Probl
     text = run.attributes.get("problem")
     if text is None:
         raise DataError(
-            f"{file}: expected a result with its problem in it, found none; give a file that "
-            "slipfree run wrote"
+            f"{file}: expected a result that contains its problem, found none; use a file from "
+            "slipfree run"
         )
     settings = run.attributes.get("settings", "").splitlines()
     name = Path(run.attributes.get("problem_file", "problem.toml")).name
     with tempfile.TemporaryDirectory() as scratch:
-        copy = Path(scratch) / "problem.toml"  # a name out of a file may be anything
+        copy = Path(scratch) / "problem.toml"  # a name from a file is not trusted
         copy.write_text(text, encoding="utf-8")
         try:
             problem = load_earlier(copy, settings)
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(
-                f"{file}: its problem is not one of this version:", *faults
+                f"{file}: its problem is not valid in this version:", *faults
             ) from error
     recorded = unescape_name(run.attributes.get("problem_folder", ""))
     place = _folder(file, problem.spec, recorded, folder)
@@ -121,7 +121,7 @@ def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Probl
 
 
 def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> Path:
-    """Return the folder that holds the files which a problem names."""
+    """Return the folder of the input files of a problem."""
     needed = input_names(spec, DRAWN)
     here, beside = Path.cwd(), file.absolute().parent
     usual = [*(resolve_links(each / recorded) for each in (here, beside) if recorded), beside, here]
@@ -132,7 +132,7 @@ def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> P
             return place
     raise DataError(
         f"{file}: its problem needs {missing[0]}, found none in {' or '.join(map(str, tried))}; "
-        "name the folder of the problem file: --folder DIR"
+        "give the folder of the problem file by --folder DIR"
     )
 
 

@@ -29,7 +29,7 @@ from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
 
-MOST_SAMPLES = 1_000_000
+MOST_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "what is asked for"
 TOLERANCE = "of the integrator, absolute and relative [1]"
 SIZED = "of the integrator, absolute and relative; that of lengths in sizes of the vehicle [1]"
@@ -132,7 +132,7 @@ class Asked(Record):
             expected = f"at most the duration, {time.duration:g} s"
             yield Fault(("time", "step"), expected, f"{time.step:g}")
         elif time.duration / time.step > MOST_SAMPLES:
-            expected = f"a step that makes at most {MOST_SAMPLES} samples of {time.duration:g} s"
+            expected = f"a step with at most {MOST_SAMPLES} samples in {time.duration:g} s"
             yield Fault(("time", "step"), expected, f"{time.step:g}")
 
 

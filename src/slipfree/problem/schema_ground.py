@@ -1,4 +1,4 @@
-"""What the ground of a problem may be: tables of a problem file, below ``[terrain]``."""
+"""Schema of the ground of a problem: the table ``[terrain]`` and its subtables."""
 
 from __future__ import annotations
 

@@ -22,14 +22,14 @@ from slipfree.problem.catalog_table import reworded
 
 
 def known_slip(name: str) -> str:
-    """Return the name of a slip law; raise if it is not registered."""
+    """Return the name of a slip law; raise an error if it is not registered."""
     if name not in SLIP_LAWS:
         raise PydanticCustomError("expected", "one of {names}", {"names": ", ".join(SLIP_LAWS)})
     return name
 
 
 def registered_laws() -> dict[str, Any]:
-    """Return the laws that a table may name: wheel-ground laws, and slip laws with parameters."""
+    """Return the laws with parameters: wheel-ground laws and some slip laws."""
     slip_laws: dict[str, Any] = dict(SLIP_LAWS)
     return {name: law for name, law in slip_laws.items() if fields(law)} | GROUND_LAWS
 
@@ -53,7 +53,7 @@ def law_record(law: type) -> type[Record]:
 
 
 def _description(hint: Any) -> str:
-    """Return meaning and unit of a parameter."""
+    """Return description and unit of a parameter."""
     metadata = getattr(hint, "__metadata__", ())
     words = [each.documentation for each in metadata if isinstance(each, DocInfo)]
     return " ".join([*words, *(f"[{each.unit}]" for each in metadata if isinstance(each, Unit))])
@@ -65,7 +65,7 @@ class Law(Record):
     @model_validator(mode="wrap")
     @classmethod
     def _by_name(cls, data: Any, handler: ModelWrapValidatorHandler[Law]) -> Law:
-        """Read the tables of the laws that are registered."""
+        """Read the tables of the registered laws."""
         if cls is not Law or not isinstance(data, dict):
             return handler(data)
         try:

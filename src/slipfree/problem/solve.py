@@ -1,4 +1,4 @@
-"""From a validated problem to a motion."""
+"""Solution of validated problems."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def run_problem(
     Parameters
     ----------
     problem : Problem
-        From `load_problem`.
+        Result of `load_problem`.
     progress : callable, optional
         Called with the time reached. [s]
     tell : callable, optional
@@ -59,7 +59,7 @@ def run_problem(
     Returns
     -------
     Result
-        The motion, whole or to where it stopped.
+        The motion, complete or up to its stop.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _attributes(problem: Problem[Any], verb: MotionVerb, setup: Setup) -> dict[s
         "title": problem.spec.title or source.path.stem,
         VERB_ATTRIBUTE: verb.name,
         "problem_file": source.path.name,
-        "problem_folder": str(source.path.parent),  # as it was given
+        "problem_folder": str(source.path.parent),  # as given
         "problem": source.text,
         **(settings if source.settings else {}),
         **verb.attributes(problem, setup),

@@ -11,9 +11,10 @@ Facts = list[tuple[str, str]]
 
 
 def ranges(run: Trajectory) -> Facts:
-    """Return every quantity with its range, over the wheels as well.
+    """Return the range of every quantity over time and wheels.
 
-    Without friction of the ground ``utilisation`` is but ``friction_needed`` again, and left out.
+    On a ground without a friction coefficient, ``utilisation`` equals ``friction_needed`` and is
+    omitted.
     """
     facts = []
     for name, column in to_problem_frame(run).columns.items():
@@ -27,7 +28,7 @@ def ranges(run: Trajectory) -> Facts:
 
 
 def has_friction(run: Trajectory) -> bool:
-    """Return whether the ground of a motion has friction, as far as its result tells."""
+    """Return whether the ground of a motion has a friction coefficient, according to its result."""
     given = "ground_friction" in run.attributes
     return given or not np.array_equal(run["utilisation"], run["friction_needed"])
 

@@ -1,4 +1,4 @@
-"""Units of values that a problem gives by name: those of the model's quantities."""
+"""Check of the units of named values in a problem against those of the model."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from slipfree.files.toml.errors import Fault
 from slipfree.problem import schema
 from slipfree.records import leaves
 
-BARE = ("start", "goal", "limits")  # tables of orientations and of joints
+BARE = ("start", "goal", "limits")  # tables with angles
 TABLES = (*BARE, "inputs", "bounds")
 
 
 def check_units(spec: schema.Task, dae: Dae) -> Iterator[Fault]:
-    """Yield an error for each value by name in another unit than that of the model's quantity."""
+    """Yield an error for each named value with another unit than the model's quantity."""
     units = _units(dae)
     for name in TABLES:
         yield from unit_faults((name,), getattr(spec, name, None) or {}, units, bare=name in BARE)

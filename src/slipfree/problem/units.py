@@ -8,7 +8,7 @@ from typing import Any
 from slipfree.files.toml.source_lines import key_path
 from slipfree.problem.schema import Asked
 
-UNIT = re.compile(r"\[([^\],]+)\]$")  # at the end of a description; one of several is none
+UNIT = re.compile(r"\[([^\],]+)\]$")  # a single unit at the end of a description
 
 
 def unit_of(spec: Asked, key: str) -> str:

@@ -1,4 +1,4 @@
-"""What a vehicle is made of, what decides its motion, and how well."""
+"""Description of a vehicle: parts, degrees of freedom and conditioning."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from slipfree.terrain.analytic import Analytic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
-SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
+MIN_SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
 
-DEEPEST = 40  # parts below parts that are told
+MAX_TREE_DEPTH = 40  # parts below parts that are told
 
 
 class Description(NamedTuple):
-    """What can be said about a vehicle.
+    """Description of a vehicle.
 
     Attributes
     ----------
     tree : list of str
-        Its name, and its parts below those that carry them.
+        Lines with its name and its tree of parts.
     facts : list of pairs of str
         Names and values.
     faults : tuple of str
-        Why it cannot be built, or cannot stand on its ground; empty if it can.
+        Reasons why it cannot be built or cannot stand on its ground; empty if it can.
     """
 
     tree: list[str]
@@ -51,15 +51,15 @@ class Description(NamedTuple):
 
 
 def describe(path: Path, settings: Sequence[str] = ()) -> Description:
-    """Return what can be said about the vehicle of a problem, or of a vehicle file.
+    """Return the description of the vehicle in a problem or in a vehicle file.
 
-    A vehicle by itself stands on level ground. Of a file that holds no vehicle, the faults come
-    with what can be said all the same.
+    The vehicle of a vehicle file stands on level ground. For an invalid vehicle the description has
+    the errors and the facts about its known parts.
 
     Raises
     ------
     DataError
-        If nothing can be said about the vehicle.
+        If no part of the vehicle can be read.
     """
     try:
         if not is_vehicle_file(path):
@@ -99,12 +99,12 @@ def _level(x: ca.SX, _: ca.SX) -> ca.SX:
 
 
 def tree(vehicle: Vehicle | Draft) -> list[str]:
-    """Return the parts of a vehicle, indented below those that carry them."""
+    """Return the lines of the tree of a vehicle's parts, indented below their parents."""
     kinds = {c.name: c for c in vehicle.coordinates}
     hung: list[Joint] = []
 
     def below(part: str, indent: str) -> Iterator[str]:
-        if len(indent) > 2 * DEEPEST:
+        if len(indent) > 2 * MAX_TREE_DEPTH:
             yield f"{indent}..."
             return
         for joint in vehicle.joints:
@@ -130,7 +130,7 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
 
 
 def _joint(joint: Joint, kinds: dict[str, Coordinate]) -> str:
-    """Return how a joint moves and what moves it."""
+    """Return the description of a joint: motion, axis and coordinates."""
     moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
     if not moved:
         return "rigid" if joint.value in ("0", "0.0") else f"held at {joint.value}"
@@ -146,32 +146,32 @@ def _joint(joint: Joint, kinds: dict[str, Coordinate]) -> str:
 
 
 def _kind(c: Coordinate | None) -> str:
-    """Return what decides a coordinate, and what acts on it."""
+    """Return the kind of a coordinate, and its spring, damper and stops."""
     if c is None:
-        return "not said what decides it"
+        return "kind not given"
     acts = [(c.stiffness, "spring"), (c.damping, "damper"), (c.bump, "elastic stops")]
     return ", ".join([c.kind, *(f"{words} {value:g}" for value, words in acts if value)])
 
 
 def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
-    """Yield what decides the forces of a vehicle with mass."""
+    """Yield the fact about the contact forces of a vehicle with mass."""
     if not vehicle.mass:
         return
     count = 3 * len(vehicle.wheels)
     if _has_ground_law(dae):
-        how = "the wheel-ground law decides them, together with the rates"
+        how = "the wheel-ground law determines them, together with the rates"
     elif is_determinate(vehicle):
         how = "equilibrium determines them"
     else:
         how = (
             f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are left open by "
-            "equilibrium: the load-weighted ones are taken"
+            "equilibrium: the load-weighted ones are used"
         )
     yield "contact forces", f"{count}: {how}"
 
 
 def counts(vehicle: Vehicle, dae: Dae) -> Facts:
-    """Return what decides the motion: unknowns and equations, named and counted."""
+    """Return the names and numbers of unknowns and equations of a motion."""
     wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
@@ -209,14 +209,14 @@ def _has_ground_law(dae: Dae) -> bool:
 
 
 def _equations(dae: Dae) -> str:
-    """Return what the equations of the rates state."""
+    """Return the description of the equations of the rates."""
     if _has_ground_law(dae):
-        return "equilibrium and the wheel-ground law; they decide the normal forces too"
+        return "equilibrium and the wheel-ground law; they also determine the normal forces"
     return dae.labels.alg[1][0].name.replace("_", " ")
 
 
 def _shares(draft: Draft) -> Facts:
-    """Return what decides the motion of parts that do not make a vehicle."""
+    """Return the numbers of wheels and joints of an incomplete vehicle."""
 
     def listed(names: list[str]) -> str:
         return f"{len(names)}: {', '.join(names) or 'none'}"
@@ -234,10 +234,11 @@ def _shares(draft: Draft) -> Facts:
 
 
 def conditioning(dae: Dae, start: Trajectory) -> Facts:
-    """Return how far a start is from a singular configuration, and by which motion.
+    """Return the condition numbers of a start, and the weakest motions.
 
-    Condition numbers of the Jacobians of the equations in metres and radians, position and rates
-    each by themselves, and what the right singular vector of the smallest value moves most.
+    The condition numbers are those of the Jacobians in metres and radians, separately for position
+    and rates; the weakest motions are the large entries of the right singular vector of the
+    smallest singular value.
     """
     rest = unpack(dae.u, [0.0] * len(list(leaves(dae.u))))
     system, (x, z) = with_inputs(dae, rest, 0), (dae.rows(record, start, 0) for record in "xz")
@@ -254,7 +255,7 @@ def conditioning(dae: Dae, start: Trajectory) -> Facts:
         weak = [
             labels[block.span][k].full
             for k in np.argsort(size)[::-1]
-            if size[k] > SHARE * max(size)
+            if size[k] > MIN_SHARE * max(size)
         ]
         words = f"{values[0] / values[-1]:.3g} at the start, weakest in {', '.join(weak)}"
         facts.append((f"condition of {name}", words))

@@ -1,4 +1,4 @@
-"""Elevation models: maps from files, and from degrees of longitude and latitude."""
+"""Elevation models: maps from files, and conversion of degrees to metres."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from slipfree.terrain.grid_ops import (
 )
 
 EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
-HEADER = 1e4  # bytes that a numpy array may have before its numbers
-WIDE = 0.01  # by which distances along x of a map in degrees may be wrong
+HEADER = 1e4  # largest header of a numpy array [bytes]
+MAX_STRETCH = 0.01  # largest relative error of distances along x of a map in degrees
 SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of that ellipsoid [m], [1]
-STEEP = 50.0  # median slope that no ground in metres has, but one in degrees [1]
-UNREADABLE = (  # what reading a damaged numpy archive raises
+MAX_MEDIAN_SLOPE = 50.0  # a steeper map is taken to be in degrees [1]
+UNREADABLE = (  # exceptions of numpy for a damaged archive
     ValueError,
     EOFError,
     OSError,
@@ -58,14 +58,14 @@ Facts = tuple[tuple[str, str], ...]
 
 
 class Frame(NamedTuple):
-    """Where the coordinates of a map come from: those of its file are ``x0 + kx x, y0 + ky y``.
+    """Relation between coordinates of a ground and of its file, ``x0 + kx x, y0 + ky y``.
 
     Attributes
     ----------
     x0, y0 : float
         Coordinates in the file of the ground's origin. [m] or [deg]
     kx, ky : float
-        Units of the file in a metre of the ground.
+        Units of the file per metre of the ground.
     """
 
     x0: float = 0.0
@@ -75,20 +75,20 @@ class Frame(NamedTuple):
 
 
 class Map(NamedTuple):
-    """A map of heights in metres, and what is known about its file.
+    """A height map in metres, and facts about its file.
 
     Attributes
     ----------
     grid : Grid
         The heights. [m]
     frame : Frame
-        What leads from its coordinates to those of the file.
+        Relation between its coordinates and those of the file.
     crs : str
         Coordinate reference system of the file such as ``"EPSG:32633"``; empty if unknown.
     geographic : bool
         Whether the coordinates of the file are degrees.
     told : tuple of (str, str)
-        Name and value of what to tell about it.
+        Names and values of facts for users.
     """
 
     grid: Grid
@@ -102,7 +102,7 @@ class Map(NamedTuple):
 
 
 def read_grid(path: str | Path) -> Grid:
-    """Return the grid of heights in a file that says all about itself; see `read_map`.
+    """Return the height grid in a file that needs no further information; see `read_map`.
 
     Raises
     ------
@@ -132,17 +132,17 @@ def read_map(
         ASCII grid), ``.hgt`` (SRTM), ``.dt0`` to ``.dt2`` (DTED), ``.img`` (ERDAS) and ``.png``
         (grey values): see `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
     window : tuple of 4 floats, optional
-        The part to read, x_min, x_max, y_min, y_max in the coordinates of the file; of a large
-        raster only that part is kept in memory. [m] or [deg]
+        The part to read, x_min, x_max, y_min, y_max in the coordinates of the file; for a large
+        raster only this part is kept in memory. [m] or [deg]
     cell, registration : float and {"area", "point"}, optional
-        Needed for pictures that do not say where they lie, and refused for others: see `Reading`.
+        Required for pictures without coordinates, an error for other files: see `Reading`.
     spacing : float, optional
-        Between nodes; needed for scattered points, and refused for others. [m]
+        Node spacing; required for scattered points, an error for other files. [m]
     geographic : {"local"} or Frame, optional
-        Without it degrees are refused. ``"local"`` makes metres of them by `geographic_to_metric`,
-        a frame so that they lie in the coordinates of another map.
+        Conversion of degrees, which are an error without it. ``"local"`` converts them to metres by
+        `geographic_to_metric`, a frame to the coordinates of another map.
     fill : {"linear"}, optional
-        Without it holes are refused; see `fill_holes`.
+        Filling of holes, which are an error without it; see `fill_holes`.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def read_map(
 def _check_keys(
     ending: str, cell: float | None, registration: str | None, spacing: float | None
 ) -> None:
-    """Refuse what a kind of file has no use for."""
+    """Raise DataError for arguments that the file format does not use."""
     given = {"cell": cell, "registration": registration, "spacing": spacing}
     for name, value in given.items():
         endings = NEEDED_BY[name]
@@ -191,7 +191,7 @@ def _found(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heig
 
 
 def _check_degrees(found: Heights, *, local: bool) -> None:
-    """Refuse degrees that are taken for metres, and metres that are taken for degrees."""
+    """Raise DataError if degrees would be used as metres or metres as degrees."""
     reach = (
         f"x from {found.x[0]:.9g} to {found.x[-1]:.9g}, y from {found.y[0]:.9g} to "
         f"{found.y[-1]:.9g}"
@@ -203,7 +203,7 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
             f"{reach}; take geographic out"
         )
     remedy = (
-        '; ask for geographic = "local", or reproject it to metres: gdalwarp -t_srs '
+        '; set geographic = "local", or reproject it to metres: gdalwarp -t_srs '
         "EPSG:326xx in out.tif (xx: the UTM zone)"
     )
     if found.geographic and not local:
@@ -213,7 +213,7 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
     rise = np.abs(np.diff(np.where(np.isinf(found.z), np.nan, found.z), axis=1))
     rise = rise[rise > 0]  # neither holes nor lakes
     steep = float(np.median(rise)) / axes_of(found.x, found.y)[1].step if rise.size else 0.0
-    if steep > STEEP:
+    if steep > MAX_MEDIAN_SLOPE:
         raise DataError(
             f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
             f"slopes of {steep:.2g} along y (median){remedy}; if it is in metres, are its heights?"
@@ -241,17 +241,18 @@ def _mapped(
     frame = local_frame(found.x, found.y) if geographic == "local" else geographic
     x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
     told += (("ground degrees", _degrees_words(found.y, frame)),)
-    if (wrong := _stretch(found.y, frame)) > WIDE:
+    if (wrong := _stretch(found.y, frame)) > MAX_STRETCH:
         raise DataError(
-            f"geographic: expected a map whose distances along x are wrong by {100 * WIDE:g} % at "
-            f"most, found {100 * wrong:.2g} % at its northern or southern border; name a window, "
-            "or reproject it to metres: gdalwarp -t_srs EPSG:326xx in out.tif (xx: the UTM zone)"
+            "geographic: expected a map with errors of distances along x of at most "
+            f"{100 * MAX_STRETCH:g} %, found {100 * wrong:.2g} % at its northern or southern "
+            "border; set a window, or reproject it to metres: gdalwarp -t_srs EPSG:326xx in "
+            "out.tif (xx: the UTM zone)"
         )
     return Map(Grid(x, y, found.z, mask), frame, found.crs, geographic=True, told=told)
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:
-    """Return how degrees became metres, and the error that makes."""
+    """Return the description of the conversion from degrees to metres and of its error."""
     middle, edge = np.arccos(frame.ky / frame.kx), _stretch(latitude, frame)
     # Radii of curvature of the ellipsoid along the meridian and across it.
     w = np.sqrt(1 - ECCENTRICITY_2 * np.sin(middle) ** 2)
@@ -265,12 +266,12 @@ def _degrees_words(latitude: Array, frame: Frame) -> str:
 
 
 def _stretch(latitude: Array, frame: Frame) -> float:
-    """Return by what part distances along x are wrong at the border."""
+    """Return the relative error of distances along x at the border."""
     return float(max(abs(np.cos(np.deg2rad(latitude[[0, -1]])) * frame.kx / frame.ky - 1)))
 
 
 def local_frame(longitude: Array, latitude: Array) -> Frame:
-    """Return the local metres of `geographic_to_metric`, about the first of both. [deg]."""
+    """Return the frame of `geographic_to_metric`, with its origin at the first node. [deg]."""
     middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
     degree = EARTH_RADIUS * np.deg2rad(1.0)
     return Frame(
@@ -282,24 +283,24 @@ def local_frame(longitude: Array, latitude: Array) -> Frame:
 
 
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
-    """Return a grid in metres, its south-western node at (0, 0), from one in degrees.
+    """Return a grid in metres from one in degrees; its south-western node is at (0, 0).
 
     Parameters
     ----------
     longitude : ndarray, shape (n_x,)
-        Ascending to the east. [deg]
+        Longitudes, increasing to the east. [deg]
     latitude : ndarray, shape (n_y,)
-        Ascending to the north. [deg]
+        Latitudes, increasing to the north. [deg]
     z : ndarray, shape (n_x, n_y)
         Heights at ``(longitude[i], latitude[j])``. [m]
 
     Notes
     -----
-    Equirectangular: ``x = R cos(middle) (longitude - longitude[0])`` and
+    The projection is equirectangular: ``x = R cos(middle) (longitude - longitude[0])`` and
     ``y = R (latitude - latitude[0])`` in radians, with the mean radius R = 6371008.8 m and the
-    ``middle`` of the first and the last latitude. Distances along x are true there and wrong by
-    ``tan(middle)`` times the distance from it in radians elsewhere: 0.2 % at 36 degrees north,
-    15 km off.
+    ``middle`` of the first and the last latitude. Distances along x are exact at ``middle``; their
+    relative error elsewhere is ``tan(middle)`` times the angular distance from it: 0.2 % at 36
+    degrees north in a distance of 15 km.
     """
     frame = local_frame(longitude, latitude)
     return Grid((longitude - frame.x0) / frame.kx, (latitude - frame.y0) / frame.ky, z)
@@ -308,18 +309,18 @@ def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
 def jacksboro(scale: float = 1.0) -> Grid:
     """Return the elevation model of the Jacksboro fault, Tennessee, that matplotlib ships.
 
-    403 by 344 nodes of 74.4 m by 92.7 m, heights from 236 m to 1076 m, x to the east, y to the
-    north, origin at the south-western node.
+    It has 403 by 344 nodes with spacings of 74.4 m and 92.7 m, and heights from 236 m to 1076 m;
+    x is to the east, y to the north, the origin is the south-western node.
 
     Parameters
     ----------
     scale : float
-        Multiplies all three directions: slopes stay, lengths change. [1]
+        Factor on all three directions, which does not change slopes. [1]
 
     Notes
     -----
-    The file holds rows from north to south of cells 3 seconds of arc wide; its ``ymin`` and
-    ``ymax`` are exchanged. Degrees become metres by `geographic_to_metric`.
+    The file has rows from north to south with cells of 3 arc seconds; its ``ymin`` and ``ymax`` are
+    exchanged. Degrees are converted to metres by `geographic_to_metric`.
     """
     from matplotlib.cbook import get_sample_data
 
@@ -328,7 +329,7 @@ def jacksboro(scale: float = 1.0) -> Grid:
         d_x, d_y = float(file["dx"]), float(file["dy"])
         west, south = float(file["xmin"]), float(min(file["ymin"], file["ymax"]))
     n_y, n_x = rows.shape
-    # The limits are outer borders of cells: the nodes are the middles.
+    # the limits are outer borders of cells; nodes are at the centres of cells
     longitude = west + d_x * (np.arange(n_x) + 0.5)
     latitude = south + d_y * (np.arange(n_y) + 0.5)
     grid = geographic_to_metric(longitude, latitude, rows[::-1].T)

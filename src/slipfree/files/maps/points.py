@@ -1,4 +1,4 @@
-"""Maps from scattered points: x y z, one point a line, put on a grid."""
+"""Maps from scattered points: text files with x y z, one point per line."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from slipfree.records import Array
 from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
 
 NAMES = ("x", "y", "z")
-BLOCK = 2**20  # nodes interpolated at once
+BLOCK = 2**20  # nodes interpolated at once; limits the memory
 
 
 def read_points(path: Path, spacing: float | None, window: Window | None) -> Heights:
-    """Return the map that scattered points make.
+    """Return the map through scattered points.
 
-    Between points heights are linear on the triangles of Delaunay's rule; nodes outside the
-    convex hull of the points are holes. The first node lies at the least x and y of all points.
+    Heights are interpolated linearly on a Delaunay triangulation; nodes outside the convex hull of
+    the points are holes. The first node is at the smallest x and y of all points.
 
     Parameters
     ----------
     path : Path
-        Text: three numbers a line, x, y, z, divided by blanks, commas or semicolons; ``#`` begins
-        a comment. A first line of names may give another order of x, y and z. [m]
+        Text file with three numbers per line, x, y, z, separated by blanks, commas or semicolons;
+        ``#`` begins a comment. A first line of names may give another order of x, y and z. [m]
     spacing : float or None
-        Between nodes. [m]
+        Distance between nodes. [m]
     window : tuple of 4 floats or None
-        The part that is wanted: x_min, x_max, y_min, y_max. [m]
+        The part to read: x_min, x_max, y_min, y_max. [m]
 
     Raises
     ------
     DataError
-        If there is no spacing, or the file does not hold points that span a plane.
+        If there is no spacing, or the points do not span a plane.
     """
     columns = _columns(path)
     if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
@@ -90,7 +90,7 @@ def _columns(path: Path) -> Array:
 
 
 def _bad_lines(path: Path, skip: int, delimiter: str | None) -> Iterator[tuple[int, str]]:
-    """Yield number and text of the lines that do not hold three finite numbers."""
+    """Yield number and text of the lines without three finite numbers."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
             text = line.split("#")[0].strip()
@@ -101,7 +101,7 @@ def _bad_lines(path: Path, skip: int, delimiter: str | None) -> Iterator[tuple[i
 
 
 def _layout(path: Path) -> tuple[int, list[int], str | None]:
-    """Return how many lines to skip, the columns of x, y, z, and what divides them."""
+    """Return the number of header lines, the columns of x, y, z, and the delimiter."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file):
             text = line.split("#")[0].strip()
@@ -129,7 +129,7 @@ def _is_number(word: str) -> bool:
 
 
 def _distinct(points: Array) -> tuple[Array, int, float]:
-    """Return points of different places, how many others there were, how far apart in height."""
+    """Return the distinct points, the number of repeated ones, and their largest height range."""
     places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
     which = which.reshape(-1)
     z = np.bincount(which, points[:, 2]) / np.bincount(which)
@@ -137,14 +137,14 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
     high, low = np.full(len(places), -np.inf), np.full(len(places), np.inf)
     np.maximum.at(high, which, points[:, 2])
     np.minimum.at(low, which, points[:, 2])
-    single = high == low  # not averaged: no rounding
+    single = high == low  # averaging would round
     z[single] = high[single]
     return np.column_stack([places, z]), repeated, float((high - low).max())
 
 
 def _distance(places: Array) -> float:
     """Return the median distance of points from their nearest neighbours. [m]."""
-    from scipy.spatial import cKDTree  # imported where it is used: it takes 0.2 s
+    from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
 
     if len(places) < 3:
         raise DataError(f"expected at least 3 points in different places, found {len(places)}")
@@ -153,12 +153,12 @@ def _distance(places: Array) -> float:
 
 def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, slice]) -> Array:
     """Return heights at nodes, NaN outside the hull of the points."""
-    from scipy.interpolate import LinearNDInterpolator  # imported where it is used: it takes 0.2 s
+    from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError
 
-    cells = (points[:, :2] - low) / spacing  # from the first node: large coordinates cost no digits
+    cells = (points[:, :2] - low) / spacing  # relative to the first node: avoids loss of digits
     nodes = np.rint(cells)
-    # What is a node but for rounding is one: else nodes on a straight border would lie outside.
+    # move points to nodes within rounding, or nodes on a straight border would lie outside
     cells = np.where(np.abs(cells - nodes) < WINDOW_TOLERANCE, nodes, cells)
     try:
         surface = LinearNDInterpolator(cells, points[:, 2])

@@ -15,7 +15,7 @@ import numpy as np
 from slipfree.errors import DataError
 from slipfree.terrain.grid_ops import Axis, Heights, Window, parts
 
-DRIVERS = {  # of GDAL, by the ending of the file
+DRIVERS = {  # GDAL drivers by the ending of the file
     ".tif": "GTiff",
     ".tiff": "GTiff",
     ".asc": "AAIGrid",
@@ -35,13 +35,13 @@ FORMATS = {
     "PNG": "PNG",
 }
 NAMED = {"SRTMHGT": "is it named after its place, such as N45E006.hgt? If so, "}
-OPTIONS = {"AAIGrid": {"DATATYPE": "Float64"}}  # else heights lose digits
-CACHE = 64  # of GDAL for blocks that a window touches [MB]
+OPTIONS = {"AAIGrid": {"DATATYPE": "Float64"}}  # the default loses digits
+CACHE = 64  # GDAL's cache of blocks [MB]
 TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
 TO_METRES = "reproject it to metres: gdalwarp -t_srs EPSG:326xx in.tif out.tif (xx: the UTM zone)"
-STRETCH, SPAN = 0.01, 100.0  # by which a metre may be off, and along what it is measured [1], [m]
+STRETCH, SPAN = 0.01, 100.0  # largest relative error of lengths, and length of its test [1], [m]
 SPHEROID = re.compile(r'SPHEROID\["[^"]*",([\d.]+),([\d.]+)')
-SEMI_MAJOR, ROUND = 6378137.0, 0.01  # of the earth's ellipsoids [m], and how near they are
+SEMI_MAJOR, ROUND = 6378137.0, 0.01  # semi-major axis of the earth [m], and its relative tolerance
 COMPOUND = re.compile(r'AUTHORITY\["EPSG","(\d+)"\]\],VERT_CS')
 LOCAL = ("LOCAL_CS", "ENGCRS")
 METRES = {"", "m", "metre", "meter", "metres", "meters"}
@@ -53,17 +53,17 @@ WORDS = {
 
 
 class Reading(NamedTuple):
-    """What a user says about a raster.
+    """Information of the user about a raster.
 
     Attributes
     ----------
     window : tuple of 4 floats or None
-        The part that is wanted: x_min, x_max, y_min, y_max, as in the file. [m] or [deg]
+        The part to read: x_min, x_max, y_min, y_max in coordinates of the file. [m] or [deg]
     cell : float or None
-        Width of a cell of a raster that does not say it. [m]
+        Width of a cell, for a raster without coordinates. [m]
     registration : {"area", "point"} or None
-        Of such a raster: whether its outer border is that of its cells, half a cell outside the
-        first node, or goes through its first node.
+        Position of the values, for such a raster: at the centres of the cells, with the border half
+        a cell outside the first node, or at nodes, with the border through the first node.
     """
 
     window: Window | None = None
@@ -72,7 +72,7 @@ class Reading(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Where the nodes of a raster lie, and whether its first row is the southernmost."""
+    """Positions of the nodes of a raster, and whether its first row is the southernmost."""
 
     x: Axis
     y: Axis
@@ -84,24 +84,24 @@ class _Place(NamedTuple):
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the map in a raster file; of the file only blocks that the window touches are read.
+    """Return the map in a raster file; only the blocks inside the window are read.
 
     Raises
     ------
     DataError
-        If the file is damaged, does not hold one band of heights on an upright grid in metres or
-        degrees, or does not say where it lies and cell or registration are missing.
+        If the file is damaged, if it does not have one band of heights on an upright grid in metres
+        or degrees, or if it has no coordinates and cell or registration is missing.
     """
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
     driver = DRIVERS[path.suffix.lower()]
-    # The name of an SRTM tile says where it lies; others may hold characters that GDAL refuses.
+    # the name of an SRTM tile gives its position; others may have characters that GDAL rejects
     name = path.name if driver == "SRTMHGT" else f"raster{path.suffix.lower()}"
     with path.open("rb") as file:
-        file.read(1)  # GDAL would hide an error of the medium
+        file.read(1)  # GDAL would hide an I/O error
     try:
-        # GDAL does not close what it opened of a file that it cannot read.
+        # GDAL does not close the streams of a file that it cannot read
         with (
             ExitStack() as opened,
             warnings.catch_warnings(),
@@ -113,7 +113,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
                 return _from_dataset(dataset, path, ask)
     except DataError:
         raise
-    except Exception as error:  # of a damaged file GDAL raises what it happens on
+    except Exception as error:  # GDAL raises various exceptions for damaged files
         words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
         raise DataError(
             f"expected a readable {FORMATS[driver]}, found {words.rstrip('.')}; "
@@ -122,10 +122,10 @@ def read_raster(path: Path, ask: Reading) -> Heights:
 
 
 def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str = "rb") -> BinaryIO:
-    """Open the raster for GDAL, which knows it by one name and finds no other file.
+    """Open the raster for GDAL under one name, without access to any other file.
 
-    Beside a raster GDAL looks for masks, world files, ``.aux.xml`` and more, which can change
-    heights and coordinates, or name an address in the network.
+    GDAL looks for masks, world files, ``.aux.xml`` and other files beside a raster, which can
+    change heights and coordinates, or refer to network addresses.
     """
     if Path(name).name != known or not mode.startswith("r"):
         raise FileNotFoundError(name)
@@ -170,9 +170,9 @@ def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
 
 
 def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
-    """Refuse an ASCII grid of too few or too many words, or without numbers in the rows used.
+    """Raise DataError for an ASCII grid with missing, surplus or non-numeric words.
 
-    GDAL reads ``abc`` as 0 and ``1,2`` as 1.2, and does not mind what follows the last height.
+    GDAL reads ``abc`` as 0 and ``1,2`` as 1.2, and ignores text behind the last height.
     """
     keys, found, columns = set(), 0, shape[1]
     with path.open("rb") as file:
@@ -198,7 +198,7 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
 
 
 def _wrong_word(words: list[bytes]) -> bytes | None:
-    """Return a word that is no number, if there is one."""
+    """Return the first word that is not a number; None if all are."""
     word = b""
     try:
         for word in words:
@@ -209,7 +209,7 @@ def _wrong_word(words: list[bytes]) -> bytes | None:
 
 
 def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
-    """Return the scale and the offset that the file applies to its heights, if it has any."""
+    """Return the scale and offset of the heights as facts; empty if the file has none."""
     scale, offset = file.scales[0], file.offsets[0]
     if (scale, offset) == (1, 0):
         return ()
@@ -217,7 +217,7 @@ def _scale_facts(file: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _check_band(file: Any) -> None:
-    """Refuse what is no single band of heights in metres."""
+    """Raise DataError unless the file has a single band of heights in metres."""
     if file.count != 1:
         _refuse("one band of heights", f"{file.count} bands", TO_GRAY)
     kind = np.dtype(file.dtypes[0]).kind
@@ -236,7 +236,7 @@ def _check_band(file: Any) -> None:
 
 
 def _place(file: Any, ask: Reading) -> _Place:
-    """Return where the nodes of a raster lie: as it says itself, else as the user says."""
+    """Return the positions of the nodes of a raster, from the file or from the user."""
     if file.gcps[0]:
         _refuse(
             "a raster on an upright grid",
@@ -258,7 +258,7 @@ def _place(file: Any, ask: Reading) -> _Place:
 
 
 def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
-    """Return where the nodes of a raster lie that does not say so."""
+    """Return the positions of the nodes of a raster without coordinates."""
     if ask.cell is None or ask.registration is None:
         given = {"cell": ask.cell, "registration": ask.registration}
         _refuse(
@@ -276,9 +276,9 @@ def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
 
 
 def _axes(file: Any) -> tuple[Axis, Axis, bool]:
-    """Return the nodes along x and y, and whether the first row is the southernmost.
+    """Return the axes along x and y, and whether the first row is the southernmost.
 
-    GDAL's transform leads from corners of pixels to coordinates for both registrations:
+    GDAL's transform maps corners of pixels to coordinates for both registrations:
     ``x = a column + b row + c`` and ``y = d column + e row + f``.
     """
     a, b, c, d, e, f = tuple(file.transform)[:6]
@@ -298,7 +298,7 @@ def _crs(crs: Any) -> tuple[str, bool]:
     if crs is None:
         return "", False
     wkt, code = crs.to_wkt(), crs.to_epsg()
-    if code is None and (part := COMPOUND.search(wkt)):  # with heights: the one of x and y
+    if code is None and (part := COMPOUND.search(wkt)):  # horizontal part of a compound system
         code = int(part[1])
     name = crs.to_string() if code is None else f"EPSG:{code}"
     if not (crs.is_geographic or crs.is_projected or wkt.startswith(LOCAL)):
@@ -318,9 +318,9 @@ def _crs(crs: Any) -> tuple[str, bool]:
 
 
 def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[str, str], ...]:
-    """Return how long a metre of a projected map is on the ground; refuse what is far from one.
+    """Return the scale of a projected map as facts; raise DataError if it is far from one.
 
-    In Mercator's projection, that of map tiles, a metre is cos(latitude) metres.
+    In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
     """
     if crs is None or not crs.is_projected:
         return ()
@@ -329,7 +329,7 @@ def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[
         for axis, each in zip((place.x, place.y), part, strict=True)
     )
     found = _metres(crs, x, y)
-    if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):  # NaN outside the projection's reach
+    if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):  # NaN outside the projection's domain
         _refuse(
             f"a map whose metres are metres on the ground, to {100 * STRETCH:g} %",
             f"that one metre is {found[0]:.4g} m along x and {found[1]:.4g} m along y at "
@@ -346,7 +346,7 @@ def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[
 
 
 def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
-    """Return how long a metre of a projected map along x and along y is on its ellipsoid. [m]."""
+    """Return the length on the ellipsoid of a metre of the map along x and along y. [m]."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 
@@ -359,7 +359,7 @@ def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
     half = SPAN / 2
     try:
         places = transform(crs, globe, [x - half, x + half, x, x], [y, y, y - half, y + half])
-    except Exception:  # of places beyond its reach PROJ raises what GDAL happens to wrap
+    except Exception:  # PROJ raises various exceptions outside the projection's domain
         return math.nan, math.nan
     longitude, latitude = (np.radians(each) for each in places)
     w2 = 1 - e2 * math.sin(latitude[0]) ** 2

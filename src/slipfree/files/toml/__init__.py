@@ -1,1 +1,1 @@
-"""TOML files: lines of keys, types of values, errors."""
+"""TOML files: line numbers, types of values, errors."""

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from slipfree.files.toml.errors import Fault, format_value
 from slipfree.files.toml.source_lines import Place
 
-FULL_TURN = 2 * pi * 1.001  # bare angles beyond are taken for degrees; rounded full turns are not
+FULL_TURN = 2 * pi * 1.001  # larger bare angles are probably degrees; the margin allows rounding
 EXAMPLE = 'a number, or text with a unit of an angle as in "30 deg" or "5 deg/s"'
 TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|rad)(/s2?)?\s*")
 
@@ -31,13 +31,13 @@ class AngleWithUnit(WithUnit):
 
 
 class RateWithUnit(WithUnit):
-    """The rate of an angle. [rad/s]."""
+    """An angular rate. [rad/s]."""
 
     unit = "rad s-1"
 
 
 class AccelerationWithUnit(WithUnit):
-    """The rate of the rate of an angle. [rad/s2]."""
+    """An angular acceleration. [rad/s2]."""
 
     unit = "rad s-2"
 
@@ -50,7 +50,7 @@ KINDS: dict[str | None, type[WithUnit]] = {
 
 
 def parse_unit(value: Any) -> Any:
-    """Return the number in a text such as "30 deg", in SI units; other values as they are."""
+    """Return the number in a text such as "30 deg" in SI units; other values unchanged."""
     found = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
     if found is None:
         return value
@@ -68,7 +68,7 @@ def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
 
 
 def _reader(unit: type[WithUnit]) -> WrapValidator:
-    """Return what reads numbers of one unit."""
+    """Return the validator of numbers with one unit."""
     words = f'a number, or text as in "{"5 deg/s" if unit is RateWithUnit else "30 deg"}"'
 
     def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
@@ -94,11 +94,11 @@ def unit_faults(
     Parameters
     ----------
     place : tuple
-        Where the table is.
+        Keys of the table.
     values : mapping
         Numbers, ranges, or piecewise constants by name.
     units : mapping of str to str
-        Units by name, as labels have them; other names are not checked.
+        Units by name, in the spelling of labels; other names are not checked.
     bare : bool
         Whether angles without a unit beyond a full turn are errors too.
     """
@@ -115,14 +115,14 @@ def unit_faults(
 
 
 def bare_words(value: float) -> str:
-    """Return what is expected of an angle without a unit beyond a full turn; empty for others."""
+    """Return the advice for a bare angle beyond a full turn; empty for other values."""
     if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
         return ""
     return f'radians (did you mean {value:.6g} degrees? write "{value:.6g} deg")'
 
 
 def in_radians(value: float) -> float:
-    """Return an angle; raise for one without a unit beyond a full turn."""
+    """Return an angle; raise an error for a bare number beyond a full turn."""
     if words := bare_words(value):
         raise PydanticCustomError("expected", "{words}", {"words": words})
     return value
@@ -133,7 +133,7 @@ def _spelled(number: WithUnit) -> str:
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers of a value; of formulas there are none."""
+    """Yield the numbers in a value; none for a formula."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):

@@ -1,4 +1,4 @@
-"""Errors in TOML files: expectation, finding and line."""
+"""Errors in TOML files: expected, found and where."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ProblemError(DataError):
     Attributes
     ----------
     faults : tuple of str
-        One line for each fault: where it is, what was expected and what was found.
+        One line per error: place, expected and found.
     """
 
     def __init__(self, *faults: str) -> None:
@@ -27,10 +27,10 @@ class ProblemError(DataError):
         self.faults = faults
 
 
-LARGEST = 1e300  # number that is shown as one
-VAST = 1e100  # no quantity is larger; squares and cubes up to here are numbers
-MOST_KNOWN = 60  # names that are listed in full
-DEEPEST = 3  # nesting of an array that is shown
+MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
+MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
+MAX_LISTED = 60  # largest number of names in a message
+MAX_SHOWN_DEPTH = 3  # nesting up to which arrays are shown
 EXPECTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -51,7 +51,7 @@ EXPECTED = {
 
 
 class Fault(NamedTuple):
-    """One thing wrong with a problem file."""
+    """One error in a problem file."""
 
     place: Place
     expected: str
@@ -59,32 +59,32 @@ class Fault(NamedTuple):
 
 
 def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
-    """Return the error that reports all faults, in the order of their lines."""
+    """Return the exception that reports all errors, in the order of their lines."""
     ordered = sorted(faults, key=lambda fault: source.order(fault.place))
     return ProblemError(
         *(f"{source.where(f.place)}: expected {f.expected}, found {f.found}" for f in ordered)
     )
 
 
-def names(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
-    """Yield a fault for every given name that is not known, with the nearest that is."""
+def name_errors(place: Place, given: Iterable[str], known: Sequence[str]) -> Iterator[Fault]:
+    """Yield an error for each unknown name, with the most similar known name."""
     for name in given:
         if name not in known:
             yield _unknown((*place, name), known)
 
 
-def vast(value: Any, place: Place = ()) -> Iterator[Fault]:
-    """Yield a fault for each finite number larger than 1e100 in size."""
+def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
+    """Yield an error for each finite number with an absolute value above 1e100."""
     if isinstance(value, Mapping | list):
         parts = value.items() if isinstance(value, Mapping) else enumerate(value)
         for key, part in parts:
-            yield from vast(part, (*place, key))
-    elif isinstance(value, float | int) and VAST < abs(value) < inf:
-        yield Fault(place, f"a number of at most {VAST:g} in size", format_value(value))
+            yield from value_errors(part, (*place, key))
+    elif isinstance(value, float | int) and MAX_VALUE < abs(value) < inf:
+        yield Fault(place, f"a number of at most {MAX_VALUE:g} in size", format_value(value))
 
 
 def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
-    """Return the fault that pydantic reports, in the words of the package."""
+    """Return an error of pydantic in the words of the package."""
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
@@ -109,9 +109,9 @@ def _unknown(place: Place, known: Sequence[str]) -> Fault:
 
 
 def listed(known: Sequence[str]) -> str:
-    """Return names one after the other, the first ones of very many."""
-    more = len(known) - MOST_KNOWN
-    return ", ".join(known[:MOST_KNOWN]) + (f" and {more} more" if more > 0 else "")
+    """Return names as a list in text, shortened if there are many."""
+    more = len(known) - MAX_LISTED
+    return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
@@ -125,7 +125,7 @@ def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
 
 
 def _records(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the records in an annotation, such as an array of them or none."""
+    """Yield the record types in an annotation, such as an optional array of records."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -136,13 +136,13 @@ def _cut(text: str) -> str:
     return text if len(text) < 40 else text[:37] + "..."
 
 
-def format_value(value: Any, deepest: int = DEEPEST) -> str:
+def format_value(value: Any, deepest: int = MAX_SHOWN_DEPTH) -> str:
     """Return a value as TOML text, shortened."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
         return repr(_cut(value))
-    if isinstance(value, int) and abs(value) >= LARGEST:
+    if isinstance(value, int) and abs(value) >= MAX_SHOWN_NUMBER:
         return f"a whole number of {value.bit_length()} bits"
     if isinstance(value, float | int):
         return f"{value:.12g}"

@@ -11,15 +11,15 @@ from slipfree.errors import DataError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.regular_files import read_bytes, regular_file
 
-MOST_BYTES = 10_000_000  # of a file of TOML
-# Python's reader takes hours for keys of very many parts.
+MAX_BYTES = 10_000_000  # largest TOML file
+# Python's reader takes hours for keys with very many parts
 LONG_KEY = re.compile(
     r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
 )
 
 
 def parse_toml(path: Path, text: str) -> dict[str, Any]:
-    """Return the values in a text in TOML; ProblemError if it is not TOML or too deeply nested."""
+    """Return the values of a TOML text; raise ProblemError for invalid or deeply nested text."""
     if (found := LONG_KEY.search(text)) is not None:
         line = text.count("\n", 0, found.start()) + 1
         raise ProblemError(
@@ -33,17 +33,17 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
         raise ProblemError(
             f"{path}: expected arrays and tables nested a few deep, found them hundreds deep"
         ) from error
-    except ValueError as error:  # of a number
-        raise ProblemError(f"{path}: expected numbers, found one that is none: {error}") from error
+    except ValueError as error:  # an invalid number
+        raise ProblemError(f"{path}: expected numbers, found an invalid one: {error}") from error
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a TOML file; ProblemError if it cannot be read or is not UTF-8."""
+    """Return the text of a TOML file; raise ProblemError if it cannot be read as UTF-8."""
     try:
         with regular_file(path, "a problem file") as size:
-            if size > MOST_BYTES:
+            if size > MAX_BYTES:
                 raise DataError(
-                    f"{path}: expected a file of TOML of at most {MOST_BYTES / 1e6:g} MB, found "
+                    f"{path}: expected a file of TOML of at most {MAX_BYTES / 1e6:g} MB, found "
                     f"{size / 1e6:.3g} MB; check the name"
                 )
             raw = read_bytes(path, "a problem file")
@@ -59,7 +59,7 @@ def read_text(path: Path) -> str:
 
 
 def _syntax(path: Path, text: str, message: str) -> str:
-    """Return tomllib's message with the line in front; before Python 3.14 only its text has it."""
+    """Return the message of tomllib with file and line in front."""
     found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
     if found is None:
         last = len(text.splitlines()) or 1

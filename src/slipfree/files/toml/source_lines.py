@@ -1,4 +1,4 @@
-"""Where in a TOML file, or on the command line, each value comes from."""
+"""Origin of each value: a line of a TOML file, or the command line."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
 
 @dataclass(frozen=True)
 class Source:
-    """The text of a problem file, and where its values come from.
+    """Text of a problem file, and origin of its values.
 
     Attributes
     ----------
     path : Path
         The file.
     text : str
-        All of it.
+        Text of the file.
     lines : mapping of tuple to int
         Line of every key and table; elements of arrays of tables by number.
     settings : mapping of tuple to str
-        What the command line replaced: place and ``key=value``.
+        Values of the command line, ``key=value`` by keys.
     """
 
     path: Path
@@ -45,7 +45,7 @@ class Source:
     settings: Mapping[Place, str] = field(default_factory=dict)
 
     def where(self, place: Place) -> str:
-        """Return ``file:line: key``, or ``--set key``, of a value or of the table it belongs in."""
+        """Return ``file:line: key``, or ``--set key``, of a value or of its table."""
         key = spelled(place)
         if (part := _longest(place, self.settings)) is not None:
             return f"--set {spelled(part)}" + (f": {key}" if part != place else "")
@@ -53,7 +53,7 @@ class Source:
         return f"{line}: {key}" if key else line
 
     def is_set(self, place: Place) -> bool:
-        """Return whether the command line sets a value, or the table that it belongs in."""
+        """Return whether the command line sets a value or its table."""
         return _longest(place, self.settings) is not None
 
     def order(self, place: Place) -> int:
@@ -68,13 +68,13 @@ class Source:
 
 
 def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
-    """Return the longest part of a place, from its beginning, that is known."""
+    """Return the longest known beginning of a sequence of keys."""
     parts = (place[:end] for end in range(len(place), 0, -1))
     return next((part for part in parts if part in known), None)
 
 
 def spelled(place: Place) -> str:
-    """Return a place as users write it, as in ``inputs.right_rate[2]``."""
+    """Return a sequence of keys in the user's spelling, such as ``inputs.right_rate[2]``."""
     return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in place).removeprefix(".")
 
 
@@ -85,7 +85,7 @@ def key_path(text: str) -> tuple[str, ...]:
     Raises
     ------
     tomllib.TOMLDecodeError
-        If it is not a key.
+        If the text is not a key.
     """
     node, parts = tomllib.loads(f"{text} = 0"), []
     while isinstance(node, dict):
@@ -98,7 +98,7 @@ def key_path(text: str) -> tuple[str, ...]:
 def key_lines(text: str) -> Mapping[Place, int]:
     """Return the line of every key and table of a valid TOML text.
 
-    Keys inside an inline table or an array have no entry: the key before them has.
+    Keys inside an inline table or an array have no entry of their own, only the key before them.
     """
     found: dict[Place, int] = {}
     counts: dict[Place, int] = {}
@@ -124,7 +124,7 @@ def key_lines(text: str) -> Mapping[Place, int]:
 
 
 def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
-    """Return the place of a table, with the numbers of the elements it lies in."""
+    """Return the keys of a table with the numbers of its array elements."""
     place: Place = ()
     for part in key:
         place = (*place, part)
@@ -134,7 +134,7 @@ def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield every statement with its line; one may reach over several lines."""
+    """Yield every statement with its first line; a statement may span several lines."""
     line, start, depth = 1, 1, 0
     pieces: list[str] = []
     for piece in PIECE.findall(text.replace("\r\n", "\n") + "\n"):

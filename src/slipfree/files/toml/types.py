@@ -1,4 +1,4 @@
-"""What single values of a problem file may be, and the records that hold them."""
+"""Types of single values of problem files, and their record."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from slipfree.files.toml.angles import (
     parse_unit,
 )
 
-MOST = 1e300  # number that is taken for one
+MAX_NUMBER = 1e300  # largest accepted number
 Piecewise = tuple[tuple[float, float], ...]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
 NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
 Count = Annotated[int, Field(ge=0)]
-# Arrays are read as tuples; what is in them stays strict.
+# arrays are read as tuples; their elements stay strict
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Place = Annotated[tuple[float, float, float], Field(strict=False)]
 Column = Annotated[tuple[float, ...], Field(strict=False)]
@@ -33,9 +33,9 @@ Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 class Record(BaseModel):
-    """A table of a problem file: nothing converted, nothing unknown, nothing changed later.
+    """A table of a problem file: frozen, without type conversion and unknown keys.
 
-    Every key has a description; that of a number ends in its unit in brackets.
+    Every key has a description; the description of a number ends with its unit in brackets.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
@@ -44,15 +44,15 @@ class Record(BaseModel):
 def _is_number(value: Any) -> bool:
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
-    return abs(value) <= MOST  # integers may exceed all floats
+    return abs(value) <= MAX_NUMBER  # integers may exceed all floats
 
 
 def _number(value: Any) -> float:
-    """Return a float; one that was written with its unit stays so."""
+    """Return a float; a number that was written with its unit keeps its type."""
     return value if isinstance(value, WithUnit) else float(value)
 
 
-def _rate(value: Any) -> float | Piecewise:
+def _piecewise_constant(value: Any) -> float | Piecewise:
     """Return a constant, or times and values of a piecewise constant."""
     value = parse_unit(value)
     if _is_number(value):
@@ -69,19 +69,19 @@ def _rate(value: Any) -> float | Piecewise:
     return tuple((float(t), _number(rate)) for t, rate in pairs)
 
 
-def _course(value: Any) -> float | Piecewise | str:
-    """Return a rate as `_rate` does, or a formula of the time."""
+def _time_function(value: Any) -> float | Piecewise | str:
+    """Return a constant or piecewise constant as in `_rate`, or a formula of time."""
     value = parse_unit(value)
     if isinstance(value, str) and value:
         return value
     if not _is_number(value) and not isinstance(value, list):
         expected = "a number, an array of [time, value] pairs, or a formula of t in quotes"
         raise PydanticCustomError("expected", expected)
-    return _rate(value)
+    return _piecewise_constant(value)
 
 
-def _bound(value: Any) -> tuple[float, float]:
-    """Return a range from a number or from two that ascend."""
+def _range(value: Any) -> tuple[float, float]:
+    """Return a range from a number or from an increasing pair."""
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
     if _is_number(value):
         return _number(value), _number(value)
@@ -93,7 +93,7 @@ def _bound(value: Any) -> tuple[float, float]:
 
 
 def coefficient(value: Any) -> float | str:
-    """Return a coefficient of friction, or the name of a file that holds a map of it."""
+    """Return a coefficient of friction, or the name of a friction map file."""
     if isinstance(value, str) and value:
         return value
     if _is_number(value) and value > 0:
@@ -108,6 +108,6 @@ def not_zero(value: float) -> float:
     return value
 
 
-PiecewiseConstant = Annotated[Any, PlainValidator(_rate)]
-TimeFunction = Annotated[Any, PlainValidator(_course)]
-Range = Annotated[Any, PlainValidator(_bound)]
+PiecewiseConstant = Annotated[Any, PlainValidator(_piecewise_constant)]
+TimeFunction = Annotated[Any, PlainValidator(_time_function)]
+Range = Annotated[Any, PlainValidator(_range)]

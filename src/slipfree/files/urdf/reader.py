@@ -1,4 +1,4 @@
-"""Vehicles from URDF: joints become joints, round links wheels, inertials masses."""
+"""Vehicles from URDF: joints, wheels from round links, and masses from inertials."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from slipfree.files.urdf.tree import Faults, Mimic, Shape, Tree, UrdfJoint
 from slipfree.files.vehicle_draft import (
-    LARGEST,
+    MAX_LENGTH,
     Draft,
     UnfitError,
     degrees_words,
@@ -29,22 +29,22 @@ from slipfree.vehicle.sections.registry import section_of_radii
 from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
-UPRIGHT = 0.5  # largest upward part of an axle of what counts as a wheel unasked
-CENTERED = 1e-3  # of its radius, by which a wheel's centre may be off its joint's axis
-SIDEWAYS = 1e-6  # leftward part of an axle below which its wheel rolls neither way
-AWAY = 1e-3  # of a wheel's centre of mass from its centre, that is told [m]
+MAX_AXLE_RISE = 0.5  # largest vertical component of the axle of a recognised wheel
+MAX_ECCENTRICITY = 1e-3  # of a wheel's centre from its joint's axis [radius]
+MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
+MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
 
 
 class JointRole(NamedTuple):
-    """What moves a joint, and keywords of its coordinate that the URDF cannot say."""
+    """Kind of a joint, and further keywords of its coordinate, which URDF does not have."""
 
     kind: Kind | Literal["fixed"]
     keywords: Mapping[str, Any] = {}
 
 
 class WheelRole(NamedTuple):
-    """What a URDF cannot say about a wheel; ``None``: as it says, or by default."""
+    """Properties of a wheel that URDF does not have; ``None``: from the URDF, or the default."""
 
     driven: bool | None = None
     radius: float | None = None
@@ -55,14 +55,14 @@ class WheelRole(NamedTuple):
 
 @dataclass(frozen=True)
 class Roles:
-    """What to make of the joints of a URDF, by name.
+    """Roles of the joints of a URDF, by name.
 
     Attributes
     ----------
     joints : mapping of str to JointRole
-        What moves them. Those with a transmission, a command interface or a mimic need none.
+        Kinds of the joints. Joints with a transmission, a command interface or a mimic need none.
     wheels : mapping of str to WheelRole
-        Joints that carry wheels, beside those that are seen to.
+        Joints that carry wheels, in addition to recognised ones.
     tube : float
         Radius of the tubes of wheels whose link is a cylinder. [m]
     """
@@ -78,22 +78,22 @@ NO_ROLES = Roles({}, {})
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     """Return the vehicle of a URDF, in the package's axes.
 
-    The platform is the root link. Wheels are links with a cylinder or a sphere around the axis of
-    a continuous, level joint that ends the tree, and those that the roles name. Joints that carry
-    neither wheel nor mass are left out.
+    The platform is the root link. Wheels are the links with a cylinder or a sphere around the axis
+    of a continuous, level joint at the end of the tree, and those in the roles. Joints that carry
+    neither a wheel nor a mass are omitted.
 
     Parameters
     ----------
     tree : Tree
-        From `slipfree.files.urdf.tree.read_tree`.
+        Result of `slipfree.files.urdf.tree.read_tree`.
     roles : Roles
-        What the file cannot say.
+        Information that the URDF does not have.
 
     Raises
     ------
     UnfitError
-        For every joint that no one says what moves, every wheel whose shape is unknown, and
-        wheels and suspension that do not match.
+        For joints of unknown kind, wheels of unknown shape, and numbers of wheels and suspension
+        coordinates that do not match.
     """
     draft, faults = _Reading(tree, roles).draft()
     draft = from_rep103(draft)
@@ -106,7 +106,7 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
 
 
 class _Reading:
-    """One pass over a tree; what it finds is collected here."""
+    """Conversion of a tree, with the coordinates, notes and errors found so far."""
 
     def __init__(self, tree: Tree, roles: Roles) -> None:
         self.roles, self.faults = roles, Faults(tree.file)
@@ -124,21 +124,21 @@ class _Reading:
         self.wheels = [j for j in tree.joints.values() if self._is_wheel(j)]
 
     def draft(self) -> tuple[Draft, Faults]:
-        """Return what the tree makes, in its own axes, and what is wrong with it."""
+        """Return the draft of the vehicle in the axes of the URDF, and its errors."""
         tree = self.tree
         self._check_fixed()
-        kept = self._kept()
+        kept = self._used_joints()
         part_of = {tree.root: "platform"} | {j.child: j.name for j in kept}
         joints = tuple(self._joint(j, part_of[j.parent]) for j in kept)
         wheels = tuple(wheel for j in self.wheels if (wheel := self._wheel(j, part_of)) is not None)
-        self._say(kept)
+        self._add_notes(kept)
         notes = tuple(self.notes)
         body = _body(tree, tree.root)
         coordinates = tuple(self.coordinates.values())
         return Draft(tree.name, coordinates, joints, wheels, body, notes), self.faults
 
     def _is_wheel(self, joint: UrdfJoint) -> bool:
-        """Return whether a joint carries a wheel: told so, or seen."""
+        """Return whether a joint carries a wheel, by its role or its shape."""
         tree, link = self.tree, self.tree.links[joint.child]
         if joint.name in self.roles.wheels:
             return True
@@ -146,7 +146,7 @@ class _Reading:
         if joint.type != "continuous" or joint.name in self.roles.joints or not last:
             return False
         axis = unit_vector(joint.axis)
-        if abs((self.turns[joint.child] @ axis)[2]) > UPRIGHT:
+        if abs((self.turns[joint.child] @ axis)[2]) > MAX_AXLE_RISE:
             return False
         shape = self._shape(joint)
         if shape is None:
@@ -155,8 +155,8 @@ class _Reading:
                     joint.line,
                     f"joint {joint.name!r}: expected a cylinder or a "
                     "sphere as its wheel, found a mesh, whose radius is not known; "
-                    f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or what "
-                    f"moves it if it is none{self._in_file()}",
+                    f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or the kind of "
+                    f'the joint in "joints" if it carries no wheel{self._in_file()}',
                 )
             return False
         return _is_about(shape, axis)
@@ -175,10 +175,10 @@ class _Reading:
                 )
 
     def _shape(self, joint: UrdfJoint) -> Shape | None:
-        """Return the shape of a wheel's link that touches level ground first, if there is one.
+        """Return the lowest round shape of a wheel's link; None without round shapes.
 
-        Of a joint that moves, shapes about its axis go before all others. The width of cylinders
-        does not count, as wheels are discs or tori at the cylinder's centre.
+        Shapes about the axis of a moving joint take precedence. The width of cylinders is ignored,
+        since wheels are discs or tori at the cylinder's centre.
         """
         shapes, rotation = self.tree.links[joint.child].shapes, self.turns[joint.child]
         if joint.moves:
@@ -186,7 +186,7 @@ class _Reading:
             shapes = tuple(shape for shape in shapes if _is_about(shape, axis)) or shapes
         return min(shapes, key=lambda shape: _lowest(shape, rotation), default=None)
 
-    def _kept(self) -> list[UrdfJoint]:
+    def _used_joints(self) -> list[UrdfJoint]:
         """Return the joints that carry a wheel or a mass, parents before children."""
         tree, names = self.tree, {wheel.name for wheel in self.wheels}
         on_wheels = {j.name for wheel in self.wheels for j in tree.below(wheel.child)}
@@ -204,7 +204,7 @@ class _Reading:
             if j.name not in names | on_wheels and j not in kept
         ]
         if left:
-            self.notes.append(f"left out, since they carry no wheel and no mass: {', '.join(left)}")
+            self.notes.append(f"omitted, since they carry no wheel and no mass: {', '.join(left)}")
         return kept[::-1]
 
     def _joint(self, joint: UrdfJoint, parent: str) -> Joint:
@@ -242,7 +242,7 @@ class _Reading:
         return scaled + (f" + {offset!r}" if offset else "")
 
     def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
-        """Return the joint that one mimics in the end, with factor and offset."""
+        """Return the last joint of a chain of mimics, with factor and offset."""
         way, multiplier, offset = [joint], 1.0, 0.0
         while (mimic := self._mimic(way[-1])) is not None:
             leader = self.tree.joints.get(mimic.joint)
@@ -268,7 +268,7 @@ class _Reading:
         return None if joint.name in self.roles.joints or not joint.moves else joint.mimic
 
     def _coordinate(self, joint: UrdfJoint) -> str:
-        """Return the name of a joint's coordinate, made where it is new."""
+        """Return the name of a joint's coordinate; create the coordinate if it is new."""
         name = self._symbol(joint.name)
         if name in self.coordinates:
             return name
@@ -297,7 +297,7 @@ class _Reading:
         return name
 
     def _symbol(self, joint: str) -> str:
-        """Return a name that formulas can hold."""
+        """Return a valid coordinate name for a joint."""
         name = re.sub(r"\W", "_", joint)
         name = name if name.isidentifier() else f"_{name}"
         while not is_symbol(name) or (name != joint and name in self.tree.joints):
@@ -309,8 +309,8 @@ class _Reading:
         table = "wheels" if choice.startswith("driven") else "joints"
         self.faults.add(
             joint.line,
-            f"joint {joint.name!r}: expected what moves it, found no "
-            f"transmission, command interface or mimic; write {table} = {{ {example} "
+            f"joint {joint.name!r}: expected a transmission, command interface, mimic or an "
+            f"entry in {table!r}, found none; write {table} = {{ {example} "
             f"}} ({choice}){self._in_file()}",
         )
 
@@ -322,7 +322,7 @@ class _Reading:
     ) -> None:
         """Narrow stops and rate of a coordinate to the limits of a joint that it moves.
 
-        Those that the role of the leading joint gives stay as they are.
+        Limits in the role of the leading joint are not changed.
         """
         c, role = self.coordinates.get(name), self.roles.joints.get(leader.name)
         if multiplier == 0:
@@ -355,8 +355,8 @@ class _Reading:
         """Return a limit of a joint in the URDF; add an error if its unit looks wrong."""
         value = joint.lower if key == "lower" else joint.upper
         expected = ""
-        if not math.isinf(value) and joint.type == "prismatic" and abs(value) > LARGEST:
-            expected = f"metres, at most {LARGEST:g} (did you mean millimetres?)"
+        if not math.isinf(value) and joint.type == "prismatic" and abs(value) > MAX_LENGTH:
+            expected = f"metres, at most {MAX_LENGTH:g} (did you mean millimetres?)"
         elif not math.isinf(value) and joint.type != "prismatic" and degrees_words(value):
             expected = f"radians ({degrees_words(value)})"
         if expected:
@@ -366,7 +366,7 @@ class _Reading:
         return value
 
     def _wheel(self, joint: UrdfJoint, part_of: Mapping[str, str]) -> Wheel | None:
-        """Return a wheel of the vehicle; none if it cannot be one."""
+        """Return a wheel of the vehicle; None with an error added if it is invalid."""
         if joint.parent not in part_of:
             self.faults.add(
                 joint.line,
@@ -410,7 +410,7 @@ class _Reading:
         )
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
-        """Return rolling radius, tube and place of a wheel in its link."""
+        """Return rolling radius, tube radius and position of a wheel in its link."""
         shape = self._shape(joint)
         radius = role.radius or (shape.radius if shape else None)
         if radius is None:
@@ -432,7 +432,7 @@ class _Reading:
             return None
         if shape is None:
             return radius, tube, ORIGIN
-        if joint.moves and _eccentricity(shape, unit_vector(joint.axis)) > CENTERED:
+        if joint.moves and _eccentricity(shape, unit_vector(joint.axis)) > MAX_ECCENTRICITY:
             self.faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a wheel about its axis, "
@@ -443,24 +443,24 @@ class _Reading:
         return radius, tube, shape.at
 
     def _axle(self, joint: UrdfJoint) -> Vector:
-        """Return the axle of a wheel in the parent's frame, to the right; note where it is not."""
+        """Return the axle of a wheel in the parent's frame, to the right; note a reversed axle."""
         parent = self.turns[joint.parent]
         if not joint.moves:
             return _vector(parent.T @ RIGHT)
         axis = rotation_of(joint.turned) @ unit_vector(joint.axis)
         left = float((parent @ axis)[1])
-        if left < -SIDEWAYS:
+        if left < -MIN_AXLE_LEFT:
             self.notes.append(
                 f"wheel {joint.name}: its rate is positive forward here, about "
                 "the opposite of its joint's axis"
             )
             return _vector(axis)
-        if left < SIDEWAYS:
+        if left < MIN_AXLE_LEFT:
             self.notes.append(f"wheel {joint.name}: rolls to a side; its rate has its joint's sign")
         return _vector(-axis)
 
-    def _say(self, kept: list[UrdfJoint]) -> None:
-        """Note what was not in the file and what became of it."""
+    def _add_notes(self, kept: list[UrdfJoint]) -> None:
+        """Add notes on assumptions about the file."""
         links = [self.tree.root, *(j.child for j in (*kept, *self.wheels))]
         bare = [link for link in links if self.tree.links[link].mass is None]
         if bare:
@@ -471,7 +471,7 @@ class _Reading:
                 "of type fixed in the URDF, taken as revolute, as they or the "
                 f'joints that they mimic are in "joints": {", ".join(released)}'
             )
-        self._say_shapes()
+        self._add_shape_notes()
         thin = [
             j.name
             for j in self.wheels
@@ -489,8 +489,8 @@ class _Reading:
         if thin:
             self.notes.append(f"cylinders taken as thin discs (tube = ...): {', '.join(thin)}")
 
-    def _say_shapes(self) -> None:
-        """Note which of several shapes gave the radius of a wheel."""
+    def _add_shape_notes(self) -> None:
+        """Add notes on the choice of the radius among several shapes."""
         alike: dict[str, list[str]] = {}
         for joint in self.wheels:
             shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
@@ -516,11 +516,11 @@ class _Reading:
         """Return whether a wheel's centre of mass is not its centre."""
         link, shape = self.tree.links[joint.child], self._shape(joint)
         at = shape.at if shape else ORIGIN
-        return bool(link.mass) and math.dist(link.center, at) > AWAY
+        return bool(link.mass) and math.dist(link.center, at) > MASS_OFFSET
 
 
 def _released(tree: Tree, roles: Roles) -> frozenset[str]:
-    """Return the fixed joints with an axis that move by their role, or mimic one that does."""
+    """Return the fixed joints with an axis that their role, or that of a leader, lets move."""
     fixed = [
         j
         for j in tree.joints.values()
@@ -553,15 +553,15 @@ def _body(tree: Tree, link: str) -> Body:
 
 
 def _eccentricity(shape: Shape, axis: Vector) -> float:
-    """Return how far a shape's centre is from an axis, relative to its radius."""
+    """Return the distance of a shape's centre from an axis. [radius]."""
     return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
 
 
 def _is_about(shape: Shape, axis: Vector) -> bool:
-    """Return whether a shape is round about an axis through its link's origin."""
+    """Return whether a shape is rotationally symmetric about an axis through its link's origin."""
     along = float(rotation_of(shape.turned)[:, 2] @ axis)
-    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=CENTERED)
-    return parallel and _eccentricity(shape, axis) <= CENTERED
+    parallel = shape.kind == "sphere" or math.isclose(abs(along), 1, abs_tol=MAX_ECCENTRICITY)
+    return parallel and _eccentricity(shape, axis) <= MAX_ECCENTRICITY
 
 
 def _lowest(shape: Shape, rotation: Array) -> float:

@@ -1,4 +1,4 @@
-"""URDF: links and joints as they stand in the file, checked to be a tree."""
+"""Links and joints of a URDF, checked to be a tree."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from typing import Literal, NamedTuple, NoReturn
 
 from slipfree.files.urdf.xml import Element, parse
-from slipfree.files.vehicle_draft import LARGEST, UnfitError, degrees_words, in_order
+from slipfree.files.vehicle_draft import MAX_LENGTH, UnfitError, degrees_words, in_order
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
-ENDLESS = 1e3  # limits beyond stand for none [rad or m]
-FORWARD = (1.0, 0.0, 0.0)  # axis of a joint that names none
+MAX_LIMIT = 1e3  # larger limits count as no limit [rad or m]
+FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 
 
 class Shape(NamedTuple):
@@ -26,7 +26,7 @@ class Shape(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A link: its mass, if it has one, and its round collision shapes, else visual ones."""
+    """A link: optional mass, and its round collision shapes, or else visual shapes."""
 
     name: str
     mass: float | None
@@ -36,7 +36,7 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """A joint's value as that of another times a factor, and an offset."""
+    """Value of a joint as a linear function of another joint's value."""
 
     joint: str
     multiplier: float
@@ -44,7 +44,7 @@ class Mimic(NamedTuple):
 
 
 class UrdfJoint(NamedTuple):
-    """A joint, its frame in the parent link's; a fixed joint may lack an axis (zero). [m, rad]."""
+    """A joint and its frame in the parent link; a fixed joint may have a zero axis. [m, rad]."""
 
     name: str
     type: str
@@ -61,12 +61,12 @@ class UrdfJoint(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether it is not rigid."""
+        """Whether the joint is not rigid."""
         return self.type != "fixed"
 
 
 class Tree(NamedTuple):
-    """All of a URDF that matters; joints with parents before children."""
+    """Contents of a URDF; joints have parents before children."""
 
     file: str
     name: str
@@ -76,7 +76,7 @@ class Tree(NamedTuple):
     actuated: frozenset[str]
 
     def below(self, link: str) -> list[UrdfJoint]:
-        """Return the joints that hang on a link, directly or not."""
+        """Return the joints below a link, direct and indirect ones."""
         found, known = [], {link}
         for joint in self.joints.values():
             if joint.parent in known:
@@ -86,23 +86,23 @@ class Tree(NamedTuple):
 
 
 class Faults:
-    """What is wrong with a file, line by line."""
+    """Errors in a file, with their lines."""
 
     def __init__(self, file: str) -> None:
         self.file = file
         self.found: list[tuple[int, str]] = []
 
     def add(self, line: int, words: str) -> None:
-        """Add a fault."""
+        """Add an error."""
         self.found.append((line, words))
 
     @property
     def lines(self) -> list[str]:
-        """All faults in the order of their lines, each with its place."""
+        """All errors in the order of their lines, as ``file:line: words``."""
         return [f"{self.file}:{line}: {words}" for line, words in sorted(self.found)]
 
     def stop(self) -> NoReturn:
-        """Raise what was found."""
+        """Raise the errors found."""
         raise UnfitError(self.lines)
 
 
@@ -112,14 +112,14 @@ def read_tree(data: bytes, file: str) -> Tree:
     Parameters
     ----------
     data : bytes
-        What the file holds.
+        Contents of the file.
     file : str
-        What errors call it.
+        Name of the file in errors.
 
     Raises
     ------
     DataError
-        If it is not XML; `UnfitError` for all that is wrong with its elements, by line.
+        If it is not XML; `UnfitError` with all errors in its elements, by line.
     """
     robot, faults = parse(data, file), Faults(file)
     if robot.tag != "robot":
@@ -187,14 +187,14 @@ def _link(element: Element, faults: Faults) -> Link:
 
 
 def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
-    """Return the cylinder or the sphere of a collision or visual, if it is one."""
+    """Return the cylinder or sphere of a collision or visual; None for other shapes."""
     geometry = element.first("geometry")
     at, turned = _origin(element, faults, f"link {link!r}: {element.tag}")
     for kind in ("cylinder", "sphere"):
         found = geometry.first(kind) if geometry is not None else None
         if found is not None:
             radius = _number(found, "radius", None, faults, f"link {link!r}: {kind}")
-            if not 0 < radius <= LARGEST:
+            if not 0 < radius <= MAX_LENGTH:
                 faults.add(
                     found.line,
                     f"link {link!r}: expected the radius of a {kind} in metres, found {radius:g}",
@@ -254,9 +254,9 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
 
 
 def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
-    """Return the limits of a joint, infinite if absent or beyond `ENDLESS`.
+    """Return the limits of a joint, infinite if absent or beyond `MAX_LIMIT`.
 
-    Whether they are sensible is checked where they are used: a vehicle file may override them.
+    They are checked where they are used, since a vehicle file may override them.
     """
     limit = element.first("limit")
     if kind not in ("revolute", "prismatic", "fixed") or limit is None:
@@ -266,7 +266,7 @@ def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[floa
     found = []
     for key, sign in (("lower", -1), ("upper", 1)):
         value = _number(limit, key, 0.0, faults, f"{who}: limit")
-        found.append(sign * math.inf if abs(value) >= ENDLESS else value)
+        found.append(sign * math.inf if abs(value) >= MAX_LIMIT else value)
     return found[0], found[1]
 
 
@@ -274,20 +274,20 @@ def _max_rate(element: Element, faults: Faults, who: str) -> float:
     """Return the velocity limit of a joint, infinite if absent or zero. [rad/s or m/s]."""
     limit = element.first("limit")
     found = 0.0 if limit is None else _number(limit, "velocity", 0.0, faults, f"{who}: limit")
-    return found if 0 < found < ENDLESS else math.inf
+    return found if 0 < found < MAX_LIMIT else math.inf
 
 
 def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]:
-    """Return place and angles of an element's origin; zero if it has none."""
+    """Return position and angles of an element's origin; zero if it has none."""
     origin = element.first("origin")
     if origin is None:
         return ORIGIN, ORIGIN
     at = _vector(origin, "xyz", ORIGIN, faults, f"{who}: origin")
     turned = _vector(origin, "rpy", ORIGIN, faults, f"{who}: origin")
-    if max(map(abs, at)) > LARGEST:
+    if max(map(abs, at)) > MAX_LENGTH:
         faults.add(
             origin.line,
-            f"{who}: expected xyz in metres, at most {LARGEST:g} (did you mean "
+            f"{who}: expected xyz in metres, at most {MAX_LENGTH:g} (did you mean "
             f"millimetres?), found {origin.attributes['xyz']}",
         )
     for angle in turned:
@@ -333,7 +333,7 @@ def _text(element: Element, key: str, faults: Faults, who: str) -> str:
 
 
 def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) -> str:
-    """Return the link that carries all others; add what stands against it."""
+    """Return the root link; add an error for each reason why there is none."""
     parent_of: dict[str, UrdfJoint] = {}
     for joint in joints.values():
         for role, link in (("parent", joint.parent), ("child", joint.child)):

@@ -1,4 +1,4 @@
-"""XML as plain records with lines, without document types or entities."""
+"""XML as plain records with line numbers, without document types or entities."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def parse(data: bytes, name: str) -> Element:
     Parameters
     ----------
     data : bytes
-        What the file holds.
+        Contents of the file.
     name : str
-        What errors call it.
+        Name of the file in errors.
 
     Raises
     ------
     DataError
-        If it is not XML, or declares a document type, by which entities could be made.
+        If it is not XML, or declares a document type, which could define entities.
     """
     parser = expat.ParserCreate()
     top = Element("", {}, 0)
@@ -54,7 +54,7 @@ def parse(data: bytes, name: str) -> Element:
     def refuse(*_: object) -> None:
         raise DataError(
             f"{name}:{parser.CurrentLineNumber}: expected XML without a document type, found "
-            "<!DOCTYPE; take it out, with the entities that it declares"
+            "<!DOCTYPE; remove it, with the entities that it declares"
         )
 
     parser.StartElementHandler = start
@@ -65,7 +65,7 @@ def parse(data: bytes, name: str) -> Element:
     except expat.ExpatError as error:
         words = expat.ErrorString(error.code)
         raise DataError(f"{name}:{error.lineno}: expected XML, found {words}") from error
-    except DataError:  # of a document type; it is a ValueError
+    except DataError:  # a document type; DataError is a ValueError
         raise
     except (LookupError, ValueError) as error:
         raise DataError(f"{name}: expected XML in an encoding that is known ({error})") from error

@@ -76,7 +76,7 @@ class Solution(NamedTuple):
     Attributes
     ----------
     trajectory : Trajectory
-        The motion, whole or to where it stopped.
+        The motion, complete or up to its stop.
     setup : Setup
         Model, start and inputs of the motion.
     arrays : mapping of str to ndarray
@@ -112,7 +112,7 @@ class Result:
     kind : str
         Name of the verb; empty if the file that it was read from does not say it.
     trajectory : Trajectory
-        The motion, whole or to where it stopped.
+        The motion, complete or up to its stop.
     verification : mapping of str to Quantity
         Largest differences of the motion from its independent repetition, and violations of limits,
         by name; empty for verbs that have none.

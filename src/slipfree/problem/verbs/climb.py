@@ -67,9 +67,9 @@ OBSTACLES: Mapping[str, Callable[..., Profile]] = {
     "kerb": kerb,
     "stairs": stairs,
 }
-SLACK = 1e-5  # by which wheels may be off their equilibrium on the floor [m]
-SUNK = 2e-3  # by which wheels at rest may sink in, so that what is up is seen to be [m]
-EVEN = 1e-6  # relative difference of times that counts as none
+SLACK = 1e-5  # largest distance of wheels from their equilibrium on the floor [m]
+SUNK = 2e-3  # largest depth of contacts at rest, so that the end of a climb is recognised [m]
+EVEN = 1e-6  # smaller relative differences of times count as zero
 MEASURES = ("slip", "true_slip", "disturbance", "effort", "bearing")
 EXTREMES = Extremes(
     end=("x", "z", "tilt_rear", "tilt_front"),
@@ -81,28 +81,28 @@ MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 
 @dataclass(frozen=True, eq=False)
 class Climbing:
-    """All that a climb needs before it is simulated.
+    """Everything that the simulation of a climb needs.
 
     Attributes
     ----------
     climber, profile, contact : Climber, Profile, Contact
-        What climbs what, and the law of the contacts.
+        Vehicle, ground and contact law.
     control : Control or Tracking
-        How its wheels are driven.
+        Controller of the wheels.
     dae : Dae
-        Its model.
+        The model.
     start : Trajectory
         The vehicle on the floor before the obstacle.
     inputs : record
-        Reference speed; laws of the torques of a sampled controller.
+        Reference speed, and torques of a sampled controller.
     t : ndarray, shape (n,)
         Times of the samples. [s]
     every : int
-        Samples of the controller from one of the result to the next; zero if it is continuous.
+        Number of controller samples per sample of the result; zero for continuous control.
     facts : Facts
-        What to tell about all of it.
+        Facts about the set-up.
     plan : Trajectory or None
-        What is tracked, if it was planned.
+        The plan that is tracked.
     """
 
     climber: Climber
@@ -247,10 +247,10 @@ def _parts(result: Result) -> tuple[Climber, Profile]:
 
 
 def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
-    """Refuse what a planned climb, whose torques and rates are tracked, makes no use of."""
+    """Raise ProblemError for control keys that the tracking of a plan does not use."""
     spec = problem.spec
     given = spec.control.model_dump(exclude_none=True, exclude={"speed", "proportional"})
-    words = "speed and proportional alone beside [plan], which is tracked"
+    words = "only speed and proportional with [plan], which is tracked"
     faults = [Fault(("control", name), words, f"{value}") for name, value in given.items()]
     mu = spec.plan.friction if spec.plan else None
     if mu is not None and mu > spec.friction.static:
@@ -261,14 +261,14 @@ def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
 
 
 class _Times(NamedTuple):
-    """Times at which a motion is computed, and of how many of them one is kept."""
+    """Times of the computation, and number of them per stored sample."""
 
     t: Array
     every: int
 
 
 def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Climber) -> _Times:
-    """Return when samples are taken; those of a sampled controller where there is one."""
+    """Return the times of the samples, including those of a sampled controller."""
     period, time = problem.spec.control.period, problem.spec.time
     if period is None:
         return _Times(samples(time, {})[0], 0)
@@ -288,7 +288,7 @@ def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Clim
 
 
 def _profile(problem: Problem[climb_schema.Climb]) -> Profile:
-    """Return the ground; a polygon that cannot be is named by its line."""
+    """Return the ground; errors give the line of an invalid polygon."""
     spec = problem.spec.profile
     for name, make in OBSTACLES.items():
         given = getattr(spec, name)
@@ -307,15 +307,13 @@ def _profile(problem: Problem[climb_schema.Climb]) -> Profile:
 
 
 def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, ...]:
-    """Return the polygons of a CSV file with the columns solid, x, z: the corners in order."""
+    """Return the polygons of a CSV file with the columns solid, x, z and corners in order."""
     rows = read_columns(problem.folder / name, ("solid", "x", "z"), "corners of solids")
     found: list[Solid] = []
     numbers = [number for number, _ in groupby(row[0] for row in rows)]
     for number in numbers:
         if numbers.count(number) > 1:
-            raise ModelError(
-                f"{name}: solid {number:g}: expected its corners in rows that follow one another"
-            )
+            raise ModelError(f"{name}: solid {number:g}: expected its corners in consecutive rows")
     for number, corners in groupby(rows, key=lambda row: row[0]):
         try:
             found.append(Solid(tuple((x, z) for _, x, z in corners)))
@@ -325,7 +323,7 @@ def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, 
 
 
 def _climber(spec: climb_schema.Climber) -> Climber:
-    """Return a vehicle of the catalogue with what the problem replaces."""
+    """Return a vehicle of the catalogue with the values of the problem."""
     plain = seven_wheels(spec.joint, spec.torque)
     parts = {
         name: getattr(plain, name)._replace(**getattr(spec, name).model_dump(exclude_none=True))
@@ -367,7 +365,7 @@ def _start(
 def _sunk(
     problem: Problem[climb_schema.Climb], climber: Climber, contact: CompliantContact
 ) -> Array:
-    """Return how far the axles sink into a level floor; refuse what does not stand on it. [m]."""
+    """Return the depths of the axles in a level floor; raise if the vehicle cannot stand. [m]."""
     loads, faults = floor_loads(climber), []
     softest = float(loads.max()) / SUNK
     if not (loads > 0).all():
@@ -391,11 +389,11 @@ def _sunk(
 
 
 def _first_contact(climber: Climber, profile: Profile) -> float:
-    """Return where the front axle is when its wheels, on the floor, first meet a solid. [m].
+    """Return the position of the front axle at the first contact of its wheels with a solid. [m].
 
-    The distance to a convex solid along a line is convex, so that it falls to zero once.
+    The distance from a convex solid along a line is convex, so that it decreases to zero once.
     """
-    from scipy.optimize import brentq, minimize_scalar  # imported where it is used: it takes 0.2 s
+    from scipy.optimize import brentq, minimize_scalar  # imported here: the import takes 0.2 s
 
     radius, found = climber.radius, []
     for solid in profile.solids[1:]:
@@ -410,20 +408,20 @@ def _first_contact(climber: Climber, profile: Profile) -> float:
             found.append(float(brentq(gap, ends[0], nearest)))
     if not found:
         raise ModelError(
-            "profile: expected a solid in the way of wheels on the floor, which is the first "
-            f"solid, level at height 0; found none of {len(profile.solids) - 1} that they meet"
+            "profile: expected an obstacle for wheels on the floor (the first solid, level at "
+            f"height 0); the wheels meet none of the {len(profile.solids) - 1} other solids"
         )
     return min(found)
 
 
 def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault | None:
-    """Return what is wrong with the start if wheels are inside a solid or off the floor."""
+    """Return the error of a start with wheels inside a solid or off the floor."""
     gap = start[f"gap_{k}"][0]
     off = gap + sunk
     wrong = np.abs(off) > SLACK if k == 0 else off < -SLACK
     if not wrong.any():
         return None
-    axle = int(np.flatnonzero(wrong)[-1])  # the front wheels are told first
+    axle = int(np.flatnonzero(wrong)[-1])  # report the front wheels first
     wheels = f"the {AXLES[axle]} wheels, at x = {start['axle_x'][0, axle]:.4g} m,"
     if k == 0:
         side = "above it" if off[axle] > 0 else "inside it"
@@ -444,7 +442,7 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
 
 
 def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Planned) -> Climbing:
-    """Return the same climb with its plan tracked."""
+    """Return the set-up of a climb that tracks its plan."""
     given = problem.spec.control.model_dump(exclude_none=True, include={"proportional"})
     with at(problem, ("plan",)):
         control = Tracking(course(plan.parts), **given)
@@ -455,7 +453,7 @@ def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Plann
 
 
 def _judged(run: Trajectory, setup: Climbing) -> Trajectory:
-    """Return a motion with how it ended, its averages and what a slow climb needs."""
+    """Return a motion with its ending, its averages and the friction of a slow climb."""
     end = climb_ending(run, setup.climber, setup.profile)
     words = f"{end.name}: {end.words}"
     slow = _slow(setup)
@@ -486,7 +484,7 @@ def _simulated(spec: climb_schema.Climb, setup: Climbing, watch: Watch) -> Traje
 
 
 def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:
-    """Return averages over the climb by name, none if the vehicle does not reach it."""
+    """Return averages over the climb by name; empty if the vehicle does not reach the obstacle."""
     try:
         window = climb_window(run, setup.climber, setup.profile)
     except ModelError:
@@ -506,7 +504,7 @@ def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:
 
 
 def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
-    """Return the least friction of a slow climb, and in words which axle needs it."""
+    """Return the least friction of a slow climb, and its description."""
     try:
         need = least_friction(setup.climber, setup.profile)
     except (ModelError, SolverError) as error:
@@ -528,7 +526,7 @@ def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
 def _facts(
     spec: climb_schema.Climb, climber: Climber, contact: CompliantContact, control: Control
 ) -> Facts:
-    """Return what to tell about ground, vehicle and laws of a climb."""
+    """Return the facts about ground, vehicle and laws of a climb."""
     axles = ", ".join(
         f"{name} {axle.wheels} x {climber.radius:g} m at {axle.ahead + 0:g} m"
         for name, axle in zip(AXLES, climber.axles, strict=True)

@@ -1,4 +1,4 @@
-"""Plans of climbs: least time, friction or slip, leg by leg, and the friction that they need."""
+"""Plans of climbs: least time, friction or slip, leg by leg."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slipfree.trajectory import Column, SolverError, Trajectory
 
 OF_AXLES = {"wheel_rate": "rad s-1", "friction": "N", "load": "N"}  # shown in figures of a plan
 POSE = ("x", "z", "tilt_rear", "tilt_front")
-PROGRESS = Label("progress", "m", "mean of place and height of the axles")
+PROGRESS = Label("progress", "m", "mean over the axles of x + z")
 
 
 class Planned(NamedTuple):
@@ -31,11 +31,11 @@ class Planned(NamedTuple):
     parts : tuple of (Climb, ndarray)
         Program and solution of every leg.
     run : Trajectory
-        All legs, one after the other, and their ``progress``.
+        Consecutive legs, with their ``progress``.
     least : tuple of float
-        Coefficients of friction without which no leg can be climbed. [1]
+        Least coefficient of friction of each leg. [1]
     iterations, seconds : float
-        Of the solver, for the plan itself.
+        Iterations and computing time of the solver for the plan.
     """
 
     parts: tuple[tuple[Climb, Array], ...]
@@ -53,20 +53,20 @@ def plan_climb(
     Parameters
     ----------
     climber, profile : Climber, Profile
-        What climbs what.
+        Vehicle and ground.
     spec : Legs
-        What is asked of the plan.
+        Specification of the plan.
     static : float
-        Coefficient of friction that it may use, unless it names its own. [1]
+        Coefficient of friction, if the plan does not give one. [1]
     speed : float
-        Largest of an axle, unless it names its own. [m/s]
+        Largest speed of an axle, if the plan does not give one. [m/s]
 
     Raises
     ------
     ModelError
-        If the vehicle gets stuck, or the plan is asked for the least friction and given one.
+        If the vehicle gets stuck, or a coefficient of friction is given for the cost "friction".
     SolverError
-        If a leg needs more friction than there is, or none is enough.
+        If a leg needs more friction than is available.
     """
     found = legs(climber, profile)
     fastest = speed if spec.speed is None else spec.speed
@@ -88,7 +88,7 @@ def plan_climb(
 
 
 def _with_progress(run: Trajectory, climber: Climber) -> Trajectory:
-    """Return a plan with how far the vehicle has come, as it is told from the motion as well."""
+    """Return a plan with the column ``progress``."""
     tilts = (run["tilt_rear"], run["tilt_rear"], run["tilt_front"])
     ahead = [
         axle.ahead * (np.cos(tilt) + np.sin(tilt))
@@ -99,7 +99,7 @@ def _with_progress(run: Trajectory, climber: Climber) -> Trajectory:
 
 
 def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
-    """Return figures of a plan, and of the motion that tracks it, by name.
+    """Return statistics of a plan, and of the motion that tracks it, by name.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
 
 
 def arrays_of(plan: Trajectory) -> dict[str, Array]:
-    """Return the samples of a plan by name, one array for each axle, for a result file."""
+    """Return the samples of a plan by name, one array per axle, for a result file."""
     found = {"plan_time": plan.t}
     for name, column in plan.columns.items():
         if column.values.ndim == 1:
@@ -174,7 +174,7 @@ def _check_friction(found: Sequence[Leg], least: Sequence[float], mu: float) -> 
     if least[worst] > mu:
         raise SolverError(
             f"plan, {_leg(worst, found[worst])}: needs a coefficient of friction of at least "
-            f"{least[worst]:.3f}, found {mu:g}; take a lower obstacle or better ground"
+            f"{least[worst]:.3f}, found {mu:g}; use a lower obstacle or more friction"
         )
 
 
@@ -183,7 +183,7 @@ def _leg(number: int, leg: Leg) -> str:
 
 
 def plan_of(run: Trajectory, arrays: Mapping[str, Array]) -> Trajectory | None:
-    """Return the plan of a climb from what its result keeps of it; None if it has none."""
+    """Return the plan of a climb stored in its result; None if there is no plan."""
     if "plan_time" not in arrays:
         return None
     columns = {PROGRESS.name: Column(PROGRESS, arrays[f"plan_{PROGRESS.name}"])}
@@ -197,9 +197,9 @@ def plan_of(run: Trajectory, arrays: Mapping[str, Array]) -> Trajectory | None:
 def poses_of_plan(
     run: Trajectory, arrays: Mapping[str, Array], climber: Climber
 ) -> Trajectory | None:
-    """Return the plan that a climb tracks, at the times when it is as far; None if there is none.
+    """Return the plan of a climb at the times of equal progress; None if there is no plan.
 
-    Its time counts from when the motion has come to where the plan begins.
+    Its time begins when the motion reaches the beginning of the plan.
     """
     if "plan_time" not in arrays:
         return None

@@ -1,4 +1,4 @@
-"""What a climb in the plane may be made of: tables of a problem file with ``verb = "climb"``."""
+"""Schema of climbs: tables of a problem file with ``verb = "climb"``."""
 
 from __future__ import annotations
 

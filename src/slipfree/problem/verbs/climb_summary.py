@@ -1,4 +1,4 @@
-"""What to tell about a climb in a few lines, from its samples and averages."""
+"""Summary of a climb in a few lines, from its samples and averages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory
 
 ENDING = "climb"  # attribute of a result
-UNBALANCED = 1e-3  # of the motors' work that the balance may miss before it is said
+UNBALANCED = 1e-3  # largest unreported error of the energy balance [work of the motors]
 
 AVERAGES = {
     "slip": "slip, eq. (20)",

@@ -92,14 +92,14 @@ class Row(NamedTuple):
     Attributes
     ----------
     name : str
-        What it is called.
+        Name of the vehicle.
     wheels : tuple of str
-        Its wheels, in the order of what belongs to them.
+        Names of its wheels, in the order of the arrays.
     rank, conditions : int
         Rank of the slip in the rates that are not given, and number of slip conditions; the
         vehicle can roll without slip if they are equal.
     same, fitting : Drive
-        At the rates that are the same for all, and at those of the driving law.
+        Motions at the common rates, and at the rates of the driving law.
     """
 
     name: str
@@ -111,7 +111,7 @@ class Row(NamedTuple):
 
 
 def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple[Ground, list[Row]]:
-    """Return the ground and a row for each vehicle; ``progress`` is told the next one's name.
+    """Return the ground and a row per vehicle; ``progress`` is called with each vehicle's name.
 
     Raises
     ------

@@ -75,7 +75,7 @@ def angle_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def force_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield what the motion takes of the ground and of the drives, quasi-statically."""
+    """Yield the quasi-static loads on the ground and on the drives."""
     if "utilisation" not in run.columns:
         return
     yield "friction", friction_words(run)
@@ -97,7 +97,7 @@ def force_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def friction_words(run: Trajectory) -> str:
-    """Return the largest use of friction, where and when, and what it means."""
+    """Return the largest utilisation of friction with wheel, time and meaning."""
     used = run["utilisation"]
     k, i = np.unravel_index(int(used.argmax()), used.shape)
     where = f"at most (wheel {run.wheels[i]}, t = {run.t[k]:.4g} s)"
@@ -151,7 +151,7 @@ def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def certificate(run: Trajectory) -> str:
-    """Return whether every wheel touched the ground at one point only, and by what margin."""
+    """Return whether every wheel touches the ground at one point only, with the margin."""
     clearance, curvature = (run[name].min() for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
@@ -168,6 +168,6 @@ def certificate(run: Trajectory) -> str:
 
 
 def _apart(run: Trajectory) -> float:
-    """Return the largest distance between the platform's places at two samples [m]."""
+    """Return the largest distance of the platform between consecutive samples [m]."""
     steps = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
     return float(steps.max(initial=0.0))

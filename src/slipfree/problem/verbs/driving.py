@@ -213,7 +213,7 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
     for name, diagnose in diagnostics.items():
         try:
             run = diagnose(run)
-        except Exception as error:  # whatever it is, the motion is not lost with it
+        except Exception as error:  # a failed diagnostic must not lose the motion
             failures.append(f"{name}: {type(error).__name__}: {error}")
     if not failures:
         return run
@@ -221,13 +221,13 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
 
 
 def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
-    """Return a motion that states how far its wheels roll on filled ground, if they do."""
+    """Return a motion with a note on the distances of its wheels on filled ground."""
     words = filled_words(grid, run)
     return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
 
 
 def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) -> None:
-    """Refuse a vehicle whose parts were not where the motion has its wheels and their contacts."""
+    """Raise DataError unless the vehicle matches the wheels and contacts of the motion."""
     named = problem.spec.vehicle.file or str(problem.spec.vehicle.catalog)
     wheels = tuple(wheel.name for wheel in vehicle.wheels)
     if wheels != run.wheels or not {c.name for c in vehicle.coordinates} <= {*run.columns}:
@@ -253,7 +253,7 @@ def _check_ground(
     vehicle: Vehicle,
     problem: Problem[Motion],
 ) -> None:
-    """Refuse a ground that is not where the wheels of the motion touched it."""
+    """Raise DataError unless the ground matches the contact points of the motion."""
     off = np.abs(terrain.elevation(run["contact_x"], run["contact_y"]) - run["contact_z"]).max()
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
         words = f"it is up to {off:.2g} m from the contact points"
@@ -262,6 +262,6 @@ def _check_ground(
 
 def _changed(what: str, named: str, words: str) -> DataError:
     return DataError(
-        f"expected the {what} that it was run with, found another one ({named}): {words}; "
-        "put the file back as it was, name the folder that has it by --folder DIR, or run again"
+        f"expected the {what} of its run, found another one ({named}): {words}; "
+        "restore the file, give its folder by --folder DIR, or run the problem again"
     )

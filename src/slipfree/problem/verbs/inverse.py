@@ -14,7 +14,7 @@ from slipfree.errors import ModelError, SlipfreeError
 from slipfree.files.netcdf import NOTHING
 from slipfree.files.tables import read_columns
 from slipfree.files.toml.angles import unit_faults
-from slipfree.files.toml.errors import Fault, names, problem_error
+from slipfree.files.toml.errors import Fault, name_errors, problem_error
 from slipfree.models.given_rates import COMMANDS, EULER, OMEGA, PLANAR, VELOCITY
 from slipfree.models.inverse import (
     LEAST_MARGIN,
@@ -72,7 +72,7 @@ KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
 MIN_POINTS = 6  # way-points of a spline of degree five
 MIN_SAMPLES = 4  # between jumps of the given rates, for a replay
-GUESS_SPEED = 0.1  # of the initial guess of a motion whose velocity is not given [m/s]
+GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]
 
 
 class InverseVerb(DriveVerb):
@@ -171,7 +171,7 @@ class InverseVerb(DriveVerb):
 def _given(
     problem: Problem[S], spec: Inverse, vehicle: Vehicle, points: Array | None
 ) -> tuple[dict[str, Any], str]:
-    """Return the given rates, zero for those of a path, and the words for them.
+    """Return the given rates, zero for those of a path, and their description.
 
     Vehicles that cannot roll without slip follow a path by commands.
     """
@@ -197,7 +197,7 @@ def _given(
 
 
 def _check_units(problem: Problem[S], spec: Inverse) -> None:
-    """Raise for given rates in units of another kind."""
+    """Raise ProblemError for given rates in wrong units."""
     units = dict.fromkeys(VELOCITY, "m s-1") | dict.fromkeys((*OMEGA, *EULER), "rad s-1")
     units |= {name: label.unit for name, label in COMMANDS.items()}
     units |= {name: units[ours] for name, ours in ROBOT.items()}
@@ -206,9 +206,9 @@ def _check_units(problem: Problem[S], spec: Inverse) -> None:
 
 
 def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
-    """Yield what keeps rates from being three that may be given together."""
+    """Yield errors in three given rates that cannot be imposed together."""
     known = list(dict.fromkeys((*KNOWN, *COMMANDS, *ROBOT)))
-    unknown = [*names(("given",), given, known)]
+    unknown = [*name_errors(("given",), given, known)]
     yield from unknown
     if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*KNOWN}]:
         expected = (
@@ -233,7 +233,7 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
 
 
 def _points(problem: Problem[S], spec: Inverse) -> Array | None:
-    """Return times, places and headings of the way-points, shape (4, n), if there is a path."""
+    """Return times, positions and headings of the way-points, shape (4, n); None without a path."""
     path = spec.path
     if path is None:
         return None
@@ -253,7 +253,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
 
 
 def _times(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
-    """Yield what is wrong with the times of a path."""
+    """Yield errors in the times of a path."""
     if t.size < MIN_POINTS:
         yield Fault(place, f"{MIN_POINTS} or more way-points", str(t.size))
     elif t[0] != 0 or not (np.diff(t) > 0).all():
@@ -285,10 +285,10 @@ def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, A
 
 
 def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
-    """Return the start as the first rates move it.
+    """Return the start with the first given rates.
 
-    The steering is at the angles that the first commands lead to, but for those in `[start]`; along
-    a path it is found with the motion.
+    Steering angles that are not in ``[start]`` are those of the first commands; along a path they
+    are unknowns of the motion.
     """
     vehicle, direct, dae, stand = setup.vehicle, setup.model, setup.dae, setup.start
     options = spec.solver.options
@@ -319,7 +319,7 @@ def _is_commanded(setup: Setup) -> bool:
 
 
 def _is_collocated(spec: Inverse, setup: Setup) -> bool:
-    """Return whether the steering is found along a whole path by collocation."""
+    """Return whether collocation determines the steering along the whole path."""
     return spec.path is not None and spec.steering == "angle" and not _is_commanded(setup)
 
 

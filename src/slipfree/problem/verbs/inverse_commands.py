@@ -1,4 +1,4 @@
-"""Commands of a problem: rates in the platform's heading frame, in its file or in a CSV file."""
+"""Commands of a problem: rates in the platform's heading frame, from the problem or a CSV file."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def are_commands(given: Collection[str]) -> bool:
 
 
 def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], str]:
-    """Return the commands of a problem by the names of `COMMANDS`, and in words.
+    """Return the commands of a problem by the names of `COMMANDS`, and their description.
 
     Raises
     ------
     ProblemError
-        If the file cannot be read, or names are unknown, given twice or of another frame.
+        If the file cannot be read, or if names are unknown, given twice or of another frame.
     """
     given, columns, words = dict(spec.given or {}), dict[str, Any](), []
     if (file := given.pop(FILE, None)) is not None:
@@ -85,7 +85,7 @@ def _read_file(file: Path) -> dict[str, Piecewise]:
 
 
 def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -> Iterator[Fault]:
-    """Yield what keeps rates from being commands."""
+    """Yield errors in rates that should be commands."""
     if spec.steering != "angle":
         expected = f"'angle', which the steering follows with {', '.join(COMMANDS)}"
         yield Fault(("steering",), expected, repr(spec.steering))
@@ -101,7 +101,7 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
 
 
 def _check_formula(text: str, time: Time) -> None:
-    """Raise ModelError for a rate that is not a formula of the time, or not finite at a sample."""
+    """Raise ModelError for a rate that is not a formula of time, or not finite at a sample."""
     t, symbol = samples(time, {})[0], ca.SX.sym("t")
     try:
         value = evaluate(text, {"t": symbol})

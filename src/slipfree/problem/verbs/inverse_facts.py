@@ -28,14 +28,14 @@ def is_collocated(run: Trajectory) -> bool:
 
 
 def steering_warning(run: Trajectory) -> str:
-    """Return the warning that the steering was integrated and is unstable; empty if not so."""
+    """Return the warning about an unstable integrated steering; empty if it is stable."""
     if "steering_growth" not in run.columns or is_collocated(run):
         return ""
     return steering_note(run)
 
 
 def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield what an inverse motion was sought for, and how well it is determined."""
+    """Yield the facts of an inverse motion: rates, steering, errors and determinacy."""
     commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
     for wheel in run.wheels:
         if (name := f"{wheel}_rate") in run.columns:
@@ -84,7 +84,7 @@ def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
     """Return the largest error and its time, and the largest with the steering at its target.
 
-    Errors along a path accumulate: the last one instead.
+    For errors along a path, which accumulate, it is the last error instead.
     """
     error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
     worst = int(error.argmax())
@@ -109,7 +109,7 @@ def collocation_fact(run: Trajectory) -> tuple[str, str]:
 
 
 def replay_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield how far a replay by the direct model is from the motion, if there was one."""
+    """Yield the differences of the replay by the direct model, if there is one."""
     gaps = {
         name.removeprefix("replay_"): size
         for name, size in run.statistics.items()

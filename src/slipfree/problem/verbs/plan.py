@@ -77,31 +77,31 @@ if TYPE_CHECKING:
 MAX_SAMPLES = 401  # of a plan in space
 ROUNDING = 1e-6  # of a limit that a plan meets, in its unit
 SLIDING = 0.95  # utilisation from which a wheel slides rather than rolls
-ROUGH = 1e-5  # tolerance of motions that only start a search [m, rad]
-FRICTION_TOLERANCE = 1e-6  # of motions by friction, whose inputs jump; less may find no start
+ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
+FRICTION_TOLERANCE = 1e-6  # of motions under friction with jumps; smaller ones may find no start
 Tell = Callable[[str, str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Planning(Setup):
-    """All that a plan needs before it is sought.
+    """Everything that the search for a plan needs.
 
     Attributes
     ----------
     layers : Traversability
-        Where the vehicle can go.
+        Traversability of the map.
     places : tuple of (str, float, float)
-        Start, way-points and goal, as far as they are places, by name. [m]
+        Names and positions of start, way-points and goal. [m]
     keep_out : tuple of Region
-        Where it must not go.
+        Keep-out regions.
     ways : tuple of ndarray, shape (n, 2)
-        Paths that start the search, if it starts along paths. [m]
+        Paths of the initial guesses, if there are any. [m]
     starts : tuple of (record, float)
-        Inputs of the motions from which the search starts, and how long they last. [s]
+        Inputs and durations of the initial guesses. [s]
     spec : Plan
-        What is asked for.
+        Specification of the plan.
     between : mapping of float to mapping
-        What is asked for at fractions of the duration.
+        Constraints of the way-points, by fraction of the duration.
     """
 
     layers: Traversability
@@ -123,7 +123,7 @@ class PlanVerb(DriveVerb):
     metrics_shown = ("within_limits", "plan_violation", "slip_rms")
 
     def build(self, problem: Problem[plan_schema.Plan]) -> Planning:
-        """Return the model, the settled start and the inputs that start the search."""
+        """Return the model, the settled start and the inputs of the initial guess."""
         spec = problem.spec
         ground = build_ground(problem)
         with at(problem, ("vehicle",)):
@@ -277,13 +277,13 @@ def _starts(
 
 
 def _along(dae: Dae, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
-    """Return the law that follows a path, and how long that lasts."""
+    """Return the law that follows a path, and the duration of its motion."""
     path = Path(way)
     return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
 
 
 def figure_options(setup: Planning) -> dict[str, Any]:
-    """Return what the figures of a plan show besides its motion, as options of theirs."""
+    """Return the options of the figures of a plan."""
     unbounded = {label.name: (-np.inf, np.inf) for label in leaves(setup.dae.labels.u)}
     return {
         "places": setup.places,
@@ -300,7 +300,7 @@ def _asked(
     model: tuple[Dae, Vehicle, Bicubic],
     between: Mapping[float, Wanted],
 ) -> dict[str, Any]:
-    """Return what a plan is asked for, as arguments of `plan`."""
+    """Return the arguments of `plan` for a problem."""
     limits = (*limits_of(model[0], facing(problem, spec.limits)), *_kept_out(keep_out, *model))
     return {
         "goal": facing(problem, spec.goal),
@@ -317,7 +317,7 @@ def _asked(
 def _kept_out(
     keep_out: tuple[Region, ...], dae: Dae, vehicle: Vehicle, terrain: Bicubic
 ) -> list[Limit]:
-    """Return that the circle around the wheels keeps out of the places that are named."""
+    """Return the limits that keep the circle around the wheels out of regions."""
     x, y = dae.x.x, dae.x.y
     o_x, o_y, _ = terrain.origin
     _, _, reach = extents(vehicle)
@@ -361,9 +361,9 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
 
 
 def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
-    """Return the motion of a driving law, along a path up to where it is nearest to the goal."""
+    """Return the motion of a driving law up to its nearest point to the goal."""
     law, lasts = start
-    t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # behind its end a path leads nowhere
+    t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # not beyond the end of the path
     try:
         rough = replace(setup.spec.solver.options, tolerance=ROUGH)
         run = simulate(setup.dae, setup.start, law, t, options=rough)
@@ -379,9 +379,9 @@ def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
 
 
 def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
-    """Return what tells every iterate in a line, and stops the search at Ctrl-C.
+    """Return a callback that prints every iterate in a line, and stops the search at Ctrl-C.
 
-    At the first one of all there is no result yet, but for the guess: then Ctrl-C ends it.
+    Before the first iterate there is only the initial guess; Ctrl-C then ends the program.
     """
     begun = False
 
@@ -405,7 +405,7 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
 
 
 def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
-    """Return what becomes of the plan's inputs where friction decides, in words."""
+    """Return the description of the quasi-static motion under the plan's inputs."""
     able = setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.model != "quasi-static"):
         return {}
@@ -424,7 +424,7 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
             step=setup.spec.time.step,
             options=options,
         )
-    except (SlipfreeError, np.linalg.LinAlgError) as error:  # a plan stands without it
+    except (SlipfreeError, np.linalg.LinAlgError) as error:  # the plan is valid without it
         return {"by_friction": f"not simulated: {error}"}
     if run.stop is not None:
         return {"by_friction": outcome_words(run)}
@@ -441,7 +441,7 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
 
 
 def _statistics(found: Plan) -> dict[str, float]:
-    """Return what a plan cost, and how far its simulation is from it."""
+    """Return the costs of a plan, and the errors of its simulation."""
     times = [stage.seconds for stage in found.stages]
     return {
         "plan_iterations": float(sum(stage.iterations for stage in found.stages)),
@@ -461,10 +461,10 @@ def _statistics(found: Plan) -> dict[str, float]:
 def poses_of_plan(
     run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic
 ) -> Trajectory | None:
-    """Return the plan that a motion simulates, as far as its poses go; None if there is none.
+    """Return the poses of the plan that a motion simulates; None if there is no plan.
 
     States and algebraic unknowns of a plan are the first quantities of its simulation, in order,
-    up to the contacts. The turns of its wheels are those of the simulation.
+    up to the contacts. The wheel angles are those of the simulation.
     """
     if f"{ARRAY_PREFIX}unknowns" not in arrays:
         return None
@@ -479,7 +479,7 @@ def poses_of_plan(
             break
         columns[name] = Column(column.label, rows[first])
         first += 1
-    # Contacts are unknowns wheel by wheel: x and y of the first one, then those of the next.
+    # contacts are unknowns wheel by wheel: x and y of the first wheel, then of the next
     pairs = rows[first : first + 2 * len(run.wheels)].reshape(len(run.wheels), 2, -1)
     for axis, name in enumerate(("contact_x", "contact_y")):
         columns[name] = Column(run.columns[name].label, pairs[:, axis].T)

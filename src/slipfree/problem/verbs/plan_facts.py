@@ -12,7 +12,7 @@ CHECKS = ("simulated", "simulated with friction")  # facts about accuracy and va
 
 
 def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield what a plan promised, and how the simulated motion differs from it."""
+    """Yield the facts of a plan, and its differences from the simulated motion."""
     counts = run.statistics
     costs = {
         name.removeprefix("plan_cost_"): value

@@ -1,4 +1,4 @@
-"""Places and ways of a problem of planning: start, way-points, goal, keep-outs, and routes."""
+"""Start, way-points, goal, keep-out regions and routes of a planning problem."""
 
 from __future__ import annotations
 
@@ -27,15 +27,14 @@ Domain = tuple[float, float, float, float]
 def places_of(
     problem: Problem[S], spec: Plan, between: Mapping[float, Wanted], domain: Domain
 ) -> tuple[tuple[Place, ...], set[str]]:
-    """Return where the vehicle starts and is to go, in map coordinates, as far as known.
+    """Return start, way-points and goal in map coordinates, and the names of the exact ones.
 
-    Of ranges it is the middle of what lies on the map; with them come the names of places that are
-    exact.
+    A range is represented by the middle of its part on the map.
 
     Raises
     ------
     ProblemError
-        If nothing of a range lies on the map.
+        If a range is entirely off the map.
     """
     places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
     exact = {"start"}
@@ -61,12 +60,12 @@ def places_of(
 
 
 def key_of(place: str) -> str:
-    """Return the key of a problem file that gives a place."""
+    """Return the key of a problem file for a start, way-point or goal."""
     return place if place in ("start", "goal") else "way_points"
 
 
 def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Wanted]:
-    """Return what is asked for on the way, by the fraction of the duration."""
+    """Return the constraints of the way-points, by the fraction of the duration."""
     found: dict[float, Wanted] = {}
     for index, each in enumerate(spec.way_points):
         wanted = dict(each)
@@ -86,7 +85,7 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Wanted]:
 
 
 def facing(problem: Problem[S], wanted: Wanted) -> Wanted:
-    """Return what is asked for, with headings that count from the y axis."""
+    """Return constraints with headings from the y axis."""
     return {
         name: (low + turned(problem), high + turned(problem)) if name == "heading" else (low, high)
         for name, (low, high) in wanted.items()
@@ -96,7 +95,7 @@ def facing(problem: Problem[S], wanted: Wanted) -> Wanted:
 def ways_of(
     problem: Problem[S], spec: Plan, layers: Traversability, places: tuple[Place, ...]
 ) -> tuple[Array, ...]:
-    """Return the paths that start the search: given ones, or routes over the ground."""
+    """Return the paths of the initial guesses: given paths, or routes over the ground."""
     driver = spec.driver
     if driver is None or driver.name == "straight":
         return ()
@@ -105,7 +104,7 @@ def ways_of(
             if driver.paths is None:
                 return (way_of(problem, driver),)
             if driver.path is not None or driver.file is not None:
-                raise ModelError("driver: expected one of path, paths and file, found two")
+                raise ModelError("driver: expected only one of path, paths and file, found two")
             return tuple(np.array(path) for path in driver.paths)
     if places[-1][0] != "goal":
         raise ProblemError(f"{problem.source.where(('goal',))}: a route needs a goal in x and y")
@@ -115,7 +114,7 @@ def ways_of(
 def _routes(
     problem: Problem[S], driver: Guide, layers: Traversability, places: list[Array]
 ) -> tuple[Array, ...]:
-    """Return ways over the ground through all places; several of them only without way-points."""
+    """Return routes through all way-points; several routes only without way-points."""
     with at(problem, ("driver",)):
         if len(places) == 2:
             found = routes(
@@ -123,7 +122,10 @@ def _routes(
             )
             return tuple(way.points for way in found)
         if driver.count > 1:
-            raise ModelError("driver: several routes are sought without way-points only; count = 1")
+            raise ModelError(
+                "driver: expected count = 1 with way-points, since several routes are searched "
+                "only without them"
+            )
         legs = [
             route(layers, one, other, turning_radius=driver.turning_radius)
             for one, other in pairwise(places)
@@ -132,7 +134,7 @@ def _routes(
 
 
 def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
-    """Return the places to keep out of."""
+    """Return the keep-out regions."""
     found: list[Region] = []
     for index, each in enumerate(spec.keep_out):
         with at(problem, ("keep_out", index)):
@@ -147,6 +149,6 @@ def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
 
 
 def spelled(bounds: tuple[float, float]) -> str:
-    """Return a value or a range in words."""
+    """Return the text of a value or a range."""
     low, high = bounds
     return f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}"
