@@ -453,7 +453,7 @@ def test_what_cannot_be_shown_is_refused(
     bare = tmp_path / "bare.nc"
     attributes = {name: words for name, words in run.attributes.items() if name != "problem"}
     netcdf.write(bare, replace(run, attributes=attributes))
-    assert "expected a result with its problem in it, found none" in refused(str(bare))
+    assert "expected a result that contains its problem, found none" in refused(str(bare))
     text = PROBLEM.replace("[terrain]\n", '[terrain]\nfile = "hills.npz"\n')
     text = text[: text.index("[terrain.synthetic]")] + text[text.index("[vehicle]") :]
     named = tmp_path / "named.nc"
@@ -496,9 +496,9 @@ def test_files_are_looked_for_where_the_problem_was(
     kept = {name: words for name, words in run.attributes.items() if name != "problem_folder"}
     netcdf.write(lost, replace(run, attributes=kept))
     words = refused(str(lost))
-    assert f"needs hills.npz, found none in {tmp_path} or {named.parent}; name" in words
+    assert f"needs hills.npz, found none in {tmp_path} or {named.parent}; give" in words
     monkeypatch.chdir(tmp_path)
-    assert f"found none in {tmp_path}; name" in refused("lost.nc")
+    assert f"found none in {tmp_path}; give" in refused("lost.nc")
     told = {**kept, "problem_folder": str(named.parent.parent)}
     netcdf.write(lost, replace(run, attributes=told))
     assert isinstance(shown(lost, "lost"), Driven)

@@ -167,11 +167,11 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
         (["--repeat", "2", "--set", "terrain.synthetic.power_law="], "add a random table such as"),
         (["--repeat", "2", "--vary", "terrain.synthetic.power_law.seed=1,2"], "which is varied"),
         (["--vary", f"{SPEED}=1,2", "--vary", f"{SPEED}=3,4"], "found driver.speed twice"),
-        (["--vary", f"{SPEED}=1,2", "--set", f"{SPEED}=3"], "leave out one of the two"),
-        (["--vary", f"{SPEED}=1,2", "--set", "driver . 'speed'=3"], "leave out one of the two"),
+        (["--vary", f"{SPEED}=1,2", "--set", f"{SPEED}=3"], "remove one of the two"),
+        (["--vary", f"{SPEED}=1,2", "--set", "driver . 'speed'=3"], "remove one of the two"),
         (
             ["--vary", f"{ROUGH}=1,2", "--vary", "terrain.synthetic.power_law=1,2"],
-            "expected keys of which none holds another",
+            "expected keys that do not contain one another",
         ),
         (
             ["--vary", "terrain.synthetic.power_law=1,2", "--set", f"{ROUGH}=3"],
@@ -180,7 +180,7 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
         (["--vary", f"{SPEED}=1,0"], "expected a speed other than zero, found 0"),
         (["--vary", "driver.sped=1,2"], "did you mean 'speed'?"),
         (["--vary", f"{SPEED}=1:2:1000", "--repeat", "1000"], "at most 100000 runs, found 1000000"),
-        (["--scheduler", "tcp://x:1", "--processes", "2"], "without --processes"),
+        (["--scheduler", "tcp://x:1", "--processes", "2"], "expected --scheduler or --processes"),
         (["-o", "p.toml"], "expected a folder for the sweep, found a file"),
     ],
 )

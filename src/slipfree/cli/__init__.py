@@ -44,10 +44,10 @@ UsageError: Any = typer.BadParameter.__bases__[0]  # of click, of which newer ty
 
 
 class _Commands(TyperGroup):
-    """The commands; words that are none of theirs are told in JSON as well, if that is wanted."""
+    """The commands, with ``--json`` also for errors in the command line."""
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **more: Any) -> Any:
-        words = tuple(args)  # which are used up
+        words = tuple(args)  # parsing consumes the list
         with self._telling(words):
             return super().make_context(info_name, args, *rest, obj=words, **more)
 

@@ -1,4 +1,4 @@
-"""What commands share: options, messages, exit codes, progress."""
+"""Common parts of the commands: options, checks of paths and errors."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from slipfree.regular_files import check_name, regular_file, resolve_links
 if TYPE_CHECKING:
     from slipfree.problem.problem import Problem
 
-RESULT, FIGURE = b"CDF", b"\x89PNG"  # how netCDF and PNG begin
-OUTPUT = ("output", "file")  # the key of a problem file that names its result
+RESULT, FIGURE = b"CDF", b"\x89PNG"  # first bytes of netCDF and PNG files
+OUTPUT = ("output", "file")  # key of a problem file with the name of its result
 NO_MEMORY = (
-    "there is not enough memory for this: cut the ground by terrain.window, make its spacing "
-    "larger, or take fewer samples or intervals"
+    "not enough memory: use a smaller terrain.window or a larger spacing of the ground, or fewer "
+    "samples or intervals"
 )
 REFRESH = 0.1  # between two updates of the progress bar [s]
 
@@ -37,7 +37,7 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Replace a value, as in time.duration=3, or take it out, as in terrain.rolled=; "
+        help="Replace a value, as in time.duration=3, or remove it, as in terrain.rolled=; "
         "repeatable.",
     ),
 ]
@@ -45,7 +45,7 @@ Settings = Annotated[
 
 @contextmanager
 def reported() -> Iterator[None]:
-    """Turn the errors of the package into a message and an exit code."""
+    """Report errors of the package by a message and an exit code."""
     try:
         yield
     except (DataError, ModelError) as error:
@@ -66,22 +66,22 @@ def reported() -> Iterator[None]:
 
 @contextmanager
 def about(file: Path) -> Iterator[None]:
-    """Say which result an error concerns."""
+    """Add the name of the result file to errors."""
     try:
         yield
     except (ModelError, DataError) as error:
         if str(file) in str(error):
             raise
         raise DataError(f"{file}: {error}") from error
-    except KeyError as error:  # of a quantity, a count or a word that every result has
+    except KeyError as error:  # a quantity, statistic or attribute of every result
         raise DataError(
-            f"{file}: expected a result as slipfree run writes it, found no {error} in it; run the "
-            "problem again"
+            f"{file}: expected a result of slipfree run, found no {error} in it; run the problem "
+            "again"
         ) from error
 
 
 def read_problem(file: Path, settings: list[str] | None) -> Problem[Any]:
-    """Return a checked problem, some of its values replaced."""
+    """Return a validated problem with some values replaced."""
     from slipfree.problem.load import load_problem
 
     refuse_result(file)
@@ -91,16 +91,16 @@ def read_problem(file: Path, settings: list[str] | None) -> Problem[Any]:
 
 
 def refuse_result(file: Path) -> None:
-    """Refuse a result where a problem is expected."""
+    """Raise DataError for a result file instead of a problem file."""
     if _begins_with(file, RESULT):
         raise DataError(
-            f"{file}: expected a problem file, found a result; slipfree info and slipfree report "
-            "tell about it, slipfree info --problem prints the problem that led to it"
+            f"{file}: expected a problem file, found a result; use slipfree info or slipfree "
+            "report for a result, slipfree info --problem prints its problem"
         )
 
 
 def _begins_with(file: Path, head: bytes) -> bool:
-    """Return whether a file can be read and begins with these bytes."""
+    """Return whether a file can be read and begins with given bytes."""
     try:
         with regular_file(file, "a file"), file.open("rb") as stream:
             return stream.read(len(head)) == head
@@ -109,22 +109,22 @@ def _begins_with(file: Path, head: bytes) -> bool:
 
 
 def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) -> None:
-    """Refuse places that the command line does not name if a user's other files are at risk.
+    """Raise DataError for default output paths that could overwrite other files of the user.
 
     Parameters
     ----------
     out : Path
-        The result file that the problem names, or the default.
+        Result file of the problem, or the default.
     folder : Path or None
-        The folder for figures beside it, unless the command line names one.
+        Folder for figures beside it, unless the command line gives one.
     problem : Problem
         The problem.
 
     Raises
     ------
     DataError
-        If a file is, without symbolic links, outside the working folder and the problem's folder,
-        or would replace a file that is not a result or not a figure.
+        If a path, with symbolic links resolved, is outside the working folder and the problem's
+        folder, or if it would replace a file that is not a result or a figure.
     """
     from slipfree.files.netcdf import is_result
 
@@ -159,7 +159,7 @@ def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) 
 
 
 def check_places(files: list[Path | None], folder: Path | None, problem: Problem[Any]) -> None:
-    """Refuse places that cannot be written to, or that are read, before anything is computed."""
+    """Raise DataError for outputs that cannot be written or are inputs, before any computation."""
     from slipfree.problem.input_files import input_names
 
     taken = {resolve_links(problem.source.path): "the problem file"}
@@ -184,7 +184,7 @@ def check_places(files: list[Path | None], folder: Path | None, problem: Problem
 
 
 def check_page(out: Path, files: Sequence[Path]) -> None:
-    """Refuse a page that cannot be written, or is one of the results, before anything is drawn."""
+    """Raise DataError for a page that cannot be written or is one of the results."""
     check_apart(out, files)
     if out.suffix.lower() not in (".html", ".htm"):
         raise DataError(f"{out}: expected a name that ends in .html")
@@ -192,13 +192,13 @@ def check_page(out: Path, files: Sequence[Path]) -> None:
 
 
 def check_apart(out: Path, files: Sequence[Path]) -> None:
-    """Refuse to write over a result file that is read."""
+    """Raise DataError for an output that is one of the results read."""
     if resolve_links(out) in map(resolve_links, files):
         raise DataError(f"{out}: expected a file of its own, found the result file")
 
 
 def check_place(path: Path) -> None:
-    """Refuse a name of a file that cannot be written, before anything is computed."""
+    """Raise DataError for a file that cannot be written, before any computation."""
     check_name(path)
     if path.is_dir():
         raise DataError(f"{path}: expected the name of a file to write, found a folder")
@@ -216,11 +216,10 @@ def _check_writable(path: Path, folder: Path) -> None:
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], None]]:
-    """Give a function that raises KeyboardInterrupt if Ctrl-C was pressed since.
+    """Yield a function that raises KeyboardInterrupt if Ctrl-C was pressed.
 
-    An exception out of a signal handler gets lost when the integrator's own code is running.
-    Pressed a second time, Ctrl-C acts wherever the program is. Pressed behind the last call of the
-    function, it acts at the end.
+    An exception in a signal handler is lost while the integrator's code runs. A second Ctrl-C acts
+    immediately. A Ctrl-C after the last call of the function acts at the end.
     """
     pressed = told = False
 
@@ -246,7 +245,7 @@ def interruptible() -> Iterator[Callable[[], None]]:
 
 
 def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:
-    """Return the same function, which does nothing if called again too soon."""
+    """Return a function that ignores calls in quick succession."""
     last = 0.0
 
     def seldom(what: Any) -> None:
@@ -260,7 +259,7 @@ def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[
 
 
 def tell(facts: list[tuple[str, str]]) -> None:
-    """Print names and values, or give them as facts in JSON."""
+    """Print names and values, or add them to the facts in JSON."""
     put_facts(facts)
     show(facts)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
 
 FOLDER = "problems"  # in the package
-NEED = ("file", "friction")  # keys that may name another file
+NEED = ("file", "friction")  # keys with names of input files
 
 
 def _complete(begun: str) -> list[str]:
@@ -31,12 +31,15 @@ def examples(
         list[str] | None,
         typer.Argument(
             metavar="[NAME]...",
-            help="Which to copy; all if only --to is given.",
+            help="Problems to copy; all if only --to is given.",
             autocompletion=_complete,
         ),
     ] = None,
     to: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where to; made if needed; default: here.")
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Destination folder, created if needed; default: the current one."
+        ),
     ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace files of the same names.")
@@ -70,7 +73,7 @@ def _shipped() -> dict[str, Traversable]:
 
 
 def _list(shipped: Mapping[str, Traversable]) -> None:
-    """Print names, what is asked for, and titles."""
+    """Print names, verbs and titles."""
     rows = []
     for name, file in shipped.items():
         data = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -85,7 +88,7 @@ def _list(shipped: Mapping[str, Traversable]) -> None:
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
-    """Copy problems, and what they name, to a folder."""
+    """Copy problems with their input files to a folder."""
     texts = {}
     while wanted:
         name = wanted.pop()
@@ -116,7 +119,7 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
 
 
 def _files(table: Any) -> Iterator[str]:
-    """Yield what may be names of other files in a problem."""
+    """Yield possible names of input files in a problem."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _files(value) if key != "output" else ()

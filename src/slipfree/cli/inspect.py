@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def check(file: File, settings: Settings = None) -> None:
-    """Check a problem and stand the vehicle on its start, without solving."""
+    """Check a problem and settle the vehicle at its start, without solving."""
     with reported():
         from slipfree.problem.solve import build
         from slipfree.problem.verbs.registry import verb_of
@@ -50,7 +50,7 @@ def vehicle(
     ],
     settings: Settings = None,
 ) -> None:
-    """Describe a vehicle: parts, unknowns, equations, whether it can roll, and how well."""
+    """Describe a vehicle: parts, unknowns, equations, rolling and conditioning."""
     with reported():
         from slipfree.problem.vehicle_report import describe
 
@@ -64,7 +64,7 @@ def vehicle(
 
 
 def compare(file: File, settings: Settings = None) -> None:
-    """Compare vehicles on one ground: which can roll without slip, how much the others slip."""
+    """Compare vehicles on one ground: rolling without slip, or the slip that remains."""
     with reported():
         from slipfree.problem.build_ground import ground_facts
         from slipfree.problem.load import load_problem
@@ -107,10 +107,10 @@ def _drive(drive: Drive) -> str:
 def info(
     file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
     problem: Annotated[
-        bool, typer.Option("--problem", help="Print the problem file that led to it instead.")
+        bool, typer.Option("--problem", help="Print its problem file instead.")
     ] = False,
 ) -> None:
-    """Say what a result file holds."""
+    """Print the contents of a result file."""
     with reported(), about(file):
         from slipfree.files.netcdf import read
         from slipfree.problem.result import motion_facts
@@ -141,13 +141,13 @@ def export(
     file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
     path: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv|.geojson", help="The path, in the map's coordinates."),
+        typer.Option(metavar="FILE.csv|.geojson", help="Path of the platform in map coordinates."),
     ] = None,
     rates: Annotated[
         Path | None, typer.Option(metavar="FILE.csv", help="Rates of driven wheels and joints.")
     ] = None,
 ) -> None:
-    """Write a result for other programs: the path on its map, rates that a robot plays."""
+    """Export a result for other programs: path on the map, rates for a robot."""
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
 

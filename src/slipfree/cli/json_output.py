@@ -1,4 +1,4 @@
-"""Motions and comparisons as they are told in JSON: numbers beside their units."""
+"""JSON output of motions and comparisons, with units."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def motion_answer(run: Trajectory) -> dict[str, Any]:
 
 
 def stop_answer(stop: Stop | None) -> dict[str, Any] | None:
-    """Return why and when a motion ended early; None if it did not."""
+    """Return reason and time of an early stop; None without one."""
     return None if stop is None else {"name": stop.name, "time": stop.t, "words": stop.words}
 
 
 def quantities(run: Trajectory) -> dict[str, Any]:
-    """Return words, unit, first, last, least and largest value of every quantity by name.
+    """Return description, unit, first, last, smallest and largest value of every quantity.
 
-    First and last values of what belongs to the wheels are arrays, one number a wheel.
+    First and last values of quantities of the wheels are arrays with one number per wheel.
     """
     from slipfree.frames import to_problem_frame
 
@@ -59,7 +59,7 @@ def row_answer(row: Row) -> dict[str, Any]:
 
 
 def _drive(drive: Drive) -> dict[str, Any]:
-    """Return one vehicle driven in one way; every wheel's largest slip."""
+    """Return the JSON of one motion of a vehicle, with the largest slip of every wheel."""
     return {
         "slip_along": {"unit": "m s-1", "max": drive.along},
         "slip_across": {"unit": "m s-1", "max": drive.across},

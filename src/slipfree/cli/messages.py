@@ -1,9 +1,9 @@
-"""How much a command tells, and whether in words or as JSON: options that all commands share.
+"""Output of the commands: common options, messages, details and JSON.
 
-Whatever a command prints stands on stdout; with ``--quiet`` nothing does, with ``--json`` one
-object: what was told as facts, what the command added by `put`, and the meaning of its exit code.
-Errors, warnings and details are lines on stderr. All text passes `say`, which escapes control
-characters: names and titles in files must not steer the terminal.
+Commands print to stdout; with ``--quiet`` nothing, with ``--json`` one object with the facts, the
+values added by `put`, and the meaning of the exit code. Errors, warnings and details are lines on
+stderr. All text passes `say`, which escapes control characters, since names and titles in files
+must not control the terminal.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import typer
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
     DONE: "done",
-    STOPPED: "stopped early or failed; files lists what was saved",
+    STOPPED: "stopped early or failed; see files for the saved results",
     BAD_INPUT: "bad input, or an extra that is not installed",
     INTERRUPTED: "interrupted",
 }
@@ -40,20 +40,20 @@ CONTROL = re.compile(
     r"\ud800-\udfff]|\r(?!\n)"
 )
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 Verbose = Annotated[
-    bool, typer.Option("--verbose", "-v", help="Say on stderr what is done, and when.")
+    bool, typer.Option("--verbose", "-v", help="Print every step with its time on stderr.")
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of words.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 
 class Voice(NamedTuple):
-    """What the user wants to be told.
+    """Options of the output.
 
     Attributes
     ----------
     quiet, verbose, json : bool
-        As the options of these names.
+        Values of the options of these names.
     """
 
     quiet: bool = False
@@ -63,10 +63,10 @@ class Voice(NamedTuple):
 
 @dataclass
 class _Answer:
-    """What is told by one command, in the order in which it is told.
+    """Output of one command.
 
-    Details go to the stderr of its beginning: the integrator's own messages are kept from stderr
-    while it runs.
+    Details go to the original stderr, since messages of the integrator are kept from stderr while
+    it runs.
     """
 
     voice: Voice
@@ -75,22 +75,22 @@ class _Answer:
     content: dict[str, Any] = field(default_factory=dict)
 
 
-_asked = [Voice()]  # before the command's name
-_speakers: list[_Answer] = []  # the command that runs, if one does
+_asked = [Voice()]  # options given before the command's name
+_speakers: list[_Answer] = []  # output of the running command, if there is one
 
 
 def _said() -> _Answer:
-    """Return what the command has told so far; outside of commands, nothing."""
+    """Return the output of the running command; an empty one outside of commands."""
     return _speakers[-1] if _speakers else _Answer(Voice())
 
 
 def ask(quiet: bool, verbose: bool, json: bool) -> None:
-    """Remember options given before the command's name."""
+    """Store options given before the command's name."""
     _asked[:] = [Voice(quiet, verbose, json)]
 
 
 def voiced(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that takes ``--quiet``, ``--verbose`` and ``--json`` as well."""
+    """Return a command with the options ``--quiet``, ``--verbose`` and ``--json``."""
     hints = get_type_hints(command, include_extras=True)
     own = inspect.signature(command).parameters.values()
     options = {"quiet": Quiet, "verbose": Verbose, "json": Json}
@@ -116,13 +116,13 @@ def voiced(command: Callable[..., None]) -> Callable[..., None]:
     ]
     spoken.__dict__["__signature__"] = inspect.Signature(given)
     spoken.__annotations__ = hints
-    del spoken.__dict__["__wrapped__"]  # whose signature lacks the options
+    del spoken.__dict__["__wrapped__"]  # its signature lacks the options
     return spoken
 
 
 @contextmanager
 def _speaking(name: str, voice: Voice) -> Iterator[None]:
-    """Let a command speak as is wanted; print the JSON object at its end."""
+    """Collect the output of a command; print the JSON object at its end."""
     answer = _Answer(voice)
     _speakers.append(answer)
     code = STOPPED
@@ -142,7 +142,7 @@ def _speaking(name: str, voice: Voice) -> Iterator[None]:
 
 
 def _check_folder() -> None:
-    """Refuse to work in a folder that is gone: libraries ask for its name."""
+    """Exit if the current folder does not exist, since libraries need its name."""
     try:
         Path.cwd()
     except OSError as error:
@@ -168,8 +168,8 @@ def say(words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | N
 
 
 def fail(error: OSError) -> NoReturn:
-    """Report a system error that has no message of its own: a full disk, a medium that fails."""
-    if error.errno == errno.EPIPE:  # whoever read the output is gone: typer ends without a word
+    """Report a system error without a message of its own, such as a full disk, and exit."""
+    if error.errno == errno.EPIPE:  # the reader of the output is gone: typer ends silently
         raise error
     name = f"{error.filename}: " if error.filename else ""
     complain(f"{name}reading or writing failed ({error.strerror or error})")
@@ -184,14 +184,14 @@ def print_json(command: str, code: int, content: Mapping[str, Any]) -> None:
 
 
 def put(name: str, make: Callable[[], Any]) -> None:
-    """Add a value to the JSON object, if one is wanted; what makes it is not called otherwise."""
+    """Add a value to the JSON object; ``make`` is called only with ``--json``."""
     answer = _said()
     if answer.voice.json:
         answer.content[name] = make()
 
 
 def put_facts(facts: list[tuple[str, str]]) -> None:
-    """Add names and words to the facts of the JSON object; indented names belong to those above."""
+    """Add facts to the JSON object; indented names belong to the names above."""
     found, above = _said().content.setdefault("facts", {}), ""
     for name, words in facts:
         above = above if name.startswith(" ") else name
@@ -205,19 +205,19 @@ def put_file(file: object) -> None:
 
 
 def put_lines(name: str, words: str) -> None:
-    """Add lines of words to the JSON object."""
+    """Add lines of text to the JSON object."""
     _said().content.setdefault(name, []).extend(words.splitlines())
 
 
 def warn(words: str) -> None:
-    """Print a warning on stderr, unless only errors are wanted."""
+    """Print a warning on stderr, unless ``--quiet`` is given."""
     put_lines("warnings", words)
     if not _said().voice.quiet:
         say(f"warning: {words}", err=True)
 
 
 def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Print a warning of the library, if it is a new one."""
+    """Print a warning of the library once."""
     if not set(str(message).splitlines()) <= set(_said().content.get("warnings", ())):
         warn(str(message))
 
@@ -225,12 +225,12 @@ def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
 def complain(words: str) -> None:
     """Print an error on stderr."""
     put_lines("errors", words)
-    with suppress(OSError):  # of a stderr that is full: the exit code still tells
+    with suppress(OSError):  # stderr may be full: the exit code still reports the error
         say(words, err=True)
 
 
 def detail(words: str) -> None:
-    """Print on stderr what was just done and how long after the start, if that is wanted."""
+    """Print a completed step with the time since the start on stderr, with ``--verbose``."""
     answer = _said()
     if answer.voice.verbose:
         elapsed = time.perf_counter() - answer.began
@@ -238,22 +238,22 @@ def detail(words: str) -> None:
 
 
 def has_bar() -> bool:
-    """Return whether progress may be shown by a bar on a terminal: nothing else is to be said."""
+    """Return whether a progress bar may be shown: on a terminal, without details."""
     return not any(_said().voice)
 
 
 def is_quiet() -> bool:
-    """Return whether only errors are wanted."""
+    """Return whether ``--quiet`` or ``--json`` suppresses text."""
     return _said().voice.quiet
 
 
 def is_verbose() -> bool:
-    """Return whether details are wanted."""
+    """Return whether ``--verbose`` is given."""
     return _said().voice.verbose
 
 
 def plain(value: Any) -> Any:
-    """Return a value as JSON has it: numbers that are not finite become null."""
+    """Return a value for JSON; numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, str) or value is None:

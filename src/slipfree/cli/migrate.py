@@ -1,4 +1,4 @@
-"""``slipfree migrate``: files of version 0.1 with today's keys."""
+"""``slipfree migrate``: migration of files of version 0.1."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slipfree.cli.messages import put, put_file, say
 from slipfree.errors import DataError
 from slipfree.regular_files import resolve_links
 
-SUFFIX = ".bak"  # of the file as it was
+SUFFIX = ".bak"  # of the original file
 
 
 def migrate(
@@ -26,11 +26,11 @@ def migrate(
             "-o",
             "--output",
             metavar="NEW.toml",
-            help="Where to write; default: FILE itself, with the old file kept as FILE.bak.",
+            help="File to write; default: FILE itself, with the old file kept as FILE.bak.",
         ),
     ] = None,
 ) -> None:
-    """Rewrite a problem or vehicle file of version 0.1 with today's keys; comments are kept."""
+    """Rewrite a problem or vehicle file of version 0.1 with current keys; comments are kept."""
     with reported():
         from slipfree.files.toml.reader import read_text
         from slipfree.problem.migrate import migrate_text
@@ -54,15 +54,13 @@ def migrate(
 
 
 def _check_new(path: Path, file: Path) -> None:
-    """Refuse a name at which there is a file."""
+    """Raise DataError if the output file exists."""
     check_place(path)
     if resolve_links(path) == resolve_links(file):
-        raise DataError(
-            f"{path}: expected a file of its own, found FILE itself; leave out -o to rewrite it"
-        )
+        raise DataError(f"{path}: expected another file than FILE; omit -o to rewrite FILE itself")
     if path.exists():
         raise DataError(
-            f"{path}: expected no file of that name, found one; move it, or choose another by -o"
+            f"{path}: expected no file of this name, found one; move it, or choose another by -o"
         )
 
 

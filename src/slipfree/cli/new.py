@@ -1,4 +1,4 @@
-"""``slipfree new``: a commented problem file to start from."""
+"""``slipfree new``: a commented problem file as a template."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from slipfree.cli.messages import put_file, say
 from slipfree.errors import DataError
 
 FOLDER = "starters"  # in the package
-HOLE = "FILE"  # in a starter's comments, for its own name
+HOLE = "FILE"  # placeholder of the file's name in comments
 
 
 class Kind(StrEnum):
-    """What is asked for."""
+    """Kinds of problems."""
 
     direct = "direct"
     inverse = "inverse"
@@ -27,11 +27,11 @@ class Kind(StrEnum):
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="What is asked for.")],
+    kind: Annotated[Kind, typer.Argument(help="Kind of the problem.")],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
-    force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write NAME.toml, a commented problem that runs, to be changed."""
+    """Write NAME.toml, a commented problem that runs, as a template."""
     with reported():
         from importlib.resources import files
 
@@ -45,7 +45,7 @@ def new(
 
 
 def place(text: str, out: Path, force: bool) -> None:
-    """Write a file, unless there is one of that name that is not to be replaced."""
+    """Write a file; raise DataError if it exists, unless ``force`` is set."""
     check_place(out)
     if out.exists() and not force:
         raise DataError(f"{out}: expected no file of that name, found one; replace it by --force")

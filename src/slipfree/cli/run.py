@@ -1,4 +1,4 @@
-"""``slipfree run``: solve a problem, write and draw what came of it."""
+"""``slipfree run``: solve a problem, write and draw the result."""
 
 from __future__ import annotations
 
@@ -49,9 +49,7 @@ Out = Annotated[
         help="Result file; default: the problem's [output] file, or its name with .nc, here.",
     ),
 ]
-Csv = Annotated[
-    Path | None, typer.Option(metavar="OUT.csv", help="Write the samples as a table as well.")
-]
+Csv = Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Also write the samples as CSV.")]
 Figures = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
@@ -63,18 +61,18 @@ DrawAll = Annotated[
 CrossCheck = Annotated[
     bool,
     typer.Option(
-        "--cross-check", help="Solve in the other formulation of contact too, and compare."
+        "--cross-check", help="Also solve with the other formulation of contact, and compare."
     ),
 ]
 Resume = Annotated[
     Path | None,
     typer.Option(
         metavar="OUT.nc",
-        help="Start a plan from the one in a result file, whatever its mesh, ground or goal.",
+        help="Start a plan from the plan in a result file; mesh, ground or goal may differ.",
     ),
 ]
 Animation = Annotated[
-    Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as a moving picture.")
+    Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as an animation.")
 ]
 
 
@@ -121,7 +119,7 @@ def run(
 def _places(
     problem: Problem[Any], out: Path | None, figures: Path | None, *, draw: bool
 ) -> tuple[Path, Path | None]:
-    """Return the result file and the folder for figures; refuse default places at risk."""
+    """Return the result file and the folder for figures, with default paths checked."""
     is_named = bool(out or (problem.spec.output and problem.source.is_set(OUTPUT)))
     out = out or Path(output_of(problem))
     folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
@@ -133,7 +131,7 @@ def _places(
 def _check_options(
     problem: Problem[Any], cross_check: bool, resume: Path | None, animation: Path | None
 ) -> None:
-    """Refuse options that the verb does not offer, before anything is computed."""
+    """Raise DataError for options that the verb does not offer, before any computation."""
     from slipfree.problem.verbs.base import ANIMATION, CROSS_CHECK, RESUME
     from slipfree.problem.verbs.registry import check_option
 
@@ -152,23 +150,23 @@ def output_of(problem: Problem[Any]) -> str:
 
 
 def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) -> Result:
-    """Return the result; report the progress meanwhile."""
+    """Return the result, and report the progress."""
     from slipfree.problem.solve import run_problem
 
     duration = problem.spec.time.duration if verb.is_timed else None
     with reporting(duration) as reports:
-        return _told(run_problem(problem, *reports, former))
+        return _report_counts(run_problem(problem, *reports, former))
 
 
-def _told(result: Result) -> Result:
-    """Say what the solver counted."""
+def _report_counts(result: Result) -> Result:
+    """Print the counts of the solver as a detail."""
     counts = result.trajectory.statistics.items()
     detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
     return result
 
 
 def _former(file: Path | None) -> SavedPlan | None:
-    """Return the plan to start from, if one is named."""
+    """Return the plan of ``--resume``; None without the option."""
     from slipfree.files.netcdf import read_arrays
     from slipfree.plan.warm_start import from_arrays
 
@@ -176,7 +174,7 @@ def _former(file: Path | None) -> SavedPlan | None:
 
 
 def _wrote(*files: Path) -> None:
-    """Say which files were written."""
+    """Print the names of written files."""
     for file in files:
         put_file(file)
     names = ", ".join(map(str, files))
@@ -206,7 +204,7 @@ def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
 
 
 def _cross_check(result: Result) -> None:
-    """Print where the two formulations of contact differ, the largest differences first."""
+    """Print the differences of the two formulations of contact, the largest first."""
     from slipfree.problem.solve import cross_check
 
     other, found = cross_check(result)

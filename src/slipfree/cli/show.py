@@ -1,4 +1,4 @@
-"""``slipfree show``: look at results in space, in a browser, as a page or as a film."""
+"""``slipfree show``: results in space, in a browser, as a page or as an animation."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ Layer = Literal["height", "slope", "traversability"]
 
 def show(
     files: Annotated[
-        list[Path], typer.Argument(metavar="OUT.nc...", help="Result files, of one ground.")
+        list[Path], typer.Argument(metavar="OUT.nc...", help="Result files on the same ground.")
     ],
     html: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.html", help="Save one page that plays by itself instead."),
+        typer.Option(metavar="FILE.html", help="Save a self-contained page instead."),
     ] = None,
     animation: Annotated[
-        Path | None, typer.Option(metavar="FILE.gif|.mp4", help="Save a film instead.")
+        Path | None, typer.Option(metavar="FILE.gif|.mp4", help="Save an animation instead.")
     ] = None,
-    color: Annotated[Layer, typer.Option(help="What colors the ground at first.")] = "height",
+    color: Annotated[Layer, typer.Option(help="Initial colouring of the ground.")] = "height",
     folder: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Where files that the problem names are; default: beside the result, or here.",
+            help="Folder of the input files; default: beside the result, or the current folder.",
         ),
     ] = None,
     port: Annotated[
@@ -73,7 +73,7 @@ def show(
 
 
 def _check_places(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
-    """Refuse places that cannot be written to, before anything is computed."""
+    """Raise DataError for outputs that cannot be written, before any computation."""
     if html is not None:
         check_page(html, files)
     if animation is not None:
@@ -89,7 +89,7 @@ def _write(part: Path, text: str) -> None:
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]]:
-    """Return the motions of result files, and what draws them."""
+    """Return the motions of result files, and the functions that draw them."""
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of
     from slipfree.show.thinning import SCENE_SAMPLES
@@ -108,7 +108,7 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """Return the names of files as far as they tell them apart."""
+    """Return the shortest distinct names of files."""
     names = [file.stem for file in files]
     names = names if len({*names}) == len(names) else [str(file) for file in files]
     return [escape_name(name) for name in names]
@@ -126,7 +126,7 @@ def _film(scene: Scene, title: str, file: Path) -> None:
 
 
 def _ready(url: str, browser: bool) -> None:
-    """Say where the page is, however quiet all else is, and open it if somebody can see it."""
+    """Print the address of the page, also with ``--quiet``, and open it on request."""
     say(f"{url} shows it; Ctrl-C ends it", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from slipfree.sweep.log import Rows
     from slipfree.sweep.pools import Pool
 
-MOST_KEYS = 2  # that are drawn
+MOST_KEYS = 2  # largest number of varied keys in figures
 FIGURES = "figures"
 FIRST_LINE, LINES_APART = 1.0, 60.0  # of progress without a terminal [s]
 
@@ -40,9 +40,7 @@ def sweep(
     ] = None,
     repeat: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="N", help="Run each combination N times, with other seeds everywhere."
-        ),
+        typer.Option(min=1, metavar="N", help="Run each combination N times with different seeds."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The first seed of --repeat.")] = 1,
     settings: Settings = None,
@@ -52,12 +50,13 @@ def sweep(
             "-o",
             "--output",
             metavar="DIR",
-            help="Folder of the results; default: the problem's name with _sweep, here. "
-            "If it has some of this sweep, the others are done.",
+            help="Folder of the results; default: the problem's name with _sweep. "
+            "Runs of this sweep that it already contains are not repeated.",
         ),
     ] = None,
     processes: Annotated[
-        int | None, typer.Option(min=1, metavar="P", help="Processes; default: one a core.")
+        int | None,
+        typer.Option(min=1, metavar="P", help="Number of processes; default: one per core."),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -70,17 +69,18 @@ def sweep(
     figures: Annotated[
         list[str] | None,
         typer.Option(
-            "--figure", metavar="NAME", help="A figure of the runs to tell and draw; repeatable."
+            "--figure", metavar="NAME", help="Metric of the runs to print and draw; repeatable."
         ),
     ] = None,
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be run, and how long; run nothing.")
+        bool,
+        typer.Option("--dry-run", help="Print the runs and their estimated time; run nothing."),
     ] = False,
 ) -> None:
     """Run a problem for many values and seeds: write one table, print a summary, draw figures.
 
-    The same command goes on with a sweep that was interrupted or killed.
+    The same command continues a sweep that was interrupted or killed.
     """
     with reported():
         from slipfree.codegen_cache import obstacle
@@ -113,7 +113,7 @@ def sweep(
 
 
 def _check_figures(folder: Path) -> None:
-    """Refuse a place for figures that is none, before anything runs."""
+    """Raise DataError for an invalid folder for figures, before any run."""
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(
@@ -123,7 +123,7 @@ def _check_figures(folder: Path) -> None:
 
 
 def _tell_plan(plan: Sweep, folder: Path, processes: int) -> None:
-    """Print what a sweep would run, and how long as far as finished runs tell."""
+    """Print the runs of a sweep, and their time estimated from finished runs."""
     from slipfree.sweep.log import NAME, Log
     from slipfree.sweep.table import plan_facts
 
@@ -150,7 +150,7 @@ def duration(seconds: float) -> str:
 
 
 def _tell_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
-    """Warn of runs that were finished before their results were to be kept."""
+    """Warn about finished runs without result files."""
     from slipfree.sweep.run import missing_results, result_path
 
     if missing := missing_results(folder, plan, rows):
@@ -172,21 +172,21 @@ def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
         return lambda: ProcessPool(count or _cores())
     if count is not None:
         raise DataError(
-            "--scheduler: expected it without --processes, found both; a cluster has as many "
+            "--scheduler: expected --scheduler or --processes, found both; a cluster has as many "
             "processes as workers"
         )
     return lambda: Cluster(scheduler, warn)
 
 
 def _cores() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:
-    """Return the rows of all runs; show progress meanwhile."""
+    """Return the rows of all runs, and show the progress."""
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
 
@@ -203,7 +203,7 @@ def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again
 
 @contextmanager
 def _progress(words: str) -> Iterator[Callable[..., None]]:
-    """Give a function that shows how much is done: a bar on a terminal, else lines on stderr.
+    """Yield a function that shows the progress: a bar on a terminal, else lines on stderr.
 
     It takes the number done, that of all, and words. Lines come after a second, then ever more
     seldom, down to one a minute.

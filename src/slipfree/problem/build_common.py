@@ -58,7 +58,7 @@ class Setup:
 
     @property
     def facts(self) -> Facts:
-        """Names and words about ground, vehicle and drive."""
+        """Facts about ground, vehicle and inputs."""
         drive = ("driven by", self.driven)
         return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
 

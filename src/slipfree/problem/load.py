@@ -126,7 +126,7 @@ def _with_remedy(source: Source, faults: Sequence[Fault]) -> Iterator[Fault]:
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:
-    """Return the verb of a problem, the first if there is none; refuse that of another command."""
+    """Return the verb of a problem, the first by default; raise for verbs of other commands."""
     if "verb" not in data:
         return verbs[0]
     for verb in verbs:

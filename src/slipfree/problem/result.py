@@ -55,7 +55,7 @@ def open_result(
 
 
 def motion_facts(run: Trajectory) -> Facts:
-    """Return the summary of a motion: names and words."""
+    """Return the summary of a motion as names and texts."""
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     return plain_facts(run) if verb is None else verb.facts(run)
 
@@ -81,7 +81,7 @@ def shown(file: Path, name: str, folder: Path | None = None) -> Any:
 
 
 def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Problem[Any]:
-    """Return the problem whose text and settings a result holds.
+    """Return the problem stored in a result.
 
     Parameters
     ----------

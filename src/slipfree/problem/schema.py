@@ -29,15 +29,17 @@ from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
 
-MOST_SAMPLES = 1_000_000  # largest number of samples of a motion
-VERB = "what is asked for"
-TOLERANCE = "of the integrator, absolute and relative [1]"
-SIZED = "of the integrator, absolute and relative; that of lengths in sizes of the vehicle [1]"
-COMPILED = "whether to compile the equations, seconds once a vehicle; they are kept"
+MOST_SAMPLES = (
+    1_000_000  # largest number of samples of a motion  # largest number of samples of a motion
+)
+VERB = "kind of the problem"
+TOLERANCE = "tolerance of the integrator, absolute and relative [1]"
+SIZED = "tolerance of the integrator, absolute and relative; lengths in vehicle sizes [1]"
+COMPILED = "whether to compile the equations; takes seconds once per vehicle, and is cached"
 MODEL = "kinematics: the slip law determines the rates; quasi-static: the wheel-ground law does"
 SLIP = "slip law, for model = 'kinematics': least slip, or rolling without slip"
 LAW = "parameters of the slip law or of the wheel-ground law, in a table of its name"
-INPUTS = "rates by name: of driven wheels, and of joints that are commanded [rad/s, m/s]"
+INPUTS = "rates of driven wheels and commanded joints, by name [rad/s, m/s]"
 
 
 class Vehicle(Record):
@@ -50,7 +52,7 @@ class Vehicle(Record):
         default=None, description="a vehicle file or a URDF"
     )
     actuated: Annotated[tuple[str, ...], Field(strict=False)] = Field(
-        default=(), description="passive joints that an actuator moves, or holds"
+        default=(), description="passive joints with an actuator, which moves or holds them"
     )
 
     @model_validator(mode="wrap")
@@ -61,16 +63,16 @@ class Vehicle(Record):
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """What is given to the function of the catalogue."""
+        """Keyword arguments of the function of the catalogue."""
         return self.model_dump(exclude_none=True, exclude=set(OWN))
 
 
 class Driver(Record):
-    """A driving law: straight on from the start, or along a path of way-points."""
+    """A driving law: straight ahead from the start, or along a path."""
 
-    name: Literal["straight", "follow"] = Field(description="of the law")
+    name: Literal["straight", "follow"] = Field(description="name of the law")
     speed: Annotated[float, AfterValidator(not_zero)] = Field(
-        description="forward; negative to reverse [m/s]"
+        description="forward speed; negative to drive backward [m/s]"
     )
     path: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="way-points to follow [m]"
@@ -81,14 +83,14 @@ class Driver(Record):
 
 
 class Time(Record):
-    """How long, and how often the motion is sampled."""
+    """Duration and sampling of the motion."""
 
-    duration: Positive = Field(description="of the motion [s]")
-    step: Positive = Field(description="between samples of the result [s]")
+    duration: Positive = Field(description="duration of the motion [s]")
+    step: Positive = Field(description="time between samples of the result [s]")
 
 
 class Solver(Record):
-    """What is asked of the integrator."""
+    """Options of the integrator."""
 
     tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
         default=1e-8, description=SIZED
@@ -102,7 +104,7 @@ class Solver(Record):
 
 
 class Output(Record):
-    """Where the result goes."""
+    """Destination of the result."""
 
     file: Annotated[str, Field(min_length=1)] = Field(
         description="the result file (.nc), in the working folder or the problem's folder"
@@ -110,12 +112,12 @@ class Output(Record):
 
 
 class Asked(Record):
-    """What every problem has: what is asked for, and for what time."""
+    """Common keys of all problems: verb, title, time and solver."""
 
     verb: str = Field(description=VERB)
-    title: str | None = Field(default=None, description="of the result and its figures")
-    time: Time = Field(description="how long, and how often sampled")
-    solver: Solver = Field(default=Solver(), description="what is asked of the integrator")
+    title: str | None = Field(default=None, description="title of the result and its figures")
+    time: Time = Field(description="duration and sampling")
+    solver: Solver = Field(default=Solver(), description="options of the integrator")
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {}
     """Tables with several keys each of which exactly one is required."""
@@ -139,15 +141,15 @@ class Asked(Record):
 class Runnable(Asked):
     """Keys of the problems that ``slipfree run`` solves."""
 
-    output: Output | None = Field(default=None, description="where the result goes")
+    output: Output | None = Field(default=None, description="destination of the result")
 
 
 class Task(Asked):
-    """What every problem has that happens on terrain: a ground, and a start on it."""
+    """Common keys of problems on terrain: ground and start."""
 
     terrain: Terrain = Field(description="the ground")
     start: dict[str, Quantity] = Field(
-        description="x, y, heading (counter-clockwise, from the axis that frame names) and joints; "
+        description="x, y, heading (counter-clockwise, from the axis of frame) and joints; "
         "zero by default [m, rad]"
     )
 
@@ -157,18 +159,18 @@ class Task(Asked):
 
 
 class Motion(Task, Runnable):
-    """What every problem has that asks for the motion of one vehicle."""
+    """Common keys of problems with the motion of one vehicle."""
 
     frame: Frame = Field(
         default="paper",
-        description="from which axis headings count, also in summaries, exports and figures: y, or "
-        "x (REP 103)",
+        description="zero of headings, also in summaries, exports and figures: the y axis, or "
+        "the x axis (REP 103)",
     )
-    vehicle: Vehicle = Field(description="what moves")
+    vehicle: Vehicle = Field(description="the vehicle")
 
 
 class Modelled(Motion):
-    """Keys of the problems whose model is chosen."""
+    """Keys of problems with a choice of model."""
 
     model: Literal["kinematics", "quasi-static"] = Field(default="kinematics", description=MODEL)
     slip: SlipName = Field(default="least", description=SLIP)

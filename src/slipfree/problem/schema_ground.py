@@ -17,11 +17,11 @@ from slipfree.files.toml.types import (
     coefficient,
 )
 
-SEED = "of the random numbers"
+SEED = "seed of the random numbers"
 
 
 class PowerLaw(Record):
-    """Roughness that falls with the wave number by a power, added to the ground."""
+    """Self-affine roughness, whose spectrum is a power of the wave number."""
 
     rms: Positive = Field(description="root mean square of the added heights [m]")
     hurst: Annotated[float, Field(gt=0, le=1)] = Field(
@@ -35,7 +35,7 @@ class PowerLaw(Record):
 class Craters(Record):
     """Craters scattered over the ground."""
 
-    count: Count = Field(description="how many; more keep those of fewer")
+    count: Count = Field(description="number; a larger number adds to those of a smaller one")
     diameters: Pair = Field(description="smallest and largest, from crest to crest [m]")
     seed: Count = Field(description=SEED)
 
@@ -43,7 +43,7 @@ class Craters(Record):
 class Rocks(Record):
     """Rocks scattered over the ground."""
 
-    count: Count = Field(description="how many; more keep those of fewer")
+    count: Count = Field(description="number; a larger number adds to those of a smaller one")
     diameters: Pair = Field(description="smallest and largest [m]")
     height_ratio: Positive = Field(description="height over diameter [1]")
     seed: Count = Field(description=SEED)
@@ -54,29 +54,29 @@ class Ramp(Record):
 
     start: float = Field(description="y where it begins [m]")
     end: float = Field(description="y where it ends [m]")
-    rise: float = Field(description="height beyond it [m]")
+    rise: float = Field(description="height behind the ramp [m]")
     smooth: bool = Field(
         default=True,
-        description="slope without jumps, 15/8 of the mean at most; else an even slope",
+        description="whether the slope is continuous, at most 15/8 of its mean; otherwise constant",
     )
     rounding: NonNegative = Field(
-        default=0.0, description="length over which either edge of an even slope is round [m]"
+        default=0.0, description="length of the rounding of each edge of a constant slope [m]"
     )
 
 
 class Synthetic(Record):
-    """A made ground: a level grid, and what is added to it in the order of these keys."""
+    """A synthetic ground: a level grid with additions in the order of these keys."""
 
     x: Pair = Field(description="first and last node [m]")
     y: Pair = Field(description="first and last node [m]")
-    spacing: Positive = Field(description="between nodes [m]")
-    base: float = Field(default=0.0, description="height before anything is added [m]")
+    spacing: Positive = Field(description="distance between nodes [m]")
+    base: float = Field(default=0.0, description="height of the level grid [m]")
     ramp: Ramp | None = Field(default=None, description="a ramp along y")
     power_law: PowerLaw | None = Field(default=None, description="roughness")
-    craters: Craters | None = Field(default=None, description="craters, scattered")
-    rocks: Rocks | None = Field(default=None, description="rocks, scattered")
+    craters: Craters | None = Field(default=None, description="random craters")
+    rocks: Rocks | None = Field(default=None, description="random rocks")
     placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = Field(
-        default=(), description="rocks at places [m]"
+        default=(), description="rocks at given positions [m]"
     )
 
 
@@ -91,33 +91,33 @@ class ElevationError(Record):
 
 
 class Terrain(Record):
-    """The ground: a file, the sample that matplotlib ships, or a made one; and its friction."""
+    """The ground: a file, matplotlib's sample, or a synthetic one; and its friction."""
 
-    file: str | None = Field(default=None, description="the map, beside the problem file")
+    file: str | None = Field(default=None, description="the map file, relative to the problem file")
     sample: Literal["jacksboro"] | None = Field(
-        default=None, description="the map that matplotlib ships"
+        default=None, description="the sample map of matplotlib"
     )
-    synthetic: Synthetic | None = Field(default=None, description="a made ground")
+    synthetic: Synthetic | None = Field(default=None, description="a synthetic ground")
     cell: Positive | None = Field(
-        default=None, description="width of a cell of a picture that does not say it [m]"
+        default=None, description="width of a cell, for pictures without coordinates [m]"
     )
     registration: Literal["area", "point"] | None = Field(
         default=None,
-        description="of such a picture: values belong to the middles of cells, or to nodes",
+        description="position of the values of such a picture: centres of cells, or nodes",
     )
     spacing: Positive | None = Field(
-        default=None, description="between nodes, for scattered points [m]"
+        default=None, description="distance between nodes, for scattered points [m]"
     )
     geographic: Literal["local"] | None = Field(
-        default=None, description="makes metres of degrees; without it degrees are refused"
+        default=None, description="converts degrees to metres; without it degrees are an error"
     )
     fill: Literal["linear"] | None = Field(
         default=None,
-        description="fills holes from the heights around; without it holes are refused",
+        description="fills holes from surrounding heights; without it holes are an error",
     )
-    scale: Positive = Field(default=1.0, description="multiplies x, y and heights [1]")
-    horizontal_scale: Positive = Field(default=1.0, description="multiplies x and y besides [1]")
-    vertical_scale: Positive = Field(default=1.0, description="multiplies heights besides [1]")
+    scale: Positive = Field(default=1.0, description="factor on x, y and heights [1]")
+    horizontal_scale: Positive = Field(default=1.0, description="further factor on x and y [1]")
+    vertical_scale: Positive = Field(default=1.0, description="further factor on heights [1]")
     window: Window | None = Field(
         default=None, description="part that is used, in coordinates of the scaled ground [m]"
     )
@@ -126,7 +126,7 @@ class Terrain(Record):
     )
     error: ElevationError | None = Field(default=None, description="a random error of the heights")
     rolled: Positive | None = Field(
-        default=None, description="radius of the wheel as which the ground is felt, the largest [m]"
+        default=None, description="radius of the largest wheel, for which hollows are filled [m]"
     )
     friction: Annotated[float | str | None, PlainValidator(coefficient)] = Field(
         default=None, description="coefficient of friction, or the name of a map of it [1]"

@@ -16,11 +16,11 @@ from slipfree.sweep.process import run_task
 from slipfree.sweep.task import Done, Task, without_motion
 from slipfree.version import __version__
 
-CONNECT = 10.0  # how long to look for a scheduler [s]
-PATIENCE = 1.0  # between two looks at the number of workers [s]
-NONE_LEFT = "no workers are left; waiting for some to come back (Ctrl-C ends the sweep)"
-BACK = "workers are back; the sweep goes on"
-AHEAD = 2  # tasks that each worker holds, so that it need not wait for the next one
+CONNECT = 10.0  # timeout for the connection to a scheduler [s]
+PATIENCE = 1.0  # time between checks of the number of workers [s]
+NONE_LEFT = "no workers are left; waiting for workers (Ctrl-C ends the sweep)"
+BACK = "workers are available again; the sweep continues"
+AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 
 
 class Cluster:
@@ -50,7 +50,7 @@ class Cluster:
         self._open: dict[str, Any] = {}
 
     def room(self) -> int:
-        """Return how many tasks the workers take; warn when all are gone, and when some are back.
+        """Return the number of tasks that the workers take; warn when all are lost or return.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class Cluster:
 
 
 def _connect(address: str) -> Any:
-    """Return a client of a scheduler whose workers are fit for the runs."""
+    """Return a client of a scheduler, with its workers checked."""
     try:
         from distributed import Client
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""What a sweep runs: values of keys, seeds, and the settings of every run."""
+"""Grid of a sweep: values of keys, seeds, and the settings of every run."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from slipfree.version import __version__
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*:\s*(\d+)\s*")
 WHOLE = re.compile(r"\s*[+-]?\d+\s*")
-DIGITS = 12  # of the values of a range: 0.3, not 0.30000000000000004
+DIGITS = 12  # significant digits of the values of a range: 0.3, not 0.30000000000000004
 MOST_RUNS = 100_000
 SEED = "seed"  # last part of the keys that repetitions change
 
 
 class Axis(NamedTuple):
-    """A key that a sweep varies, and its values as they are set.
+    """A varied key and its values.
 
     Attributes
     ----------
     key : str
-        As in ``inputs.left_rate``.
+        Dotted key such as ``inputs.left_rate``.
     values : tuple of str
-        In TOML, or bare words.
+        Values in TOML, or bare words.
     """
 
     key: str
@@ -46,7 +46,7 @@ class Axis(NamedTuple):
 
     @property
     def numbers(self) -> tuple[float, ...] | None:
-        """The values as numbers; None if one of them is none."""
+        """The values as numbers; None if one of them is not a number."""
         try:
             return tuple(map(float, self.values))
         except ValueError:
@@ -59,13 +59,13 @@ class Run(NamedTuple):
     Attributes
     ----------
     number : int
-        From 1 on.
+        Number of the run, from 1 on.
     values : tuple of str
-        One a varied key.
+        One value per varied key.
     seeds : tuple of int
-        One a key of a seed.
+        One seed per key of a seed.
     settings : tuple of str
-        All that is set beside the problem file, as ``key=value``.
+        All settings that replace values of the problem file, as ``key=value``.
     """
 
     number: int
@@ -76,24 +76,24 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Sweep:
-    """A problem and all that is varied of it.
+    """A problem and its varied keys.
 
     Attributes
     ----------
     problem : Problem
-        Of the first run.
+        Problem of the first run.
     settings : tuple of str
-        What is set for all runs.
+        Settings of all runs.
     axes : tuple of Axis
-        What is varied.
+        Varied keys.
     seeds : tuple of str
-        Keys that get a seed of their own in every repetition; none if nothing is repeated.
+        Keys with a seed of their own in every repetition; empty without repetitions.
     repeat : int
         Number of repetitions of every point of the grid.
     seed : int
         The first seed.
     files : mapping of str to str
-        SHA-256 of all input files that its problems name, by their names.
+        SHA-256 of all input files by name.
     """
 
     problem: Problem[Any]
@@ -111,17 +111,17 @@ class Sweep:
 
     @property
     def count(self) -> int:
-        """The number of runs."""
+        """Number of runs."""
         return int(np.prod([len(axis.values) for axis in self.axes], dtype=int)) * self.repeat
 
     def runs(self) -> Iterator[Run]:
-        """Yield all runs: the last key varies fastest but for the seeds, which vary within."""
+        """Yield all runs; the seeds vary fastest, then the last key."""
         number = 0
         for values in product(*(axis.values for axis in self.axes)):
             for k in range(self.repeat):
                 number += 1
-                # Each key draws from seeds of its own: equal ones would make its random ground
-                # and, say, the error of its heights waves of the same directions.
+                # each key has seeds of its own: equal seeds would correlate, for example, the
+                # random ground and its elevation error
                 seeds = tuple(self.seed + k + self.repeat * i for i in range(len(self.seeds)))
                 pairs = zip(self.keys, (*values, *map(str, seeds)), strict=True)
                 own = tuple(f"{key}={value}" for key, value in pairs)
@@ -129,7 +129,7 @@ class Sweep:
 
     @property
     def head(self) -> dict[str, Any]:
-        """What makes results comparable, for the first line of the log; the same everywhere."""
+        """Identity of the sweep for the first line of the log; equal for comparable results."""
         text = "\n".join(self.problem.source.text.splitlines())
         return {
             "slipfree": __version__,
@@ -165,7 +165,8 @@ def sweep_of(
     settings : sequence of str
         ``key=value`` for all runs.
     repeat : int, optional
-        How often each combination is run, with other seeds; once by default, with the file's.
+        Number of runs of each combination, with different seeds; by default one run with the seed
+        of the file.
     seed : int
         The first seed.
     progress : callable
@@ -203,7 +204,7 @@ def sweep_of(
             f"{where}: expected a key that ends in .{SEED} for --repeat, found "
             + (f"none but {', '.join(found)}, which is varied" if found else "none")
             + "; add a random table such as [terrain.synthetic.power_law], [terrain.error] or "
-            "[control.noise], or leave out --repeat"
+            "[control.noise], or omit --repeat"
         )
     return replace(bare, seeds=seeds, repeat=repeat)
 
@@ -223,7 +224,7 @@ def axis_of(text: str) -> Axis:
     Raises
     ------
     DataError
-        If it is neither.
+        If the text has neither form.
     """
     key, equals, rest = text.partition("=")
     try:
@@ -248,7 +249,7 @@ def axis_of(text: str) -> Axis:
 
 
 def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
-    """Return the dotted keys of all seeds of a problem, those too that the file leaves out."""
+    """Return the dotted keys of all seeds of a problem, including those not in the file."""
     keys: list[str] = []
     for name, value in spec.items():
         if isinstance(value, Mapping):
@@ -259,7 +260,7 @@ def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
 
 
 def _meant(value: str) -> object:
-    """Return what tells values apart: ``1`` and ``1.0`` are one, as are a word and its quotes."""
+    """Return the identity of a value: ``1`` equals ``1.0``, and a word equals itself in quotes."""
     try:
         found = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -270,9 +271,9 @@ def _meant(value: str) -> object:
 
 
 def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
-    """Refuse keys that are given more than once, and those that are within another one's value.
+    """Raise DataError for keys that are given twice or are inside another varied key.
 
-    A table may be set and a key of it varied: the values of the key then take their place in it.
+    A table may be set and one of its keys varied: the varied values then replace the set one.
     """
     paths = [key_path(axis.key) for axis in axes]
     for k, path in enumerate(paths):
@@ -283,24 +284,24 @@ def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
             short, long = sorted((path, other), key=len)
             if long[: len(short)] == short:
                 raise DataError(
-                    f"--vary {'.'.join(long)}: expected keys of which none holds another, found "
-                    f"--vary {'.'.join(short)} as well; leave out one of the two"
+                    f"--vary {'.'.join(long)}: expected keys that do not contain one another, "
+                    f"found --vary {'.'.join(short)} as well; remove one of the two"
                 )
     for setting in settings:
         try:
             given = key_path(setting.partition("=")[0])
         except tomllib.TOMLDecodeError:
-            continue  # which reading the problem tells
+            continue  # reading the problem reports the error
         for path in paths:
             if given[: len(path)] == path:
                 raise DataError(
                     f"--vary {'.'.join(path)}: expected a key that is not set, found "
-                    f"--set {setting}; leave out one of the two"
+                    f"--set {setting}; remove one of the two"
                 )
 
 
 def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
-    """Return numbers at equal distances, whole ones if the ends and the steps are whole."""
+    """Return equally spaced numbers, integers if the ends and the step are integers."""
     low, high, n = float(first), float(last), int(count)
     if not (2 <= n <= MOST_RUNS and low != high and isfinite(low) and isfinite(high)):
         raise DataError(
@@ -313,7 +314,7 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
 
 
 def _values(text: str) -> tuple[str, ...]:
-    """Return the values of a list, as TOML has them; bare words where they are not TOML."""
+    """Return the values of a list in TOML; bare words if they are not TOML."""
     try:
         found = tomllib.loads(f"values = [{text}]")["values"]
         return tuple(map(_spelled, found))
@@ -322,12 +323,12 @@ def _values(text: str) -> tuple[str, ...]:
 
 
 def _spelled(value: Any) -> str:
-    """Return a value in TOML; arrays, texts and numbers are as in JSON.
+    """Return a value in TOML, which equals JSON for arrays, texts and numbers.
 
     Raises
     ------
     TypeError
-        If it is a table or a date, which JSON does not have.
+        If the value is a table or a date.
     """
     if isinstance(value, dict):
         raise TypeError(value)

@@ -1,7 +1,7 @@
-"""The log of a sweep: one line of JSON a finished run, safe on disk before the next one counts.
+"""Log of a sweep: one line of JSON per finished run, synchronised to disk.
 
-A sweep that is killed loses no line that was written; a line that was cut short is dropped when the
-sweep goes on, and its run is done again.
+A killed sweep loses no complete line; an incomplete line is dropped when the sweep continues, and
+its run is repeated.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from slipfree.errors import DataError
 
 try:
     import fcntl
-except ImportError:  # not on Windows: there two sweeps at a time are the user's care
+except ImportError:  # Windows has no such lock: the user must avoid two sweeps at a time
     fcntl = None  # type: ignore[assignment]
 
 NAME = "runs.jsonl"
@@ -37,23 +37,23 @@ WORDS = {
 
 
 class Row(NamedTuple):
-    """What came of a run.
+    """Result of a run.
 
     Attributes
     ----------
     run : int
-        Its number.
+        Number of the run.
     settings : tuple of str
-        What it had beside the problem file and what is set for all.
+        Settings of this run that are not settings of all runs.
     outcome : str
-        ``"complete"``, ``"stopped by NAME"``, ``"failed"``, or ``"lost"`` if it came to nothing
-        through no fault of its own.
+        ``"complete"``, ``"stopped by NAME"``, ``"failed"``, or ``"lost"`` if its process died or
+        the disk or memory was full.
     words : str
-        Why it stopped or failed.
+        Reason of the stop or failure.
     t : float or None
         Time reached; None if it failed. [s]
     figures : mapping of str to (float, str)
-        Value and unit of its figures, by name.
+        Values and units of its metrics, by name.
     seconds : float
         Wall time.
     """
@@ -68,7 +68,7 @@ class Row(NamedTuple):
 
 
 class Rows:
-    """The finished runs in a log, read from the disk as they are needed.
+    """The finished runs in a log, read from disk on demand.
 
     Attributes
     ----------
@@ -105,12 +105,12 @@ class Rows:
                 yield row_of(json.loads(file.readline()))
 
     def ended(self, *outcomes: str) -> list[int]:
-        """Return the numbers of the runs with one of these outcomes, ascending."""
+        """Return the increasing numbers of the runs with one of these outcomes."""
         return sorted(run for run, (_, outcome) in self._places.items() if outcome in outcomes)
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of all figures by name, in the order in which the runs have them."""
+        """Units of all metrics by name, in the order of the runs."""
         ordered = sorted(self._units.items(), key=lambda each: each[1])
         return {name: unit for name, (_, _, unit) in ordered}
 
@@ -153,15 +153,14 @@ class Log:
     """
 
     def __init__(self, path: Path, head: Mapping[str, Any], *, again: bool = False) -> None:
-        """Open or begin a log.
+        """Open or create a log.
 
-        Runs that were lost do not count as finished; nor do those that failed if they are to be
-        done ``again``.
+        Lost runs do not count as finished; with ``again``, neither do failed runs.
 
         Raises
         ------
         DataError
-            If it cannot be written, is open elsewhere, is damaged, or is that of another sweep.
+            If it cannot be written, is open elsewhere, is damaged, or belongs to another sweep.
         """
         self.path, self._open = path, {LOST, *([FAILED] if again else [])}
         try:
@@ -174,12 +173,12 @@ class Log:
             self.rows = Rows(path)
             self._read(head)
         except BaseException:
-            with suppress(OSError):  # of what could not be written, which is told
+            with suppress(OSError):  # the error of the write is reported
                 self._file.close()
             raise
 
     def append(self, row: Row) -> None:
-        """Write a row, whole and on disk when this returns.
+        """Write a row and synchronise it to disk.
 
         Raises
         ------
@@ -199,12 +198,12 @@ class Log:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file, which lets others open it."""
-        with suppress(OSError):  # of what could not be written, which was told
+        """Close the file, which releases its lock."""
+        with suppress(OSError):  # the error of the write was reported
             self._file.close()
 
     def _lock(self) -> None:
-        """Keep others off until the file is closed, or this process ends in whatever way."""
+        """Lock the file for other processes until it is closed or this process ends."""
         if fcntl is None:
             return
         try:
@@ -216,7 +215,7 @@ class Log:
             ) from error
 
     def _read(self, head: Mapping[str, Any]) -> None:
-        """Find the finished runs; drop a line that was cut short; begin an empty log."""
+        """Find the finished runs; drop an incomplete line; write the head of an empty log."""
         self._file.seek(0)
         place = 0
         for number, line in enumerate(self._file, 1):
@@ -254,11 +253,11 @@ class Log:
     def _damaged(self, number: int) -> DataError:
         return DataError(
             f"{self.path}:{number}: expected one line of JSON for a run, found something else; "
-            "take out the line, and the same command does its run again"
+            "remove the line, and the same command repeats its run"
         )
 
     def _check(self, found: Mapping[str, Any], head: Mapping[str, Any]) -> None:
-        """Refuse to add to the results of something else."""
+        """Raise DataError for the log of another sweep."""
         for key, words in WORDS.items():
             if found.get(key) != head[key]:
                 raise DataError(
@@ -280,13 +279,13 @@ class Log:
 
     def _unwritable(self, error: OSError) -> DataError:
         return DataError(
-            f"{self.path}: cannot be written ({error.strerror}); make room or choose another "
-            "folder with -o; what was written is kept"
+            f"{self.path}: cannot be written ({error.strerror}); free disk space or choose another "
+            "folder with -o; finished runs are kept"
         )
 
 
 def _how(key: str, old: Any, new: Any) -> str:
-    """Return in words how values of the first line differ."""
+    """Return the difference of two values of the first line, as text."""
     if key == "problem":
         return ""
     if key == "files":

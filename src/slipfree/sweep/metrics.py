@@ -1,4 +1,4 @@
-"""Figures of a run: the numbers by which runs of a sweep are compared."""
+"""Metrics of a run, by which the runs of a sweep are compared."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from slipfree.sweep.task import COMPLETE
 from slipfree.trajectory import Trajectory
 
 Figures = dict[str, tuple[float, str]]
-CLOCK = "seconds"  # statistics with this in their names differ from run to run
+CLOCK = "seconds"  # statistics with this in their names are not reproducible
 
 
 def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
-    """Return the figures of a motion by name: value and unit.
+    """Return the metrics of a motion by name: value and unit.
 
     Parameters
     ----------

@@ -28,13 +28,13 @@ Poll = Callable[[], None]
 
 
 class Pool(Protocol):
-    """What does tasks, many at a time."""
+    """Interface of the pools, which do many tasks at a time."""
 
     def room(self) -> int:
-        """Return how many tasks it takes at present, at least 1; raise if it is gone."""
+        """Return the number of tasks that it takes now, at least 1; raise if it is lost."""
 
     def submit(self, task: Task) -> Any:
-        """Return a future, of `concurrent.futures` or of that shape."""
+        """Return a future with the interface of `concurrent.futures`."""
 
     def result(self, future: Any, task: Task) -> Done:
         """Return the result of a finished future: a lost row if the run's process died."""
@@ -44,7 +44,7 @@ class Pool(Protocol):
 
 
 def finish_tasks(tasks: Iterable[Task], pool: Pool, poll: Poll) -> Generator[Done, None, None]:
-    """Yield the results of tasks in the order in which they finish.
+    """Yield the results of tasks in the order of completion.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Do a sweep, or what is left of it."""
+"""Execution of a sweep, or of its remaining runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def run_sweep(
     poll: Poll = lambda: None,
     progress: Callable[[Rows], None] = lambda _: None,
 ) -> Rows:
-    """Do all runs of a sweep but those that are finished in its folder, and return all results.
+    """Do the unfinished runs of a sweep, and return the results of all runs.
 
     Tasks are made when the pool has room for them, and results stay on the disk: the memory that
     a sweep takes does not grow with its figures.
@@ -48,7 +48,7 @@ def run_sweep(
     poll : callable
         Called several times a second; an exception of it interrupts the sweep.
     progress : callable
-        Called with the finished runs, at the beginning and after every run.
+        Called with the finished runs at the beginning and after every run.
 
     Raises
     ------
@@ -85,11 +85,11 @@ def _tasks(sweep: Sweep, rows: Rows, keep: bool) -> Iterator[Task]:
 
 
 def result_path(folder: Path, sweep: Sweep, number: int) -> Path:
-    """Return where the result of a run is written, if results are."""
+    """Return the path of the result file of a run."""
     return folder / f"run_{number:0{max(4, len(str(sweep.count)))}d}.nc"
 
 
 def missing_results(folder: Path, sweep: Sweep, rows: Rows) -> list[int]:
-    """Return the runs that have a motion, but no result file in a folder."""
+    """Return the runs with a motion but without a result file in a folder."""
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST}))
     return [run for run in moved if not result_path(folder, sweep, run).exists()]

@@ -1,4 +1,4 @@
-"""The table of a sweep, and what to tell about it in a few lines."""
+"""Table and summary of a sweep."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from slipfree.problem.summary import Facts
 
 NAME = "table.csv"
-SHOWN = 3  # failures that are told in words
-MOST_VALUES = 10  # of a key whose figures are told
-MOST_LETTERS = 300  # of the words of a run; the log has all
-KEPT = "within_limits"  # figure of plans: 1 if they keep to their limits
+SHOWN = 3  # number of printed failures
+MOST_VALUES = 10  # number of printed values of a key
+MOST_LETTERS = 300  # length of a run's text in the table; the log has the complete text
+KEPT = "within_limits"  # metric of plans: 1 if they satisfy their limits
 REMEDIES = {
     FAILED: "--again repeats runs that failed",
     LOST: "the same command does runs that were lost again",
@@ -33,7 +33,7 @@ REMEDIES = {
 
 
 def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
-    """Write one line a finished run, in the order of the runs.
+    """Write one line per finished run, in the order of the runs.
 
     The columns are number, varied keys, seeds, outcome, words, time reached (s) and figures in the
     units of the log; what a run does not have is empty. Wall times are left to the log, so that
@@ -58,13 +58,13 @@ def _line(run: Run, row: Row, names: Iterable[str]) -> list[object]:
 
 
 def _line_of(words: str) -> str:
-    """Return words as one line that is not too long."""
+    """Return a text as one line of limited length."""
     joined = " ".join(words.split())
     return joined if len(joined) <= MOST_LETTERS else f"{joined[: MOST_LETTERS - 3]}..."
 
 
 def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the figures to look at: the given ones, or those of the verb that the runs have.
+    """Return the requested metrics, by default those of the verb that the runs have.
 
     Raises
     ------
@@ -79,13 +79,13 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
             raise DataError(
                 f"--figure {name}: expected a figure of these runs, one of "
                 f"{', '.join(sorted(known)) or 'none'}; the runs are kept, and the same command "
-                "with another figure only tells and draws"
+                "with another one prints and draws it without new runs"
             )
     return tuple(names)
 
 
 def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
-    """Return figures over the grid and the repetitions; not a number where a run has none.
+    """Return metrics over the grid and the repetitions; NaN for runs without them.
 
     Besides those asked for they are ``complete``, and ``within_limits`` if the runs have it.
     """
@@ -106,9 +106,9 @@ def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
 def sweep_facts(
     sweep: Sweep, rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]
 ) -> Facts:
-    """Return name and value of what matters about a sweep, ready to print."""
+    """Return the main facts about a sweep as names and texts."""
     spreads = (fact for name in figures for fact in _spreads(found[name]))
-    return [*_outcomes(sweep, rows), *_kept(len(rows), found.get(KEPT)), *spreads]
+    return [*_outcomes(sweep, rows), *_within_limits(len(rows), found.get(KEPT)), *spreads]
 
 
 def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
@@ -133,8 +133,8 @@ def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
         yield f"  {key}", f"{first} to {first + sweep.repeat - 1}"
 
 
-def _kept(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
-    """Yield the share of plans that keep to their limits."""
+def _within_limits(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
+    """Yield the share of plans within their limits."""
     if kept is None:
         return
     good = np.nansum(kept.values)
@@ -146,7 +146,7 @@ def _kept(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
 
 
 def _spreads(swept: Swept) -> Iterator[tuple[str, str]]:
-    """Yield mean and range of a figure: over all runs, and for every value of every key."""
+    """Yield mean and range of a metric, over all runs and for every value of every key."""
     unit = "" if swept.unit in ("1", "") else f" {swept.unit}"
     yield swept.name, f"{_spread(swept.values, unit)}"
     for k, axis in enumerate(swept.axes):
@@ -168,7 +168,7 @@ def _spread(values: Array, unit: str) -> str:
 
 
 def drawn_grids(rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]) -> list[Swept]:
-    """Return what to draw: the figures, and the share of complete runs if some are not."""
+    """Return the metrics to draw, and the share of complete runs if not all are complete."""
     is_complete = rows.outcomes["complete"] == len(rows)
     names = dict.fromkeys([*figures, *([] if is_complete else [COMPLETE])])
     swept = (found[name] for name in names if name in found)
@@ -176,7 +176,7 @@ def drawn_grids(rows: Rows, found: Mapping[str, Swept], figures: Sequence[str]) 
 
 
 def plan_facts(sweep: Sweep) -> Facts:
-    """Return what a sweep would run: how many runs, which values, which seeds."""
+    """Return the facts of a sweep before it runs: number of runs, values and seeds."""
     sizes = [len(axis.values) for axis in sweep.axes] + [sweep.repeat] * bool(sweep.seeds)
     times = f" = {' x '.join(map(str, sizes))}" if len(sizes) > 1 else ""
     facts = [("runs", f"{sweep.count}{times}")]

@@ -14,7 +14,7 @@ COMPLETE = "complete"  # figure of every run: 1 if it reached its end
 
 
 class Task(NamedTuple):
-    """A run for a process: the problem without the files that it names.
+    """A run for a process: the problem without its input files.
 
     Attributes
     ----------
@@ -23,11 +23,11 @@ class Task(NamedTuple):
     file : str
         The problem file; input files are found beside it.
     text : str
-        What it holds.
+        Text of the problem file.
     settings : tuple of str
-        ``key=value``.
+        Settings as ``key=value``.
     own : int
-        How many of these, the last ones, are not those of all runs.
+        Number of settings, at the end, that are specific to this run.
     keep : bool
         Whether the motion is wanted.
     """
@@ -46,11 +46,11 @@ class Done(NamedTuple):
     Attributes
     ----------
     row : Row
-        For log and table.
+        Row for log and table.
     trajectory : Trajectory or None
-        The motion, if it is wanted and there is one.
+        The motion, if it is requested and exists.
     arrays : mapping of str to ndarray
-        From which another plan may start.
+        Arrays of a plan for a warm start.
     """
 
     row: Row

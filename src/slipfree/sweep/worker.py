@@ -1,4 +1,4 @@
-"""One run of a sweep, in whatever process it is done."""
+"""Computation of one run of a sweep."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from slipfree.sweep.metrics import figures_of
 from slipfree.sweep.task import Done, Task, own_settings, without_motion
 from slipfree.trajectory import SolverError
 
-ALONE = threading.Lock()  # CasADi's objects are not made for several threads
+ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 
 
 def work(task: Task) -> Done:
     """Return the result of a task; its row reports every error.
 
-    A disk that is full or memory that is short are no fault of the run: it is lost.
+    A run is lost if the disk is full or the memory is exhausted.
     """
     begin = time.perf_counter()
     try:
@@ -66,7 +66,7 @@ def _worked(task: Task, begin: float) -> Done:
 
 
 def _problem(task: Task) -> Problem[Any]:
-    """Return the problem as it was when the sweep began, wherever this is done."""
+    """Return the problem as it was at the beginning of the sweep."""
     path = Path(task.file)
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.name

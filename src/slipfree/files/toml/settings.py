@@ -11,11 +11,11 @@ from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import Place, key_path
 from slipfree.regular_files import escape_name
 
-BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that may stand without quotes
+BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
 
 
 def replace_values(data: dict[str, Any], settings: Sequence[str]) -> dict[Place, str]:
-    """Replace values of the tables of a file by settings, in place, and return their places.
+    """Replace values of the tables of a file by settings, in place, and return their keys.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def replace_values(data: dict[str, Any], settings: Sequence[str]) -> dict[Place,
         except ValueError:
             faults.append(
                 f"--set {key.strip()}: expected key=value with a value in TOML or a bare word, or "
-                f"key= to take out a key that is there, found {setting!r}"
+                f"key= to remove an existing key, found {setting!r}"
             )
         else:
             places |= dict.fromkeys(new, setting)
@@ -74,7 +74,7 @@ def _value(text: str) -> Any:
 
 
 def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
-    """Put a value into nested tables; return its place and those of new tables on the way."""
+    """Insert a value into nested tables; return its keys and those of new tables."""
     places: list[Place] = [path]
     *tables, last = path
     for depth, name in enumerate(tables, start=1):
@@ -88,7 +88,7 @@ def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]
 
 
 def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
-    """Remove a key of nested tables; return its place."""
+    """Remove a key of nested tables; return its keys."""
     for name in path[:-1]:
         data = data.get(name, {})
     if not isinstance(data, dict) or path[-1] not in data:

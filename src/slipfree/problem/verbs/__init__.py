@@ -1,1 +1,1 @@
-"""Verbs: what a problem file can ask for, one module per verb."""
+"""Verbs of problem files, one module per verb."""

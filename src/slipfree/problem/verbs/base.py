@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from slipfree.show.plots import Plot
     from slipfree.show.scene import Scene
 
-VERB_ATTRIBUTE = "verb"  # of result files: the name of the verb
+VERB_ATTRIBUTE = "verb"  # attribute of result files with the name of the verb
 CROSS_CHECK, RESUME, ANIMATION = "cross-check", "resume", "animation"  # options of slipfree run
 
 
@@ -40,7 +40,7 @@ class Quantity(NamedTuple):
 
 
 class Setup(Protocol):
-    """All that a problem needs before it is solved: at least its start, its times and words."""
+    """Everything that the solution of a problem needs: start, times and facts."""
 
     @property
     def start(self) -> Trajectory:
@@ -52,11 +52,11 @@ class Setup(Protocol):
 
     @property
     def facts(self) -> Facts:
-        """Names and words about ground, vehicle and drive."""
+        """Facts about ground, vehicle and inputs."""
 
 
 class Watch(NamedTuple):
-    """Functions that are called while a problem is solved; each may raise KeyboardInterrupt.
+    """Callbacks during the solution of a problem; each may raise KeyboardInterrupt.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class Result:
 
 
 class Viewer(NamedTuple):
-    """Drawing of motions of one sort in space.
+    """Functions that draw motions of one kind in space.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class Viewer(NamedTuple):
 
 
 class Verb(ABC):
-    """Kind of problem: its schema, and the commands that take it.
+    """Interface of the kinds of problems: schema and commands.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ class Verb(ABC):
 
 
 class MotionVerb(Verb):
-    """Kind of problem whose answer is the motion of one vehicle.
+    """Interface of the kinds of problems whose solution is the motion of one vehicle.
 
     Attributes
     ----------
@@ -243,18 +243,18 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def describe_start(self, problem: Problem[Any], setup: Any) -> tuple[Trajectory, Facts]:
-        """Return the start in the frame of the problem, and words about it and the samples."""
+        """Return the start in the frame of the problem, and facts about start and samples."""
 
     @abstractmethod
     def facts(self, run: Trajectory) -> Facts:
-        """Return the summary of a motion: names and words."""
+        """Return the summary of a motion as names and texts."""
 
     @abstractmethod
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return the numbers by which a sweep compares motions, besides statistics, by name."""
+        """Return the metrics of a motion for sweeps, besides statistics, by name."""
 
     def describe_end(self, run: Trajectory) -> str:
-        """Return words about the end of a motion that did not stop early, if it has any."""
+        """Return the description of the end of a complete motion; empty for most verbs."""
         return ""
 
     @abstractmethod
@@ -263,7 +263,7 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def viewer(self) -> Viewer:
-        """Return what draws its motions in space."""
+        """Return the functions that draw its motions in space."""
 
     @abstractmethod
     def shown(self, result: Result, name: str) -> Any:
@@ -276,7 +276,7 @@ class MotionVerb(Verb):
         """
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
-        """Return the attributes of a result file that this verb reads back."""
+        """Return the attributes of a result file that this verb needs when reading it."""
         return {}
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
@@ -300,7 +300,7 @@ class MotionVerb(Verb):
 
 
 class Extremes(NamedTuple):
-    """Names of quantities whose ends and extremes are metrics; those that a motion has count.
+    """Names of quantities whose ends and extremes are metrics.
 
     Attributes
     ----------

@@ -223,7 +223,7 @@ class ClimbVerb(MotionVerb):
         return climb_plots(result.trajectory, climber, profile, plan)
 
     def viewer(self) -> Viewer:
-        """Return what draws climbs in space."""
+        """Return the functions that draw climbs in space."""
         from slipfree.show.climb_scene import climb_scene
 
         return Viewer("climbs", climb_scene)
@@ -238,7 +238,7 @@ class ClimbVerb(MotionVerb):
 
 
 def _parts(result: Result) -> tuple[Climber, Profile]:
-    """Return vehicle and ground of a result, from its solution or built again."""
+    """Return vehicle and ground of a result, from its solution or rebuilt."""
     if result.setup is not None:
         return result.setup.climber, result.setup.profile
     problem = result.problem

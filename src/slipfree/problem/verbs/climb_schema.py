@@ -29,30 +29,30 @@ class Incline(Record):
     """A ramp up to a plateau, from x = 0 on."""
 
     angle: Annotated[float, Field(gt=0, le=pi / 2), IN_RADIANS] = Field(
-        description="of the ramp [rad]"
+        description="angle of the ramp [rad]"
     )
-    height: Positive = Field(description="of the plateau [m]")
+    height: Positive = Field(description="height of the plateau [m]")
 
 
 class Step(Record):
     """A plateau, from x = 0 on."""
 
-    height: Positive = Field(description="of the plateau [m]")
+    height: Positive = Field(description="height of the plateau [m]")
 
 
 class Kerb(Record):
     """A block, from x = 0 on."""
 
-    height: Positive = Field(description="of the block [m]")
-    length: Positive = Field(description="of the block, along x [m]")
+    height: Positive = Field(description="height of the block [m]")
+    length: Positive = Field(description="length of the block along x [m]")
 
 
 class Stairs(Record):
     """Stairs, from x = 0 on, the last step a plateau."""
 
-    height: Positive = Field(description="of a step [m]")
-    depth: Positive = Field(description="of a step, along x [m]")
-    count: Annotated[int, Field(ge=1)] = Field(description="how many steps")
+    height: Positive = Field(description="height of a step [m]")
+    depth: Positive = Field(description="depth of a step along x [m]")
+    count: Annotated[int, Field(ge=1)] = Field(description="number of steps")
 
 
 class Solid(Record):
@@ -73,17 +73,19 @@ class Profile(Record):
     solids: Annotated[tuple[Solid, ...], Field(strict=False)] | None = Field(
         default=None, description="convex polygons"
     )
-    file: str | None = Field(default=None, description="a file of the corners of convex polygons")
+    file: str | None = Field(
+        default=None, description="a CSV file with the corners of convex polygons"
+    )
 
 
 class ClimberBody(Record):
     """A body of a vehicle that climbs; the defaults are the catalogue's."""
 
-    mass: Positive | None = Field(default=None, description="with its wheels [kg]")
+    mass: Positive | None = Field(default=None, description="mass, wheels included [kg]")
     ahead: float | None = Field(default=None, description="centre of mass ahead of the joint [m]")
     above: float | None = Field(default=None, description="centre of mass above the joint [m]")
     inertia: Positive | None = Field(
-        default=None, description="about its centre of mass, its wheels' spin left out [kg m2]"
+        default=None, description="about its centre of mass, without wheel rotation [kg m2]"
     )
 
 
@@ -92,10 +94,10 @@ class ClimberAxle(Record):
 
     ahead: float | None = Field(default=None, description="ahead of the joint, along the body [m]")
     wheels: Annotated[int, Field(ge=1)] | None = Field(
-        default=None, description="how many, a motor each"
+        default=None, description="number of wheels, with one motor each"
     )
     inertia: Positive | None = Field(
-        default=None, description="of all of them and their rotors, about the axle [kg m2]"
+        default=None, description="of all wheels and rotors about the axle [kg m2]"
     )
 
 
@@ -103,10 +105,12 @@ class Climber(Record):
     """A vehicle that climbs, of the catalogue, and its dimensions."""
 
     catalog: Literal["seven_wheels"] = Field(description="name in the catalogue")
-    joint: float = Field(default=0.0, description="of the bodies, ahead of the middle axle [m]")
-    torque: Positive = Field(default=inf, description="largest of a wheel's motor [N m]")
+    joint: float = Field(
+        default=0.0, description="distance of the joint ahead of the middle axle [m]"
+    )
+    torque: Positive = Field(default=inf, description="largest torque of a wheel's motor [N m]")
     radius: Positive | None = Field(
-        default=None, description="of all wheels; default: the catalogue's [m]"
+        default=None, description="radius of all wheels; default: the catalogue's [m]"
     )
     rear_body: ClimberBody = Field(default=ClimberBody(), description="the body with two axles")
     front_body: ClimberBody = Field(default=ClimberBody(), description="the body with one axle")
@@ -116,25 +120,25 @@ class Climber(Record):
 
 
 class Friction(Record):
-    """Coefficients of friction of a climb: at rest, and at speed."""
+    """Static and kinetic coefficients of friction of a climb."""
 
-    static: Positive = Field(description="coefficient at rest [1]")
-    kinetic: Positive = Field(description="coefficient at speed [1]")
+    static: Positive = Field(description="static coefficient [1]")
+    kinetic: Positive = Field(description="kinetic coefficient [1]")
 
 
 class Compliance(Record):
-    """How contacts give way; the defaults are those of `slipfree.climb.contact.Contact`."""
+    """Compliance of the contacts; the defaults are those of `slipfree.climb.contact.Contact`."""
 
-    stiffness: Positive | None = Field(default=None, description="of a contact [N/m]")
+    stiffness: Positive | None = Field(default=None, description="stiffness of a contact [N/m]")
     damping: NonNegative | None = Field(
-        default=None, description="of Hunt and Crossley: part of the force for each speed [s/m]"
+        default=None, description="damping of Hunt and Crossley: share of the force per speed [s/m]"
     )
     creep: Positive | None = Field(
-        default=None, description="slip speed at which friction is nearly full [m/s]"
+        default=None, description="slip speed at which friction is almost fully developed [m/s]"
     )
     stribeck: Positive | None = Field(
         default=None,
-        description="slip speed over which friction falls from static to kinetic [m/s]",
+        description="slip speed over which friction decreases from static to kinetic [m/s]",
     )
 
 
@@ -142,35 +146,35 @@ class Noise(Record):
     """Noise of a climb's sensors; the defaults are those of `slipfree.climb.noise.Noise`."""
 
     tilt: NonNegativeAngle | None = Field(
-        default=None, description="root mean square, of the bodies' tilts [rad]"
+        default=None, description="root mean square for the bodies' tilts [rad]"
     )
     tilt_rate: NonNegativeRate | None = Field(
-        default=None, description="root mean square, of the tilts' rates [rad/s]"
+        default=None, description="root mean square for the tilt rates [rad/s]"
     )
     wheel_rate: NonNegative | None = Field(
-        default=None, description="root mean square, of the wheels' rates [rad/s]"
+        default=None, description="root mean square for the wheel rates [rad/s]"
     )
     band: Positive | None = Field(default=None, description="largest frequency [Hz]")
-    seed: Count | None = Field(default=None, description="of the random numbers")
+    seed: Count | None = Field(default=None, description="seed of the random numbers")
 
 
 class Control(Record):
-    """How wheels are driven; the defaults are those of `slipfree.climb.control.Control`."""
+    """Control of the wheels; the defaults are those of `slipfree.climb.control.Control`."""
 
-    speed: Positive = Field(description="of the vehicle [m/s]")
-    law: Law | None = Field(default=None, description="reference speeds of the axles")
+    speed: Positive = Field(description="speed of the vehicle [m/s]")
+    law: Law | None = Field(default=None, description="law of the axles' reference speeds")
     directions: Directions | None = Field(
         default=None,
-        description="in which axles move: as sensors see them, or those of the contacts",
+        description="directions of the axles: estimated by sensors, or those of the contacts",
     )
     smoothing: Positive | None = Field(
-        default=None, description="time constant of the sensors' low pass [s]"
+        default=None, description="time constant of the sensors' low-pass filter [s]"
     )
     share: NonNegative | None = Field(
-        default=None, description="part of the contacts' directions that the law is told [1]"
+        default=None, description="factor on the contacts' directions in the law [1]"
     )
     cap: Annotated[float, Field(ge=1)] | None = Field(
-        default=None, description="largest reference speed over the vehicle's [1]"
+        default=None, description="largest reference speed relative to the vehicle's [1]"
     )
     proportional: Positive | None = Field(default=None, description="gain on the error [N m s/rad]")
     integral: Positive | None = Field(default=None, description="gain on its integral [N m/rad]")
@@ -178,64 +182,65 @@ class Control(Record):
         default=None, description="gain on its derivative [N m s2/rad]"
     )
     lag: Positive | None = Field(
-        default=None, description="time constant of the filter behind the derivative [s]"
+        default=None, description="time constant of the derivative's filter [s]"
     )
     unwinding: NonNegative | None = Field(
-        default=None, description="rate at which torque beyond the limit leaves the integral [1/s]"
+        default=None,
+        description="anti-windup: rate of removal of excess torque from the integral [1/s]",
     )
     period: Positive | None = Field(
         default=None,
-        description="of a controller that samples; without it control is continuous [s]",
+        description="sample time of the controller; continuous without it [s]",
     )
     noise: Noise | None = Field(default=None, description="noise of the sensors; none by default")
 
 
 class Approach(Record):
-    """Where a climb begins: how far the front wheels are from the obstacle, and how fast."""
+    """Start of a climb: distance of the front wheels from the obstacle, and speed."""
 
-    distance: float = Field(description="of the front wheels from the obstacle [m]")
+    distance: float = Field(description="distance of the front wheels from the obstacle [m]")
     speed: NonNegative | None = Field(
-        default=None, description="at the start; default: that of the control [m/s]"
+        default=None, description="speed at the start; default: that of the control [m/s]"
     )
 
 
 class Legs(Record):
-    """What a climb is planned for, leg by leg."""
+    """Specification of the plan of a climb."""
 
     cost: Literal["time", "friction", "slip"] = Field(
-        default="time", description="what is least: time, the coefficient needed, or creep"
+        default="time", description="objective: time, the required friction, or creep"
     )
-    nodes: Annotated[int, Field(ge=20)] = Field(default=60, description="of a leg")
+    nodes: Annotated[int, Field(ge=20)] = Field(default=60, description="number of nodes per leg")
     friction: Positive | None = Field(
-        default=None, description="coefficient it may use; default: the static one [1]"
+        default=None, description="coefficient of friction; default: the static one [1]"
     )
     speed: Positive | None = Field(
-        default=None, description="largest of an axle; default: that of the control [m/s]"
+        default=None, description="largest speed of an axle; default: that of the control [m/s]"
     )
 
 
 class Stiff(Solver):
-    """What is asked of the integrator of a stiff motion."""
+    """Options of the integrator of a stiff motion."""
 
     tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
         default=1e-6, description=TOLERANCE
     )
-    method: Method | None = Field(default=None, description="which integrator")
+    method: Method | None = Field(default=None, description="the integrator")
 
 
 class Climb(Runnable):
-    """A vehicle of two bodies climbs an obstacle: the motion under control of its wheels."""
+    """A climb of a vehicle with two bodies over an obstacle, with controlled wheels."""
 
     verb: Literal["climb"] = Field(description=VERB)
-    solver: Stiff = Field(default=Stiff(), description="what is asked of the integrator")
-    profile: Profile = Field(description="the ground, in the plane")
-    vehicle: Climber = Field(description="what climbs")
+    solver: Stiff = Field(default=Stiff(), description="options of the integrator")
+    profile: Profile = Field(description="the ground in the plane")
+    vehicle: Climber = Field(description="the vehicle")
     friction: Friction = Field(description="between wheels and ground")
-    contact: Compliance = Field(default=Compliance(), description="how contacts give way")
-    control: Control = Field(description="how wheels are driven")
-    start: Approach = Field(description="where it begins")
+    contact: Compliance = Field(default=Compliance(), description="compliance of the contacts")
+    control: Control = Field(description="control of the wheels")
+    start: Approach = Field(description="start of the climb")
     plan: Legs | None = Field(
-        default=None, description="what it is planned for; without it it is not"
+        default=None, description="specification of a plan; without it the climb is not planned"
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {

@@ -26,7 +26,7 @@ WINDOW = (
 
 
 def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield name and value of what matters about a climb, ready to print."""
+    """Yield the main facts about a climb as names and texts."""
     yield "climb", run.attributes[ENDING]
     yield duration_fact(run)
     tilts = ", ".join(
@@ -61,7 +61,7 @@ def _averages(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield what a plan promised, and how long the motion that tracks it took."""
+    """Yield the facts of a plan, and the duration of the motion that tracks it."""
     counts = run.statistics
     if "climb_plan_duration" not in counts:
         return
@@ -78,7 +78,7 @@ def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _slippery(run: Trajectory) -> str:
-    """Return how much friction a slow climb needs, beside what there is."""
+    """Return the friction that a slow climb needs, with the available friction."""
     words = run.attributes["slow_climb"]
     if "slow_climb_friction" not in run.statistics:
         return words

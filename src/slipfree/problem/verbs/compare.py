@@ -36,17 +36,17 @@ RANK = 1e-9  # singular values below this part of the largest are zero
 
 
 class Compared(VehicleTable):
-    """One of several vehicles, and what to call it."""
+    """One of several vehicles, with a name."""
 
-    name: Annotated[str, Field(min_length=1)] = Field(description="of the vehicle")
+    name: Annotated[str, Field(min_length=1)] = Field(description="name of the vehicle")
 
 
 class Compare(Task):
-    """Several vehicles on one ground: at the same rates, and at those of a driving law."""
+    """Several vehicles on one ground: at common rates, and at the rates of a driving law."""
 
     verb: Literal["compare"] = Field(description=VERB)
     vehicles: Annotated[tuple[Compared, ...], Field(strict=False, min_length=1)] = Field(
-        description="what is compared"
+        description="the vehicles to compare"
     )
     inputs: dict[str, Quantity] = Field(description=INPUTS)
     driver: Driver = Field(description="the driving law")

@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 
 
 class Direct(Modelled):
-    """Direct kinematics: given rates, or a driving law; the motion is asked for."""
+    """Direct problem: the motion under given rates or a driving law."""
 
     verb: Literal["direct"] = Field(description=VERB)
     inputs: dict[str, PiecewiseConstant] | None = Field(default=None, description=INPUTS)
     driver: Driver | None = Field(default=None, description="a driving law")
     formulation: Literal["closure", "montana"] = Field(
-        default="closure", description="of contact: by positions, or by Montana's rates"
+        default="closure", description="formulation of contact: by positions, or by Montana's rates"
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {

@@ -1,4 +1,4 @@
-"""Verbs that move one vehicle over terrain: what they share."""
+"""Common parts of the verbs that move one vehicle over terrain."""
 
 from __future__ import annotations
 
@@ -64,11 +64,11 @@ EXTREMES = Extremes(
     ),
     gained=("work", "potential_energy"),
 )
-SAME = 1e-3  # largest distance of wheels from their places and from the ground, in radii
+SAME = 1e-3  # largest distance of wheels from stored positions and from the ground [radius]
 
 
 class DriveVerb(MotionVerb):
-    """Kind of problem whose answer is the motion of one vehicle over terrain."""
+    """Base of the kinds of problems with the motion of one vehicle over terrain."""
 
     commands = ("run", "vehicle")
     checks: ClassVar[tuple[str, ...]] = CHECKS
@@ -92,7 +92,7 @@ class DriveVerb(MotionVerb):
         return Solution(_with_diagnostics(setup, run), setup, arrays)
 
     def describe_start(self, problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, Facts]:
-        """Return the start in the frame of the problem, and words about it and the samples."""
+        """Return the start in the frame of the problem, and facts about start and samples."""
         spec = problem.spec
         start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
         names = dict.fromkeys([*spec.start, "z", "pitch", "roll"])
@@ -104,11 +104,11 @@ class DriveVerb(MotionVerb):
         ]
 
     def describe_samples(self, problem: Problem[Any], setup: Setup) -> str:
-        """Return the sampling of the result in words."""
+        """Return the description of the sampling of the result."""
         return f"{setup.t.size} to {setup.t[-1]:g} s"
 
     def facts(self, run: Trajectory) -> Facts:
-        """Return the summary of a motion: names and words."""
+        """Return the summary of a motion as names and texts."""
         run = to_problem_frame(run)
         return [
             *path_facts(run),
@@ -121,7 +121,7 @@ class DriveVerb(MotionVerb):
         ]
 
     def own_facts(self, run: Trajectory) -> Facts:
-        """Return names and words that other verbs do not have."""
+        """Return the facts specific to this verb."""
         return []
 
     def trust_facts(self, run: Trajectory) -> Facts:
@@ -186,7 +186,7 @@ def model_attributes(spec: Modelled) -> dict[str, str]:
 
 
 def ground_of(result: Result) -> Ground:
-    """Return the ground of a result: that of its solution, or built again."""
+    """Return the ground of a result, from its solution or rebuilt."""
     return build_ground(result.problem) if result.setup is None else result.setup.ground
 
 

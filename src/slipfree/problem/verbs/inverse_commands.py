@@ -61,7 +61,7 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
 
 
 def _read_file(file: Path) -> dict[str, Piecewise]:
-    """Return the columns of a CSV file; a command holds until the next one."""
+    """Return the columns of a CSV file; a command is constant until the next row."""
     names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:

@@ -17,9 +17,9 @@ FILE = "file"  # the key of [given] that names a CSV file
 
 
 class Path(Record):
-    """A path in time: place and heading of the platform's centre, here or in a file."""
+    """A path in time: position and heading of the platform's centre, here or in a file."""
 
-    t: Column | None = Field(default=None, description="times, ascending from 0 [s]")
+    t: Column | None = Field(default=None, description="times, increasing from 0 [s]")
     x: Column | None = Field(default=None, description="at these times [m]")
     y: Column | None = Field(default=None, description="at these times [m]")
     heading: Angles | None = Field(default=None, description="at these times [rad]")
@@ -27,7 +27,7 @@ class Path(Record):
 
 
 class Inverse(Motion):
-    """Inverse kinematics: given rates of the platform, or its path; wheel rates are asked for."""
+    """Inverse problem: the wheel rates for given rates of the platform, or for its path."""
 
     verb: Literal["inverse"] = Field(description=VERB)
     given: dict[str, TimeFunction] | None = Field(
@@ -37,11 +37,13 @@ class Inverse(Motion):
     )
     exact: bool | None = Field(
         default=None,
-        description="whether rates in the heading frame are met exactly or refused; else their "
-        "errors are the least; by default unless all three are given",
+        description="whether rates in the heading frame must be met exactly; otherwise their "
+        "errors are minimised; true by default unless all three are given",
     )
-    path: Path | None = Field(default=None, description="a path in time instead")
-    steering: Literal["rate", "angle"] = Field(default="angle", description="what of it is unknown")
+    path: Path | None = Field(default=None, description="a path in time, instead of given rates")
+    steering: Literal["rate", "angle"] = Field(
+        default="angle", description="unknown of the steering: its rate or its angle"
+    )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
         **Task.alternatives,

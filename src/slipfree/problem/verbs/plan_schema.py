@@ -20,83 +20,91 @@ from slipfree.problem.schema import INPUTS, VERB, Driver, Modelled, Task
 
 
 class Guide(Driver):
-    """What starts the search: a driving law, along paths or along routes over the ground."""
+    """Initial guess of a plan: a driving law along paths or along routes over the ground."""
 
     name: Literal["straight", "follow", "route"] = Field(  # type: ignore[assignment]
-        description="of the law; a route is sought over the map"
+        description="name of the law; route: along a route over the map"
     )
-    turning_radius: NonNegative = Field(default=1.0, description="of a route, at least [m]")
+    turning_radius: NonNegative = Field(
+        default=1.0, description="smallest turning radius of a route [m]"
+    )
     paths: Annotated[
         tuple[Annotated[tuple[Pair, ...], Field(strict=False)], ...] | None,
         Field(strict=False, min_length=1),
-    ] = Field(default=None, description="several paths of way-points: the cheapest plan counts [m]")
+    ] = Field(
+        default=None,
+        description="several paths of way-points; the plan of least cost is returned [m]",
+    )
     count: Annotated[int, Field(ge=1)] = Field(
-        default=1, description="of routes: of the plans they lead to the cheapest counts"
+        default=1, description="number of routes; the plan of least cost is returned"
     )
 
 
 class KeepOut(Record):
-    """A place that the vehicle must not touch: a disc, or a polygon."""
+    """A region that the vehicle must not touch: a disc or a polygon."""
 
-    x: float | None = Field(default=None, description="of a disc's middle [m]")
-    y: float | None = Field(default=None, description="of a disc's middle [m]")
-    radius: Positive | None = Field(default=None, description="of a disc [m]")
+    x: float | None = Field(default=None, description="coordinate of a disc's centre [m]")
+    y: float | None = Field(default=None, description="coordinate of a disc's centre [m]")
+    radius: Positive | None = Field(default=None, description="radius of a disc [m]")
     points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="corners of a polygon [m]"
     )
 
 
 class Search(Record):
-    """How a plan is sought."""
+    """Options of the search for a plan."""
 
     intervals: Annotated[int, Field(ge=1)] = Field(
-        default=40, description="of the mesh, to begin with"
+        default=40, description="number of intervals of the first mesh"
     )
     degree: Annotated[int, Field(ge=1, le=5)] = Field(
-        default=3, description="of the polynomials on an interval"
+        default=3, description="degree of the polynomials on an interval"
     )
     duration: Range = Field(
-        default=None, description="of the plan; default: that of the motion it starts from [s]"
+        default=None, description="duration of the plan; default: that of the initial guess [s]"
     )
     smooth: NonNegative = Field(
         default=0.0, description="weight of the squared rates of the inputs [1]"
     )
     continuous: bool = Field(
-        default=True, description="inputs are linear on an interval without jumps; else constant"
+        default=True,
+        description="whether inputs are continuous and linear on intervals; otherwise constant",
     )
     accuracy: Positive = Field(
         default=1e-3,
-        description="by which the simulation may miss the plan and its limits [m, rad]",
+        description="largest deviation of the simulation from the plan and its limits [m, rad]",
     )
 
 
 class Plan(Modelled):
-    """A plan: the inputs that reach a goal at the least cost; a driving law starts the search."""
+    """A plan: the inputs that reach a goal at least cost; a driving law is the initial guess."""
 
     verb: Literal["plan"] = Field(description=VERB)
-    goal: dict[str, Range] = Field(description="at the end, any state or unknown by name [m, rad]")
+    goal: dict[str, Range] = Field(description="states or unknowns at the end, by name [m, rad]")
     costs: dict[str, NonNegative] = Field(
         description="weights of integrals over time: slip, effort, time, energy, or any quantity "
         "squared [1]"
     )
     limits: dict[str, Range] = Field(
-        default={}, description="along the way, any quantity of the result, in its unit [m, rad, 1]"
+        default={}, description="ranges of quantities during the motion, in their units [m, rad, 1]"
     )
-    bounds: dict[str, Range] = Field(default={}, description="of the inputs [rad/s, m/s]")
+    bounds: dict[str, Range] = Field(default={}, description="ranges of the inputs [rad/s, m/s]")
     accelerations: dict[str, Range] = Field(
         default={}, description="bounds of the inputs' rates [rad/s2, m/s2]"
     )
-    plan: Search = Field(default=Search(), description="how it is sought")
+    plan: Search = Field(default=Search(), description="options of the search")
     keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = Field(
-        default=(), description="places that no wheel may touch"
+        default=(), description="regions that no wheel may touch"
     )
     way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = Field(
-        default=(), description="like the goal, each at a part of the duration [m, rad]"
+        default=(), description="like the goal, each at a fraction of the duration [m, rad]"
     )
     inputs: dict[str, PiecewiseConstant] | None = Field(
-        default=None, description=f"of the motion that starts the search: {INPUTS}"
+        default=None, description=f"inputs of the initial guess: {INPUTS}"
     )
-    driver: Guide | None = Field(default=None, description="what starts the search instead")
+    driver: Guide | None = Field(
+        default=None, description="driving law of the initial guess, instead of inputs"
+    )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
         **Task.alternatives,

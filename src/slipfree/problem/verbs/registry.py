@@ -23,7 +23,7 @@ def verbs_of(command: str) -> tuple[Verb, ...]:
 
 
 def find_verb(name: object) -> Verb | None:
-    """Return the verb of a name; None if there is none."""
+    """Return the verb with a name; None for an unknown name."""
     return next((verb for verb in VERBS if verb.name == name), None)
 
 
@@ -33,7 +33,7 @@ def motion_verbs() -> tuple[MotionVerb, ...]:
 
 
 def find_motion_verb(name: object) -> MotionVerb | None:
-    """Return the verb of ``slipfree run`` of a name; None if there is none."""
+    """Return the verb of ``slipfree run`` with a name; None for an unknown name."""
     return next((verb for verb in motion_verbs() if verb.name == name), None)
 
 
@@ -43,7 +43,7 @@ def verb_of(problem: Problem[Runnable]) -> MotionVerb:
 
 
 def check_option(problem: Problem[Any], option: str) -> None:
-    """Raise for an option of ``slipfree run`` that the verb of a problem does not offer.
+    """Raise an error for an option of ``slipfree run`` that the verb does not offer.
 
     Raises
     ------
