@@ -1,4 +1,4 @@
-"""The numeric record that every solver returns and every plot and file takes."""
+"""Trajectory: the numeric result of every solver, for figures and files."""
 
 from __future__ import annotations
 

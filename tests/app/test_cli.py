@@ -163,7 +163,7 @@ def test_check_announces_no_number_of_samples_of_a_plan(folder: Path) -> None:
 def test_a_result_is_no_problem(command: str) -> None:
     _invoke("run", "p.toml", "--no-draw")
     told = _refused(command, "p.nc")
-    assert told.startswith("p.nc: expected a problem file, found a result; slipfree info and")
+    assert told.startswith("p.nc: expected a problem file, found a result; use slipfree info or")
 
 
 @pytest.mark.usefixtures("folder")

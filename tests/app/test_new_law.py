@@ -182,7 +182,7 @@ def test_a_wheel_ground_law_decides_how_fast_a_vehicle_slides() -> None:
     assert "a quasi-static prediction by the wheel-ground law 'viscous'" in called("info", "p.nc")
     facts = called("vehicle", "p.toml")
     assert "force_normal[right]" in facts
-    assert "9: the wheel-ground law decides them" in facts
+    assert "9: the wheel-ground law determines them" in facts
 
 
 def test_parameters_of_new_laws_are_checked_as_those_of_others() -> None:

@@ -93,7 +93,7 @@ def test_a_way_point_is_passed():
                 'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
                 "paths = [[[17, 14], [17, 24]]] }"
             ],
-            "expected one of path, paths and file",
+            "expected only one of path, paths and file",
         ),
         (
             ["law.coulomb.creep=1e-3"],

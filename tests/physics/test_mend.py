@@ -255,7 +255,7 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
         (["terrain.registration=corner"], r"registration: expected 'area' or 'point', found"),
         (
             ["terrain.file=", "terrain.sample=jacksboro", "terrain.fill=linear"],
-            r"terrain.fill: expected it beside a file alone",
+            r"terrain.fill: expected this key only with a map file",
         ),
         (["terrain.window=[50, 60, 50, 60]"], r"g.npz: window: expected .* at least 4 nodes"),
     ],

@@ -144,7 +144,7 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
         ({"duration": 0.0}, "expected a positive duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "bounds of steer must ascend"),
         ({"way_points": {1.0: {"x": 0.0}}}, "way-points lie between 0 and 1"),
-        ({"accelerations": {"x": (0, 1)}}, "'x' is no input; inputs are right_rate, left_rate"),
+        ({"accelerations": {"x": (0, 1)}}, "'x' is not an input; inputs are right_rate, left_rate"),
     ],
 )
 def test_what_is_wrong_is_said(options, words):
@@ -219,7 +219,7 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
         ("goal.q=1", "plan: the model has no 'q'"),
         ("goal.x=[2, 1]", "goal.x: expected a number, or [low, high] that ascend"),
         ("plan.degree=6", "plan.degree: expected"),
-        ("bounds.wheel=[0, 1]", "'wheel' is no input"),
+        ("bounds.wheel=[0, 1]", "'wheel' is not an input"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_told_with_its_place(setting, words):

@@ -1,4 +1,4 @@
-"""Progress of a computation: a bar on a terminal, else a line now and then on stderr."""
+"""Progress of a computation: a bar on a terminal, else occasional lines on stderr."""
 
 from __future__ import annotations
 

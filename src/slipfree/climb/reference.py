@@ -147,7 +147,7 @@ def _printed_6_8(tilts: Tilts, alpha: Any, cap: float) -> PerAxle:
 
 
 def _printed_14(tilts: Tilts, alpha: Any, _cap: float) -> PerAxle:
-    """Return the first column of the Moore-Penrose inverse of (14): its rows are orthogonal."""
+    """Return the first column of the Moore-Penrose inverse of (14), whose rows are orthogonal."""
     a, b, c, d = _cosines(tilts, alpha)
     first, square = a / b, d**2
     size = 5 / (2 * first**2 * square + square + 2 * c**2)

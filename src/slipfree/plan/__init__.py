@@ -1,1 +1,1 @@
-"""Planning: routes over a map, and the regions they keep out of."""
+"""Planning by optimal control: transcription, solution and verification."""

@@ -26,7 +26,7 @@ from slipfree.plan.transcription import PlanTask, TimedCondition
 from slipfree.records import Array, Label, leaves
 from slipfree.trajectory import Trajectory
 
-BOUND_TOLERANCE = 1e-9  # by which bounds may miss each other, in their unit
+BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds [unit of the bound]
 REMEDIES = {
     "start": "start elsewhere",
     LIMIT: "widen the limit",
@@ -86,7 +86,7 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
 
 
 def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
-    """Yield all bounds except those on rates of inputs, goal and way-points first."""
+    """Yield the bounds of goal and way-points, then the others except those on input rates."""
     for condition in task.conditions:
         for limit in condition.limits:
             yield _to_bounds(task, limit, role_of(condition.fraction), condition.fraction)

@@ -25,8 +25,8 @@ from slipfree.plan.messages import DURATION
 from slipfree.plan.transcription import Index, Program, completed
 from slipfree.records import Array, Label
 
-MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
-MIN_SHARE = 0.05  # of the relaxation that a bound saves per unit of its own, to be named
+MAX_RELAXATION_ITERATIONS = 200  # iterations of each of the two searches for a relaxation
+MIN_SHARE = 0.05  # smallest reported effect of a bound on the relaxation, per unit of the bound
 SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # by the sign of the missing amount
 
 
@@ -181,7 +181,7 @@ def _opposing_bounds(
 def _elastic_program(
     program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
 ) -> Program:
-    """Return the program with a slack behind its unknowns for each bound, of the sizes given.
+    """Return the program with a slack for each bound, behind its unknowns, with given scales.
 
     Its cost is the sum of the slacks and the program's cost: none if the weights are zero.
     """
@@ -249,7 +249,7 @@ def _elastic_functions(
 
 
 def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
-    """Return bounds of the unknowns of which only those of start and duration are left."""
+    """Return bounds of the unknowns with only those of start and duration."""
     kept = np.full(bounds.size, free)
     for where in (program.layout.first, program.layout.duration):
         kept[where] = bounds[where]

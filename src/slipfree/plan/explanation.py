@@ -70,7 +70,7 @@ def violation_words(violation: Violation) -> str:
 
 
 def explanation(program: Program, solution: Solution, first: Array) -> Explanation:
-    """Explain how a search ended, what is kept of it, its violations, and which bounds to relax.
+    """Explain the end of a search: its result, its violations, and the bounds to relax.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ MAX_ITERATIONS = 500
 MAX_VIOLATION_GROWTH = (
     100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
 )
-CAUTIOUS_VIOLATION_GROWTH = 10.0  # the same where a search got stuck
+CAUTIOUS_VIOLATION_GROWTH = 10.0  # the same after a search without progress
 STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 IPOPT_TOLERANCE = 1e-8
 WARM_BARRIER = 1e-5  # barrier of a start from a solution nearby
@@ -93,7 +93,7 @@ class Solution(NamedTuple):
 
 
 class _IterateWatcher(ca.Callback):
-    """Sees every iterate, keeps the one that violates least, and stops IPOPT when asked to."""
+    """Callback that keeps the iterate of least violation, and stops IPOPT on request."""
 
     def __init__(self, program: Program, look: IterateCallback, guard: InterruptGuard) -> None:
         ca.Callback.__init__(self)
@@ -125,7 +125,7 @@ class _IterateWatcher(ca.Callback):
         return ca.Sparsity.dense(sizes[ca.nlpsol_out(index)], 1)
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
-        """Look at an iterate; a one stops the solver."""
+        """Process an iterate; return one to stop the solver."""
         try:
             return [0.0 if self.guard.call(self.look, self._record_iterate(arguments)) else 1.0]
         except BaseException as error:
@@ -147,7 +147,7 @@ class _IterateWatcher(ca.Callback):
 
 
 def largest_violation(program: Program, rows: Array) -> float:
-    """Return by how much the rows miss their bounds at most, each in its unit."""
+    """Return the largest violation of the bounds of the rows, each in its unit."""
     return float(np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0))
 
 

@@ -12,11 +12,11 @@ from slipfree.records import Label
 MODEL = "model"  # the role of the model's own limits, before they are in the program
 DURATION = "duration"
 LIMITED_SUFFIX = " is limited by the plan"  # ends the words of a limit of the plan
-FIXED_POINT_FROM = 1000.0  # from which on four digits are too few
+FIXED_POINT_FROM = 1000.0  # larger values have three decimals, since four digits are too few
 
 
 def rate_of(label: Label) -> Label:
-    """Return the label of an input's rate, as the program calls it."""
+    """Return the label of an input's rate in the program."""
     return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
 
 
@@ -40,14 +40,14 @@ def number(label: Label, value: float) -> str:
 
 
 def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return by how much quantities are missed, as in ``x at the goal by 3.1e-04 m``."""
+    """Return a text of violations, such as ``x at the goal by 3.1e-04 m``."""
     return ", ".join(
         f"{name} by {size:.1e} {_unit(units[name])}".rstrip() for name, size in sizes.items()
     )
 
 
 def _digits(value: float) -> str:
-    """Return a value to four digits, large ones, as of places on a map, to three decimals."""
+    """Return a value with four digits, or with three decimals if large, as map coordinates are."""
     value = round(value, 9) + 0.0
     return f"{value:.4g}" if abs(value) < FIXED_POINT_FROM else f"{round(value, 3):.15g}"
 

@@ -34,9 +34,9 @@ from slipfree.records import Array, field_overview
 from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import SolverError
 
-TIME_TOLERANCE = 1e-6  # times that are nearer are one [s]
+TIME_TOLERANCE = 1e-6  # times at a smaller distance count as equal [s]
 USABLE_STATUSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
-MIN_WINDOW_FRACTION = 0.25  # part of the window that is left when nothing is decided any more
+MIN_WINDOW_FRACTION = 0.25  # near the end of the plan, shorter windows are not updated [window]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
     if ca.depends_on(everything, dae.t):
         raise ModelError(
             "horizon: expected a model, costs and limits that do not depend on time, found some "
-            "that do; plan the whole way instead"
+            "that do; plan the whole motion instead"
         )
 
 
@@ -261,7 +261,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
             f"horizon: no step at t = {t:g} s from the state {x}: {ipopt_words(status)}; "
-            "the former cycle may be driven on"
+            "the inputs of the former cycle may still be used"
         )
     unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     asked = replace(program, g_lower=g_lower, g_upper=g_upper)

@@ -47,12 +47,12 @@ from slipfree.records import Array, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.trajectory import PLAN, Stop, Trajectory
 
-SLIP_STAGES = (0.0, 1.0)  # parts of the slip's weight, one after the other
+SLIP_STAGES = (0.0, 1.0)  # consecutive factors on the weight of the slip
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
 MAX_LIMIT_ROUNDS = 4  # of adding limits that a plan violates
-MAX_REFINEMENTS = 6  # of the mesh at most
-LIMIT_CLEARANCE = 1e-5  # by which plans keep clear of the model's limits, which end a simulation
-SAMPLE_STEP = 0.25  # between samples of the simulation at most [s]
+MAX_REFINEMENTS = 6  # of the mesh
+LIMIT_CLEARANCE = 1e-5  # distance of plans from the model's limits, which end a simulation
+SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 PlanProgress = Callable[[str, Iterate], bool]
 
 
@@ -185,7 +185,7 @@ def plan(
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
 ) -> Plan:
-    """Return the inputs that reach a goal at the least cost, with the motion they lead to.
+    """Return the inputs that reach a goal at least cost, with the resulting motion.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from slipfree.trajectory import Trajectory
 SAME_STATE_DISTANCE = (
     1e-6  # distance of states within which a motion begins where another does [m, rad]
 )
-FRACTION_TOLERANCE = 1e-12  # part of the duration by which a place may miss the end of an interval
+FRACTION_TOLERANCE = 1e-12  # tolerance of ends of intervals [duration]
 
 
 class PolynomialMotion(NamedTuple):
@@ -44,7 +44,7 @@ class PolynomialMotion(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the motion [s]."""
         return float(self.unknowns[self.layout.duration])
 
     @property
@@ -82,7 +82,7 @@ class PolynomialMotion(NamedTuple):
         return len(self.layout.inputs) == self.mesh.ends.size
 
     def _where(self, at: Array) -> tuple[Index, Array]:
-        """Return intervals, an end among the one before it, and places on them from 0 to 1."""
+        """Return intervals and positions on them, 0 to 1; an end belongs to the interval before."""
         ends = self.mesh.ends
         k = np.clip(np.searchsorted(ends, at - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
         return k, (at - ends[k]) / np.diff(ends)[k]

@@ -18,8 +18,8 @@ from slipfree.records import Array, leaves
 from slipfree.trajectory import Trajectory
 
 Range = tuple[float, float]
-BLENDED_POWER = 0.1  # power around which work and braking blend [W]
-ROUNDED_FRACTION = 0.01  # part of a bound over which the tip of a root at zero is rounded
+BLENDED_POWER = 0.1  # width of the smooth transition between work and braking [W]
+ROUNDED_FRACTION = 0.01  # rounding of a square root at zero [bound]
 
 
 def duration_of(value: float | Range) -> Range:
@@ -69,7 +69,7 @@ def _driving_power(dae: Dae) -> ca.SX:
 
 
 def _squared(expression: ca.SX) -> ca.SX:
-    """Return the square, that of a root without the root, which has no derivative at zero."""
+    """Return the square of an expression; for a root its argument, which is differentiable."""
     return expression.dep(0) if expression.op() == ca.OP_SQRT else expression**2
 
 
@@ -94,7 +94,7 @@ def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[L
 
 
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
-    """Yield limits on a quantity, in map coordinates; one a wheel if it belongs to wheels."""
+    """Yield limits on a quantity in map coordinates; one per wheel for quantities of wheels."""
     low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
     if not low <= high:
         raise ModelError(f"plan: bounds of {name} must ascend, found {low} to {high}")
@@ -158,7 +158,7 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
     for name, (low, high) in given.items():
         if name not in names:
-            raise ModelError(f"plan: {name!r} is no input; inputs are {', '.join(names)}")
+            raise ModelError(f"plan: {name!r} is not an input; inputs are {', '.join(names)}")
         if not low <= high:
             raise ModelError(f"plan: bounds of {name} must ascend, found {low} to {high}")
         bounds[names.index(name)] = low, high

@@ -1,9 +1,10 @@
 """Transcribe an optimal control problem into a nonlinear program by Radau collocation.
 
-Time is divided into intervals. On each of them the states are polynomials of the degree, with their
-values at its beginning and at the Radau points, the last of which is its end; the algebraic
-unknowns have values at the points. Equations, limits and costs of one point are a symbolic function
-of its own unknowns and of the polynomials' values, rates of the inputs one of an interval's.
+Time is divided into intervals. On each interval the states are polynomials of the given degree,
+represented by their values at its beginning and at the Radau points, the last of which is its end;
+the algebraic unknowns are represented by their values at the points. Equations, limits and costs of
+a point are a symbolic function of its own unknowns and of the state values of its interval; rates
+of the inputs are a function of the inputs of an interval.
 """
 
 from __future__ import annotations
@@ -132,7 +133,7 @@ class RowBlock(NamedTuple):
 
 
 class VariableLayout(NamedTuple):
-    """Where the unknowns of the program are: states, inputs, unknowns by point, and duration.
+    """Indices of the unknowns of the program: states, inputs, unknowns by point, and duration.
 
     Attributes
     ----------
@@ -265,7 +266,7 @@ def transcribe(
 
 
 def completed(program: Program, unknowns: Array) -> Array:
-    """Return the unknowns of a program with the roots that belong to the others, not scaled."""
+    """Return the unscaled unknowns of a program, with roots computed from the others."""
     full, n_w = unknowns.copy(), program.roots.size1_in(0)
     found = program.roots(unknowns[:n_w] / program.scale[:n_w])
     full[program.layout.roots.ravel()] = np.array(found).ravel()
@@ -273,7 +274,7 @@ def completed(program: Program, unknowns: Array) -> Array:
 
 
 def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLayout) -> ca.Function:
-    """Return the function that solves for the roots: their values plus residuals."""
+    """Return the function of the roots: their values plus residuals."""
     n_x, n_r = layout.first.size, layout.roots.shape[2]
     begin = n_x + layout.unknowns.shape[2]
     rows = points.row_indices[:, begin : begin + n_r].ravel().tolist()
@@ -284,7 +285,7 @@ def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLay
 def positions(
     mesh: CollocationMesh, counts: tuple[int, int, int], *, continuous: bool
 ) -> VariableLayout:
-    """Return where the unknowns are, for numbers of states, algebraic unknowns and inputs."""
+    """Return the indices of the unknowns for numbers of states, unknowns and inputs."""
     n_x, n_z, n_u = counts
     count, degree = mesh.ends.size - 1, mesh.degree
     block = n_u + degree * (n_x + n_z)

@@ -23,8 +23,8 @@ LIMIT_WIDTH_FRACTION = (
 REFINED_FRACTION = (
     0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
 )
-VERIFICATION_TOLERANCE = 0.01  # of that of the plan: errors of the simulation are none of the plan
-MIN_INTERVAL_SAMPLES = 8  # samples of an interval at least; the denser, the nearer its ends
+VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation [accuracy of the plan]
+MIN_INTERVAL_SAMPLES = 8  # smallest number of samples per interval, denser near its ends
 
 
 class Verification(NamedTuple):
@@ -163,7 +163,7 @@ def _condition_excess(
 
 
 def _tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
-    """Return by how much each limit may be violated: less than the accuracy if it is narrow."""
+    """Return the tolerance of each limit: the accuracy, or less for a narrow limit."""
     widths = np.array([limit.upper - limit.lower for limit in limits])
     return np.where(
         widths > 0, np.minimum(accuracy, LIMIT_WIDTH_FRACTION * np.abs(widths)), accuracy
@@ -180,7 +180,7 @@ def _local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
 def _limit_excess(
     dae: Dae, limits: Sequence[Limit], samples: tuple[Array, Array, Array, Array]
 ) -> Array:
-    """Return by how much every limit is violated at every sample, shape (n_limits, n)."""
+    """Return the violation of every limit at every sample, shape (n_limits, n)."""
     values = _limit_values(dae, limits, samples)
     low, high = (
         np.array([getattr(limit, side) for limit in limits]).reshape(-1, 1)
@@ -199,7 +199,7 @@ def _limit_values(
 
 
 def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
-    """Return on which intervals a difference that is too large arises.
+    """Return the mask of intervals in which a too large difference arises.
 
     A difference persists, so that an interval counts by how much the difference changes on it; all
     of them together make no more than the accuracy if each makes its share.

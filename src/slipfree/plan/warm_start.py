@@ -15,11 +15,11 @@ from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.transcription import CollocationMesh, Program, VariableLayout, positions
 from slipfree.records import Array, field_overview, leaves
 
-ARRAY_PREFIX = "plan_"  # of the names of the arrays
+ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays
 
 
 class SavedPlan(NamedTuple):
-    """A plan as numbers, from which another may start.
+    """Arrays of a plan, for a warm start of another plan.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Solve motions by collocation, some of whose states follow from a path instead of a start.
+"""Solve motions by collocation, with some states determined by a path instead of a start.
 
 The rate of such a state, as of a steering angle, enters the equations with a factor that may be
 small and change sign, so that an initial value is forgotten at once or never held: the state

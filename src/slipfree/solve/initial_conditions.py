@@ -11,9 +11,9 @@ from slipfree.errors import ModelError
 from slipfree.records import Array, leaves
 from slipfree.solve.system import Block, System
 
-MAX_STEP = 0.25  # of an unknown's typical size, in one Newton step
+MAX_STEP = 0.25  # largest Newton step of an unknown [typical size]
 MAX_STEPS = 100
-MAX_DIVISIONS = 3  # how often a stage of the continuation may be halved
+MAX_DIVISIONS = 3  # largest number of bisections of a stage of the continuation
 CONVERGED_RESIDUAL = 1e-13  # residual without unit
 MIN_SINGULAR_VALUE = 1e-10  # smallest singular value of a block, relative to the largest
 

@@ -14,7 +14,7 @@ from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.system import MAX_NEWTON_STEPS, Block, System
 from slipfree.trajectory import Column, SolverError, Trajectory
 
-AXIS_NAMES = ("time", "wheel")  # of results: no quantity is called so
+AXIS_NAMES = ("time", "wheel")  # dimensions of results, reserved names
 
 MAX_CORRECTIONS = 10  # Newton steps per sample
 SOLVED_RESIDUAL = 1e-12  # residual, without unit, at which a sample needs no further step

@@ -27,7 +27,7 @@ def settle(
     options: SolverOptions = SolverOptions(),
     **start: float,
 ) -> Trajectory:
-    """Return the vehicle standing at rest at a place, as a trajectory of one sample.
+    """Return the vehicle at rest at a position, as a trajectory of one sample.
 
     Parameters
     ----------

@@ -31,13 +31,13 @@ from slipfree.solver_codes import NO_START, sundials_words
 from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 
 COUNTS = {"steps": "nsteps", "residuals": "nfevals", "set_ups": "nlinsetups"}
-SUBINTERVALS = 64  # into which an interval with a crossing is divided at a time
-CROSSING_TOLERANCE = 1e-6  # to which a crossing is bracketed [s]
+SUBINTERVALS = 64  # parts of an interval with a crossing, in each refinement
+CROSSING_TOLERANCE = 1e-6  # width of the final bracket of a crossing [s]
 RESIDUAL_FACTOR = 100.0  # residual allowed at samples of models with a continuation [tolerance]
-LIMIT_TOLERANCE = 1e-6  # of a limit's unit or size, by which a step may exceed it
+LIMIT_TOLERANCE = 1e-6  # tolerated violation of a limit [unit or scale of the limit]
 MAX_STEPS = 10_000  # of the integrator between two samples
 MAX_RESTARTS = 20  # after failures of the integrator, per interval of the inputs
-ROUNDING = 1e-13  # of an input's terms, up to which it does not jump
+ROUNDING = 1e-13  # smaller relative changes of an input are not jumps
 CHUNK_SIZE = 2000  # samples checked together, to bound the memory
 Progress = Callable[[float], bool | None]
 
@@ -347,12 +347,12 @@ def _make_consistent(
 
 
 def _select(samples: Samples, k: slice | list[int] | Mask) -> Samples:
-    """Return some of the samples."""
+    """Return a selection of the samples."""
     return Samples(*(row[..., k] for row in samples))
 
 
 def _concatenate(parts: Sequence[Samples]) -> Samples:
-    """Return the samples of all parts, one after the other."""
+    """Return the concatenated samples of all parts."""
     return Samples(*(np.concatenate(row, axis=-1) for row in zip(*parts, strict=True)))
 
 

@@ -19,7 +19,7 @@ MIN_LASTING_JUMP = 5e-3  # the same if half of it or more happens in that share 
 
 
 def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:
-    """Return the stop that the model's equations explain, None if they do not.
+    """Return the stop explained by the model's equations; None without an explanation.
 
     Parameters
     ----------
