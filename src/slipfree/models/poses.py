@@ -16,7 +16,7 @@ from slipfree.vehicle.tree import Vehicle
 POSITION = ("x", "y", "z", "heading", "roll", "pitch")
 
 
-class Placed(NamedTuple):
+class FramePoses(NamedTuple):
     """Poses of frames over time, in map coordinates.
 
     Attributes
@@ -31,7 +31,7 @@ class Placed(NamedTuple):
     rotations: Array
 
 
-def part_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
+def part_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
     """Return the poses of the platform and of the parts of all joints, in this order.
 
     Parameters
@@ -53,7 +53,7 @@ def part_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
     return _frame_poses(vehicle, run, parts)
 
 
-def wheel_poses(vehicle: Vehicle, run: Trajectory) -> Placed:
+def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
     """Return the poses of the wheels, rotated about their axles (x axes).
 
     Parameters and errors are those of `part_poses`; the motion must also have the wheel angles.
@@ -76,7 +76,7 @@ def _frame_poses(
     vehicle: Vehicle,
     run: Trajectory,
     frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]],
-) -> Placed:
+) -> FramePoses:
     """Return the poses of frames that depend on the platform's pose and the coordinates."""
     names = (*POSITION, *(c.name for c in vehicle.coordinates))
     q = ca.SX.sym("q", len(names))
@@ -91,4 +91,4 @@ def _frame_poses(
     origins, rotations = (np.array(each).T for each in function.map(run.t.size)(columns))
     shape = run.t.size, len(found)
     by_column = rotations.reshape(*shape, 3, 3)
-    return Placed(origins.reshape(*shape, 3), by_column.transpose(0, 1, 3, 2))
+    return FramePoses(origins.reshape(*shape, 3), by_column.transpose(0, 1, 3, 2))

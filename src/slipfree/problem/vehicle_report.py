@@ -64,7 +64,7 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
     try:
         if not is_vehicle_file(path):
             setup = build(load_problem(path, settings, command="vehicle"))
-            return _told(setup.vehicle, setup.model, setup.start)
+            return _description(setup.vehicle, setup.model, setup.start)
         if settings:
             raise DataError(f"--set: expected a problem file to set values in, found {path}")
         vehicle = read_vehicle(path)
@@ -74,14 +74,14 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
         return Description(_drawn(error.draft), _shares(error.draft), error.faults)
     dae = direct_kinematics(vehicle, Analytic(_level))
     try:
-        return _told(vehicle, dae, settle(dae))
+        return _description(vehicle, dae, settle(dae))
     except ModelError as error:
         facts = [*counts(vehicle, dae), *_notes(vehicle)]
         faults = (f"{path}: on level ground: {error}",)
         return Description(_drawn(vehicle), facts, faults)
 
 
-def _told(vehicle: Vehicle, dae: Dae, start: Trajectory) -> Description:
+def _description(vehicle: Vehicle, dae: Dae, start: Trajectory) -> Description:
     facts = [*counts(vehicle, dae), *conditioning(dae, start), *_notes(vehicle)]
     return Description(_drawn(vehicle), facts, ())
 

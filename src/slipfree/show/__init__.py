@@ -1,1 +1,1 @@
-"""Figures of a motion."""
+"""Figures, scenes, films, viewer and report of results."""

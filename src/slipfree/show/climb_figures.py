@@ -25,9 +25,9 @@ from slipfree.show.plots import Panel, Plot, stack
 from slipfree.show.style import MM, PAGE, PLATFORM
 from slipfree.trajectory import Trajectory
 
-EVERY, POSES = 0.3, 2  # between dots [s], and in how many of them the vehicle is drawn once
+EVERY, POSES = 0.3, 2  # time between dots [s], and dots per drawn vehicle
 TIMES = colormaps["viridis"]
-LATEST = 0.85  # of the scale of colors: its yellow end is too light for lines
+LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
 GROUND = "0.85"
 ROOM, BELOW = 0.04, 0.03  # around and below what is drawn [m]
 HIGHEST = 100.0  # of ratios that are drawn [%]
@@ -41,7 +41,7 @@ def ground(profile: Profile, ax: Axes) -> Axes:
     profile : Profile
         The ground.
     ax : Axes
-        Where to draw; its aspect becomes equal.
+        The axes; their aspect becomes equal.
     """
     for solid in profile.solids:
         ax.add_patch(Polygon(solid.points, fc=GROUND, ec=GROUND, lw=0.3, zorder=0))
@@ -53,16 +53,16 @@ def ground(profile: Profile, ax: Axes) -> Axes:
 def strobe(
     run: Trajectory, climber: Climber, profile: Profile, ax: Axes, every: float = EVERY
 ) -> Axes:
-    """Draw where a vehicle was: its axles at even times, and itself at every other of them.
+    """Draw the axles at equally spaced times, and the vehicle at every other of them.
 
     Parameters
     ----------
     run : Trajectory
         The motion.
     climber, profile : Climber, Profile
-        What climbed what.
+        Vehicle and ground.
     ax : Axes
-        Where to draw.
+        The axes.
     every : float
         Time between dots. [s]
     """
@@ -114,7 +114,7 @@ def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axe
 
 
 def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the references of the wheels over time, as rim speeds, and the rims' own speeds."""
+    """Draw the references of the wheels as rim speeds over time, and the actual rim speeds."""
     for k, axle in enumerate(AXLES):
         look = style.look(k)
         ax.plot(run.t, climber.radius * run["wheel_rate", axle], **look | {"lw": 0.6, "alpha": 0.5})
@@ -129,7 +129,7 @@ def slip(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
 
 
 def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> Axes:
-    """Draw the speed at which rims slip on the solid that bears most, over that of the rims."""
+    """Draw the slip velocity on the solid with the largest load over the rim speed."""
     solids = range(len(profile.solids))
     loads = np.array([run[f"load_{k}"] for k in solids])
     slips = np.array([run[f"slip_{k}"] for k in solids])
@@ -173,7 +173,7 @@ def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
 
 
 def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the torque of a wheel of every axle over time, and its limit if it comes near."""
+    """Draw the torque of a wheel of every axle over time, and its limit if it is near."""
     for k, axle in enumerate(AXLES):
         ax.plot(run.t, run["torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
     if climber.torque < 1.5 * np.abs(run["torque"]).max():
@@ -184,7 +184,7 @@ def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
 
 
 def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the rims' speeds over the way: planned, and thin driven.
+    """Draw the planned rim speeds over the progress, and the actual ones as thin lines.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes
     climber : Climber
         The vehicle.
     ax : Axes
-        Where to draw.
+        The axes.
     """
     come, plan_speeds = _progress(run), climber.radius * plan["wheel_rate"]
     speeds = climber.radius * run["wheel_rate"]
@@ -204,7 +204,7 @@ def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes
 
 
 def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Axes) -> Axes:
-    """Draw the friction that wheels use over the way, on the solid that bears most, and planned.
+    """Draw the used friction over the progress, on the solid with the largest load, and the plan.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def _progress(run: Trajectory) -> Array:
 
 
 def _over_way(come: Array, driven: Array, plan: Trajectory, planned: Array, ax: Axes) -> Axes:
-    """Draw what is planned over the progress, and thin what is driven."""
+    """Draw planned values over the progress, and actual values as thin lines."""
     for k, axle in enumerate(AXLES):
         look = style.look(k)
         ax.plot(come, driven[:, k], **look | {"lw": 0.6, "alpha": 0.6})
@@ -240,7 +240,7 @@ def _over_way(come: Array, driven: Array, plan: Trajectory, planned: Array, ax: 
 
 
 def _over_time(run: Trajectory, ax: Axes) -> Axes:
-    """Label the axis of time, and shade what is left out of the averages."""
+    """Label the time axis, and shade the times outside the averages."""
     counts = run.statistics
     if "climb_from" in counts:
         for left, right in ((run.t[0], counts["climb_from"]), (counts["climb_to"], run.t[-1])):
@@ -322,12 +322,12 @@ def _strobe(run: Trajectory, climber: Climber, profile: Profile) -> Figure:
 
 
 def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
-    """Make a figure as high as its axes of equal aspect need."""
+    """Set the height of a figure for its axes of equal aspect."""
     width, height = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
     figure.set_figheight((PAGE - 14 * MM) * float(height / width) + room)
 
 
 def _outcome(run: Trajectory) -> str:
-    """Return how a climb ended, as its problem says, in a sentence."""
+    """Return a sentence on the end of a climb."""
     words = run.attributes.get("climb", "")
     return f" It {words}." if words.startswith(("climbs", "stalls", "slides", "tips")) else ""

@@ -1,7 +1,7 @@
-"""What there is to draw of climbs in space: the profile and the vehicle, given a width.
+"""Scenes of climbs: the profile and the vehicle, with an assumed width.
 
-A climb happens in a plane. The profile is pulled across it, and the wheels of an axle stand side by
-side: the width is drawn, not computed with.
+A climb is computed in a plane. For the scene the profile is extruded across the plane, and the
+wheels of an axle stand side by side; the width has no effect on the computation.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from slipfree.show.scene import PLATE, ROD, TYRE, Actor, Arrows, Color, Ground, 
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.sections.torus import Torus
 
-TRACK = 3.5  # half of the track, in radii of the wheels
-WIDTH = 2.0  # half of the width of the ground, in half tracks
-TUBE = 0.35  # radius of the wheels' tube, in radii of the wheels
-ROOM = 4.0  # of the ground around a climb, in radii of the wheels
-LEVELS = 25  # at which the drawn ground is divided, so that its color follows its height
-NARROW = 0.6  # width of the bodies, in that of the vehicle
+TRACK = 3.5  # half of the track [wheel radius]
+WIDTH = 2.0  # half of the width of the ground [half track]
+TUBE = 0.35  # radius of the wheels' tube [wheel radius]
+ROOM = 4.0  # margin of the ground around a climb [wheel radius]
+LEVELS = 25  # subdivisions of the ground in height, for its colour
+NARROW = 0.6  # width of the bodies [width of the vehicle]
 
 
 class Climbed(NamedTuple):
-    """A climb, and what climbed what.
+    """A climb with its vehicle and ground.
 
     Attributes
     ----------
     name : str
-        As it is to be shown.
+        Displayed name.
     run : Trajectory
         The motion.
     climber, profile : Climber, Profile
@@ -57,7 +57,7 @@ class Climbed(NamedTuple):
 
 
 def climb_scene(climbs: Sequence[Climbed]) -> Scene:
-    """Return what to draw of climbs over one profile.
+    """Return the scene of climbs over one profile.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _reach(climber: Climber) -> float:
 
 
 def _ground(each: Climbed, runs: Sequence[Trajectory], origin: Array) -> Ground:
-    """Return the profile around the climbs, pulled across."""
+    """Return the extruded profile around the climbs."""
     radius = each.climber.radius
     half = WIDTH * TRACK * radius
     left, right = _span(runs, "axle_x")
@@ -169,7 +169,9 @@ def _bodies(climber: Climber, run: Trajectory, origin: Array, color: Color) -> I
         ("front", climber.front_body, front),
     ):
         mesh = _body(climber.radius, ends, axles[name], body)
-        yield scene.Body(f"{name} body", ((mesh, color),), joint, _turned(run[f"tilt_{name}"]))
+        yield scene.Body(
+            f"{name} body", ((mesh, color),), joint, _tilt_rotations(run[f"tilt_{name}"])
+        )
 
 
 def _body(radius: float, ends: tuple[float, float], axles: Sequence[float], body: Body) -> Mesh:
@@ -181,8 +183,8 @@ def _body(radius: float, ends: tuple[float, float], axles: Sequence[float], body
     return joined(*meshes)
 
 
-def _turned(tilt: Array) -> Array:
-    """Return rotations of frames with x right, y forward, z up, nose up by angles, (n, 3, 3)."""
+def _tilt_rotations(tilt: Array) -> Array:
+    """Return rotations nose up by angles, for frames with x right, y forward, (n, 3, 3)."""
     cosine, sine, zero = np.cos(tilt), np.sin(tilt), np.zeros(tilt.size)
     right = np.stack([zero, zero - 1, zero], axis=1)
     forward, up = np.stack([cosine, zero, sine], axis=1), np.stack([-sine, zero, cosine], axis=1)
@@ -190,7 +192,7 @@ def _turned(tilt: Array) -> Array:
 
 
 def _abreast(climber: Climber, k: int) -> Array:
-    """Return where the wheels of an axle stand across the vehicle, to the left. [m]."""
+    """Return the lateral positions of the wheels of an axle, to the left. [m]."""
     half, count = TRACK * climber.radius, climber.axles[k].wheels
     return np.linspace(-half, half, count) if count > 1 else np.zeros(1)
 
@@ -199,20 +201,20 @@ def _wheels(climber: Climber, run: Trajectory, origin: Array, color: Color) -> I
     tread = Torus(TUBE * climber.radius, (1 - TUBE) * climber.radius).mesh()
     looks = ((tread, TYRE), (spokes(0.97 * climber.radius), color))
     for k, axle in enumerate(AXLES):
-        turned = spun(_turned(np.zeros(run.t.size)), run["wheel_angle", axle])
+        turned = spun(_tilt_rotations(np.zeros(run.t.size)), run["wheel_angle", axle])
         for number, across in enumerate(_abreast(climber, k)):
             at = np.stack([run["axle_x", axle], np.full(run.t.size, across), run["axle_z", axle]])
             yield scene.Body(f"{axle} {number + 1}", looks, at.T - origin, turned)
 
 
 def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tuple[Arrows, ...]]:
-    """Return contact points of all wheels with all solids that bear them, slip and forces there."""
+    """Return the contact points of all wheels with solids, with slip and forces."""
     points, slips, forces = [], [], []
     for number, solid in enumerate(each.profile.solids):
         normals = solid.distance(run["axle_x"], run["axle_z"])[1]
         tangents = np.stack([normals[..., 1], -normals[..., 0]], axis=-1)
         for k, axle in enumerate(AXLES):
-            normal, tangent = _lifted(normals[:, k]), _lifted(tangents[:, k])
+            normal, tangent = _to_space(normals[:, k]), _to_space(tangents[:, k])
             load, rubbing, slip = (
                 run[f"{name}_{number}", axle][:, None] for name in ("load", "friction", "slip")
             )
@@ -231,6 +233,6 @@ def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tup
     return at, arrows
 
 
-def _lifted(vectors: Array) -> Array:
+def _to_space(vectors: Array) -> Array:
     """Return vectors (x, z) as vectors in space."""
     return np.stack([vectors[:, 0], np.zeros(len(vectors)), vectors[:, 1]], axis=1)

@@ -1,4 +1,4 @@
-"""What there is to draw of motions over terrain: the ground around them, vehicles, arrows."""
+"""Scenes of motions over terrain: ground, vehicles and arrows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from slipfree.errors import ModelError
-from slipfree.models.poses import Placed, part_poses, wheel_poses
+from slipfree.models.poses import FramePoses, part_poses, wheel_poses
 from slipfree.records import Array
 from slipfree.routing.regions import Region
 from slipfree.routing.traversability import extents, nodes_at, traversability
@@ -54,20 +54,20 @@ SAME = 1e-9  # difference of grounds that is none [m]
 
 
 class Driven(NamedTuple):
-    """A motion over terrain, and what it happened with.
+    """A motion over terrain with its ground and vehicle.
 
     Attributes
     ----------
     name : str
-        As it is to be shown.
+        Displayed name.
     run : Trajectory
         The motion.
     terrain : Bicubic
         The ground.
     vehicle : Vehicle
-        What moved.
+        The vehicle.
     keep_out : tuple of Region
-        Where a plan must not go.
+        Keep-out regions of a plan.
     plan : Trajectory or None
         The plan that the motion simulates: poses and contact points.
     """
@@ -81,7 +81,7 @@ class Driven(NamedTuple):
 
 
 def drive_scene(drives: Sequence[Driven]) -> Scene:
-    """Return what to draw of motions over one ground, that of the first.
+    """Return the scene of motions over one ground, that of the first motion.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
 
 
 def _layers(drawn: Grid, drive: Driven, window: Window) -> Iterable[Layer]:
-    """Yield the ways to color the ground."""
+    """Yield the colourings of the ground."""
     low, high = float(drawn.z.min()), float(drawn.z.max())
     yield layer("height", drawn.z.ravel(), f"{low:.4g} to {high:.4g} m", low, high)
     slope = np.degrees(np.arctan(np.hypot(*np.gradient(drawn.z, *drawn.spacing)))).ravel()
@@ -178,7 +178,7 @@ def _layers(drawn: Grid, drive: Driven, window: Window) -> Iterable[Layer]:
 
 
 def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
-    """Return what a metre of way costs the first vehicle, gray where it cannot be."""
+    """Return the layer of the first vehicle's cost per metre, grey where it is blocked."""
     terrain, reach = drive.terrain, extents(drive.vehicle)[2]
     wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
     wide = (window[0] - wide_x, window[1] + wide_x, window[2] - wide_y, window[3] + wide_y)
@@ -204,11 +204,11 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
 def _actor(
     drive: Driven, run: Trajectory, name: str, k: int, origin: Array, ghost: bool = False
 ) -> Actor:
-    """Return what to draw of a motion."""
+    """Return the actor of a motion."""
     vehicle, color = drive.vehicle, color_of(k)
     parts, wheels = part_poses(vehicle, run), wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], axis=-1)
-    bodies = [*_parts(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
+    bodies = [*_part_bodies(vehicle, parts, wheels, color), *_wheels(vehicle, wheels, color)]
     axles = wheels.rotations[..., 0]
     arrows = [] if ghost else _arrows(run, drive.terrain, contacts, axles)
     return Actor(
@@ -223,8 +223,10 @@ def _actor(
     )
 
 
-def _parts(vehicle: Vehicle, parts: Placed, wheels: Placed, color: Color) -> Iterable[Body]:
-    """Yield the platform and the parts of the joints, as rods to what they carry."""
+def _part_bodies(
+    vehicle: Vehicle, parts: FramePoses, wheels: FramePoses, color: Color
+) -> Iterable[Body]:
+    """Yield the platform and the parts of the joints, as rods to the parts that they carry."""
     radius = max(wheel.radius for wheel in vehicle.wheels)
     names = ["platform", *(joint.name for joint in vehicle.joints)]
     for number, name in enumerate(names):
@@ -248,14 +250,14 @@ def _parts(vehicle: Vehicle, parts: Placed, wheels: Placed, color: Color) -> Ite
             yield Body(name, ((joined(*meshes), color),), origins, rotations)
 
 
-def _wheels(vehicle: Vehicle, wheels: Placed, color: Color) -> Iterable[Body]:
+def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body]:
     for k, wheel in enumerate(vehicle.wheels):
         looks = ((wheel.section.mesh(), TYRE), (spokes(wheel.radius * 0.97), color))
         yield Body(wheel.name, looks, wheels.origins[:, k], wheels.rotations[:, k])
 
 
 def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) -> list[Arrows]:
-    """Return slip and forces, from their parts along, across and normal to the ground."""
+    """Return slip and forces, from their components along, across and normal."""
     normals = ground_normals(terrain, contacts)
     along = np.cross(normals, axles)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
@@ -269,7 +271,7 @@ def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) ->
 
 
 def ground_normals(terrain: Bicubic, points: Array) -> Array:
-    """Return upward unit normals of a ground at points of it, shape (..., 3)."""
+    """Return upward unit normals of a ground at points, shape (..., 3)."""
     slopes = []
     for axis, cell in enumerate(terrain.grid.spacing):
         step = 1e-3 * cell
@@ -294,9 +296,9 @@ def _cropped(grid: Grid, fine: Refined) -> str:
 
 
 def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]:
-    """Yield in words how far the drawn ground is from the true one, where wheels touch it.
+    """Yield a note on the distance of the drawn ground from the contact points.
 
-    Only if that is more than ``least`` radii of the smallest wheel.
+    There is no note for distances of at most ``least`` radii of the smallest wheel.
     """
     off = max(
         float(np.abs(fine.height(x, y) - drive.terrain.elevation(x, y)).max())
@@ -310,12 +312,12 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
 
 
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
-    """Yield in words how the ground of other motions differs from the one that is drawn.
+    """Yield notes on differences of the grounds of other motions from the drawn one.
 
     Raises
     ------
     ModelError
-        If one differs by more than a wheel's radius where its motion went.
+        If a ground differs by more than a wheel's radius along its motion.
     """
     first = drives[0]
     west, east, south, north = first.terrain.domain

@@ -23,7 +23,7 @@ from slipfree.show import style
 from slipfree.show.scene import ARROWS, PLAN, Actor, Color, Scene, scale_words
 from slipfree.show.style import MM, PAGE, STYLE
 
-FRAMES, FILM_DPI = 20, 110  # of a film, by second and by inch
+FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
 MOST = 400  # pictures of a film; a longer motion is sped up
 ROWS = {"height_ratios": (2, 3)}  # of a film of a section, which is wide
@@ -34,12 +34,12 @@ T = TypeVar("T")
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
-    """Return what writes a film to a file, by its ending.
+    """Return the writer of a film, by the ending of its file.
 
     Raises
     ------
     DataError
-        If the ending is unknown, or what it needs is not installed.
+        If the ending is unknown, or ffmpeg is not installed.
     """
     if file.suffix not in ENDINGS:
         raise DataError(f"{file}: expected a name that ends in {' or '.join(ENDINGS)} for a film")
@@ -60,7 +60,7 @@ def write_film(
     show: Callable[[T], None],
     steps: Iterable[T],
 ) -> None:
-    """Write a film of a figure as it is after each step is shown; the file is old or whole.
+    """Write a film of a figure after each step, with atomic replacement of the file.
 
     Raises
     ------

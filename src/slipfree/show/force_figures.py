@@ -1,4 +1,4 @@
-"""Figures of what a vehicle with mass asks of the ground and of its drives.
+"""Figures of the loads of a vehicle with mass on the ground and on its drives.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
 axes; legends are the caller's. Functions that end in ``_plot`` compose figures.
@@ -24,37 +24,37 @@ from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
 
 COLOURS = "viridis"
-OVER = "#D55E00"  # of what friction cannot hold
-CEILING = 3.0  # utilisation above this is not drawn over time
-HEADROOM = 1.25  # of the axis of utilisation, for the words at the worst point
-CROWDED = 0.8  # words at a utilisation from here to 1 would cover the line at 1
-EDGES = 0.3  # words at points this near to an edge of the axes reach away from it
-CASING = "0.15"  # edge of coloured tracks
+OVER = "#D55E00"  # colour of utilisation above one
+CEILING = 3.0  # largest drawn utilisation
+HEADROOM = 1.25  # height of the axes for the text at the largest utilisation [utilisation]
+CROWDED = 0.8  # text at a utilisation between this and 1 would cover the line at 1
+EDGES = 0.3  # text at a smaller distance from an edge points away from it [axes]
+CASING = "0.15"  # colour of the edge of coloured tracks
 
 
 def normal_forces(run: Trajectory, ax: Axes) -> Axes:
-    """Draw how much every wheel presses on the ground over time; at zero it lifts off."""
+    """Draw the normal force of every wheel over time; at zero it lifts off."""
     _by_wheel(run, run["force_normal"], ax)
     ax.set_ylabel("normal force [N]")
     return style.time_axis(run, _with_zero(ax))
 
 
 def tangential_forces(run: Trajectory, ax: Axes) -> Axes:
-    """Draw how much of its contact force every wheel needs of friction over time."""
+    """Draw the tangential force of every wheel over time."""
     _by_wheel(run, np.hypot(run["force_along"], run["force_across"]), ax)
     ax.set_ylabel("tangential force [N]")
     return style.time_axis(run, _with_zero(ax))
 
 
 def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
-    """Draw what the drives of wheels and joints give over time, but for those that give nothing.
+    """Draw the nonzero efforts of the drives of wheels and joints over time.
 
     Parameters
     ----------
     run : Trajectory
         The motion.
     ax : Axes
-        Where to draw.
+        The axes.
     unit : {"N m", "N"}
         ``"N m"`` for the torques of wheels and joints, ``"N"`` for the forces of sliding joints.
     """
@@ -69,10 +69,10 @@ def drives(run: Trajectory, ax: Axes, unit: str = "N m") -> Axes:
 
 
 def utilisation(run: Trajectory, ax: Axes) -> Axes:
-    """Draw which part of the friction every wheel needs over time, and where that is worst.
+    """Draw the utilisation of friction of every wheel over time, and its largest value.
 
-    Values above 3 are not drawn, as a remark then says. Where the friction of the ground was not
-    given, it is the friction coefficient needed that is drawn.
+    Values above 3 are not drawn; a remark says so. On a ground without a friction coefficient, the
+    coefficient needed is drawn.
     """
     values = run["utilisation"]
     for k, wheel in enumerate(run.wheels):
@@ -80,7 +80,7 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
     if "utilisation_best" in run:
         best = _finite(run["utilisation_best"])
         ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="forces distributed best")
-    words = "all that friction gives" if _given(run) else "a friction coefficient of 1"
+    words = "all that friction gives" if _has_friction(run) else "a friction coefficient of 1"
     ax.axhline(1, color="0.4", lw=0.8, ls="--", label=words)
     largest = float(values.max())
     ax.set_ylim(0, CEILING if largest > CEILING else HEADROOM * max(1.0, largest))
@@ -94,7 +94,7 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
 
 
 def tip_over(run: Trajectory, ax: Axes) -> Axes:
-    """Draw by which angle gravity may lean over time before the vehicle tips; at zero it does."""
+    """Draw the tip-over margin over time; at zero the vehicle tips over."""
     ax.plot(run.t, run["tip_over_margin"], color=PLATFORM, label="tip-over margin")
     ax.set_ylabel("tip-over\nmargin [rad]")
     return style.time_axis(run, style.degrees(_with_zero(ax)))
@@ -110,7 +110,7 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     grid : Grid
         The ground.
     ax : Axes
-        Where to draw; its aspect becomes equal. Between two samples the larger value counts, and
+        The axes; their aspect becomes equal. Between two samples the larger value counts, and
         where tracks cross the largest lies on top.
     """
     ground_drawing.muted(grid, ax, ground_drawing.around(run, grid, pad=0.15))
@@ -139,13 +139,13 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     at = x[k, wheel], y[k, wheel]
     ax.plot(*at, "D", mfc="none", ms=8, label=f"largest, {_worst_words(run)}", **marks)
     if values[k, wheel] > 1:
-        words = "beyond friction" if _given(run) else "above 1"
+        words = "beyond friction" if _has_friction(run) else "above 1"
         ax.plot([], [], color=OVER, lw=2, label=words)
     return ax
 
 
 def energy(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the work of the drives since the start, the potential energy, and what is lost."""
+    """Draw the work of the drives since the start, the potential energy, and the losses."""
     work = run["work"] - run["work"][0]
     height = run["potential_energy"] - run["potential_energy"][0]
     ax.plot(run.t, work, label="drives", color=PALETTE[0])
@@ -157,7 +157,7 @@ def energy(run: Trajectory, ax: Axes) -> Axes:
 
 
 def power(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the power of the drives and what of it is lost over time, coloured as in `energy`."""
+    """Draw the power of the drives and the losses over time, coloured as in `energy`."""
     ax.plot(run.t, run["power"], label="drives", color=PALETTE[0])
     ax.plot(run.t, run["dissipation"], label="lost", color=PALETTE[1])
     ax.set_ylabel("power [W]")
@@ -219,14 +219,14 @@ def _utilisation_map(run: Trajectory, grid: Grid) -> Figure:
 
 
 def _by_wheel(run: Trajectory, values: Array, ax: Axes, zeros: bool = True) -> None:
-    """Draw a line a wheel, with or without those that are nothing but zero."""
+    """Draw a line per wheel, with or without wheels whose values are identically zero."""
     for k, wheel in enumerate(run.wheels):
         if zeros or values[:, k].any():
             ax.plot(run.t, values[:, k], label=style.words(wheel), **style.look(k))
 
 
 def _joints(run: Trajectory) -> list[str]:
-    """Return the names of the torques and forces of joints that are not nothing but zero."""
+    """Return the names of joint efforts that are not identically zero."""
     ends, columns = {"N m": "_torque", "N": "_force"}, run.columns.items()
     ours = [
         n for u, end in ends.items() for n, c in columns if c.label.unit == u and n.endswith(end)
@@ -235,25 +235,28 @@ def _joints(run: Trajectory) -> list[str]:
 
 
 def _with_zero(ax: Axes) -> Axes:
-    """Draw the zero that gives values their size, as the lowest line."""
+    """Draw a line at zero below the other lines."""
     ax.axhline(0, color="0.4", lw=0.6, zorder=1)
     return ax
 
 
 def _finite(values: Array) -> Array:
-    """Return values that can be drawn: what is infinite leaves the axes instead of breaking off."""
+    """Return finite values: infinite ones become large, so that their line leaves the axes."""
     return np.minimum(values, 1e3 * CEILING)
 
 
-def _given(run: Trajectory) -> bool:
-    """Return whether the ground has friction: else what is used of it is what is needed."""
+def _has_friction(run: Trajectory) -> bool:
+    """Return whether the ground has a friction coefficient.
+
+    Without one, ``utilisation`` is the coefficient needed.
+    """
     if "ground_friction" in run.attributes:
         return True
     return not np.array_equal(run["utilisation"], run["friction_needed"])
 
 
 def _quantity(run: Trajectory) -> str:
-    return "utilisation" if _given(run) else "friction needed $|f_t|/N$"
+    return "utilisation" if _has_friction(run) else "friction needed $|f_t|/N$"
 
 
 def _worst(run: Trajectory) -> tuple[int, int]:
@@ -271,7 +274,7 @@ def _worst_words(run: Trajectory) -> str:
 
 
 def _mark_worst(run: Trajectory, ax: Axes) -> None:
-    """Mark the largest utilisation, at the upper edge of the axes where it lies above."""
+    """Mark the largest utilisation, at the upper edge of the axes if it is above."""
     k, wheel = _worst(run)
     value, top = run["utilisation"][k, wheel], ax.get_ylim()[1]
     above = value > top

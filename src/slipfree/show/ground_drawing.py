@@ -1,4 +1,4 @@
-"""The ground as figures draw it: which part, how finely, and its shading."""
+"""Drawing of the ground in figures: part, resolution and shading."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from slipfree.terrain.base import Grid, Terrain
 from slipfree.trajectory import Trajectory
 
 HEATMAP = 600  # samples of a drawn map along an axis
-DIGITS = 9  # to which drawn heights are rounded, so that flat ground looks flat [m]
-INSIDE = 0.44  # words on a map lie this near to its middle, in parts of its width
+DIGITS = 9  # decimals of drawn heights, so that flat ground looks flat [m]
+INSIDE = 0.44  # largest distance of text on a map from its middle [width of the map]
 
 Window = tuple[float, float, float, float]
 
 
 def extent(x: Array, y: Array) -> dict[str, Any]:
-    """Return where an image of values at such nodes belongs."""
+    """Return the keyword ``extent`` of an image of values at nodes."""
     dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
     return {
         "extent": (x[0] - dx / 2, x[-1] + dx / 2, y[0] - dy / 2, y[-1] + dy / 2),
@@ -35,7 +35,7 @@ def extent(x: Array, y: Array) -> dict[str, Any]:
 
 
 def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
-    """Draw shadows of the heights, transparent where there are none, and axes of equal scale."""
+    """Draw a transparent hillshade, on axes of equal scale."""
     dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
     light = LightSource(azdeg=315, altdeg=45).hillshade(z.T, dx=dx, dy=dy)
     shadow = np.zeros((*light.shape, 4))
@@ -48,7 +48,7 @@ def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
 
 
 def muted(grid: Grid, ax: Axes, window: Window) -> Axes:
-    """Draw a part of the ground in grey, so that colours are free to mean something else."""
+    """Draw a part of the ground in grey, below coloured content."""
     shade(*patch(grid, window, HEATMAP), ax)
     return contours(grid, ax, window)
 
@@ -70,18 +70,18 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
 
 
 def whole(grid: Grid) -> Window:
-    """Return the part of the map that a ground covers: all of it. [m]."""
+    """Return the window of a whole ground. [m]."""
     return float(grid.x[0]), float(grid.x[-1]), float(grid.y[0]), float(grid.y[-1])
 
 
 def around(run: Trajectory, grid: Grid, pad: float) -> Window:
-    """Return the part of the map around the contacts, shaped like the map unless that is narrow."""
+    """Return the window around the contacts, with the proportions of the map if possible."""
     x, y = (np.concatenate([run[name], run[f"contact_{name}"].ravel()]) for name in "xy")
     return about(x, y, grid, pad)
 
 
 def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
-    """Return the part of the map around places, shaped like the map unless that is narrow."""
+    """Return the window around positions, with the proportions of the map if possible."""
     west, east, south, north = whole(grid)
     sides = []
     for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):
@@ -102,9 +102,9 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
 
 
 def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
-    """Return a part of the ground on so many nodes a side, by the bicubic spline through its own.
+    """Return a part of the ground on ``count`` nodes per side, by bicubic interpolation.
 
-    Of more nodes than that, only as many are used.
+    Of a larger number of nodes, only a subset is used.
     """
     kept, fine = [], []
     for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):

@@ -20,27 +20,27 @@ from slipfree.errors import DataError
 if TYPE_CHECKING:
     import viser
 
-HOST = "127.0.0.1"  # nobody else on the network reaches the viewer
-NAMES = (HOST, "localhost", "[::1]")  # of this machine
-DEFAULT_PORT = 80  # of http, which browsers leave out
-MOST = 20  # warnings
-LONGEST = 60  # characters of a value in a warning
+HOST = "127.0.0.1"  # not reachable from the network
+NAMES = (HOST, "localhost", "[::1]")  # names of this machine
+DEFAULT_PORT = 80  # port of http, which browsers omit
+MOST = 20  # largest number of warnings
+LONGEST = 60  # largest number of characters of a value in a warning
 
 
 class Guard:
-    """Start viser's server so that it answers and obeys its own page only.
+    """Starter of a viser server that accepts only requests and values of its own page.
 
     Parameters
     ----------
     tell : callable
-        Called with each warning, with equal ones once; from any thread.
+        Called with each new warning, from any thread.
     """
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         self._tell, self._told, self._is_used = tell, set[str](), False
 
     def start(self, port: int) -> viser.ViserServer:
-        """Return a server on this machine; zero is any free port.
+        """Return a server on this machine; port zero selects a free port.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Guard:
         return server
 
     def warn(self, words: str) -> None:
-        """Pass on a warning that is new, if there were not many."""
+        """Report a new warning, up to a largest number."""
         if words not in self._told and len(self._told) < MOST:
             self._told.add(words)
             more = "; further warnings are not shown" if len(self._told) == MOST else ""
@@ -104,7 +104,7 @@ class Guard:
         return connection.respond(403, f"refused: {expected}; open that address in the browser\n")
 
     def _check_values(self, server: viser.ViserServer) -> None:
-        """Let only values that fit reach the controls of the page."""
+        """Let only valid values reach the controls of the page."""
         from viser._messages import GuiUpdateMessage, ShareUrlRequest
 
         gui, socket = server.gui, server._websock_server
@@ -123,7 +123,7 @@ class Guard:
         socket.unregister_handler(ShareUrlRequest)  # which publishes the page by another host
 
     def _report(self, _loop: object, context: Mapping[str, Any]) -> None:
-        """Report an error in a task of the server, which goes on."""
+        """Report an error in a task of the server, which continues."""
         self.warn(f"ignored a message: {_short(context.get('exception', context['message']))}")
 
     def _logger(self) -> logging.Logger:
@@ -143,13 +143,13 @@ class Guard:
 
 
 def stop(server: viser.ViserServer) -> None:
-    """Stop a server without its words."""
+    """Stop a server without its messages."""
     with redirect_stdout(io.StringIO()):
         server.stop()
 
 
 def _misfit(control: Any, updates: object) -> str | None:
-    """Return what is wrong with the update of a control, None if nothing is."""
+    """Return the error of an update of a control; None for a valid one."""
     if not isinstance(updates, Mapping) or set(updates) != {"value"}:
         return f"expected a value, found {_short(updates)}"
     value = updates["value"]

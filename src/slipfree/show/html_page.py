@@ -1,4 +1,4 @@
-"""Words around a scene in a web page: what its colors and arrows mean."""
+"""Legend of a scene in a web page: colours and arrows."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ def legend(layer: Layer) -> str:
 
 
 def swatch(color: Color, words: str = "", *, ghost: bool = False) -> str:
-    """Return HTML of a square of a color, dotted for what is drawn as edges, and words beside."""
+    """Return HTML of a coloured square with text; dotted for objects drawn as edges."""
     look = f"{HOLLOW} {_css(color)}" if ghost else f"background:{_css(color)}"
     return f'<div><span style="{SQUARE};{look}"></span>{escape(words)}</div>'
 
 
 def warned(scene: Scene) -> str:
-    """Return HTML of what must not be missed."""
+    """Return the HTML of the warnings."""
     return "".join(f'<p style="{WARNING}">{escape(each)}</p>' for each in scene.warnings)
 
 
 def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
-    """Return a page that plays a scene, with a box that says what is seen.
+    """Return a page that plays a scene, with a legend.
 
     Parameters
     ----------
     html : str
         The page.
     scene : Scene
-        What it plays.
+        The scene.
     title : str
-        What it is called.
+        Title of the page.
     color : str
-        The layer that the ground is colored by.
+        Name of the layer of the ground.
     words : iterable of str
-        What else to say.
+        Further notes.
     """
     layer = next(each for each in scene.ground.layers if each.name == color)
     runs = "".join(

@@ -1,7 +1,7 @@
-"""A result as one HTML page: tables, figures and texts, nothing outside of it, no scripts.
+"""Report of a result as one HTML page, without other files and scripts.
 
-Figures are vector graphics, unless those would be large. Everything is in the page itself, which
-says by its policy that nothing may be fetched.
+Figures are vector graphics, unless these would be large. The policy of the page forbids any
+requests.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from slipfree.show.plots import Plot, draw
 from slipfree.show.style import DPI, STYLE
 
-MOST = 400_000  # bytes of a vector graphic; larger ones become pixels
-PIXELS = 120  # of the page to an inch of a figure
-VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # the same page for the same result
+MOST = 400_000  # larger vector graphics become raster graphics [bytes]
+PIXELS = 120  # pixels of the page per inch of a figure
+VECTOR = {"svg.fonttype": "path", "svg.hashsalt": "slipfree"}  # for reproducible pages
 STYLES = """
 body { font: 16px/1.45 system-ui, sans-serif; color: #1a1a1a; background: #fff;
        max-width: 60rem; margin: 0 auto; padding: 1rem 1.2rem 4rem; }
@@ -39,22 +39,23 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 class Report(NamedTuple):
-    """What a page shows, in the order in which it shows it.
+    """Contents of a page, in their order.
 
     Attributes
     ----------
     title, lead : str
-        What it is about, and in a sentence how it ended.
+        Title, and a sentence on the end of the motion.
     good : bool
-        Whether it ended as asked for.
+        Whether the motion is complete.
     tables : mapping of str to sequence of (str, ...)
-        Rows by heading; the first of a row names it, indented if it belongs to the one above.
+        Rows by heading; the first cell of a row is its name, indented if it belongs to the row
+        above.
     figures : sequence of Plot
         Figures.
     note : str
-        Why there are no figures; empty if there are.
+        Reason why there are no figures; empty if there are figures.
     texts : mapping of str to str
-        Texts by heading, as they are.
+        Preformatted texts by heading.
     """
 
     title: str
@@ -67,7 +68,7 @@ class Report(NamedTuple):
 
 
 def page(report: Report) -> str:
-    """Return a report as an HTML page that needs no other file, no network and no script."""
+    """Return a report as a self-contained HTML page without scripts."""
     parts = {name: _table(rows) for name, rows in report.tables.items() if rows}
     first, *others = parts
     shown = _note(report.note) + "".join(_figure(plot) for plot in report.figures)
@@ -120,7 +121,7 @@ def _figure(plot: Plot) -> str:
 
 
 def image(figure: Figure) -> str:
-    """Return a figure as a data URI: a vector graphic, or pixels where that would be large."""
+    """Return a figure as a data URI: a vector graphic, or a raster graphic if that is smaller."""
     drawn = _written(figure, "svg")
     kind = "svg+xml"
     if len(drawn) > MOST:

@@ -1,4 +1,4 @@
-"""A drawn ground that is finer where vehicles go: cells near their ways are divided."""
+"""Local refinement of a drawn ground: cells near the paths of vehicles are divided."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from slipfree.records import Array
 from slipfree.show.meshes import joined
 from slipfree.terrain.base import Grid, Terrain
 
-MOST = 60_000  # nodes that are added
+MOST = 60_000  # largest number of added nodes
 
 
 class Refined(NamedTuple):
-    """A grid, and the cells of it that are divided.
+    """A grid with divided cells.
 
     Attributes
     ----------
     grid : Grid
-        Its nodes.
+        The grid.
     near : ndarray of bool, shape (n_x - 1, n_y - 1)
-        Which cells are divided.
+        Mask of the divided cells.
     parts : int
-        Into how many a side.
+        Number of parts of a divided cell per side.
     terrain : Terrain
-        What gives the heights in these cells.
+        Ground with the heights in these cells.
     """
 
     grid: Grid
@@ -44,7 +44,7 @@ class Refined(NamedTuple):
         return float(max(self.grid.spacing)) / self.parts
 
     def mesh(self, origin: Array) -> Mesh:
-        """Return the surface less an origin: the nodes of the grid, then those of the cells."""
+        """Return the surface relative to an origin: nodes of the grid, then of divided cells."""
         x, y, z = self.grid.x, self.grid.y, self.grid.z
         points = np.stack(np.broadcast_arrays(x[:, None], y[None, :], z), axis=-1)
         whole = sheet(points - origin)
@@ -69,7 +69,7 @@ class Refined(NamedTuple):
         return np.concatenate([colors, fine])
 
     def height(self, x: Array, y: Array) -> Array:
-        """Return how high the drawn surface is, linear along x and y between its nodes. [m]."""
+        """Return the height of the drawn surface, bilinear between its nodes. [m]."""
         at, (h_x, h_y) = self._cells(x, y), self.grid.spacing
         i, j = at
         k = np.where(self.near[i, j], self.parts, 1)
@@ -86,7 +86,7 @@ class Refined(NamedTuple):
         return total
 
     def _sealed(self, heights: Array) -> Array:
-        """Return the heights of divided cells, straight where they meet one that is not divided."""
+        """Return the heights of divided cells, linear along edges to undivided cells."""
         i, j = np.nonzero(self.near)
         beside, share = np.pad(self.near, 1), np.arange(self.parts + 1) / self.parts
         for along, last in product((0, 1), repeat=2):
@@ -99,7 +99,7 @@ class Refined(NamedTuple):
         return heights
 
     def _cells(self, x: Array, y: Array) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
-        """Return the cells that hold points; the nearest ones of points outside."""
+        """Return the indices of the cells of points; the nearest cells for points outside."""
         h_x, h_y = self.grid.spacing
         i, j = np.floor((x - self.grid.x[0]) / h_x), np.floor((y - self.grid.y[0]) / h_y)
         n, m = self.near.shape
@@ -111,7 +111,7 @@ class Refined(NamedTuple):
         return a, b
 
     def _places(self) -> tuple[Array, Array]:
-        """Return where the nodes of the divided cells are, shape (n, parts + 1, parts + 1)."""
+        """Return x and y of the nodes of divided cells, shape (n, parts + 1, parts + 1)."""
         (i, j), (a, b), (h_x, h_y) = np.nonzero(self.near), self._shares(), self.grid.spacing
         return (self.grid.x[i][:, None, None] + a * h_x, self.grid.y[j][:, None, None] + b * h_y)
 
@@ -119,7 +119,7 @@ class Refined(NamedTuple):
 def refined(
     grid: Grid, terrain: Terrain, ways: Iterable[Array], margin: float, wanted: float
 ) -> Refined:
-    """Return a grid whose cells near ways are divided, as finely as is wanted or can be drawn.
+    """Return a grid with divided cells near paths, up to the largest number of nodes.
 
     Parameters
     ----------
@@ -128,11 +128,11 @@ def refined(
     terrain : Terrain
         The ground itself.
     ways : iterable of ndarray, shape (n, 2)
-        Places on the ground. [m]
+        Paths on the ground. [m]
     margin : float
-        How far from the ways the ground is to be fine. [m]
+        Distance from the paths within which cells are divided. [m]
     wanted : float
-        Distance of its nodes there. [m]
+        Distance of nodes in divided cells. [m]
     """
     whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
     cell = float(max(grid.spacing))
@@ -149,7 +149,7 @@ def refined(
 
 
 def _dense(way: Array, step: float) -> Array:
-    """Return places along a way that are no farther apart than a step."""
+    """Return points along a path with distances of at most a step."""
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
     at = np.linspace(0, lengths[-1], max(2, ceil(lengths[-1] / step) + 1))
     return np.stack([np.interp(at, lengths, each) for each in way.T], axis=1)

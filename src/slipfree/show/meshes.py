@@ -1,4 +1,4 @@
-"""Meshes of simple bodies, from which a vehicle and its ground are drawn."""
+"""Meshes of simple bodies, for drawings of vehicles and grounds."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from slipfree.geometry.mesh import Mesh, sheet
 from slipfree.records import Array
 
 ROD = 8  # faces around a rod
-SPOKES, SPOKE = 4, 0.06  # of a wheel, and the radius of one in radii of the wheel
-NEAR = 1e-9  # lengths below this are none [m]
+SPOKES, SPOKE = 4, 0.06  # number of spokes of a wheel, and their radius [wheel radius]
+NEAR = 1e-9  # smaller lengths count as zero [m]
 
 
 def joined(*meshes: Mesh) -> Mesh:
@@ -22,7 +22,7 @@ def joined(*meshes: Mesh) -> Mesh:
 
 
 def spokes(radius: float) -> Mesh:
-    """Return what shows how a wheel about the x axis turns: spokes, one of them thicker. [m]."""
+    """Return the spokes of a wheel about the x axis, one of them thicker. [m]."""
     angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
     ends = [(0.0, float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]
     sizes = [2 * SPOKE, *[SPOKE] * (SPOKES - 1)]
@@ -45,14 +45,14 @@ def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: fl
 
 
 def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
-    """Return a convex outline pulled along a vector, with both ends.
+    """Return a convex outline extruded along a vector, with both ends.
 
     Parameters
     ----------
     outline : ndarray, shape (n, 3)
         Corners in order, counter-clockwise as seen against the vector.
     along : array_like, shape (3,)
-        Where to, and how far. [m]
+        Direction and length of the extrusion. [m]
     """
     n = len(outline)
     side = sheet(np.stack([outline, outline + np.asarray(along)], axis=1), closed=(True, False))
@@ -67,7 +67,7 @@ def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
 
 
 def plate(half_width: float, rear: float, front: float, thickness: float) -> Mesh:
-    """Return a flat body around the origin, x right, y forward, pointed where its front is. [m]."""
+    """Return a flat body around the origin, x right, y forward, pointed at the front. [m]."""
     shoulder = front - 0.25 * (front - rear)
     corners = (
         (-half_width, rear),
@@ -85,7 +85,7 @@ def clipped(
 ) -> Array:
     """Return the part of a convex polygon in a box between two corners, shape (n, 2).
 
-    Nothing is left of a polygon outside.
+    The result is empty for a polygon outside.
     """
     found = np.array(points, dtype=float)
     for axis in (0, 1):

@@ -1,4 +1,4 @@
-"""Figures of a motion and of the ground it happens on.
+"""Figures of a motion and of its ground.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
 axes; legends are the caller's. ``motion_plots`` composes the usual figures.
@@ -38,14 +38,14 @@ from slipfree.trajectory import Trajectory
 
 HEIGHTS = "cividis"
 HATCH, FILLED = "//////", "#D60093"  # marks filled holes
-MESH = 72  # of a drawn surface
-ROUNDING = 1e-9  # slip below this is rounding [m/s]
+MESH = 72  # nodes of a drawn surface along an axis
+ROUNDING = 1e-9  # smaller slip is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
-STILL = 1e-9  # a joint that moves less stays where it is [rad]
+STILL = 1e-9  # a joint that moves less counts as fixed [rad]
 BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # seen under what follows it
 DISTINCT = 0.01  # distance of lines that can be told apart [width of the axes]
-NEAR = 0.6  # a path that takes up less than this of the map is drawn again, larger
-RELIEF = (0.22, 0.6)  # height of a drawn surface as a part of its width
+NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [map]
+RELIEF = (0.22, 0.6)  # smallest and largest height of a drawn surface [width]
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
 CHECKS = {
     "closure_residual": "log",
@@ -64,7 +64,7 @@ def ground(grid: Grid, ax: Axes, window: Window | None = None) -> Axes:
     grid : Grid
         The ground.
     ax : Axes
-        Where to draw; its aspect becomes equal.
+        The axes; their aspect becomes equal.
     window : tuple of 4 floats, optional
         ``x_min, x_max, y_min, y_max`` of the part to draw; the whole by default. [m]
     """
@@ -91,7 +91,7 @@ def _hatch_filled(grid: Grid, x: Array, y: Array, ax: Axes) -> None:
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the way of the platform's centre in plan: direction, start, end, and why it ended."""
+    """Draw the path of the platform's centre in plan, with direction, start, end and stop."""
     x, y = run["x"], run["y"]
     ax.plot(x, y, color=PLATFORM, label="platform", path_effects=style.halo(2.4), zorder=3)
     for at, way in _directions(x, y, float(np.ptp(ax.get_xlim()))):
@@ -107,7 +107,7 @@ def path(run: Trajectory, ax: Axes) -> Axes:
 
 
 def tracks(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the tracks of the contact points in plan, one line a wheel."""
+    """Draw the tracks of the contact points in plan, one line per wheel."""
     for k, wheel in enumerate(run.wheels):
         u, v = run["contact_x", wheel], run["contact_y", wheel]
         ax.plot(
@@ -122,7 +122,7 @@ def tracks(run: Trajectory, ax: Axes) -> Axes:
 
 
 def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
-    """Draw the ground around the way as a surface, with the platform and the contact tracks.
+    """Draw the ground around the path as a surface, with platform and contact tracks.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
 
 
 def history(run: Trajectory, name: str, ax: Axes) -> Axes:
-    """Draw any quantity over time, one line a wheel where it belongs to the wheels."""
+    """Draw a quantity over time, with one line per wheel for quantities of wheels."""
     run = to_problem_frame(run)
     values = run[name]
     unit = style.unit(run.columns[name].label.unit)
@@ -183,7 +183,7 @@ def history(run: Trajectory, name: str, ax: Axes) -> Axes:
 
 
 def tilts(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the angles of the joints over time: all tilts, and what else moves."""
+    """Draw the angles of the joints over time: all tilts, and other moving joints."""
     angles = _moving_joints(run)
     for k, name in enumerate(angles):
         ax.plot(run.t, run[name], label=style.words(name), **style.look(k))
@@ -192,14 +192,14 @@ def tilts(run: Trajectory, ax: Axes) -> Axes:
 
 
 def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
-    """Draw where the platform's centre, the wheel centres and the contact points have been.
+    """Draw the paths of the platform's centre, the wheel centres and the contact points.
 
     Parameters
     ----------
     run : Trajectory
         The motion.
     ax : Axes
-        Where to draw.
+        The axes.
     view : tuple of two of {"x", "y", "z"}
         Axes of the view to the right and up; ``("x", "y")`` is the plan.
     """
@@ -242,9 +242,9 @@ def slope(run: Trajectory, ground: Terrain, ax: Axes) -> Axes:
     run : Trajectory
         The motion.
     ground : Terrain
-        The surface that it happened on.
+        The ground.
     ax : Axes
-        Where to draw.
+        The axes.
     """
     s, rise = _distance(run), ground_drawing.slope_along(ground, run["x"], run["y"], run["heading"])
     ax.plot(s, rise, **BELOW, label="ground along the heading")
@@ -273,10 +273,10 @@ def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
 
 
 def check(run: Trajectory, name: str, ax: Axes) -> Axes:
-    """Draw one of the quantities that make a result trustworthy over time.
+    """Draw a residual or margin of the solution over time.
 
     Residuals and steps are drawn on a logarithmic axis with the tolerance of the integrator,
-    margins with the zero that they must not reach.
+    margins with a line at zero, which they must not reach.
     """
     history(run, name, ax)
     ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
@@ -301,9 +301,9 @@ def motion_plots(run: Trajectory, grid: Grid, surface: Terrain | None = None) ->
     run : Trajectory
         The motion.
     grid : Grid
-        The ground it happened on.
+        The ground.
     surface : Terrain, optional
-        The same ground as the model has it; the bicubic spline through the grid by default.
+        Surface of the ground in the model; by default the bicubic spline through the grid.
 
     Returns
     -------
@@ -426,14 +426,14 @@ def _terrain(run: Trajectory, grid: Grid) -> Figure:
 
 
 def _filled(figure: Figure, ax: Any) -> Figure:
-    """Let a view in three dimensions fill what legend and note leave; layouts do not see it."""
+    """Fill the space between legend and note with a 3D view, which layouts cannot do."""
     for _ in range(3):
         figure.draw_without_rendering()
         width, height = figure.bbox.size
         top = min([each.get_window_extent().y0 for each in figure.legends], default=height)
         bottom = max([each.get_window_extent().y1 for each in figure.texts], default=0.0)
         free = np.array([0.96 * width, 0.97 * (top - bottom)])
-        now, box = _seen(ax), ax.get_window_extent()
+        now, box = _drawn_extent(ax), ax.get_window_extent()
         scale = float((free / now.size).min())
         size = box.size * scale
         shift = (box.min + box.max - now.min - now.max) / 2 * scale
@@ -442,8 +442,8 @@ def _filled(figure: Figure, ax: Any) -> Figure:
     return figure
 
 
-def _seen(ax: Any) -> Any:
-    """Return what a view in three dimensions takes up, in pixels, without its empty frame."""
+def _drawn_extent(ax: Any) -> Any:
+    """Return the bounding box of a 3D view without its empty frame, in pixels."""
     corners = np.array(list(product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim(), (1.0,)))).T
     u, v, _, w = ax.get_proj() @ corners
     points = ax.transData.transform(np.column_stack([u / w, v / w]))
@@ -525,7 +525,7 @@ def _distance(run: Trajectory) -> Array:
 
 
 def _directions(x: Array, y: Array, width: float) -> list[tuple[tuple[float, float], float]]:
-    """Return places for arrows on a path in a map of a width, and angles from north, in degrees."""
+    """Return positions of arrows on a path in a map, and their angles from north in degrees."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     if s[-1] < 0.1 * width:
         return []

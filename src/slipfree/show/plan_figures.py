@@ -1,4 +1,4 @@
-"""Figures of a plan: the map on which its route was sought, and what was planned within bounds.
+"""Figures of a plan: map of traversability with routes, and planned quantities with bounds.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
 axes; legends are the caller's. ``plan_plots`` composes the figures.
@@ -30,9 +30,9 @@ from slipfree.trajectory import Trajectory
 
 # A scale of light blues leaves warm colours to what is blocked; all differ in lightness too.
 COSTS = ListedColormap(colormaps["Blues"](np.linspace(0.08, 0.85, 256)), name="costs")
-DEAREST = 99.0  # percentile of the costs at which the scale ends: a few nodes cost far more
-LEAST = 1.1  # end of the scale where all ground costs the same
-BLOCKED = {  # what blocks a node: its colour, and its words; of several the first one is drawn
+DEAREST = 99.0  # percentile of the costs at the end of the scale, without extreme nodes
+LEAST = 1.1  # end of the scale for uniform costs
+BLOCKED = {  # colour and description of blocked nodes by reason, in order of priority
     "keep_out": ("0.4", "kept out of"),
     "edge": ("0.8", "edge of the map"),
     "friction": ("#D55E00", "too steep for friction"),
@@ -40,7 +40,7 @@ BLOCKED = {  # what blocks a node: its colour, and its words; of several the fir
     "roughness": ("#F0E442", "too rough"),
     "hollow": ("#E69F00", "too hollow for wheels"),
 }
-FAR = 0.6  # a motion that takes up less than this of the map is drawn without the rest of it
+FAR = 0.6  # for a motion with a smaller extent only a part of the map is drawn [map]
 WRAP = 20  # characters of a line of labels and legends beside axes
 ROW = 34.0  # height of a row of the figure of a plan [mm]
 ENTRIES = 7  # lines of a legend beside a row of that height
@@ -49,16 +49,16 @@ Place = tuple[str, float, float]
 
 
 def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Axes:
-    """Draw what a metre of way costs on a part of the map, and what blocks the rest.
+    """Draw the cost per metre on a part of the map, and the reasons of blocked nodes.
 
     Parameters
     ----------
     layers : Traversability
         The map.
     grid : Grid
-        The ground that it belongs to.
+        The ground of the map.
     ax : Axes
-        Where to draw; its aspect becomes equal.
+        The axes; their aspect becomes equal.
     window : tuple of 4 floats
         ``x_min, x_max, y_min, y_max`` of the part to draw. [m]
     """
@@ -84,7 +84,7 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
 
 
 def ways(found: Sequence[Array], ax: Axes) -> Axes:
-    """Draw the ways from which a plan was sought, shape (n, 2) each, with their lengths."""
+    """Draw the routes of the initial guesses, shape (n, 2) each, with their lengths."""
     for k, points in enumerate(found):
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         name = f"way {k + 1}" if len(found) > 1 else "way to start from"
@@ -101,7 +101,7 @@ def ways(found: Sequence[Array], ax: Axes) -> Axes:
 
 
 def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
-    """Draw the planned motion of the platform's centre, and the places it is to pass."""
+    """Draw the planned motion of the platform's centre with start, way-points and goal."""
     ax.plot(
         run["x"],
         run["y"],
@@ -121,16 +121,16 @@ def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
 
 
 def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
-    """Draw what was planned, the inputs over time, and their bounds.
+    """Draw the planned inputs over time, and their bounds.
 
     Parameters
     ----------
     run : Trajectory
         The motion.
     bounds : mapping of str to (float, float)
-        Least and largest value of every input by name; infinite where there is no bound.
+        Lower and upper bound of every input by name; infinite without a bound.
     ax : Axes
-        Where to draw.
+        The axes.
     """
     ends: dict[float, list[str]] = {}
     for k, (name, pair) in enumerate(bounds.items()):
@@ -158,7 +158,7 @@ def limited(run: Trajectory, name: str, pair: Range, ax: Axes) -> Axes:
 
 
 def room(run: Trajectory, layers: Traversability, ax: Axes) -> Axes:
-    """Draw how far the circle around the wheels is from what the vehicle must keep out of."""
+    """Draw the distance of the circle around the wheels from keep-out regions."""
     for k, region in enumerate(layers.limits.keep_out):
         away = region.distance(run["x"], run["y"]) - layers.limits.reach
         ax.plot(run.t, away, label=region.words, **style.look(k))
@@ -184,15 +184,15 @@ def plan_plots(
     run : Trajectory
         The simulated motion of the plan.
     grid : Grid
-        The ground it happened on.
+        The ground.
     layers : Traversability
-        Where the vehicle can go there.
+        Traversability of the ground.
     places : sequence of (str, float, float)
         Name, x and y in map coordinates of start, way-points and goal. [m]
     found : sequence of ndarray, shape (n, 2)
         Routes from which the search started. [m]
     bounds : mapping of str to (float, float)
-        Least and largest value of every input by name; infinite where there is no bound. Inputs
+        Lower and upper bound of every input by name; infinite without a bound. Inputs
         that are not named here are not drawn.
     limits : mapping of str to (float, float)
         Limits of quantities by name, or by name and wheel as in ``slip_along[front]``.
@@ -266,7 +266,7 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
 
 
 def _promise(run: Trajectory) -> str:
-    """Return in words how far the simulation of a plan is from it."""
+    """Return a note on the deviation of the simulation from the plan."""
     start = "plan_difference_"
     missed = [
         f"{style.words(name.removeprefix(start))} {value:.1e} {unit}"
@@ -282,7 +282,7 @@ def _promise(run: Trajectory) -> str:
 
 
 def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:
-    """Draw what must not be crossed."""
+    """Draw a bound as a line."""
     ax.axhline(value, color=color, lw=0.8, ls=(0, (6, 2)), zorder=1, label=words)
 
 
@@ -300,6 +300,6 @@ def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
 
 
 def _outline(region: Region) -> Polygon:
-    """Return the border of a place to keep out of."""
+    """Return the outline of a keep-out region."""
     looks: dict[str, Any] = {"fill": False, "ec": "black", "lw": 1.0, "hatch": "////", "zorder": 2}
     return Polygon(region.outline, **looks)

@@ -72,9 +72,9 @@ class Drive(NamedTuple):
     run : Trajectory
         The motion.
     grid : Grid
-        The ground it happened on.
+        The ground.
     surface : Terrain
-        The same ground as the model has it.
+        Surface of the ground in the model.
     """
 
     run: Trajectory

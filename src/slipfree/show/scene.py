@@ -22,12 +22,12 @@ from slipfree.show import style
 from slipfree.show.meshes import plate
 from slipfree.trajectory import Trajectory
 
-ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform, in radii of the wheels
-NARROW = 0.55  # width of the platform, in that of the vehicle
+ROD, PLATE = 0.07, 0.12  # radius of rods, thickness of the platform [wheel radius]
+NARROW = 0.55  # width of the platform [width of the vehicle]
 TYRE = (90, 90, 90)
-BLOCKED = (120, 120, 120)  # where traversability says that the vehicle cannot be
-LONGEST = 1.2  # length of the longest arrows, in parts of the vehicle's reach
-LEAST = {"slip": 1e-6, "force": 1e-3}  # below which nothing is drawn [m/s, N]
+BLOCKED = (120, 120, 120)  # colour of blocked nodes
+LONGEST = 1.2  # length of the longest arrows [reach of the vehicle]
+LEAST = {"slip": 1e-6, "force": 1e-3}  # smaller vectors are not drawn [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # colors that no run has
@@ -38,18 +38,18 @@ Colors = npt.NDArray[np.uint8]
 
 
 class Layer(NamedTuple):
-    """One way to color the ground.
+    """A colouring of the ground.
 
     Attributes
     ----------
     name : str
-        What the colors mean.
+        Coloured quantity.
     legend : str
         The ends of the scale, with units.
     scale : tuple of 3-tuples
         Colors of the scale from its low end to its high one.
     colors : ndarray of uint8, shape (n, 3)
-        Of every vertex.
+        Colours of the vertices.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Layer(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """The ground: a surface and the ways to color it."""
+    """The ground: a surface and its colourings."""
 
     mesh: Mesh
     layers: tuple[Layer, ...]
@@ -71,11 +71,11 @@ class Body(NamedTuple):
     Attributes
     ----------
     name : str
-        Of the part or the wheel.
+        Name of the part or the wheel.
     meshes : tuple of (Mesh, color)
-        What it looks like, in its own frame.
+        Its meshes, in its own frame.
     origins : ndarray, shape (n, 3)
-        Of its frame. [m]
+        Origins of its frame. [m]
     rotations : ndarray, shape (n, 3, 3)
         Columns are its axes.
     """
@@ -99,7 +99,7 @@ class Arrows(NamedTuple):
     name : {"slip", "force"}
         Velocity of the wheels' material points over the ground, or force of the ground on them.
     starts : ndarray, shape (n, k, 3)
-        Where they are drawn; NaN where there is no contact. [m]
+        Starting points; NaN without contact. [m]
     vectors : ndarray, shape (n, k, 3)
         In fixed axes. [m/s or N]
     """
@@ -115,7 +115,7 @@ class Actor(NamedTuple):
     Attributes
     ----------
     name : str
-        As it is shown.
+        Displayed name.
     color : tuple of 3 ints
         Red, green, blue of its platform, from 0 to 255.
     t : ndarray, shape (n,)
@@ -127,9 +127,9 @@ class Actor(NamedTuple):
     arrows : tuple of Arrows
         Slip and forces, as far as the motion has them.
     ghost : bool
-        Whether it is a plan, which is drawn as its edges only.
+        Whether it is a plan, which is drawn only as edges.
     stop : str
-        When and why it stopped early; empty if it did not.
+        Time and reason of an early stop; empty without one.
     """
 
     name: str
@@ -168,7 +168,7 @@ class Backdrop(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """All there is to draw.
+    """Ground, motions and notes of a drawing.
 
     Attributes
     ----------
@@ -185,9 +185,9 @@ class Scene(NamedTuple):
     scales : dict of str to float
         Length of the arrows by name, for one unit of what they show. [m s/m, m/N]
     notes : tuple of str
-        What to know about how it is drawn.
+        Notes on the drawing.
     warnings : tuple of str
-        What of that must not be missed.
+        Important notes.
     """
 
     ground: Ground
@@ -206,7 +206,7 @@ class Scene(NamedTuple):
 
     @property
     def is_far(self) -> bool:
-        """Whether vehicles go so far that they are hardly seen beside the whole of their ways."""
+        """Whether the paths are so long that vehicles would be too small in a view of them."""
         return float(np.linalg.norm(np.ptp(self.ways, axis=0))) > FAR * self.reach
 
     @property
@@ -239,7 +239,7 @@ def framed(
 
 
 def stopped(run: Trajectory) -> str:
-    """Return when and why a motion stopped early; nothing if it did not."""
+    """Return time and reason of an early stop; empty without one."""
     return f"stopped at t = {run.stop.t:.4g} s: {run.stop.words}" if run.stop else ""
 
 
@@ -255,7 +255,7 @@ def rgb(name: str) -> Color:
 
 
 def layer(name: str, values: Array, legend: str, low: float, high: float) -> Layer:
-    """Return a way to color vertices by values, shape (n,), on a scale between two of them."""
+    """Return a colouring of vertices by values of shape (n,), on a scale between two values."""
     scale = colormaps[MAPS[name]]
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
@@ -263,7 +263,7 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
 
 
 def chassis(places: Array, radius: float) -> Mesh:
-    """Return the platform of a vehicle whose wheels' centers are at places of its frame.
+    """Return the platform of a vehicle from the positions of its wheels' centres.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def chassis(places: Array, radius: float) -> Mesh:
     return plate(half, rear, front, PLATE * radius)
 
 
-def _sizes(name: str, actors: Iterable[Actor]) -> Array:
+def _vector_lengths(name: str, actors: Iterable[Actor]) -> Array:
     """Return the finite lengths of all vectors of a quantity."""
     found = [
         np.linalg.norm(each.vectors, axis=-1).ravel()
@@ -291,7 +291,7 @@ def _sizes(name: str, actors: Iterable[Actor]) -> Array:
 
 def _scale(name: str, actors: Iterable[Actor], longest: float) -> float:
     """Return a round scale that keeps nearly all arrows below a length; zero without arrows."""
-    sizes = _sizes(name, actors)
+    sizes = _vector_lengths(name, actors)
     if not sizes.size or sizes.max() < LEAST[name]:
         return 0.0
     wanted = longest / max(float(np.percentile(sizes, 99)), LEAST[name])
@@ -300,13 +300,13 @@ def _scale(name: str, actors: Iterable[Actor], longest: float) -> float:
 
 
 def _why_none(name: str, actors: Iterable[Actor]) -> str:
-    sizes = _sizes(name, actors)
+    sizes = _vector_lengths(name, actors)
     if not sizes.size:
         return "the results hold none"
     return f"it is {sizes.max():.1e} {UNITS[name]} at most"
 
 
 def scale_words(scene: Scene, name: str) -> str:
-    """Return the meaning of an arrow of one metre, in words; empty without arrows."""
+    """Return the description of an arrow of one metre; empty without arrows."""
     scale = scene.scales[name]
     return f"an arrow of 1 m is {1 / scale:.4g} {UNITS[name]}" if scale else ""

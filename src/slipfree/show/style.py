@@ -1,4 +1,4 @@
-"""What all figures have in common: sizes, colours, legends, axes, and notes."""
+"""Common style of all figures: sizes, colours, legends, axes and notes."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # 
 DASHES = ("-", "--", ":", "-.")  # for lines beyond the palette
 PLATFORM = "black"
 STOPPED = "#D55E00"
-LARGE = 1e4  # map coordinates beyond this count from a round one [m]
-FLAT = 1e-3  # least range of heights and angles that is drawn [m, rad]
+LARGE = 1e4  # larger map coordinates are drawn relative to a round number [m]
+FLAT = 1e-3  # smallest drawn range of heights and angles [m, rad]
 
 
 def figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size in inches that makes room for what it holds."""
+    """Return an empty figure of a size in inches, with automatic layout."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def stacked(figure: Figure, panels: Sequence[Axes]) -> Figure:
-    """Leave the label of a common axis to the lowest panel, and align the others."""
+    """Label the common axis only at the lowest panel, and align the other labels."""
     for ax in panels[:-1]:
         ax.set_xlabel("")
     figure.align_ylabels(panels)
@@ -54,7 +54,7 @@ def stacked(figure: Figure, panels: Sequence[Axes]) -> Figure:
 
 
 def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str = "") -> Figure:
-    """Put the legend of some axes on top, and below why the motion ended early."""
+    """Add a legend at the top, and below the reason of an early stop."""
     entries: dict[str, Any] = {}
     for ax in legends:
         handles, labels = ax.get_legend_handles_labels()
@@ -72,7 +72,7 @@ def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str
 
 
 def _columns(labels: list[str], room: int) -> int:
-    """Return the largest number of columns in which a legend fits so many characters."""
+    """Return the largest number of columns of a legend within a number of characters."""
     for columns in range(len(labels), 1, -1):
         parts = np.array_split(np.array([len(label) for label in labels]), columns)
         if sum(int(part.max()) + 8 for part in parts) <= room:
@@ -88,33 +88,33 @@ def look(k: int) -> dict[str, Any]:
 
 
 def halo(width: float) -> list[AbstractPathEffect]:
-    """Return a white edge, as wide as given with its line, that lifts a line off its ground."""
+    """Return a white edge of a line, which makes it visible on any background."""
     return [withStroke(linewidth=width, foreground="white")]
 
 
 def words(name: str) -> str:
-    """Return the name of a quantity or a wheel as it is printed."""
+    """Return the printed name of a quantity or a wheel."""
     return {"newton_step": "Newton step", "singular_value": "smallest singular value"}.get(
         name, name.replace("_", " ")
     )
 
 
 def unit(unit: str) -> str:
-    """Return a unit as it is printed: ``m/s`` for ``m s-1``."""
+    """Return a printed unit: ``m/s`` for ``m s-1``."""
     parts = unit.split()
     over = "".join(p for p in parts if not p.endswith("-1")) or "1"
     return "/".join([over, *(p.removesuffix("-1") for p in parts if p.endswith("-1"))])
 
 
 def remark(ax: Axes, words: str, above: bool = False) -> None:
-    """Write words into axes, or on top of them where they would cover lines."""
+    """Write a text into axes, or above them where it would cover lines."""
     x, y, ha, va = (1.0, 1.03, "right", "bottom") if above else (0.5, 0.6, "center", "center")
     box = {"fc": "white", "ec": "none", "pad": 2}
     ax.text(x, y, words, transform=ax.transAxes, ha=ha, va=va, bbox=box)
 
 
 def place_axis(axis: Any, name: str, low: float) -> None:
-    """Label an axis of places from ``low`` on; large map coordinates count from a round one."""
+    """Label an axis of positions; large map coordinates are relative to a round number."""
     start = 1000 * np.floor(low / 1000) if abs(low) >= LARGE else 0.0
     words = {"x": "east $x$", "y": "north $y$", "z": "height $z$"}[name]
     axis.set_label_text(f"{words} - {start:.0f} [m]" if start else f"{words} [m]")
@@ -124,12 +124,12 @@ def place_axis(axis: Any, name: str, low: float) -> None:
 
 
 def ticks(count: int) -> MaxNLocator:
-    """Return about so many round ticks."""
+    """Return a locator of about ``count`` round ticks."""
     return MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
 
 
 def time_axis(run: Trajectory, ax: Axes) -> Axes:
-    """Label the axis of time and mark when the motion stopped."""
+    """Label the time axis, and mark the time of a stop."""
     ax.set_xlabel("time $t$ [s]")
     ax.margins(x=0.02)
     if run.stop is not None:
@@ -138,7 +138,7 @@ def time_axis(run: Trajectory, ax: Axes) -> Axes:
 
 
 def degrees(ax: Axes) -> Axes:
-    """Add a second axis in degrees on the right, and keep rounding from filling the first."""
+    """Add a second axis in degrees on the right, with a smallest range of angles."""
     low, high = ax.get_ylim()
     room = max(FLAT - (high - low), 0.0) / 2
     ax.set_ylim(low - room, high + room)

@@ -1,4 +1,4 @@
-"""Figures of a sweep: a quantity over what was varied.
+"""Figures of a sweep: a metric over the varied keys.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
 axes; legends are the caller's. ``save_sweep_figures`` writes one figure a quantity: without a
@@ -24,13 +24,13 @@ from slipfree.show.style import COLUMN, MM, PALETTE
 from slipfree.show.sweep_results import Swept, Varied
 
 COLOURS = "viridis"
-NOTHING = "0.85"  # cells without a run
-MOST_WORDS = 8  # cells a side in which numbers are written
-ROOM = 7  # ticks of an axis of words that fit lengthwise
+NOTHING = "0.85"  # colour of cells without a run
+MOST_WORDS = 8  # largest number of cells per side with numbers
+ROOM = 7  # largest number of horizontal texts at an axis
 
 
 def distribution(swept: Swept, ax: Axes) -> Axes:
-    """Draw the share of runs up to every value, and their mean."""
+    """Draw the cumulative distribution over the runs, and the mean."""
     values = swept.values[np.isfinite(swept.values)]
     ax.ecdf(values, color=PALETTE[0], label=f"{values.size} runs")
     ax.axvline(values.mean(), color=PALETTE[1], ls="--", label=f"mean {values.mean():.4g}")
@@ -40,7 +40,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
 
 
 def curve(swept: Swept, ax: Axes) -> Axes:
-    """Draw the mean over repetitions, the range that they span, and every run.
+    """Draw mean and range over repetitions, and every run.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _over(reduce: Any, values: Array) -> Array:
 
 
 def _positions(varied: Varied) -> Array:
-    """Return where the values are on an axis: as numbers, or one after the other."""
+    """Return the positions of values on an axis: numbers, or consecutive integers."""
     return np.array(varied.numbers or range(len(varied.values)), dtype=float)
 
 
@@ -159,7 +159,7 @@ def _name_axis(axis: Any, varied: Varied) -> None:
 
 
 def _ticks(axis: Any, values: Sequence[str]) -> None:
-    """Name places 0, 1, ... of an axis, as many as there is room for."""
+    """Label positions 0, 1, ... of an axis, as far as there is space."""
     every = -(-len(values) // (2 * ROOM))
     words = [value.strip('"') for value in values[::every]]
     crowded = axis.axis_name == "x" and sum(map(len, words)) > 6 * ROOM
@@ -186,5 +186,5 @@ def _write_values(mean: Array, drawn: Any, ax: Axes) -> None:
 
 
 def _labelled(name: str, unit: str) -> str:
-    """Return the name as the table has it, and its unit."""
+    """Return a label of the name and its unit."""
     return f"{name} [{style.unit(unit)}]" if unit else name

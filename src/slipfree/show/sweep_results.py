@@ -1,4 +1,4 @@
-"""What figures of a sweep show, without what draws them."""
+"""Data of the figures of a sweep."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from slipfree.records import Array
 
 
 class Varied(NamedTuple):
-    """What was varied.
+    """A varied key.
 
     Attributes
     ----------
     name : str
         The key.
     unit : str
-        Its unit, as in ``m s-1``; empty if not known.
+        Its unit, as in ``m s-1``; empty if unknown.
     values : tuple of str
-        Its values as they were given.
+        Its values as given.
     numbers : tuple of float or None
-        The same as numbers; None if they are not.
+        The values as numbers; None if they are not numbers.
     """
 
     name: str
@@ -29,7 +29,7 @@ class Varied(NamedTuple):
 
 
 class Swept(NamedTuple):
-    """A quantity over what was varied.
+    """A metric over the varied keys.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class Swept(NamedTuple):
     unit : str
         Its unit; empty if not known.
     axes : tuple of Varied
-        What was varied.
+        Varied keys.
     values : ndarray, shape (n_1, ..., n_repeat)
-        One dimension an axis, and one for repetitions; not a number where there is none.
+        One dimension per axis, and one for repetitions; NaN without a value.
     """
 
     name: str

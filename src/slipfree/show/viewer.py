@@ -1,6 +1,6 @@
 """Motions in a web page: served to a browser on this machine, or saved as one file.
 
-viser draws; it is needed here alone and imported late.
+viser draws; only this module needs it, and imports it late.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from slipfree.show.scene import ARROWS, Actor, Arrows, Colors, Ground, Layer, Sc
 if TYPE_CHECKING:
     import viser
 
-RATE = 25.0  # pictures in a second
+RATE = 25.0  # frames per second
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x", "10x", "50x")
-LONGEST = 60.0  # that a saved page plays; longer motions are sped up [s]
-MOST = 400  # points of a track
-SIZES = {"contact": 0.05, "shaft": 0.014, "head": 0.035, "tip": 0.08}  # in the vehicle's reach
+LONGEST = 60.0  # duration of a saved page; longer motions are accelerated [s]
+MOST = 400  # largest number of points of a track
+SIZES = {"contact": 0.05, "shaft": 0.014, "head": 0.035, "tip": 0.08}  # [reach of the vehicle]
 CONTACT = (255, 255, 255)
-SKY = 0.5  # light from all around, beside viser's two lamps
-FAR = 1000.0  # that a camera sees, unless the ground is larger [m]
-CLOSE, NEAREST = 3.5, 0.05  # camera's distance when it follows, and what it sees, in reaches
-WORLD = "/world"  # what moves under the camera that follows
+SKY = 0.5  # ambient light, in addition to viser's two lamps
+FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
+CLOSE, NEAREST = 3.5, 0.05  # distance of the following camera, and near plane [reach]
+WORLD = "/world"  # node that moves below the following camera
 
 
 def serve(
@@ -47,15 +47,15 @@ def serve(
     Parameters
     ----------
     scene : Scene
-        What to show.
+        The scene.
     title : str
-        What it is called.
+        Title of the page.
     color : str
-        By which layer the ground is colored at first.
+        Name of the initial layer of the ground.
     port : int
-        Where; zero for any that is free.
+        Port of the server; zero for a free port.
     warn : callable
-        Called, from any thread, with a warning of requests and values that are refused.
+        Called, from any thread, with warnings about refused requests and values.
     ready : callable
         Called with the address when the page can be opened.
 
@@ -79,7 +79,7 @@ def serve(
 
 
 def page(scene: Scene, title: str, color: str) -> str:
-    """Return a page of HTML that plays a scene by itself, without a network.
+    """Return a self-contained HTML page that plays a scene.
 
     Parameters are those of `serve`.
 
@@ -123,13 +123,13 @@ class Stage:
     Parameters
     ----------
     server : ViserServer
-        Where they are drawn.
+        The server.
     scene : Scene
-        What is drawn.
+        The scene.
     color : str
-        The layer of the ground that is seen at first.
+        Name of the initial layer of the ground.
     others : bool
-        Whether the other layers are kept ready too.
+        Whether to load the other layers as well.
     """
 
     def __init__(
@@ -154,14 +154,14 @@ class Stage:
         self.follow(scene.is_far)
 
     def show(self, t: float) -> None:
-        """Move everything to where it is at a time [s]."""
+        """Move all nodes to a time [s]."""
         with self._lock, self.server.atomic():
             for actor in self.actors:
                 actor.show(t)
             self._hold()
 
     def follow(self, wanted: bool) -> None:
-        """Keep the first vehicle where it is seen and move the world, or let the world rest."""
+        """Keep the first vehicle in view and move the world, or stop doing so."""
         with self._lock, self.server.atomic():
             self.anchor = self.actors[0].place + self.world.position if wanted else None
             self._hold()
@@ -222,11 +222,11 @@ class _Drawn:
 
     @property
     def place(self) -> Array:
-        """Where its platform is [m]."""
+        """Position of its platform [m]."""
         return np.asarray(self.actor.bodies[0].origins[self.last])
 
     def show(self, t: float) -> None:
-        """Move the motion to a time; before its first and after its last one it rests."""
+        """Move the motion to a time; it rests before its first and after its last time."""
         actor = self.actor
         k = int(np.clip(np.searchsorted(actor.t, t), 0, actor.t.size - 1))
         if k > 0 and t - actor.t[k - 1] < actor.t[k] - t:
@@ -248,7 +248,7 @@ class _Drawn:
         self.point(k)
 
     def point(self, k: int) -> None:
-        """Let the arrows be those of a sample."""
+        """Set the arrows to a sample."""
         for node, each in self.arrows:
             lines = _lines(each, k, self.scales[each.name], self.place)
             node.visible = self.shown[each.name] and len(lines) > 0
@@ -279,7 +279,7 @@ def _add_ground(server: viser.ViserServer, ground: Ground, layer: Layer, visible
 
 
 def _matt(tree: dict[str, Any]) -> None:
-    """Give all meshes of a glTF tree a matt surface: without one they are of metal, and dark."""
+    """Set a matt surface for all meshes of a glTF tree; the default is metallic and dark."""
     tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}]
     for mesh in tree["meshes"]:
         for each in mesh["primitives"]:
@@ -307,7 +307,7 @@ def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arro
 
 
 def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:
-    """Draw the way of all contact points."""
+    """Draw the tracks of all contact points."""
     every = max(1, actor.t.size // MOST)
     points = actor.contacts[::every]
     lines = np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
@@ -323,7 +323,7 @@ def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:
 
 
 def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
-    """Look from the right and above at all ways, or from near by at the first vehicle."""
+    """Set the camera to a view of all paths, or to a close view of the first vehicle."""
     low, high = scene.ways.min(axis=0), scene.ways.max(axis=0)
     middle, away = (low + high) / 2, max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
     if scene.is_far:
@@ -336,7 +336,7 @@ def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
 
 
 class _Panel:
-    """What the page lets its reader choose."""
+    """Controls of the page."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage, scene: Scene, title: str) -> None:
         gui, (first, last) = server.gui, scene.span
@@ -362,7 +362,7 @@ class _Panel:
             gui.add_html("".join(f"<p>{escape(note)}</p>" for note in scene.notes))
 
     def advance(self, seconds: float) -> None:
-        """Let time go on if it is to, from the end back to the start."""
+        """Advance the time while playing, from the end back to the start."""
         if self.playing.value:
             first, last = self.ends
             t = max(first, self.time.value)  # a page may send any number

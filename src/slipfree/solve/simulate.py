@@ -286,7 +286,7 @@ def _call_integrator(
     The start is then solved for by Newton's method, and the search is left out.
     """
     system, given = solver.system, dict[str, Any]()
-    x_size, m_size = (size[:, None] for size in _sizes(system))
+    x_size, m_size = (size[:, None] for size in _motion_scales(system))
     while True:
         integrator = _integrator(solver, observer, t, given)
         states = {"x0": at.x / x_size, "z0": at.z[: system.motion_size] / m_size}
@@ -413,7 +413,7 @@ def _integrator(
 ) -> ca.Function:
     """Return the integrator over ``t``, of states and unknowns divided by their sizes."""
     system, dae = solver.system, solver.system.dae
-    x_size, m_size = _sizes(system)
+    x_size, m_size = _motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
     symbols = [ca.MX.sym("t"), *(ca.MX.sym(name, n) for name, n in zip("xzu", counts, strict=True))]
     t_0, x, m, u = symbols
@@ -437,7 +437,7 @@ def _integrator(
     return ca.integrator("motion", solver.method, problem, float(t[0]), t, options)
 
 
-def _sizes(system: System) -> tuple[Array, Array]:
+def _motion_scales(system: System) -> tuple[Array, Array]:
     """Return the sizes of the states and of the motion's unknowns."""
     return system.dae.sizes.x, system.dae.sizes.z[: system.motion_size]
 

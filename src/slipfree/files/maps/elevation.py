@@ -159,7 +159,7 @@ def read_map(
     try:
         _check_keys(ending, cell, registration, spacing)
         with regular_file(path, "a map"):
-            found = _found(path, ending, Reading(window, cell, registration), spacing)
+            found = _read_heights(path, ending, Reading(window, cell, registration), spacing)
         _check_degrees(found, local=geographic is not None)
         return _mapped(found, geographic, fill)
     except DataError as error:
@@ -182,7 +182,7 @@ def _check_keys(
             )
 
 
-def _found(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heights:
+def _read_heights(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heights:
     if ending in DRIVERS:
         return read_raster(path, ask)
     if ending in POINTS:

@@ -218,7 +218,7 @@ class ClimbVerb(MotionVerb):
         """Return the figures of a climb, the most important first."""
         from slipfree.show.climb_figures import climb_plots
 
-        climber, profile = _parts(result)
+        climber, profile = _vehicle_and_ground(result)
         plan = plan_of(result.trajectory, result.arrays)
         return climb_plots(result.trajectory, climber, profile, plan)
 
@@ -232,12 +232,12 @@ class ClimbVerb(MotionVerb):
         """Return the motion of a result with ground and vehicle, for the viewer."""
         from slipfree.show.climb_scene import Climbed
 
-        climber, profile = _parts(result)
+        climber, profile = _vehicle_and_ground(result)
         plan = poses_of_plan(result.trajectory, result.arrays, climber)
         return Climbed(name, result.trajectory, climber, profile, plan)
 
 
-def _parts(result: Result) -> tuple[Climber, Profile]:
+def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
     """Return vehicle and ground of a result, from its solution or rebuilt."""
     if result.setup is not None:
         return result.setup.climber, result.setup.profile

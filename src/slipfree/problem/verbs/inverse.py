@@ -93,7 +93,7 @@ class InverseVerb(DriveVerb):
         points = _points(problem, spec)
         with at(problem, ("vehicle",)):
             vehicle = build_vehicle(spec.vehicle, problem.folder)
-        given, words = _given(problem, spec, vehicle, points)
+        given, words = _given_rates(problem, spec, vehicle, points)
         place = ("given",) if points is None else ("path",)
         is_rolling_path = points is not None and not are_commands(given)
         options: dict[str, Any] = {
@@ -168,7 +168,7 @@ class InverseVerb(DriveVerb):
         return super().metrics(run, spec) | own.of(run)
 
 
-def _given(
+def _given_rates(
     problem: Problem[S], spec: Inverse, vehicle: Vehicle, points: Array | None
 ) -> tuple[dict[str, Any], str]:
     """Return the given rates, zero for those of a path, and their description.

@@ -56,7 +56,7 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
         ROBOT.get(name, name): _negative(value) if name == "v_y" else value
         for name, value in (columns | given).items()
     }
-    words += [f"{name} {_words(value)} {_unit(name)}" for name, value in given.items()]
+    words += [f"{name} {_rate_words(value)} {_unit(name)}" for name, value in given.items()]
     return found, ", ".join(words)
 
 
@@ -119,7 +119,7 @@ def _negative(value: Any) -> Any:
     return f"-({value})" if isinstance(value, str) else -value
 
 
-def _words(value: float | Piecewise | str) -> str:
+def _rate_words(value: float | Piecewise | str) -> str:
     if isinstance(value, tuple):
         return " then ".join(f"{rate:g}" for _, rate in value)
     return value if isinstance(value, str) else f"{value:g}"

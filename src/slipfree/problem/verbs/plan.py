@@ -145,7 +145,7 @@ class PlanVerb(DriveVerb):
             task_of(
                 dae,
                 start,
-                **_asked(problem, spec, keep_out, (dae, vehicle, terrain), between),
+                **_plan_arguments(problem, spec, keep_out, (dae, vehicle, terrain), between),
                 duration=spec.plan.duration or spec.time.duration,
             )
         goal = ", ".join(f"{name} {spelled(value)}" for name, value in spec.goal.items())
@@ -185,7 +185,7 @@ class PlanVerb(DriveVerb):
                 setup.dae,
                 setup.start,
                 guesses,
-                **_asked(
+                **_plan_arguments(
                     problem,
                     spec,
                     setup.keep_out,
@@ -293,7 +293,7 @@ def figure_options(setup: Planning) -> dict[str, Any]:
     }
 
 
-def _asked(
+def _plan_arguments(
     problem: Problem[S],
     spec: plan_schema.Plan,
     keep_out: tuple[Region, ...],
