@@ -46,9 +46,9 @@ from slipfree.trajectory import (
 from slipfree.version import __version__
 
 CONVENTIONS = "CF-1.11"
-ORIGIN = "slipfree_version"  # the attribute by which a result file is recognised
-OLD = "0.1."  # how the versions begin whose results are upgraded
-ORDER = "quantities"  # the attribute with the order of the quantities, which netCDF does not keep
+ORIGIN = "slipfree_version"  # attribute that identifies a result file
+OLD = "0.1."  # beginning of versions whose results are upgraded
+ORDER = "quantities"  # attribute with the order of the quantities, which netCDF does not keep
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
 REMEDY = "run the problem again to get a whole file"
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)  # of scipy's reader

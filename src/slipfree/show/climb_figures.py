@@ -1,4 +1,4 @@
-"""Figures of a climb: where the vehicle was, references, slip and disturbance, forces.
+"""Figures of a climb: positions, references, slip and disturbance, forces.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
 axes; legends are the caller's. ``climb_plots`` composes the figures.

@@ -144,7 +144,7 @@ class Film:
         self.drawn: list[Any] = []
 
     def show(self, t: float) -> None:
-        """Move everything to where it is at a time."""
+        """Move all artists to a time."""
         right, up = self.scene.backdrop.axes
         for actor, place in zip(self.scene.actors, self.places, strict=True):
             at = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin

@@ -154,7 +154,7 @@ class DriveVerb(MotionVerb):
         return motion_plots(result.trajectory, ground_of(result).grid)
 
     def viewer(self) -> Viewer:
-        """Return what draws motions over terrain in space."""
+        """Return the functions that draw motions over terrain in space."""
         from slipfree.show.drive_scene import drive_scene
 
         return Viewer("motions over terrain", drive_scene)
