@@ -129,7 +129,7 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
 
 
 def _drawn(result: Result, count: int) -> _Drawn:
-    """Return the figures that ``slipfree run`` draws, or why they cannot be drawn again."""
+    """Return the figures of ``slipfree run``, or the reason why they cannot be drawn."""
     if "problem" not in result.trajectory.attributes:
         return _Drawn((), "None: the result holds no problem file, so its ground is not known.")
     try:
