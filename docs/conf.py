@@ -1,5 +1,6 @@
 """Configuration of the documentation: `sphinx-build -W --keep-going -j 8 docs docs/_build/html`."""
 
+import hashlib
 import os
 import re
 import shutil
@@ -26,14 +27,23 @@ from made import fill  # noqa: E402
 NOTEBOOKS = DOCS / "notebooks"
 SHIPPED = find_spec("sphinx-mathjax-offline")  # a package of MathJax's files
 if SHIPPED is None or SHIPPED.origin is None:
-    raise ImportError("pages need MathJax without network: pip install 'slipfree[docs]'")
+    raise ImportError("pages need MathJax without network: python -m pip install '.[docs]'")
+
+
+def _sources_digest() -> str:
+    """Return a name for the state of the package, on which the outputs of cells depend."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(slipfree.__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
 
 project = "slipfree"
 author = copyright = "The slipfree developers"
 version = release = slipfree.__version__
 
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
-exclude_patterns = ["_build", "conf.py", "made.py"]
+exclude_patterns = ["_build", "*.py"]  # notebooks lie in a folder
 
 html_theme = "furo"
 html_title = f"slipfree {release}"
@@ -46,6 +56,8 @@ myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
 nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_execution_mode = "cache"  # where code cells and the package are as before
+nb_execution_cache_path = str(DOCS / "_build" / ".jupyter_cache" / _sources_digest())
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300

@@ -39,7 +39,7 @@ from slipfree.files.export import export_path
 from slipfree.files.maps.elevation import jacksboro
 from slipfree.files.netcdf import write
 from slipfree.routing.search import routes
-from slipfree.routing.traversability import reasons, traversability
+from slipfree.routing.traversability import blocking_reasons, traversability
 from slipfree.show import ground_drawing, motion_figures, style
 from slipfree.show.plan_figures import cost_map, ways
 from slipfree.show.plots import draw
@@ -73,7 +73,7 @@ for route in found:
     )
 i, j = np.unravel_index(np.argmax(layers.slope[2:-2, 2:-2]), layers.slope[2:-2, 2:-2].shape)
 x, y = layers.x[i + 2], layers.y[j + 2]
-print(f"at ({x:.0f}, {y:.0f}) m: {reasons(layers, x, y)}")
+print(f"at ({x:.0f}, {y:.0f}) m: {blocking_reasons(layers, x, y)}")
 
 # %%
 figure = style.figure(6.0, 5.4)

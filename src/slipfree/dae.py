@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
@@ -334,7 +335,12 @@ class Dae:
                 if name in (label.name, label.full):
                     found.append(expression)
         if not found:
-            raise ModelError(f"the model has no {name!r}; it has {', '.join(sorted(known))}")
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise ModelError(
+                f"expected a quantity of the model, found {name!r}; {hint}it has "
+                f"{', '.join(sorted(known))}"
+            )
         return found
 
     def function(

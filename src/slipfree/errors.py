@@ -13,3 +13,11 @@ class ModelError(SlipfreeError, ValueError):
 
 class DataError(SlipfreeError, ValueError):
     """A file cannot be read, or its contents cannot be used."""
+
+
+def missing_package(package: str, extra: str) -> str:
+    """Return how to install an optional package, for the message of an error."""
+    return (
+        f"expected the package {package}, found none; in the folder of slipfree: "
+        f"python -m pip install '.[{extra}]'"
+    )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from slipfree.errors import ModelError, SlipfreeError
+from slipfree.errors import ModelError, SlipfreeError, missing_package
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Label, field_overview, overview
 
@@ -239,9 +239,7 @@ def _require(package: str) -> Any:
     try:
         return import_module(package)
     except ImportError as error:
-        raise SlipfreeError(
-            f"expected the package {package}, found none; pip install 'slipfree[xarray]'"
-        ) from error
+        raise SlipfreeError(missing_package(package, "xarray")) from error
 
 
 class SolverError(SlipfreeError, RuntimeError):

@@ -3,6 +3,7 @@
 Pages are built, and notebooks executed, by `sphinx-build -W` (`.ci/run`).
 """
 
+import ast
 import re
 from importlib import import_module
 from pathlib import Path
@@ -58,10 +59,12 @@ def test_every_public_name_is_described_once():
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)
-def test_a_notebook_is_told_about_and_compiles(name):
+def test_a_notebook_is_listed_and_its_imports_exist(name):
     assert f"({name}.py)" in text_of("notebooks/index.md")
     code = (ROOT / "notebooks" / f"{name}.py").read_text()
-    compile(code, name, "exec")
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            exec(ast.unparse(node), {})  # notebooks run when the pages are built: names change
     assert re.search(r"^# # \S", code, re.MULTILINE), "a title"
 
 

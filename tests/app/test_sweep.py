@@ -589,7 +589,7 @@ def test_no_cluster_is_refused(file: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = sweep_in(file.parent, "--scheduler", "tcp://127.0.0.1:1")
     assert result.exit_code == 2
-    assert "pip install 'slipfree[cluster]'" in result.stderr
+    assert "pip install '.[cluster]'" in result.stderr
 
 
 SPEEDS = Varied("driver.speed", "m/s", ("2.0", "0.5", "1.0"), (2.0, 0.5, 1.0))

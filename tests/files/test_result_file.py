@@ -158,7 +158,7 @@ def test_frames_without_their_package(
     motion: Trajectory, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(SlipfreeError, match=rf"package {package}, .*install 'slipfree\[xarray\]'"):
+    with pytest.raises(SlipfreeError, match=rf"package {package}, .*install '\.\[xarray\]'"):
         getattr(motion, f"to_{package}")()
 
 
@@ -220,7 +220,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("head", "words"),
     [
-        (b"verb = 1", "begins with b'verb', not netCDF"),
+        (b"verb = 1", "found a file that is not netCDF"),
         (b"\x89HDF\r\n\x1a\n", "another kind of netCDF; convert it: nccopy"),
         (b"CDF\x05" + bytes(40), "another kind of netCDF; convert it: nccopy"),
     ],

@@ -139,12 +139,12 @@ def test_keys_that_a_file_has_no_use_for(tmp_path):
         (HEADER + ROWS.replace("12", "1,2"), "expected numbers in line 8, found '1,2'"),
         (
             HEADER + ROWS.replace("22", "nan"),
-            "map.asc: all heights must be finite, found 1 of 20 .* x = 125, y = 215; set fill",
+            "expected a height at every node, found none at 1 of 20, .* x = 125, y = 215; set fill",
         ),
         (HEADER + ROWS.replace("22", "inf"), r"map.asc: grid: .* z\[2, 1\] = inf"),
         (
             HEADER + ROWS.replace("12", "-9999").replace("24", "-9999"),
-            "found 2 of 20 nodes without one, the first at x = 125, y = 225; set fill",
+            "found none at 2 of 20, the first at x = 125, y = 225; set fill",
         ),
     ],
 )

@@ -138,8 +138,8 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"goal": {"z_": 1.0}}, "the model has no 'z_'; it has"),
-        ({"costs": {"slop": 1.0}}, "the model has no 'slop'"),
+        ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
+        ({"costs": {"slop": 1.0}}, "found 'slop'; it has"),
         ({"costs": {"slip": -1.0}}, "the weight of slip must not be negative"),
         ({"duration": 0.0}, "expected a positive duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "bounds of steer must ascend"),
@@ -216,7 +216,7 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("goal.q=1", "plan: the model has no 'q'"),
+        ("goal.q=1", "goal.q: expected a quantity of the model, found 'q'"),
         ("goal.x=[2, 1]", "goal.x: expected a number, or [low, high] that ascend"),
         ("plan.degree=6", "plan.degree: expected"),
         ("bounds.wheel=[0, 1]", "'wheel' is not an input"),

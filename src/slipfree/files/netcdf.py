@@ -267,7 +267,7 @@ def _open(path: Path) -> _File:
         if head in (b"\x89HDF", b"CDF\5"):
             raise _fault(path, "another kind of netCDF", "convert it: nccopy -k cdf2 IN.nc OUT.nc")
         if not b"CDF".startswith(head[:3]):
-            raise _fault(path, f"a file that begins with {head!r}, not netCDF", "check the name")
+            raise _fault(path, "a file that is not netCDF", "give one that slipfree run wrote")
         try:
             with netcdf_file(path.open("rb"), mmap=True) as file:
                 attributes, dimensions = _attributes_of(file), dict(file.dimensions)

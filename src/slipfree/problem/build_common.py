@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slipfree.dae import Dae
-from slipfree.files.toml.errors import Fault, name_errors, problem_error
+from slipfree.files.toml.errors import Fault, ProblemError, name_errors, problem_error
 from slipfree.frames import OFFSET
 from slipfree.problem import schema
 from slipfree.problem.build_ground import Ground, at, ground_facts
@@ -64,9 +64,22 @@ class Setup:
 
 
 def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
-    """Return the ground as a surface, with its local origin at the start."""
-    start = problem.spec.start
-    return Bicubic(ground.grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
+    """Return the ground as a surface, with its local origin at the start.
+
+    Raises
+    ------
+    ProblemError
+        If the start lies off the map.
+    """
+    start, grid = problem.spec.start, ground.grid
+    for axis, nodes in (("x", grid.x), ("y", grid.y)):
+        place = start.get(axis, 0.0)
+        if not nodes[0] <= place <= nodes[-1]:
+            raise ProblemError(
+                f"{problem.source.where(('start', axis))}: expected a start on the map, which "
+                f"extends from {nodes[0]:.10g} to {nodes[-1]:.10g} m, found {axis} = {place:.10g} m"
+            )
+    return Bicubic(grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
 
 
 def turned(problem: Problem[S]) -> float:

@@ -20,7 +20,7 @@ from slipfree.terrain.base import Grid
 from slipfree.terrain.friction import check_friction
 from slipfree.terrain.grid_ops import MAX_NODES, cut, disturbed, scaled, smoothed
 from slipfree.terrain.rolled import NODES, Rolled, rolled
-from slipfree.terrain.synthetic import Rock, blank, craters, place_rocks, power_law, ramp, rocks
+from slipfree.terrain.synthetic import Rock, blank, place_rocks
 from slipfree.trajectory import Trajectory
 
 OF_FILES = ("cell", "registration", "spacing", "geographic", "fill")  # keys only for map files
@@ -208,14 +208,8 @@ def _synthetic(spec: schema.Synthetic) -> Grid:
     _check_size(spec.x[1] - spec.x[0], spec.y[1] - spec.y[0], spec.spacing)
     grid = blank(spec.x, spec.y, spec.spacing)
     grid = Grid(grid.x, grid.y, grid.z + spec.base)
-    for rule, values in (
-        (ramp, spec.ramp),
-        (power_law, spec.power_law),
-        (craters, spec.craters),
-        (rocks, spec.rocks),
-    ):
-        if values is not None:
-            grid = rule(grid, **dict(values))
+    for feature in spec.features():
+        grid = feature.added(grid)
     return place_rocks(grid, map(Rock._make, spec.placed_rocks))
 
 

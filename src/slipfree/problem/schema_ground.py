@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, PlainValidator
+from pydantic import Field, PlainValidator, create_model
 
 from slipfree.files.toml.types import (
     Count,
-    NonNegative,
     Pair,
     Positive,
     Record,
@@ -16,67 +15,43 @@ from slipfree.files.toml.types import (
     Window,
     coefficient,
 )
-
-SEED = "seed of the random numbers"
-
-
-class PowerLaw(Record):
-    """Self-affine roughness, whose spectrum is a power of the wave number."""
-
-    rms: Positive = Field(description="root mean square of the added heights [m]")
-    hurst: Annotated[float, Field(gt=0, le=1)] = Field(
-        description="Hurst exponent: 0.5 is jagged, 1 is smooth [1]"
-    )
-    longest: Positive = Field(description="longest wavelength [m]")
-    shortest: Positive = Field(description="shortest wavelength, at least twice the spacing [m]")
-    seed: Count = Field(description=SEED)
+from slipfree.problem.ground_features import FEATURES, SEED, Feature
 
 
-class Craters(Record):
-    """Craters scattered over the ground."""
-
-    count: Count = Field(description="number; a larger number adds to those of a smaller one")
-    diameters: Pair = Field(description="smallest and largest, from crest to crest [m]")
-    seed: Count = Field(description=SEED)
-
-
-class Rocks(Record):
-    """Rocks scattered over the ground."""
-
-    count: Count = Field(description="number; a larger number adds to those of a smaller one")
-    diameters: Pair = Field(description="smallest and largest [m]")
-    height_ratio: Positive = Field(description="height over diameter [1]")
-    seed: Count = Field(description=SEED)
-
-
-class Ramp(Record):
-    """A ramp along y."""
-
-    start: float = Field(description="y where it begins [m]")
-    end: float = Field(description="y where it ends [m]")
-    rise: float = Field(description="height behind the ramp [m]")
-    smooth: bool = Field(
-        default=True,
-        description="whether the slope is continuous, at most 15/8 of its mean; otherwise constant",
-    )
-    rounding: NonNegative = Field(
-        default=0.0, description="length of the rounding of each edge of a constant slope [m]"
-    )
-
-
-class Synthetic(Record):
-    """A synthetic ground: a level grid with additions in the order of these keys."""
+class MadeGround(Record):
+    """A synthetic ground: a level grid, to which features are added in the order of these keys."""
 
     x: Pair = Field(description="first and last node [m]")
     y: Pair = Field(description="first and last node [m]")
     spacing: Positive = Field(description="distance between nodes [m]")
     base: float = Field(default=0.0, description="height of the level grid [m]")
-    ramp: Ramp | None = Field(default=None, description="a ramp along y")
-    power_law: PowerLaw | None = Field(default=None, description="roughness")
-    craters: Craters | None = Field(default=None, description="random craters")
-    rocks: Rocks | None = Field(default=None, description="random rocks")
     placed_rocks: Annotated[tuple[Rock, ...], Field(strict=False)] = Field(
-        default=(), description="rocks at given positions [m]"
+        default=(), description="rocks at given positions, added last [m]"
+    )
+
+    def features(self) -> list[Feature]:
+        """Return the features that are added, in order."""
+        found = (getattr(self, name) for name in FEATURES)
+        return [each for each in found if each is not None]
+
+
+def _description(feature: type[Feature]) -> str:
+    """Return the first line of a docstring as the description of a key."""
+    words = (feature.__doc__ or "").partition("\n")[0].rstrip(".")
+    return words[:1].lower() + words[1:]
+
+
+if TYPE_CHECKING:
+    Synthetic = MadeGround
+else:
+    Synthetic = create_model(
+        "Synthetic",
+        __base__=MadeGround,
+        __doc__=MadeGround.__doc__,
+        **{
+            name: (feature | None, Field(default=None, description=_description(feature)))
+            for name, feature in FEATURES.items()
+        },
     )
 
 

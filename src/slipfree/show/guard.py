@@ -75,7 +75,7 @@ class Guard:
             stop(server)
             raise DataError(
                 "show: expected a version of viser whose requests can be checked, found "
-                f"{viser.__version__}; pip install 'slipfree[view]'"
+                f"{viser.__version__}; python -m pip install 'viser>=1.1,<1.2'"
             )
         self._check_values(server)
         return server

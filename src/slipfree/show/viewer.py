@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipfree.errors import DataError
+from slipfree.errors import DataError, missing_package
 from slipfree.records import Array
 from slipfree.show.guard import HOST, Guard, stop
 from slipfree.show.html_page import legend, swatch, warned, with_legend
@@ -110,7 +110,7 @@ def _server(port: int, warn: Callable[[str], None] = lambda _: None) -> viser.Vi
     try:
         server = Guard(warn).start(port)
     except ImportError as error:
-        raise DataError("show needs viser: pip install 'slipfree[view]'") from error
+        raise DataError(f"show: {missing_package('viser', 'view')}") from error
     if port and server.get_port() != port:
         stop(server)
         raise DataError(f"--port: expected a free port, found {port} taken; leave it out for any")

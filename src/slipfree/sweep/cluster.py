@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
-from slipfree.errors import DataError, SlipfreeError
+from slipfree.errors import DataError, SlipfreeError, missing_package
 from slipfree.sweep.log import LOST
 from slipfree.sweep.process import run_task
 from slipfree.sweep.task import Done, Task, without_motion
@@ -101,9 +101,7 @@ def _connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        raise DataError(
-            "--scheduler needs the package distributed: pip install 'slipfree[cluster]'"
-        ) from error
+        raise DataError(f"--scheduler: {missing_package('distributed', 'cluster')}") from error
     try:
         with ThreadPoolExecutor(1) as alone:  # a notebook's thread has an event loop of its own
             alone.submit(asyncio.run, _reach(address)).result()

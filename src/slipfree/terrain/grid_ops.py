@@ -211,8 +211,8 @@ def check_whole(found: Heights) -> None:
     if holes.any():
         i, j = np.argwhere(holes)[0]
         raise DataError(
-            f"all heights must be finite, found {np.count_nonzero(holes)} of {holes.size} nodes "
-            f"without one, the first at x = {found.x[i]:.9g}, y = {found.y[j]:.9g}; set "
+            f"expected a height at every node, found none at {np.count_nonzero(holes)} of "
+            f"{holes.size}, the first at x = {found.x[i]:.9g}, y = {found.y[j]:.9g}; set "
             'fill = "linear", or use window to select a part of the map without holes'
         )
 

@@ -53,6 +53,16 @@ UNREADABLE = (  # exceptions of numpy for a damaged archive
 )
 RASTERS, POINTS = tuple(DRIVERS), (".xyz", ".txt", ".csv")
 ENDINGS = (".npz", *RASTERS, *POINTS)
+TO_RASTER = "convert it: gdal_translate in out.tif"
+TO_TEXT = (
+    "write its points as text: pdal translate in{} out.csv --writers.text.order=X,Y,Z "
+    "--writers.text.keep_unspecified=false"
+)
+OTHERS = {
+    ".las": TO_TEXT.format(".las"),
+    ".laz": TO_TEXT.format(".laz"),
+    ".zip": "unpack it: unzip in.zip",
+}
 NEEDED_BY = {"cell": RASTERS, "registration": RASTERS, "spacing": POINTS}
 Facts = tuple[tuple[str, str], ...]
 
@@ -154,7 +164,7 @@ def read_map(
     if ending not in ENDINGS:
         raise DataError(
             f"{path}: expected a file ending in {', '.join(ENDINGS)}, found "
-            f"{path.suffix or 'no ending'!r}; convert it, for example: gdal_translate in out.tif"
+            f"{path.suffix or 'no ending'!r}; {OTHERS.get(ending, TO_RASTER)}"
         )
     try:
         _check_keys(ending, cell, registration, spacing)

@@ -141,6 +141,7 @@ class PlanVerb(DriveVerb):
         start, (t, _) = build_start(problem, dae), samples(spec.time, spec.inputs or {})
         ways = ways_of(problem, spec, layers, places)
         starts = _starts(problem, dae, vehicle, start, ways)
+        _check_quantities(problem, dae)
         with at(problem, ("plan",)):
             task_of(
                 dae,
@@ -255,6 +256,16 @@ class PlanVerb(DriveVerb):
         found, problem = super().shown(result, name), result.problem
         planned = poses_of_plan(result.trajectory, result.arrays, found.terrain)
         return found._replace(keep_out=regions(problem, problem.spec), plan=planned)
+
+
+def _check_quantities(problem: Problem[plan_schema.Plan], dae: Dae) -> None:
+    """Refuse goals and limits of quantities that the model does not have."""
+    spec = problem.spec
+    own = {name for limit in dae.limits for name in (limit.label.name, limit.label.full)}
+    for table, asked in (("goal", spec.goal), ("limits", spec.limits)):
+        for name in asked.keys() - own:
+            with at(problem, (table, name)):
+                dae.named(name)
 
 
 def _starts(

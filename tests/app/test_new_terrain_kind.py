@@ -1,0 +1,79 @@
+"""Add a kind of terrain to problem files: one file and one line of registration.
+
+`Dunes` is the file ``problem/dunes.py`` (10 lines without docstrings and imports), and
+``"dunes": Dunes`` the line of ``FEATURES`` in ``problem/ground_features.py``: two files. Problem
+files, their errors, commands and the reference of keys take the table ``[terrain.synthetic.dunes]``
+without other changes. The record of the keys is made at import, so that this file registers its
+feature in a process of its own.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from numpy.testing import assert_allclose
+from pydantic import Field
+
+from slipfree.files.toml.types import Positive
+from slipfree.problem.ground_features import FEATURES, Feature
+from slipfree.terrain.base import Grid
+
+
+class Dunes(Feature):
+    """Dunes along x, added to the ground."""
+
+    height: Positive = Field(description="from trough to crest [m]")
+    length: Positive = Field(description="from crest to crest [m]")
+
+    def added(self, grid: Grid) -> Grid:
+        """Return a ground with dunes added."""
+        wave = np.cos(2 * np.pi * grid.y / self.length)
+        return Grid(grid.x, grid.y, grid.z + self.height / 2 * wave)
+
+
+PROBLEM = """\
+verb = "direct"
+vehicle = { catalog = "three_wheeler" }
+start = {}
+inputs = { right_rate = 0.5, left_rate = 0.5, steer_rate = 0.0 }
+time = { duration = 1.0, step = 0.5 }
+
+[terrain.synthetic]
+x = [-4, 4]
+y = [-4, 4]
+spacing = 0.25
+dunes = { height = 0.5, length = 8.0 }
+"""
+
+
+def called(*words: str) -> subprocess.CompletedProcess[str]:
+    """Run ``slipfree`` with the feature registered."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
+        "import test_new_terrain_kind as new; new.FEATURES['dunes'] = new.Dunes; "
+        "from slipfree.cli import main; main()"
+    )
+    return subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
+    )
+
+
+def test_a_problem_file_may_ask_for_it(tmp_path: Path) -> None:
+    file = tmp_path / "dunes.toml"
+    file.write_text(PROBLEM)
+    done = called("check", str(file))
+    assert done.returncode == 0, done.stderr
+    assert "ground height        -0.250 to 0.250 m" in done.stdout
+    done = called("check", str(file), "--set", "terrain.synthetic.dunes.height=-1")
+    assert done.returncode == 2
+    assert "terrain.synthetic.dunes.height: expected a number greater than 0" in done.stderr
+    done = called("check", str(file), "--set", "terrain.synthetic.dune.height=1")
+    assert "unknown key 'dune'; did you mean 'dunes'?" in done.stderr
+
+
+def test_its_heights_are_those_of_its_formula() -> None:
+    nodes = np.linspace(-4, 4, 33)
+    grid = Dunes(height=0.5, length=8.0).added(Grid(nodes, nodes, np.ones((33, 33))))
+    assert_allclose(grid.z[3], 1 + 0.25 * np.cos(np.pi * nodes / 4))
+    assert "dunes" not in FEATURES
