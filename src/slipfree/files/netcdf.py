@@ -52,7 +52,7 @@ ORDER = "quantities"  # attribute with the order of the quantities, which netCDF
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
 REMEDY = "run the problem again to get a whole file"
 DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)  # of scipy's reader
-LARGEST = 1e100  # number of a motion; beyond, bits were flipped
+MAX_VALUE = 1e100  # larger numbers in a result file mean that it is damaged
 BLOCK = 65536  # samples at once
 SIZE = "_size"  # suffix of the dimension of an array that is no sample
 NOTHING: Mapping[str, npt.NDArray[Any]] = {}
@@ -370,7 +370,7 @@ class _Columns(Mapping[str, Column]):
         values = np.empty(found.shape)
         for k in range(0, len(found), BLOCK):
             values[k : k + BLOCK] = block = found[k : k + BLOCK]
-            if (np.abs(block[np.isfinite(block)]) > LARGEST).any():
+            if (np.abs(block[np.isfinite(block)]) > MAX_VALUE).any():
                 raise _fault(self._file.path, f"numbers in {name} that no motion has")
         column = Column(label, values)
         is_old = str(self._file.attributes[ORIGIN]).startswith(OLD)

@@ -243,7 +243,7 @@ def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
 
 
 def _repeat_constants(found: Sequence[Columns], count: int) -> list[ca.MX]:
-    """Return results at all points in columns, numbers that hold for all of them repeated."""
+    """Return results at all points in columns, with common numbers repeated."""
     return [
         ca.vertcat(
             ca.MX(0, 1),

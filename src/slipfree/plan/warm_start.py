@@ -24,7 +24,7 @@ class SavedPlan(NamedTuple):
     Attributes
     ----------
     ends : ndarray, shape (n + 1,)
-        Of the intervals, fractions of the duration.
+        Ends of the intervals, as fractions of the duration.
     sizes : ndarray, shape (5,)
         Degree, numbers of states, algebraic unknowns and inputs, and one if inputs are continuous.
     unknowns, bound_multipliers : ndarray, shape (n_w,)
@@ -32,9 +32,9 @@ class SavedPlan(NamedTuple):
     row_multipliers : ndarray, shape (n_g,)
         Multipliers of the rows.
     shift : ndarray, shape (n_x + n_z,)
-        Map minus local values of states and algebraic unknowns, local ones being saved.
+        Map minus local values of states and algebraic unknowns, which are saved as local values.
     model : ndarray, shape (1,)
-        A number made of the names of states, unknowns and inputs.
+        A hash of the names of states, unknowns and inputs.
     """
 
     ends: Array

@@ -163,7 +163,7 @@ def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
 
 
 def _check(roles: Roles, known: list[str], file: File) -> None:
-    """Raise for joints that the URDF does not have, or that are said to be two things."""
+    """Raise an error for joints that the URDF does not have, or with two roles."""
     faults: list[Fault] = []
     for table, given in (("joints", roles.joints), ("wheels", roles.wheels)):
         faults += name_errors((table,), given, known)

@@ -53,14 +53,14 @@ def trim_states(
     dae : Dae
         The model.
     start : Trajectory
-        Its last sample is where the search starts, of this model or of one with its pose; states
-        that are not sought stay.
+        Motion of this model or of one with the same pose; the search starts at its last sample.
+        Other states keep their values.
     inputs : record
         From ``dae.inputs(...)``; constants or expressions.
     states : sequence of str
-        States that are sought, by name.
+        Names of the states to find.
     least : sequence of str
-        Outputs that are to be least, by name; of those of wheels, all wheels'.
+        Names of the outputs to minimise, over all wheels for outputs of wheels.
     options : SolverOptions
         Options of the solvers.
 

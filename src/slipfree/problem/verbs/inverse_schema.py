@@ -58,7 +58,7 @@ class Inverse(Motion):
         return (file,) if isinstance(file, str) else ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield also the errors of a path: columns beside a file, missing, of other lengths."""
+        """Yield also the errors of a path: arrays beside a file, missing ones, unequal lengths."""
         yield from super().faults()
         path = self.path
         if path is None:
