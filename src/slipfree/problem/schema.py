@@ -29,9 +29,7 @@ from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 
 SlipName = Annotated[str, AfterValidator(known_slip)]
 
-MOST_SAMPLES = (
-    1_000_000  # largest number of samples of a motion  # largest number of samples of a motion
-)
+MOST_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
 TOLERANCE = "tolerance of the integrator, absolute and relative [1]"
 SIZED = "tolerance of the integrator, absolute and relative; lengths in vehicle sizes [1]"

@@ -14,9 +14,7 @@ from slipfree.records import Array
 from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
 
 NAMES = ("x", "y", "z")
-BLOCK = (
-    2**20
-)  # nodes interpolated at once; limits the memory; limits the memory; limits the memory; limits the memory
+BLOCK = 2**20  # nodes interpolated at once; limits the memory
 
 
 def read_points(path: Path, spacing: float | None, window: Window | None) -> Heights:
