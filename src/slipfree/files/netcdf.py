@@ -347,7 +347,7 @@ def _outcome(file: _File) -> Outcome:
 
 
 def _label(file: _File, name: str, sizes: Container[tuple[int, ...]]) -> Label:
-    """Return the label of a quantity; raise DataError if it is missing."""
+    """Return the label of a quantity; raise DataError if it is invalid."""
     dimensions, shape, dtype, _, words = file.variables[name]
     if dimensions not in (("time",), ("time", "wheel")) or shape not in sizes:
         raise _fault(file.path, f"{name} over the dimensions ({', '.join(dimensions)})")
