@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
-from slipfree.files.maps.elevation import NEEDED_BY, Frame, Map, jacksboro, read_map
+from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import Place
 from slipfree.problem import schema
@@ -186,9 +186,7 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
     if not isinstance(name, str):
         return name, "" if name is None else f"{name:g}"
     ending = Path(name).suffix.lower()
-    asked: dict[str, Any] = {
-        key: getattr(spec, key) for key in OF_FILES if ending in NEEDED_BY.get(key, (ending,))
-    }
+    asked: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES if takes_key(ending, key)}
     if ground.geographic:
         asked["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):

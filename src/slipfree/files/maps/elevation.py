@@ -8,6 +8,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -51,8 +52,6 @@ UNREADABLE = (  # exceptions of numpy for a damaged archive
     zlib.error,
     lzma.LZMAError,
 )
-RASTERS, POINTS = tuple(DRIVERS), (".xyz", ".txt", ".csv")
-ENDINGS = (".npz", *RASTERS, *POINTS)
 TO_RASTER = "convert it: gdal_translate in out.tif"
 TO_TEXT = (
     "write its points as text: pdal translate in{} out.csv --writers.text.order=X,Y,Z "
@@ -63,7 +62,6 @@ OTHERS = {
     ".laz": TO_TEXT.format(".laz"),
     ".zip": "unpack it: unzip in.zip",
 }
-NEEDED_BY = {"cell": RASTERS, "registration": RASTERS, "spacing": POINTS}
 Facts = tuple[tuple[str, str], ...]
 
 
@@ -161,15 +159,18 @@ def read_map(
     """
     path = Path(path)
     ending = path.suffix.lower()
-    if ending not in ENDINGS:
+    reader = next((each for each in READERS if ending in each.endings), None)
+    if reader is None:
+        known = ", ".join(each for reader in READERS for each in reader.endings)
         raise DataError(
-            f"{path}: expected a file ending in {', '.join(ENDINGS)}, found "
-            f"{path.suffix or 'no ending'!r}; {OTHERS.get(ending, TO_RASTER)}"
+            f"{path}: expected a file ending in {known}, found {path.suffix or 'no ending'!r}; "
+            f"{OTHERS.get(ending, TO_RASTER)}"
         )
+    reading = Reading(window, cell, registration, spacing)
     try:
-        _check_keys(ending, cell, registration, spacing)
+        _check_keys(ending, reading)
         with regular_file(path, "a map"):
-            found = _read_heights(path, ending, Reading(window, cell, registration), spacing)
+            found = reader.read(path, reading)
         _check_degrees(found, local=geographic is not None)
         return _mapped(found, geographic, fill)
     except DataError as error:
@@ -178,26 +179,25 @@ def read_map(
         raise DataError(f"{path}: {error}") from error
 
 
-def _check_keys(
-    ending: str, cell: float | None, registration: str | None, spacing: float | None
-) -> None:
+def takes_key(ending: str, key: str) -> bool:
+    """Return whether files of an ending take a key; keys that no format lists are for all."""
+    endings = _endings_with(key)
+    return not endings or ending in endings
+
+
+def _endings_with(key: str) -> tuple[str, ...]:
+    return tuple(each for reader in READERS if key in reader.keys for each in reader.endings)
+
+
+def _check_keys(ending: str, reading: Reading) -> None:
     """Raise DataError for arguments that the file format does not use."""
-    given = {"cell": cell, "registration": registration, "spacing": spacing}
-    for name, value in given.items():
-        endings = NEEDED_BY[name]
+    for name in ("cell", "registration", "spacing"):
+        value, endings = getattr(reading, name), _endings_with(name)
         if value is not None and ending not in endings:
             raise DataError(
                 f"expected no {name} for a {ending} file, which says it itself, found "
                 f"{value!r}; take it out ({name} is for {', '.join(endings)})"
             )
-
-
-def _read_heights(path: Path, ending: str, ask: Reading, spacing: float | None) -> Heights:
-    if ending in DRIVERS:
-        return read_raster(path, ask)
-    if ending in POINTS:
-        return read_points(path, spacing, ask.window)
-    return _read_npz(path, ask)
 
 
 def _check_degrees(found: Heights, *, local: bool) -> None:
@@ -353,6 +353,35 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
     i, j = parts(*axes_of(x, y), ask.window)
     told = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
     return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), told)
+
+
+def _read_points(path: Path, ask: Reading) -> Heights:
+    return read_points(path, ask.spacing, ask.window)
+
+
+class MapReader(NamedTuple):
+    """Format of map files.
+
+    Attributes
+    ----------
+    endings : tuple of str
+        Endings of its files, in lower case, with the dot.
+    read : callable
+        ``read(path, reading)`` returns the heights in a file.
+    keys : tuple of str
+        Fields of `Reading` besides ``window`` that it uses.
+    """
+
+    endings: tuple[str, ...]
+    read: Callable[[Path, Reading], Heights]
+    keys: tuple[str, ...] = ()
+
+
+READERS: tuple[MapReader, ...] = (
+    MapReader((".npz",), _read_npz),
+    MapReader(tuple(DRIVERS), read_raster, ("cell", "registration")),
+    MapReader((".xyz", ".txt", ".csv"), _read_points, ("spacing",)),
+)
 
 
 def _arrays(path: Path) -> tuple[Array, Array, Array]:

@@ -53,7 +53,7 @@ WORDS = {
 
 
 class Reading(NamedTuple):
-    """Information of the user about a raster.
+    """Information of the user about a map file.
 
     Attributes
     ----------
@@ -64,11 +64,14 @@ class Reading(NamedTuple):
     registration : {"area", "point"} or None
         Position of the values, for such a raster: at the centres of the cells, with the border half
         a cell outside the first node, or at nodes, with the border through the first node.
+    spacing : float or None
+        Distance of nodes, for scattered points. [m]
     """
 
     window: Window | None = None
     cell: float | None = None
     registration: Registration | None = None
+    spacing: float | None = None
 
 
 class _Place(NamedTuple):
@@ -245,8 +248,8 @@ def _place(file: Any, ask: Reading) -> _Place:
         )
     if file.transform.is_identity:
         return _place_by_user(file.width, file.height, ask)
-    for name, value in zip(("cell", "registration"), ask[1:], strict=True):
-        if value is not None:
+    for name in ("cell", "registration"):
+        if (value := getattr(ask, name)) is not None:
             _refuse(
                 f"no {name} for a file that says it itself",
                 f"{name} = {value!r}",

@@ -1,0 +1,61 @@
+"""Add a file format of maps: one function and one line of registration.
+
+The function `read_json` below belongs in a new file ``files/maps/json_map.py``, and the
+``MapReader`` of the test is a line of ``READERS`` in ``files/maps/elevation.py``: two files are
+touched. Problem files, commands and error messages then take the format as they take the others.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.errors import DataError
+from slipfree.files.maps import elevation
+from slipfree.files.maps.elevation import READERS, MapReader, read_map
+from slipfree.files.maps.raster import Reading
+from slipfree.terrain.grid_ops import Heights, axes_of, parts
+
+PROBLEM = Path(__file__).parents[2] / "problems" / "paper_direct.toml"
+
+
+def read_json(path: Path, ask: Reading) -> Heights:
+    """Return the map in a JSON file with the arrays x, y and z."""
+    x, y, z = (np.array(json.loads(path.read_text())[name], dtype=float) for name in "xyz")
+    i, j = parts(*axes_of(x, y), ask.window)
+    return Heights(x[i], y[j], z[i, j], (("ground map", "JSON"),))
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(elevation, "READERS", (*READERS, MapReader((".json",), read_json)))
+    x = np.linspace(-5, 5, 21)
+    z = 0.1 * np.sin(x)[:, None] * np.cos(x)
+    path = tmp_path / "map.json"
+    path.write_text(json.dumps({"x": x.tolist(), "y": x.tolist(), "z": z.tolist()}))
+    return path
+
+
+def test_a_problem_drives_on_a_map_of_the_new_format(file: Path, tmp_path: Path) -> None:
+    text = PROBLEM.read_text()
+    begin, end = text.index("[terrain.synthetic]"), text.index("[vehicle]")
+    problem = tmp_path / "p.toml"
+    problem.write_text(f'{text[:begin]}[terrain]\nfile = "{file.name}"\n\n{text[end:]}')
+    words = ["run", str(problem), "-o", str(tmp_path / "r.nc"), "--no-draw"]
+    result = CliRunner().invoke(app, [*words, "--set", "time.duration=0.2"])
+    assert result.exit_code == 0, result.output
+    assert "JSON" in result.output
+
+
+def test_keys_of_other_formats_are_refused(file: Path) -> None:
+    assert read_map(file, window=(-1, 1, -1, 1)).grid.z.shape == (5, 5)
+    with pytest.raises(DataError, match=r"no spacing for a \.json file"):
+        read_map(file, spacing=0.1)
+
+
+def test_the_endings_of_all_formats_are_named(file: Path) -> None:
+    with pytest.raises(DataError, match=r"\.csv, \.json, found '\.doc'"):
+        read_map(file.with_suffix(".doc"))
