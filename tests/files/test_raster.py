@@ -291,7 +291,9 @@ def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
     with rasterio.open(path, "r+") as file:
         file.scales, file.offsets = (0.01,), (3.0,)
     x, y = WEST + 7.5 * CELL, NORTH - 5.5 * CELL
-    with pytest.raises(DataError, match=f"found none at 1 of 1280, .*x = {x:.9g}, y = {y:.9g}; set fill"):
+    with pytest.raises(
+        DataError, match=f"found none at 1 of 1280, .*x = {x:.9g}, y = {y:.9g}; set fill"
+    ):
         read_grid(path)
     found = read_map(path, fill="linear")
     assert (
