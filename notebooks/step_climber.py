@@ -124,7 +124,7 @@ table(weak, PAPER_II)
 # under fixed references; its axles have 2.4.)
 
 # %%
-print(climb("step", "friction.static=0.4", "friction.kinetic=0.3").trajectory.attributes["outcome"])
+print(climb("step", "friction.static=0.4", "friction.kinetic=0.3").trajectory.attributes["climb"])
 PAPER_III = {
     "slip": {"fixed": [17.7, 16.4, 15.6, 16.6], "proposed": [8.3, 9.6, 9.3, 9.1]},
     "disturbance": {"fixed": [2.7, 1.9, 2.5, 2.4], "proposed": [0.8, 1.3, 1.1, 1.1]},
@@ -178,7 +178,7 @@ for law in ("printed_6_8", "printed_14", "printed_16"):
     for name, fixed in (("ramp", ramp["fixed"]), ("step", step["fixed"])):
         found = climb(name, f"control.law={law}", "control.directions=contact")
         ratio = averages(found, "slip")[-1] / averages(fixed, "slip")[-1]
-        words = found.trajectory.attributes["outcome"].partition(":")[0]
+        words = found.trajectory.attributes["climb"].partition(":")[0]
         slips = f", slip {ratio:.1f} times that of fixed references" if words == "climbs" else ""
         print(f"{law:12} {name}: {words}{slips}")
 
@@ -293,14 +293,14 @@ print(
 planned = climb("plan_step")
 counts = planned.trajectory.statistics
 least = ", ".join(f"{counts[f'climb_plan_least_{k}']:.3f}" for k in (1, 2, 3))
-print("planned:", planned.trajectory.attributes["outcome"])
+print("planned:", planned.trajectory.attributes["climb"])
 print(f"  true slip {averages(planned, 'true_slip')[-1]:.1f} %")
 print(
     f"  {counts['climb_plan_duration']:.2f} s planned, {counts['climb_plan_driven']:.2f} s driven"
 )
 print(f"  least friction on which front, middle and rear wheels climb: {least}")
 for law, settings in LAWS.items():
-    print(f"{law}:", climb("plan_step", "plan=", *settings).trajectory.attributes["outcome"])
+    print(f"{law}:", climb("plan_step", "plan=", *settings).trajectory.attributes["climb"])
 
 # %%
 setup = planned.setup
