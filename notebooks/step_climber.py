@@ -152,7 +152,7 @@ for name in ("ramp", "step"):
 # %%
 weak_step = {law: climb("step", "vehicle.torque=4.5", *settings) for law, settings in LAWS.items()}
 for law, each in weak_step.items():
-    print(f"{law:22} {each.trajectory.attributes['outcome']}")
+    print(f"{law:22} {each.trajectory.attributes['climb']}")
 table(weak_step, PAPER_III)
 
 # %% [markdown]
