@@ -233,7 +233,7 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             '<joint name="lidar_mount" type="revolute">',
             '<joint name="caster" type="revolute">',
-            "cart.urdf:45: joint 'caster': expected a name of its own, found two",
+            "cart.urdf:45: joint 'caster': expected a name of its own, found 2 with it",
         ),
         (
             '<child link="caster_wheel"/>',
@@ -628,3 +628,16 @@ def test_only_files_of_a_kind_are_read(tmp_path):
 def test_a_document_type_is_refused_as_such(tmp_path):
     told = faults(changed(tmp_path, "cart", ('<robot name="cart">', "<!DOCTYPE robot><robot>")))
     assert told.startswith("cart.urdf:3: expected XML without a document type")
+
+
+def test_many_errors_are_counted_instead_of_listed(tmp_path):
+    names = [f"l{k}" for k in range(60) for _ in range(3)]
+    links = "\n".join(f'<link name="{name}"/>' for name in names)
+    (tmp_path / "many.urdf").write_text(f'<robot name="r">\n{links}\n</robot>')
+    with pytest.raises(DataError) as caught:
+        read_vehicle(tmp_path / "many.urdf")
+    *lines, last = str(caught.value).splitlines()
+    assert len(lines) == 50
+    assert "link 'l0': expected a name of its own, found 3 with it" in lines[0]
+    assert last == "and 10 more errors"
+    assert len(caught.value.faults) == 60

@@ -17,6 +17,7 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 Kind = Literal["commanded", "passive", "suspension"]
 GRAVITY = 9.81  # [m/s^2]
+MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,7 @@ class Vehicle:
     joints : tuple of Joint
         Parents before children.
     wheels : tuple of Wheel
-        At least three.
+        3 to `MAX_WHEELS`.
     body : Body
         Mass of the platform. A vehicle without mass has kinematics only, no forces.
     notes : tuple of str
@@ -261,8 +262,10 @@ class Vehicle:
                 f"coordinate {min(unused)} moves no joint: remove it, or use it in the value of "
                 "a joint"
             )
-        if len(self.wheels) < 3:
-            raise ModelError(f"a vehicle needs at least three wheels, found {len(self.wheels)}")
+        if not 3 <= len(self.wheels) <= MAX_WHEELS:
+            raise ModelError(
+                f"expected a vehicle with 3 to {MAX_WHEELS} wheels, found {len(self.wheels)}"
+            )
         given, needed = len(self.of("suspension")), len(self.wheels) - 3
         if given != needed:
             have = ", ".join(c.name for c in self.of("suspension")) or "none"

@@ -23,10 +23,12 @@ class ProblemError(DataError):
     """
 
     def __init__(self, *faults: str) -> None:
-        super().__init__("\n".join(faults))
+        shown, rest = faults[:MAX_ERRORS], len(faults) - MAX_ERRORS
+        super().__init__("\n".join((*shown, *([f"and {rest} more errors"] if rest > 0 else []))))
         self.faults = faults
 
 
+MAX_ERRORS = 50  # lines of a message
 MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
 MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
 MAX_LISTED = 60  # largest number of names in a message

@@ -155,12 +155,13 @@ def _everything(element: Element) -> Iterator[Element]:
 
 
 def _check_names(robot: Element, tag: str, faults: Faults) -> None:
-    seen: set[str] = set()
+    lines: dict[str, list[int]] = {}
     for element in robot.all(tag):
-        name = element.attributes.get("name", "")
-        if name in seen:
-            faults.add(element.line, f"{tag} {name!r}: expected a name of its own, found two")
-        seen.add(name)
+        lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
+    for name, found in lines.items():
+        if len(found) > 1:
+            words = f"{tag} {name!r}: expected a name of its own, found {len(found)} with it"
+            faults.add(found[1], words)
 
 
 def _link(element: Element, faults: Faults) -> Link:
