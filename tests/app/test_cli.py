@@ -209,7 +209,9 @@ def test_bad_problems(command: str) -> None:
         "--set time.step: expected a number greater than 0, found 0",
         "--set solver.tol: expected one of tolerance, compiled, found the unknown key 'tol'",
     ]
-    assert "p.toml:12: start: " in _refused(command, "p.toml", "--set", "start.x=9")
+    assert "--set start.x: expected a start on the map" in _refused(
+        command, "p.toml", "--set", "start.x=9"
+    )
     assert "--set bad: expected key=value" in _refused(command, "p.toml", "--set", "bad")
 
 

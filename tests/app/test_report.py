@@ -235,7 +235,7 @@ def test_files_that_a_problem_names_are_sought(
     ("words", "told"),
     [
         (["no.nc"], "no.nc: expected a result file of slipfree"),
-        (["a.nc"], "a.nc: expected a result file of slipfree, found a file that begins with"),
+        (["a.nc"], "a.nc: expected a result file of slipfree, found a file that is not netCDF"),
         (["a.html"], "a.html: expected a file of its own, found the result file"),
         (["a.nc", "-o", "b.pdf"], "b.pdf: expected a name that ends in .html"),
         (["a.nc", "-o", "no/b.html"], "no/b.html: expected a folder no to write to"),

@@ -451,7 +451,9 @@ def test_a_damaged_log_is_refused_by_line(tmp_path: Path, line: bytes) -> None:
     with Log(path, HEAD) as log:
         log.append(ROW)
     path.write_bytes(path.read_bytes() + line)
-    with pytest.raises(DataError, match=r"runs.jsonl:3: expected one line of JSON .* take out"):
+    with pytest.raises(
+        DataError, match=r"runs.jsonl:3: expected one line of JSON .* remove the line"
+    ):
         Log(path, HEAD)
 
 
