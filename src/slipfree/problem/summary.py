@@ -22,9 +22,13 @@ def ranges(run: Trajectory) -> Facts:
             continue
         low, high = (float(end.reduce(column.values, axis=None)) for end in (np.fmin, np.fmax))
         unit = column.label.unit
-        span = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
-        facts.append((name, span if unit == "1" else f"{span} {unit}"))
+        span = _number(low) if low == high else f"{_number(low)} to {_number(high)}"
+        facts.append((name, span if unit == "1" or np.isinf(low) else f"{span} {unit}"))
     return facts
+
+
+def _number(value: float) -> str:
+    return "infinite" if np.isinf(value) else f"{value:.6g}"
 
 
 def has_friction(run: Trajectory) -> bool:
