@@ -18,7 +18,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse
+import scipy
 
 from slipfree.climb.contact_path import Leg, Way, axle_arms, legs, sample, tangents
 from slipfree.climb.profile import Profile, step

@@ -21,7 +21,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import scipy.sparse
+import scipy
 
 from slipfree.climb.contact_path import Leg, Way, rotate_nose_up, sample
 from slipfree.climb.friction_demand import (

@@ -23,7 +23,7 @@ from weakref import finalize
 
 import numpy as np
 import numpy.typing as npt
-from scipy.io import netcdf_file
+import scipy
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError, ModelError
@@ -86,7 +86,7 @@ def write(
     _check(run)
 
     def fill(part: Path) -> None:
-        with netcdf_file(str(part), "w", version=2) as file:
+        with scipy.io.netcdf_file(str(part), "w", version=2) as file:
             _fill(file, run)
             for name, values in arrays.items():
                 file.createDimension(f"{name}{SIZE}", values.size)
@@ -269,7 +269,7 @@ def _open(path: Path) -> _File:
         if not b"CDF".startswith(head[:3]):
             raise _fault(path, "a file that is not netCDF", "give one that slipfree run wrote")
         try:
-            with netcdf_file(path.open("rb"), mmap=True) as file:
+            with scipy.io.netcdf_file(path.open("rb"), mmap=True) as file:
                 attributes, dimensions = _attributes_of(file), dict(file.dimensions)
                 variables = {name: _variable(each) for name, each in file.variables.items()}
         except DAMAGED as error:

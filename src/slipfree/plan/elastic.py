@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
+import scipy
 
 from slipfree.plan.constraints import (
     EQUATION,

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import scipy.sparse
+import scipy
 
 from slipfree.errors import ModelError
 from slipfree.plan.nlp_block import Index, NlpBlock

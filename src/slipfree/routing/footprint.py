@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+import scipy
 
 from slipfree.errors import ModelError
 from slipfree.records import Array
@@ -72,7 +72,9 @@ def ground_figures(
         math.ceil(axis_step(new) / h - 1e-9) for new, h in zip((x, y), grid.spacing, strict=True)
     ]
     largest = (
-        hollow if max(size) == 1 else ndimage.maximum_filter(hollow, [2 * n - 1 for n in size])
+        hollow
+        if max(size) == 1
+        else scipy.ndimage.maximum_filter(hollow, [2 * n - 1 for n in size])
     )
     nearest = [nearest_nodes(old, new) for old, new in ((grid.x, x), (grid.y, y))]
     return slope, roughness, largest[np.ix_(*nearest)], share
@@ -84,8 +86,8 @@ def _derivatives(z: Array, h: tuple[float, float]) -> tuple[Array, Array, Array,
     q: Array = np.gradient(z, h[1], axis=1, edge_order=2)
     second = [1.0, -2.0, 1.0]
     # differences of direct neighbours, so that a bump between two nodes counts in full
-    r = ndimage.correlate1d(z, second, axis=0, mode="nearest") / h[0] ** 2
-    t = ndimage.correlate1d(z, second, axis=1, mode="nearest") / h[1] ** 2
+    r = scipy.ndimage.correlate1d(z, second, axis=0, mode="nearest") / h[0] ** 2
+    t = scipy.ndimage.correlate1d(z, second, axis=1, mode="nearest") / h[1] ** 2
     for array, axis in ((r, 0), (t, 1)):  # the border repeats its neighbours
         border = np.moveaxis(array, axis, 0)
         border[0], border[-1] = border[1], border[-2]
@@ -111,7 +113,7 @@ def _plane(z: Array, h: tuple[float, float], half: float) -> tuple[Array, Array,
         offset = h[axis] * np.arange(-m, m + 1)
         weights = offset / (offset @ offset)
         others = footprint_mean(z, h, half, axes=(1 - axis,))
-        slope = ndimage.correlate1d(others, weights, axis=axis, mode="nearest")
+        slope = scipy.ndimage.correlate1d(others, weights, axis=axis, mode="nearest")
         left -= slope**2 * np.mean(offset**2)
         slopes.append(slope)
     return slopes[0], slopes[1], np.maximum(left, 0)
@@ -123,7 +125,7 @@ def footprint_mean(
     """Return the means over squares of the footprint's size."""
     for axis in axes:
         size = 2 * _nodes_within(half, h[axis]) + 1
-        z = ndimage.uniform_filter1d(z, size, axis=axis, mode="nearest")
+        z = scipy.ndimage.uniform_filter1d(z, size, axis=axis, mode="nearest")
     return z
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from slipfree.records import Array, Mask
 from slipfree.routing.regions import Region
@@ -210,7 +210,7 @@ def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
 
 def _labels(free: Mask) -> Array:
     """Return labels of the connected pieces of free ground; routes do not cut corners."""
-    return np.asarray(ndimage.label(free)[0])
+    return np.asarray(scipy.ndimage.label(free)[0])
 
 
 def _are_connected(free: Mask, ends: Ends) -> bool:

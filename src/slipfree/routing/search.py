@@ -11,10 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
+import scipy
 
 from slipfree.errors import ModelError
 from slipfree.records import Array, field_overview
@@ -167,7 +164,7 @@ def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> A
     first, last = (
         int(np.ravel_multi_index(node_at(layers, *point), cost.shape)) for point in (start, goal)
     )
-    lengths, before = dijkstra(
+    lengths, before = scipy.sparse.csgraph.dijkstra(
         _graph(cost, layers.spacing), indices=first, return_predecessors=True
     )
     if not math.isfinite(lengths[last]):
@@ -183,7 +180,7 @@ def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> A
     return np.asarray(points[fresh])
 
 
-def _graph(cost: Array, h: tuple[float, float]) -> csr_matrix:
+def _graph(cost: Array, h: tuple[float, float]) -> scipy.sparse.csr_matrix:
     """Return the costs of moves between free nodes, shape (n_x n_y, n_x n_y) [m].
 
     A move costs its length times the mean cost of its two nodes and of the two nodes that it passes
@@ -202,7 +199,7 @@ def _graph(cost: Array, h: tuple[float, float]) -> csr_matrix:
     free = np.isfinite(weights)
     ends = np.concatenate([[0], np.cumsum(np.count_nonzero(free, axis=1))])
     targets = (np.arange(size, dtype=np.int32)[:, None] + shifts)[free]
-    return csr_matrix((weights[free].astype(float), targets, ends), shape=(size, size))
+    return scipy.sparse.csr_matrix((weights[free].astype(float), targets, ends), shape=(size, size))
 
 
 def _passed(i: int, j: int) -> tuple[tuple[int, int], ...]:
@@ -227,7 +224,7 @@ def _is_another(layers: Traversability, new: Route, found: Sequence[Route]) -> b
     """Return whether a route differs from all earlier ones and is not too expensive."""
     fine, width = 0.25 * layers.limits.half, 2 * layers.limits.reach
     for old in found:
-        gaps, _ = cKDTree(resample_polyline(old.points, fine)).query(
+        gaps, _ = scipy.spatial.cKDTree(resample_polyline(old.points, fine)).query(
             resample_polyline(new.points, fine)
         )
         if gaps.max() <= width:
@@ -240,7 +237,9 @@ def _surroundings(layers: Traversability, points: Array, start: Array, goal: Arr
     width = max(2 * layers.limits.reach, HALF_WIDTH * float(np.linalg.norm(goal - start)))
     off = np.ones(layers.cost.shape, dtype=bool)
     off[nodes_at(layers, resample_polyline(points, 0.5 * min(layers.spacing)))] = False
-    near = np.exp(-((ndimage.distance_transform_edt(off, sampling=layers.spacing) / width) ** 2))
+    near = np.exp(
+        -((scipy.ndimage.distance_transform_edt(off, sampling=layers.spacing) / width) ** 2)
+    )
     for end in (start, goal):  # all routes have their ends in common
         away = np.hypot(layers.x[:, None] - end[0], layers.y[None, :] - end[1])
         near *= np.minimum(away / (2 * width), 1)

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
-from scipy.linalg import solveh_banded
+import scipy
 
 from slipfree.geometry.path import Path
 from slipfree.records import Array, Mask
@@ -114,10 +113,10 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
     if free.all():
         clearance = np.full(cost.shape, np.inf)
     else:
-        to_blocked, nearest = ndimage.distance_transform_edt(free, h), _nearest_free(free, h)
-        clearance = to_blocked - ndimage.distance_transform_edt(~free, h)
+        to_blocked, nearest = scipy.ndimage.distance_transform_edt(free, h), _nearest_free(free, h)
+        clearance = to_blocked - scipy.ndimage.distance_transform_edt(~free, h)
         cost = cost[nearest]
-    cost = ndimage.gaussian_filter(cost, BLUR, mode="nearest")
+    cost = scipy.ndimage.gaussian_filter(cost, BLUR, mode="nearest")
     clearance = np.minimum(clearance, 2 * CLEARANCE * max(h))  # larger clearances have no effect
     origin = np.array([layers.x[part[0]][0], layers.y[part[1]][0]])
     return _Field(cost, clearance, origin, np.array(h))
@@ -125,7 +124,9 @@ def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Fiel
 
 def _nearest_free(free: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
     """Return the indices of the free node nearest to every node."""
-    found = ndimage.distance_transform_edt(~free, h, return_distances=False, return_indices=True)
+    found = scipy.ndimage.distance_transform_edt(
+        ~free, h, return_distances=False, return_indices=True
+    )
     return found[0], found[1]
 
 
@@ -143,7 +144,7 @@ def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
         # damping limits the step: the quadratic model of costs and obstacles is valid only nearby
         held = bands + np.array([[0.0]] * 5 + [[damping]])
         change = np.zeros_like(p)
-        change[1:-1] = -solveh_banded(held, gradient[1:-1].ravel()).reshape(-1, 2)
+        change[1:-1] = -scipy.linalg.solveh_banded(held, gradient[1:-1].ravel()).reshape(-1, 2)
         new = _objective(field, p + change, aim)
         expected = float(np.sum(gradient * change))
         if np.abs(change).max() > field.spacing.min() or new[0] > total + 0.1 * expected:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from slipfree.errors import DataError, ModelError
 from slipfree.records import Array, Mask
@@ -234,16 +234,16 @@ def fill_holes(found: Heights) -> Filled:
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
 
     holes = np.isnan(found.z)
-    numbers, count = ndimage.label(holes, NEIGHBOURHOOD)
+    numbers, count = scipy.ndimage.label(holes, NEIGHBOURHOOD)
     if not count:
         return Filled(found.z, 0, 0, (0.0, 0.0))
     _check_closed(found, numbers)
-    rim = ndimage.binary_dilation(holes, NEIGHBOURHOOD) & ~holes
+    rim = scipy.ndimage.binary_dilation(holes, NEIGHBOURHOOD) & ~holes
     z = found.z.copy()
     surface = LinearNDInterpolator(np.argwhere(rim).astype(np.float64), z[rim])
     z[holes] = surface(np.argwhere(holes).astype(np.float64))
     most = int(np.argmax(np.bincount(numbers.reshape(-1))[1:]))
-    extent = ndimage.find_objects(numbers)[most]
+    extent = scipy.ndimage.find_objects(numbers)[most]
     largest = [
         (part.stop - part.start) * axis.step
         for part, axis in zip(extent, axes_of(found.x, found.y), strict=True)
@@ -349,7 +349,7 @@ def averaged(z: Array, steps: tuple[float, float], deviation: float) -> Array:
     sigma = [deviation / step for step in steps]
     pad = [math.ceil(GAUSSIAN_CUTOFF * each) + 1 for each in sigma]
     wide = np.pad(z, [(n, n) for n in pad], mode="reflect", reflect_type="odd")
-    mean = ndimage.gaussian_filter(wide, sigma, truncate=GAUSSIAN_CUTOFF)
+    mean = scipy.ndimage.gaussian_filter(wide, sigma, truncate=GAUSSIAN_CUTOFF)
     return np.ascontiguousarray(mean[pad[0] : -pad[0], pad[1] : -pad[1]])
 
 

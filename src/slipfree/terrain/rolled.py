@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from slipfree.errors import ModelError
 from slipfree.records import Array
@@ -107,7 +107,7 @@ def _close_by_ball(z: Array, steps: tuple[float, float], radius: float) -> Array
     # a dilation and an erosion: the border has influence up to two radii inside
     pad = [(2 * r, 2 * r) for r in reach]
     wide = np.pad(z, pad, mode="reflect", reflect_type="odd")
-    closed = ndimage.grey_closing(wide, footprint=below >= 0, structure=ball)
+    closed = scipy.ndimage.grey_closing(wide, footprint=below >= 0, structure=ball)
     return _crop(closed, pad)
 
 
