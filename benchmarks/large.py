@@ -1,13 +1,13 @@
 """Large vehicles, sweeps and results: times and memory of commands in fresh processes.
 
-``python benchmarks/large.py [FOLDER]`` measures the package that Python imports. The result of a
-million samples is a short one, repeated.
+``python benchmarks/large.py`` measures the package that Python imports. The result of a million
+samples is a short one, repeated, by ``python benchmarks/large.py FILE`` in a process of its own:
+the peak memory of a command includes that of the process that starts it.
 """
 
 from __future__ import annotations
 
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -23,7 +23,6 @@ from slipfree.trajectory import Column
 
 SAMPLES, POINTS = 1_000_000, 100_000
 PROBLEM = Path(__file__).parents[1] / "problems" / "paper_direct.toml"
-CASADI = [sys.executable, "-c", "import casadi"]
 
 
 def slipfree(*words: str) -> list[str]:
@@ -33,7 +32,9 @@ def slipfree(*words: str) -> list[str]:
 
 def measure(name: str, command: list[str], folder: Path) -> None:
     """Print wall time, CPU time and peak memory of a command."""
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     begin = time.perf_counter()
     _, status, usage = os.wait4(process.pid, 0)
     wall, memory = time.perf_counter() - begin, usage.ru_maxrss / 1e3
@@ -50,19 +51,24 @@ def repeat(file: Path, count: int) -> None:
     write(file, replace(run, t=np.linspace(0, run.t[-1], count), columns=columns))
 
 
+def measure_all(folder: Path) -> None:
+    """Print the times of all commands."""
+    run = slipfree("run", str(PROBLEM), "-o", "r.nc", "--no-draw", "--set", "time.duration=2")
+    for command in (run, [sys.executable, __file__, str(folder / "r.nc")]):
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    measure("python -c 'import casadi'", [sys.executable, "-c", "import casadi"], folder)
+    size = (folder / "r.nc").stat().st_size / 1e6
+    measure(f"info, {SAMPLES} samples, {size:.0f} MB", slipfree("info", "r.nc"), folder)
+    measure("report of it", slipfree("report", "r.nc"), folder)
+    axis = f"start.heading=0:1:{POINTS}"
+    plan = slipfree("sweep", str(PROBLEM), "--vary", axis, "--dry-run")
+    measure(f"sweep of {POINTS} points, planned", plan, folder)
+
+
 if __name__ == "__main__":
-    heading()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(sys.argv[1] if len(sys.argv) > 1 else scratch).resolve()
-        run = slipfree("run", str(PROBLEM), "-o", "r.nc", "--no-draw", "--set", "time.duration=2")
-        subprocess.run(run, cwd=folder, check=True, capture_output=True)
-        repeat(folder / "r.nc", SAMPLES)
-        measure("python -c 'import casadi'", CASADI, folder)
-        size = (folder / "r.nc").stat().st_size / 1e6
-        measure(f"info, {SAMPLES} samples, {size:.0f} MB", slipfree("info", "r.nc"), folder)
-        measure("report of it", slipfree("report", "r.nc"), folder)
-        axis = f"start.heading=0:1:{POINTS}"
-        plan = slipfree("sweep", str(PROBLEM), "--vary", axis, "--dry-run")
-        measure(f"sweep of {POINTS} points, planned", plan, folder)
-    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(f"(this script itself: {own:.0f} MB)")
+    if len(sys.argv) > 1:
+        repeat(Path(sys.argv[1]), SAMPLES)
+    else:
+        heading()
+        with tempfile.TemporaryDirectory() as scratch:
+            measure_all(Path(scratch))
