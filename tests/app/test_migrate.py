@@ -152,3 +152,19 @@ def test_no_file_is_replaced(file: Path) -> None:
     )
     assert "missing.toml" in _called("missing.toml", code=2)
     assert (file.read_text(), Path("p.toml.bak").read_text()) == (OLD, "mine")
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("[start]\nx = 1.0\n", "the start now faces +x"),
+        ("[start]\nheading = 1.0\n[limits]\nheading = [0, 1]\n", "limits.heading now counts"),
+        ("[start]\nheading = 1.0\n", ""),
+    ],
+)
+def test_headings_that_mean_something_else_now_are_noted(lines: str, words: str) -> None:
+    found = migrate_text(Path("p.toml"), f'verb = "direct"\nframe = "rep103"\n{lines}')
+    assert found.changes == ()
+    assert bool(words) == bool(found.note)
+    assert words in found.note
+    assert not words or found.note.startswith("p.toml:2: ")

@@ -1,7 +1,7 @@
 """The command line: ``slipfree new | examples | run | check | vehicle | compare | info ...``.
 
-Exit codes: 0 done; 1 stopped early or failed, with the motion that was reached saved; 2 bad input,
-or an extra that is not installed; 130 interrupted. ``--quiet``, ``--verbose`` and ``--json`` belong
+Exit codes: 0 done; 1 not complete or failed, with what was reached saved; 2 bad input, or a package
+that is not installed; 130 interrupted. ``--quiet``, ``--verbose`` and ``--json`` belong
 to every command (`cli.messages`). What a command needs is imported inside it, so that
 ``slipfree --help`` answers at once.
 """
@@ -76,7 +76,7 @@ class _Commands(TyperGroup):
 app = typer.Typer(
     name="slipfree",
     cls=_Commands,
-    help="How a wheeled vehicle moves over uneven ground without slipping.",
+    help="Compute how a wheeled vehicle moves over a height map, and plan its motion.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

@@ -29,8 +29,8 @@ import typer
 DONE, STOPPED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 MEANINGS = {
     DONE: "done",
-    STOPPED: "stopped early or failed; see files for the saved results",
-    BAD_INPUT: "bad input, or an extra that is not installed",
+    STOPPED: "not complete or failed; see files for what was saved",
+    BAD_INPUT: "bad input, or a package that is not installed",
     INTERRUPTED: "interrupted",
 }
 

@@ -1,4 +1,4 @@
-"""``slipfree migrate``: migration of files of version 0.1."""
+"""``slipfree migrate``: migration of problem files of version 0.1.0."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from slipfree.cli.common import check_place, refuse_result, reported
-from slipfree.cli.messages import put, put_file, say
+from slipfree.cli.messages import put, put_file, say, warn
 from slipfree.errors import DataError
 from slipfree.regular_files import resolve_links
 
@@ -18,7 +18,7 @@ SUFFIX = ".bak"  # of the original file
 
 def migrate(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Problem or vehicle file (TOML) of version 0.1.")
+        Path, typer.Argument(metavar="FILE", help="Problem file (TOML) of version 0.1.0.")
     ],
     out: Annotated[
         Path | None,
@@ -30,7 +30,7 @@ def migrate(
         ),
     ] = None,
 ) -> None:
-    """Rewrite a problem or vehicle file of version 0.1 with current keys; comments are kept."""
+    """Rewrite a problem file of version 0.1.0 with current keys; comments are kept."""
     with reported():
         from slipfree.files.toml.reader import read_text
         from slipfree.problem.migrate import migrate_text
@@ -38,6 +38,8 @@ def migrate(
         refuse_result(file)
         found = migrate_text(file, read_text(file))
         put("changes", lambda: found.changes)
+        if found.note:
+            warn(found.note)
         if not found.changes:
             say(f"{file}: nothing to change")
             return

@@ -75,7 +75,9 @@ def sweep(
     draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw figures.")] = True,
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run", help="Print the runs and their estimated time; run nothing."),
+        typer.Option(
+            "--dry-run", help="Print the runs, and from finished ones the time left; run nothing."
+        ),
     ] = False,
 ) -> None:
     """Run a problem for many values and seeds: write one table, print a summary, draw figures.

@@ -61,7 +61,8 @@ def at(problem: Problem[A], place: Place) -> Iterator[None]:
     except (ModelError, DataError) as error:
         if isinstance(error, ProblemError):
             raise
-        raise ProblemError(f"{problem.source.where(place)}: {error}") from error
+        words = str(error).removeprefix(f"{place[0]}: ")  # the place says it
+        raise ProblemError(f"{problem.source.where(place)}: {words}") from error
 
 
 def build_ground(problem: Problem[S]) -> Ground:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import tomlkit
 from tomlkit.items import Key, KeyType, SingleKey, Table
@@ -23,10 +23,13 @@ class Migrated(NamedTuple):
         Text with current keys.
     changes : tuple of str
         Line, old and new key of each change; empty if no change is needed.
+    note : str
+        Change of meaning that the text does not show; empty if there is none.
     """
 
     text: str
     changes: tuple[str, ...]
+    note: str = ""
 
 
 def migrate_text(path: Path, text: str) -> Migrated:
@@ -53,8 +56,9 @@ def migrate_text(path: Path, text: str) -> Migrated:
         )
     source = Source(path, text, key_lines(text))
     found = old_keys(data)
+    note = _note(source, data)
     if not found:
-        return Migrated(text, ())
+        return Migrated(text, (), note)
     both = [
         Fault((each.old,), f"{each.words[1]} or {'.'.join(each.new)}", "both; remove one of them")
         for each in found
@@ -73,7 +77,20 @@ def migrate_text(path: Path, text: str) -> Migrated:
             f"{wanted} by hand"
         )
     words = (f"{source.where((c.old,))}: {c.words[1]} is now {c.words[0]}" for c in found)
-    return Migrated(changed, tuple(words))
+    return Migrated(changed, tuple(words), note)
+
+
+def _note(source: Source, data: dict[str, Any]) -> str:
+    """Return the changes of headings in files with ``frame = "rep103"``."""
+    if data.get("frame") != "rep103":
+        return ""
+    start, limits = data.get("start", {}), data.get("limits", {})
+    remedies = []
+    if "heading" not in start:
+        remedies.append("the start now faces +x (0.1.0: +y): to keep it, start.heading = '90 deg'")
+    if "heading" in limits:
+        remedies.append("limits.heading now counts from the x axis (0.1.0: from the y axis)")
+    return f"{source.where(('frame',))}: {'; '.join(remedies)}" if remedies else ""
 
 
 def _rename(document: tomlkit.TOMLDocument, change: KeyChange) -> None:
