@@ -109,7 +109,7 @@ def test_layouts(text: str) -> None:
     kept = [line for line in text.split("\n") if "traction" not in line]
     assert [line for line in found.split("\n") if line in kept] == kept
     assert found.count("#") == text.count("#")
-    assert migrate_text(Path("p.toml"), found) == (found, ())
+    assert migrate_text(Path("p.toml"), found) == (found, (), "")
 
 
 def test_a_file_of_today_is_not_changed() -> None:
@@ -117,7 +117,7 @@ def test_a_file_of_today_is_not_changed() -> None:
     assert len(files) > 10
     for path in files:
         text = path.read_text(encoding="utf-8")
-        assert migrate_text(path, text) == (text, ()), path
+        assert migrate_text(path, text) == (text, (), ""), path
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_the_start_of_the_search_ends_at_the_goal():
         ),
         (
             ["keep_out=[{ x = 1.0, y = 2.0 }]"],
-            "keep_out: expected either x, y and radius, or points",
+            "keep_out[0]: expected either x, y and radius, or points",
         ),
         (["keep_out=[{ points = [[0, 0], [1, 1]] }]"], "points"),
         (["goal={ heading = 0.0 }"], "a route needs a goal in x and y"),
@@ -84,7 +84,7 @@ def test_a_way_point_is_passed():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points: expected at, a fraction of"),
+        (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected at, a fraction of"),
         (["way_points=[{ at = 1.0, x = 17.0 }]"], "found at = 1"),
         (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "at 0.5 lies off the map: y is 99 m"),
         (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
