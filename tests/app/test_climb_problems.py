@@ -404,7 +404,7 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "[2, 0.09], [0, 0.09]",
             "[2, -0.1], [0, -0.1]",
-            "p.toml:3: profile: profile: expected an obstacle for wheels on the floor",
+            "p.toml:3: profile: expected an obstacle for wheels on the floor",
         ),
         (
             "[-5, -1], [5, -1], [5, 0], [-5, 0]",

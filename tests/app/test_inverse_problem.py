@@ -332,7 +332,7 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
         ),
         (
             ["start.x=0.5"],
-            "path.toml:14: path: path: expected the position and heading of the start, "
+            "path.toml:14: path: expected the position and heading of the start, "
             "found x = 0, the vehicle stands at 0.5",
         ),
         (["steering=rate"], "path.toml:14: path: the model is singular here: nothing determines"),

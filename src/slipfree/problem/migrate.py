@@ -82,7 +82,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
 
 def _note(source: Source, data: dict[str, Any]) -> str:
     """Return the changes of headings in files with ``frame = "rep103"``."""
-    if data.get("frame") != "rep103":
+    if "verb" not in data or data.get("frame") != "rep103":
         return ""
     start, limits = data.get("start", {}), data.get("limits", {})
     remedies = []
