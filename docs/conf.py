@@ -14,6 +14,7 @@ from uuid import uuid4
 
 import matplotlib.font_manager  # noqa: F401 - makes its cache, so that no notebook tells about it
 from docutils.nodes import Text
+from jupyter_cache import get_cache
 from jupyter_client.manager import KernelManager
 from nbclient import NotebookClient
 
@@ -58,6 +59,9 @@ myst_heading_anchors = 3
 nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
 nb_execution_mode = "cache"  # where code cells and the package are as before
 nb_execution_cache_path = str(DOCS / "_build" / ".jupyter_cache" / _sources_digest())
+get_cache(
+    nb_execution_cache_path
+).get_cache_limit()  # makes its database before readers in parallel
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
