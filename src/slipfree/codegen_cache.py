@@ -175,7 +175,7 @@ def compiler() -> list[str] | None:
 
 
 def _load_cached(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...] | None:
-    """Return functions of the cache, and remove damaged libraries."""
+    """Return the cached functions of a key, or None; remove damaged libraries of that key."""
     for file in sorted(place.glob(f"{key}.*.so")):
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"

@@ -285,6 +285,6 @@ def outcome_words(run: Trajectory) -> str:
 
 
 def path_length(run: Trajectory) -> float:
-    """Return the length of the platform's path over the samples. [m]."""
+    """Return the length of the platform's path over the samples [m]."""
     steps = [np.diff(run[name]) for name in ("x", "y", "z")]
     return float(np.sqrt(sum(step**2 for step in steps)).sum())

@@ -151,7 +151,7 @@ def test_what_cannot_be_exported(tmp_path: Path) -> None:
     out = tmp_path / "out.nc"
     for name, words in (
         ("path.kml", r"path.kml: expected a name that ends in .csv or .geojson, found '.kml'"),
-        ("path", "found 'no ending'"),
+        ("path", "found no ending"),
         ("none/path.csv", r"path.csv: cannot be written \(No such file"),
     ):
         with pytest.raises(DataError, match=words):

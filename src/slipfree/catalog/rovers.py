@@ -18,7 +18,7 @@ from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 
 class Station(NamedTuple):
-    """Position of a pair of wheels of a rocker-bogie, at rest on level ground. [m].
+    """Position of a pair of wheels of a rocker-bogie, at rest on level ground [m].
 
     Attributes
     ----------

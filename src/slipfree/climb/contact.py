@@ -126,7 +126,7 @@ def wheel_contacts(
 
 
 def direction(contacts: tuple[SolidContact, ...]) -> ca.SX:
-    """Return the direction in which a wheel can move forward over its contacts. [rad].
+    """Return the direction in which a wheel can move forward over its contacts [rad].
 
     It is the steepest tangent of the near solids: a wheel on the floor at a wall moves up the wall.
     A wheel moves downhill, as over an edge, only if no other solid supports it.

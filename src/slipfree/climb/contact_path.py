@@ -127,7 +127,7 @@ def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> Way:
 
 
 def axle_arms(climber: Climber, q: Array) -> Array:
-    """Return the axles' positions relative to the joint in fixed axes, shape (n, 3, 2). [m]."""
+    """Return the axles' positions relative to the joint in fixed axes, shape (n, 3, 2) [m]."""
     tilts = q[:, TILT_INDICES]
     ahead = np.array([axle.ahead for axle in climber.axles])
     return np.asarray(ahead[:, None] * np.stack([np.cos(tilts), np.sin(tilts)], axis=-1))

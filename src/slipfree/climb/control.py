@@ -31,19 +31,19 @@ class Driver(Protocol):
 
     @property
     def proportional(self) -> float:
-        """Gain of the errors of the wheel rates. [N m s/rad]."""
+        """Gain of the errors of the wheel rates [N m s/rad]."""
 
     @property
     def integral(self) -> float:
-        """Gain of their integrals, which are states unless it is zero. [N m/rad]."""
+        """Gain of their integrals, which are states unless it is zero [N m/rad]."""
 
     @property
     def derivative(self) -> float:
-        """Gain of their derivatives, whose filters are states unless it is zero. [N m s2/rad]."""
+        """Gain of their derivatives, whose filters are states unless it is zero [N m s2/rad]."""
 
     @property
     def lag(self) -> float:
-        """Time constant of the filters. [s]."""
+        """Time constant of the filters [s]."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def torques(control: Control, limit: float, errors: PerAxle, sums: PerAxle, rise
 
 
 def limited(limit: float, wanted: PerAxle) -> Torques:
-    """Return torques of the wheels within the motors' limit, (18) and (19). [N m]."""
+    """Return torques of the wheels within the motors' limit, (18) and (19) [N m]."""
     if math.isinf(limit):
         return Torques(wanted, wanted, ca.SX(1))
     scale = limit / ca.fmax(limit, ca.mmax(ca.fabs(ca.vertcat(*wanted))))
@@ -180,7 +180,7 @@ def limited(limit: float, wanted: PerAxle) -> Torques:
 
 
 def largest_period(control: Driver, climber: Climber) -> float:
-    """Return the sample time above which a sampled controller is unstable. [s].
+    """Return the sample time above which a sampled controller is unstable [s].
 
     For a freely spinning wheel of inertia J/n with the torque held between samples, error and
     integral advance by a matrix of trace ``2 - a - b/2`` and determinant ``1 - a + b/2`` with ``a =
@@ -192,7 +192,7 @@ def largest_period(control: Driver, climber: Climber) -> float:
 
 
 def _integral_period_limit(control: Driver) -> float:
-    """Return the sample time above which the integral gain is unstable, 2 kp / ki. [s]."""
+    """Return the sample time above which the integral gain is unstable, 2 kp / ki [s]."""
     return 2 * control.proportional / control.integral if control.integral else math.inf
 
 

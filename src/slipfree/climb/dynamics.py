@@ -154,7 +154,7 @@ def _at(joint: ca.SX, tilt: ca.SX, ahead: float, above: float) -> ca.SX:
 
 
 def _axle_torques(climber: Climber, wheel: PerAxle) -> PerAxle:
-    """Return the total motor torques of the axles. [N m]."""
+    """Return the total motor torques of the axles [N m]."""
     return PerAxle(
         *(axle.wheels * torque for axle, torque in zip(climber.axles, wheel, strict=True))
     )
@@ -207,7 +207,7 @@ def _commands(
 
 
 def _powers(x: State, contacts: PerAxle, driven: PerAxle) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the powers of the motors, of friction and of damping. [W]."""
+    """Return the powers of the motors, of friction and of damping [W]."""
     turning = [spin + rate for spin, rate in zip(x.spins, (x.rates[0], *x.rates), strict=True)]
     motors = sum(torque * rate for torque, rate in zip(driven, turning, strict=True))
     touches = [each for on_axle in contacts for each in on_axle]
@@ -216,7 +216,7 @@ def _powers(x: State, contacts: PerAxle, driven: PerAxle) -> tuple[ca.SX, ca.SX,
 
 
 def _stored(climber: Climber, x: State, contacts: PerAxle) -> ca.SX:
-    """Return the energy of spinning wheels and compressed contacts. [J]."""
+    """Return the energy of spinning wheels and compressed contacts [J]."""
     stored: ca.SX = sum(each.stored for on_axle in contacts for each in on_axle)
     for axle, spin in zip(climber.axles, x.spins, strict=True):
         stored += axle.inertia * spin**2 / 2
@@ -301,7 +301,7 @@ def standing(
 
 
 def floor_loads(climber: Climber) -> Array:
-    """Return the loads of rear, middle and front axle at rest on a level floor, shape (3,). [N].
+    """Return the loads of rear, middle and front axle at rest on a level floor, shape (3,) [N].
 
     They follow from the moments of each body about the joint and from the total weight.
     """

@@ -75,7 +75,7 @@ class Demand(NamedTuple):
 
     @property
     def mu(self) -> float:
-        """Largest coefficient needed on the leg. [1]."""
+        """Largest coefficient needed on the leg [1]."""
         return float(self.hold.mu.max())
 
 
@@ -129,7 +129,7 @@ def equilibrium(climber: Climber, way: Way) -> tuple[Array, Array]:
 
 
 def center(body: Body, tilt: Array) -> Array:
-    """Return the centre of mass of a body relative to the joint, shape (n, 2). [m]."""
+    """Return the centre of mass of a body relative to the joint, shape (n, 2) [m]."""
     forward, up = np.cos(tilt), np.sin(tilt)
     return np.stack(
         [body.ahead * forward - body.above * up, body.ahead * up + body.above * forward], axis=1
@@ -253,7 +253,7 @@ def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, 
 
 
 def _points_around(s: Array, k: int) -> Array:
-    """Return points between a point and its neighbours."""
+    """Return path parameters between sample `k` and its neighbours."""
     between = [
         np.linspace(a, b, REFINED_POINTS + 2)[1:-1] for a, b in pairwise(s[max(k - 1, 0) : k + 2])
     ]
@@ -276,7 +276,7 @@ def _holds(
 def highest_obstacle(
     climber: Climber, mu: float, tallest: float, make: Callable[[float], Profile] = step
 ) -> float:
-    """Return the height up to which all obstacles of a kind can be climbed slowly. [m].
+    """Return the height up to which all obstacles of a kind can be climbed slowly [m].
 
     The demand may decrease with height; the result is the first height that needs more friction.
 

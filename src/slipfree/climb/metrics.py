@@ -48,10 +48,10 @@ class Metrics(NamedTuple):
     window : Window
         The window.
     slip : ndarray
-        Absolute value of (20), which relates every wheel to the speed of the middle axle and is not
-        zero for rolling wheels.
+        Absolute value of the slip ratio, equation (20) of Chugo et al. (2009). It uses the speed of
+        the middle axle for all wheels, so that it is not zero for wheels that roll without slip.
     disturbance : ndarray
-        Absolute value of (21), the error of the wheel's rate.
+        Absolute value of the relative error of the wheel's rate, equation (21) of the same paper.
     true_slip : ndarray
         Slip distance of the rim on the solid with the larger load, over the distance of the rim.
     effort : ndarray

@@ -211,7 +211,7 @@ def _plan_at(course: Course, p: ca.SX) -> _PlanPoint:
 
 
 def _reference_speed(course: Course, p: ca.SX, at: _PlanPoint, speed: ca.SX) -> ca.SX:
-    """Return the reference speed along the path, on the plan and off it. [m/s]."""
+    """Return the reference speed along the path, on the plan and off it [m/s]."""
     arriving = 2 * ACCELERATION * ca.fmax(course.p[0] - p, 0)
     leaving = at.square + 2 * ACCELERATION * ca.fmax(p - course.p[-1], 0)
     square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))

@@ -173,14 +173,14 @@ class Profile:
 
     @property
     def summit(self) -> Point:
-        """Begin of the highest level of the solids on the floor, (x, z). [m]."""
+        """First point of the highest level of the solids that stand on the floor, (x, z) [m]."""
         points = [point for solid in self.standing for point in solid.points]
         top = max(z for _, z in points)
         return min(x for x, z in points if z > top - HEIGHT_TOLERANCE), top
 
     @property
     def end(self) -> float:
-        """End of all solids that stand on the floor and rise above it. [m]."""
+        """End of all solids that stand on the floor and rise above it [m]."""
         floor = max(z for _, z in self.solids[0].points)
         above = [x for solid in self.standing[1:] for x, z in solid.points if z > floor]
         return max(above, default=math.inf)
@@ -238,13 +238,13 @@ def ramp(angle: float, height: float) -> Profile:
 
 
 def step(height: float) -> Profile:
-    """Return a floor with a plateau of a given height from x = 0 on. [m]."""
+    """Return a floor with a plateau of a given height from x = 0 on [m]."""
     _positive(height=height)
     return Profile((*flat().solids, _block(0.0, height, FLOOR_LENGTH)))
 
 
 def kerb(height: float, length: float) -> Profile:
-    """Return a floor with a block of a given height and length from x = 0 on. [m]."""
+    """Return a floor with a block of a given height and length from x = 0 on [m]."""
     _positive(height=height, length=length)
     return Profile((*flat().solids, _block(0.0, height, length)))
 

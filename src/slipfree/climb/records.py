@@ -48,7 +48,11 @@ class State(NamedTuple):
 
 
 class Totals(NamedTuple):
-    """Quadratures: turns of the wheels [rad], and energies [J]."""
+    """Time integrals along a motion.
+
+    Angles through which the wheels have turned [rad], work of the motors, and energy dissipated by
+    friction (``rubbed``) and by damping (``damped``) [J].
+    """
 
     wheel_angles: PerAxle
     work: Any

@@ -39,7 +39,7 @@ class PerAxle(NamedTuple):
 
 
 class Tilts(NamedTuple):
-    """Tilts of the bodies, nose up, or their rates. [rad, rad/s].
+    """Tilts of the bodies, nose up, or their rates [rad, rad/s].
 
     The paper's tilt sensor reads ``rear``, th_b; its potentiometer ``rear - front``, -th_a.
     """

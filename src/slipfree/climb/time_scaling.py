@@ -291,7 +291,7 @@ def _constraint_rows(
 
 
 def _torques(climber: Climber, middles: Way, steps: Array, b: ca.MX, tangential: ca.MX) -> ca.MX:
-    """Return the total motor torques of the axles at the midpoints, shape (3 n, 1). [N m]."""
+    """Return the total motor torques of the axles at the midpoints, shape (3 n, 1) [N m]."""
     spin = spin_inertia(climber)
     linear, square = (
         _diagonal((each * spin)[:, :, None]) for each in (middles.speeds, middles.slopes)

@@ -59,7 +59,7 @@ class SecondContact:
         return Label("clearance", "m", words, self.wheel.name)
 
     def margin(self, x: Array, z: Array) -> Array:
-        """Return the clearances of states in columns, shape (n,). [m]."""
+        """Return the clearances of states in columns, shape (n,) [m]."""
         parts = range(0, x.shape[1], CHUNK)
         return np.concatenate(
             [self._nearest(x[:, k : k + CHUNK], z[:, k : k + CHUNK])[0] for k in parts]

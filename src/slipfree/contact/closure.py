@@ -61,12 +61,12 @@ def contact_frame(
 
 
 def closure(wheel: Wheel, carrier: Pose, contact: ContactFrame) -> ca.SX:
-    """Return ``G - s(-n, a) - C``, zero where the wheel touches the ground, shape (3, 1). [m]."""
+    """Return ``G - s(-n, a) - C``, zero where the wheel touches the ground, shape (3, 1) [m]."""
     return contact.point - wheel.section.support(-contact.normal, contact.axle) - carrier.origin
 
 
 def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the contact coordinates ``u_w, v_w, psi`` of a wheel, in its carrier's frame. [rad].
+    """Return the contact coordinates ``u_w, v_w, psi`` of a wheel, in its carrier's frame [rad].
 
     ``u_w`` and ``v_w`` are the parameters of ``Section.point`` (for the torus those of
     Chakraborty and Ghosal, eq. 1) where the outward normal is the ground's downward one; ``v_w``
@@ -83,7 +83,7 @@ def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.S
 
 
 def relative_curvature(wheel: Wheel, contact: ContactFrame) -> ca.SX:
-    """Return the margin of local uniqueness of the contact; unique where positive. [1/m].
+    """Return the margin of local uniqueness of the contact; unique where positive [1/m].
 
     The contact is unique nearby if the wheel's curvature exceeds the ground's in every
     direction, that is, if Montana's relative curvature form is positive definite. Along the wheel

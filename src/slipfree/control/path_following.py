@@ -192,7 +192,7 @@ def _steering_rates(
 
 
 def _turning_rate(plan: _PlanarGeometry, v: ca.SX) -> ca.SX:
-    """Return the turning rate on a plane with the current steering angles. [rad/s]."""
+    """Return the turning rate on a plane with the current steering angles [rad/s]."""
     total = ca.SX(0)
     for each in plan.steered:
         slope = ca.tan(each.angle)
@@ -201,7 +201,7 @@ def _turning_rate(plan: _PlanarGeometry, v: ca.SX) -> ca.SX:
 
 
 def _wheel_rate(each: _PlanarWheel, v: ca.SX, turning: ca.SX, moving: dict[ca.SX, ca.SX]) -> ca.SX:
-    """Return the rate of a driven wheel in a plane motion. [rad/s]."""
+    """Return the rate of a driven wheel in a plane motion [rad/s]."""
     place = ca.vertcat(each.right, each.forward)
     shift = ca.SX.zeros(2)
     for coordinate, rate in moving.items():

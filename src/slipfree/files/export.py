@@ -91,7 +91,7 @@ def _checked(out: Path, file: Path, writers: Mapping[str, Write]) -> Write:
     if out.suffix.lower() not in writers:
         raise DataError(
             f"{out}: expected a name that ends in {' or '.join(writers)}, found "
-            f"{out.suffix or 'no ending'!r}"
+            f"{repr(out.suffix) if out.suffix else 'no ending'}"
         )
     if resolve_links(out) == resolve_links(file):
         raise DataError(f"{out}: expected a file of its own, found the result file")

@@ -77,7 +77,7 @@ class Pose(NamedTuple):
 
 
 def translation(x: ca.SX | float, y: ca.SX | float, z: ca.SX | float) -> Pose:
-    """Return the pose of a frame translated along the fixed axes. [m]."""
+    """Return the pose of a frame translated along the fixed axes [m]."""
     return Pose(ca.SX.eye(3), ca.SX(ca.vertcat(x, y, z)))
 
 

@@ -83,11 +83,11 @@ class Path:
 
     @property
     def length(self) -> float:
-        """Arc length. [m]."""
+        """Arc length [m]."""
         return float(self._table[0][-1])
 
     def at(self, s: Array) -> PathPoint:
-        """Return the points at arc lengths of shape (n,). [m]."""
+        """Return the points at arc lengths of shape (n,) [m]."""
         symbol = ca.SX.sym("s")
         f = ca.Function("point", [symbol], list(self.symbolic(symbol)))
         return PathPoint(

@@ -13,7 +13,7 @@ from slipfree.vehicle.tree import Vehicle
 
 
 class Multipliers(NamedTuple):
-    """Lagrange multipliers of the contact conditions, one per wheel. [m/s]."""
+    """Lagrange multipliers of the contact conditions, one per wheel [m/s]."""
 
     multipliers: tuple[Any, ...]
 

@@ -34,19 +34,19 @@ def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[P
 
 
 def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[str, ca.SX]:
-    """Return the values of all coordinates by name. [rad, m]."""
+    """Return the values of all coordinates by name [rad, m]."""
     names = (*state_coordinates(vehicle), *(c.name for c in vehicle.of("suspension")))
     return dict(zip(names, (*x.joints, *position.suspension), strict=True))
 
 
 def spins(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
-    """Return the rates of all wheels, driven or free. [rad/s]."""
+    """Return the rates of all wheels, driven or free [rad/s]."""
     driven, free = iter(u.wheels), iter(rates.free)
     return tuple(next(driven) if wheel.driven else next(free) for wheel in vehicle.wheels)
 
 
 def joint_rates(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
-    """Return the rates of the joints that are states, commanded or passive. [rad/s, m/s]."""
+    """Return the rates of the joints that are states, commanded or passive [rad/s, m/s]."""
     commanded, passive = iter(u.joints), iter(rates.passive)
     kinds = [c.kind for c in vehicle.coordinates if c.kind != "suspension"]
     return tuple(next(commanded) if kind == "commanded" else next(passive) for kind in kinds)
@@ -111,7 +111,7 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
 
 
 def extent(vehicle: Vehicle) -> float:
-    """Return the size of a vehicle, the unit of length of its models. [m].
+    """Return the size of a vehicle, the unit of length of its models [m].
 
     It is the largest coordinate of a wheel's centre relative to the platform's centre, and at
     least the largest wheel radius.

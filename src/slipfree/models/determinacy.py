@@ -273,7 +273,7 @@ def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
 
 
 def command_sizes(vehicle: Vehicle, given: Sequence[str]) -> list[float]:
-    """Return factors that convert commands to velocities. [1 or m]."""
+    """Return factors that convert commands to velocities [1 or m]."""
     return [extent(vehicle) if name == "yaw_rate" else 1.0 for name in given]
 
 

@@ -122,7 +122,7 @@ def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
 
 
 def _friction_words(factor: float, friction: Array, *, tips: bool) -> str:
-    """Return the friction that is needed, as text; empty if friction is not the reason."""
+    """Return why no quasi-static equilibrium exists, as text; empty if friction suffices."""
     if tips:
         return "the vehicle tips over"
     if np.isinf(factor):

@@ -347,7 +347,7 @@ def _always_met(
 
 
 def _least_slip(direct: Dae) -> ca.SX:
-    """Return half the squared slip of all wheels. [m2/s2]."""
+    """Return half the squared slip of all wheels [m2/s2]."""
     return ca.SX(0.5 * ca.sumsqr(ca.vertcat(*direct.y.slip_along, *direct.y.slip_across)))
 
 

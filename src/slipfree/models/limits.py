@@ -132,7 +132,7 @@ def limits_of(q: Quantities) -> tuple[Limit, ...]:
 
 
 def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:
-    """Return the distance of a contact to the edge of a domain in map coordinates. [m]."""
+    """Return the distance of a contact to the edge of a domain in map coordinates [m]."""
     west, east, south, north = domain
     o_x, o_y, _ = terrain.origin
     u_g, v_g = contact.point[0], contact.point[1]

@@ -63,7 +63,7 @@ def wheel_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
 
 
 def spun(rotations: Array, angles: Array) -> Array:
-    """Return rotations, shape (..., 3, 3), rotated forward about their x axes by angles. [rad]."""
+    """Return rotations, shape (..., 3, 3), rotated forward about their x axes by angles [rad]."""
     cosine, sine = np.cos(angles), np.sin(angles)
     turned = np.zeros(rotations.shape)  # about the axle, which points right, by minus the angle
     turned[..., 0, 0] = 1

@@ -24,14 +24,14 @@ class Configuration(NamedTuple):
 
 
 class ContactPoint(NamedTuple):
-    """Ground coordinates of a contact point, ``u_g`` and ``v_g``. [m]."""
+    """Ground coordinates of a contact point, ``u_g`` and ``v_g`` [m]."""
 
     x: Any
     y: Any
 
 
 class Dependent(NamedTuple):
-    """Coordinates that the ground determines for a given configuration. [m, rad]."""
+    """Coordinates that the ground determines for a given configuration [m, rad]."""
 
     z: Any
     roll: Any
@@ -65,7 +65,7 @@ class Rates(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """Forces of the ground on the wheels, where they follow from the motion. [N].
+    """Forces of the ground on the wheels, where they follow from the motion [N].
 
     ``virtual`` are virtual rates that determine the forces if equilibrium alone does not: the
     contact forces are then friction forces for these rates. [1, 1/m]
@@ -92,14 +92,14 @@ class Algebraic(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Rates of the driven wheels and of the commanded coordinates, in their order. [rad/s]."""
+    """Rates of the driven wheels and of the commanded coordinates, in their order [rad/s]."""
 
     wheels: tuple[Any, ...]
     joints: tuple[Any, ...]
 
 
 class Totals(NamedTuple):
-    """Quadratures: angles through which the wheels have turned, work of the drives. [rad, J].
+    """Quadratures: angles through which the wheels have turned, work of the drives [rad, J].
 
     ``work`` is empty if the vehicle has no mass.
     """

@@ -56,7 +56,7 @@ def slip_velocities(
     rates: Rates,
     u: Inputs,
 ) -> tuple[ca.SX, ...]:
-    """Return the slip velocities of all wheels of a vehicle. [m/s].
+    """Return the slip velocities of all wheels of a vehicle [m/s].
 
     Parameters
     ----------

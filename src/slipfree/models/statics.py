@@ -75,7 +75,7 @@ def mechanics(
 
 
 def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX:
-    """Return the energy of gravity and springs, with heights from the ground's origin. [J]."""
+    """Return the energy of gravity and springs, with heights from the ground's origin [J]."""
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     values = values_of(vehicle, x, position)
     height = sum(mass * center[2] for _, mass, center in vehicle.masses(base, values))
@@ -84,14 +84,14 @@ def _potential(vehicle: Vehicle, x: Configuration, position: Dependent) -> ca.SX
 
 
 def _damping(vehicle: Vehicle, rates: Rates) -> ca.SX:
-    """Return the power of the dampers. [W]."""
+    """Return the power of the dampers [W]."""
     pairs = zip(vehicle.of("passive"), rates.passive, strict=True)
     others = zip(vehicle.of("suspension"), rates.suspension, strict=True)
     return ca.SX(sum(c.damping * rate**2 for c, rate in (*pairs, *others)))
 
 
 def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
-    """Return the residual ``A' lambda + Q`` over the weight, shape (n_rates, 1). [1, m]."""
+    """Return the residual ``A' lambda + Q`` over the weight, shape (n_rates, 1) [1, m]."""
     return (parts.free.T @ forces + parts.load) / parts.weight
 
 

@@ -119,7 +119,7 @@ def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]
 
 
 def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
-    """Return the errors of steered coordinates relative to the guiding motion. [rad, m].
+    """Return the errors of steered coordinates relative to the guiding motion [rad, m].
 
     The carriers move with velocities ``along`` and ``across`` the wheels at the contacts. Small
     errors are Gauss-Newton steps that minimise ``across``. Angles are doubled, since forward and
@@ -165,7 +165,7 @@ def _outside(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
 
 
 def steering_laws(vehicle: Vehicle, errors: Mapping[str, ca.SX]) -> tuple[ca.SX, ...]:
-    """Return the rates of all commanded coordinates. [rad/s, m/s]."""
+    """Return the rates of all commanded coordinates [rad/s, m/s]."""
     fastest = {
         c.name: c.max_rate if np.isfinite(c.max_rate) else MAX_STEERING_RATE
         for c in vehicle.of("commanded")

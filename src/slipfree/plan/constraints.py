@@ -225,7 +225,7 @@ def size_of(group: ConstraintGroup, values: Array) -> float:
 
 
 def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
-    """Return the record and the number of the state or unknown that an expression is."""
+    """Return the record and the index of a state or unknown, or None for other expressions."""
     for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
         for k, symbol in enumerate(leaves(symbols)):
             if ca.is_equal(expression, symbol):

@@ -161,26 +161,28 @@ def solve_program(
     look: IterateCallback | None = None,
     growth: float = MAX_VIOLATION_GROWTH,
 ) -> Solution:
-    """Return the solution of a program, or else the iterate that violates it least.
+    """Return the solution of a nonlinear program.
 
-    Where IPOPT found it infeasible, that is its last one.
+    If IPOPT fails, return the iterate with the smallest constraint violation. If IPOPT reports an
+    infeasible problem, return its last iterate.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
     weights : ndarray, shape (n_costs + 1,)
-        Of the costs, the smoothness last.
+        Weights of the costs; the last one is the weight of the smoothness.
     first : ndarray, shape (n_w,)
-        First guess, not scaled; its roots do not count.
+        Initial guess, not scaled. Its roots are ignored and recomputed from the other unknowns.
     warm : Solution, optional
-        Whose multipliers to start from.
+        Solution whose multipliers are used for a warm start.
     iterations : int
-        Most iterations.
+        Maximum number of iterations.
     look : callable, optional
-        Called with every iterate; the iteration ends where it returns False.
+        Function called with every iterate; IPOPT stops if it returns False.
     growth : float
-        How much the violation may grow at most, over that of the first guess.
+        Upper bound of the constraint violation over the larger of 1 and the violation of the
+        initial guess (option ``theta_max_fact`` of IPOPT).
     """
     given = {
         "x0": completed(program, first) / program.scale,

@@ -23,7 +23,7 @@ ROUNDED_FRACTION = 0.01  # rounding of a square root at zero [bound]
 
 
 def duration_of(value: float | Range) -> Range:
-    """Return the least and the largest duration. [s]."""
+    """Return the least and the largest duration [s]."""
     low, high = (value, value) if isinstance(value, int | float) else value
     if not 0 < low <= high < np.inf:
         raise ModelError(f"plan: expected a positive duration or a range of them, found {value} s")

@@ -102,14 +102,14 @@ def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) ->
     Parameters
     ----------
     function : casadi Function
-        Of SX, without calls.
+        SX function that calls no other function.
     arguments : sequence of sequences of MX
-        For each argument each of its entries.
+        Entries of each argument.
 
     Returns
     -------
     list of lists of MX
-        For each result each of its nonzero entries.
+        Nonzero entries of each result.
 
     Raises
     ------

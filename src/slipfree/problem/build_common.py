@@ -83,7 +83,7 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
 
 
 def turned(problem: Problem[S]) -> float:
-    """Return the offset from headings of the problem's frame to headings from the y axis. [rad]."""
+    """Return the offset from headings of the problem's frame to headings from the y axis [rad]."""
     return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 

@@ -125,8 +125,8 @@ def _draft(path: Path) -> Draft:
         return _urdf(path, Roles({}, {}))
     hint = "expand it first: xacro FILE > robot.urdf" if ending == ".xacro" else "check the name"
     raise DataError(
-        f"{path}: expected a vehicle file, .toml or .urdf, found one that ends in "
-        f"{path.suffix or path.name!r}; {hint}"
+        f"{path}: expected a vehicle file that ends in .toml or .urdf, found "
+        f"{repr(path.suffix) if path.suffix else 'no ending'}; {hint}"
     )
 
 

@@ -87,7 +87,7 @@ def cross_check(result: Result) -> CrossCheck:
     Raises
     ------
     ProblemError
-        If the verb of the problem does not offer it.
+        If the verb of the problem does not offer a cross-check.
     """
     problem = result.problem
     check_option(problem, CROSS_CHECK)

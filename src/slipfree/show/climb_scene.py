@@ -192,7 +192,7 @@ def _tilt_rotations(tilt: Array) -> Array:
 
 
 def _abreast(climber: Climber, k: int) -> Array:
-    """Return the lateral positions of the wheels of an axle, to the left. [m]."""
+    """Return the lateral positions of the wheels of an axle, to the left [m]."""
     half, count = TRACK * climber.radius, climber.axles[k].wheels
     return np.linspace(-half, half, count) if count > 1 else np.zeros(1)
 

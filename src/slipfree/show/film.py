@@ -121,7 +121,7 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
 
 
 class Film:
-    """The artists of a film: places in plan or section, and the first vehicle in space."""
+    """Artists of a film: positions in a plan or section, and a 3D view of the first vehicle."""
 
     def __init__(self, figure: Figure, scene: Scene, title: str, speed: float) -> None:
         is_plan = scene.backdrop.axes == PLAN

@@ -33,7 +33,7 @@ CASING = "0.15"  # colour of the edge of coloured tracks
 
 
 def normal_forces(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the normal force of every wheel over time; at zero it lifts off."""
+    """Draw the normal force of every wheel over time; a wheel lifts off at zero force."""
     _by_wheel(run, run["force_normal"], ax)
     ax.set_ylabel("normal force [N]")
     return style.time_axis(run, _with_zero(ax))

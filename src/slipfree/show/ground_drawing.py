@@ -70,7 +70,7 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
 
 
 def whole(grid: Grid) -> Window:
-    """Return the window of a whole ground. [m]."""
+    """Return the window of a whole ground [m]."""
     return float(grid.x[0]), float(grid.x[-1]), float(grid.y[0]), float(grid.y[-1])
 
 

@@ -69,7 +69,7 @@ class Refined(NamedTuple):
         return np.concatenate([colors, fine])
 
     def height(self, x: Array, y: Array) -> Array:
-        """Return the height of the drawn surface, bilinear between its nodes. [m]."""
+        """Return the height of the drawn surface, bilinear between its nodes [m]."""
         at, (h_x, h_y) = self._cells(x, y), self.grid.spacing
         i, j = at
         k = np.where(self.near[i, j], self.parts, 1)

@@ -22,7 +22,7 @@ def joined(*meshes: Mesh) -> Mesh:
 
 
 def spokes(radius: float) -> Mesh:
-    """Return the spokes of a wheel about the x axis, one of them thicker. [m]."""
+    """Return the spokes of a wheel about the x axis, one of them thicker [m]."""
     angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
     ends = [(0.0, float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]
     sizes = [2 * SPOKE, *[SPOKE] * (SPOKES - 1)]
@@ -32,7 +32,7 @@ def spokes(radius: float) -> Mesh:
 
 
 def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float) -> Mesh:
-    """Return a prism of eight sides from one point to another. [m]."""
+    """Return a prism of eight sides from one point to another [m]."""
     ends = np.array([start, end], dtype=float)
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
@@ -67,7 +67,7 @@ def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
 
 
 def plate(half_width: float, rear: float, front: float, thickness: float) -> Mesh:
-    """Return a flat body around the origin, x right, y forward, pointed at the front. [m]."""
+    """Return a flat body around the origin, x right, y forward, pointed at the front [m]."""
     shoulder = front - 0.25 * (front - rear)
     corners = (
         (-half_width, rear),

@@ -426,7 +426,10 @@ def _terrain(run: Trajectory, grid: Grid) -> Figure:
 
 
 def _filled(figure: Figure, ax: Any) -> Figure:
-    """Fill the space between legend and note with a 3D view, which layouts cannot do."""
+    """Enlarge a 3D view to fill the space between legend and note.
+
+    The layout engines of Matplotlib cannot do this.
+    """
     for _ in range(3):
         figure.draw_without_rendering()
         width, height = figure.bbox.size

@@ -1,4 +1,4 @@
-"""Figures as data: a name, a caption and a recipe, drawn and written only on request.
+"""Figures as records of a name, a caption and a drawing function, drawn only on request.
 
 Most figures are stacks of panels over a common axis; a panel is a function that draws on given axes
 and names the artists that belong in the legend.

@@ -107,7 +107,7 @@ def unit(unit: str) -> str:
 
 
 def remark(ax: Axes, words: str, above: bool = False) -> None:
-    """Write a text into axes, or above them where it would cover lines."""
+    """Write a text in the axes, or above them if `above` is true."""
     x, y, ha, va = (1.0, 1.03, "right", "bottom") if above else (0.5, 0.6, "center", "center")
     box = {"fc": "white", "ec": "none", "pad": 2}
     ax.text(x, y, words, transform=ax.transAxes, ha=ha, va=va, bbox=box)

@@ -298,7 +298,7 @@ def _window_without_border_holes(holes: Mask) -> tuple[slice, slice] | None:
 
 
 def scaled(grid: Grid, horizontal: float, vertical: float) -> Grid:
-    """Return a ground with x and y multiplied by one number and heights by another. [1]."""
+    """Return a ground with x and y multiplied by one number and heights by another [1]."""
     if horizontal == vertical == 1:
         return grid
     return replace(grid, x=horizontal * grid.x, y=horizontal * grid.y, z=vertical * grid.z)

@@ -119,7 +119,7 @@ class Coordinate:
         return any((self.stiffness, self.damping, self.bump))
 
     def potential(self, value: ca.SX) -> ca.SX:
-        """Return the potential energy of its spring and its stops at a value. [J]."""
+        """Return the potential energy of its spring and its stops at a value [J]."""
         energy = ca.SX(0.5 * self.stiffness * (value - self.rest) ** 2)
         for stop, outward in ((self.upper, 1), (self.lower, -1)):
             if math.isfinite(stop):
@@ -285,13 +285,13 @@ class Vehicle:
 
     @property
     def mass(self) -> float:
-        """Total mass, wheels included. [kg]."""
+        """Total mass, wheels included [kg]."""
         bodies = [self.body, *(joint.body for joint in self.joints)]
         return sum(body.mass for body in bodies) + sum(wheel.mass for wheel in self.wheels)
 
     @property
     def weight(self) -> float:
-        """Total weight, wheels included. [N]."""
+        """Total weight, wheels included [N]."""
         return self.mass * GRAVITY
 
     def carriers(self, platform: Pose, values: Mapping[str, ca.SX]) -> tuple[Pose, ...]:
@@ -310,7 +310,7 @@ class Vehicle:
     def masses(
         self, platform: Pose, values: Mapping[str, ca.SX]
     ) -> Iterator[tuple[str, float, ca.SX]]:
-        """Yield name, mass and centre of mass of every part and wheel with a mass. [kg, m].
+        """Yield name, mass and centre of mass of every part and wheel with a mass [kg, m].
 
         Parameters are those of `carriers`.
         """

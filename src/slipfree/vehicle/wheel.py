@@ -87,12 +87,12 @@ class Wheel:
 
     @cached_property
     def radius(self) -> float:
-        """Rolling radius: distance from the axle to the middle of the tread. [m]."""
+        """Rolling radius: distance from the axle to the middle of the tread [m]."""
         return float(self.section.outline(np.array(np.pi / 2))[1])
 
     @cached_property
     def half_width(self) -> float:
-        """Largest distance of its surface from the plane of the wheel. [m]."""
+        """Largest distance of its surface from the plane of the wheel [m]."""
         return float(np.abs(self.section.outline(np.array([0, np.pi]))[0]).max())
 
     @property

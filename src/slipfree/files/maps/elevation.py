@@ -195,8 +195,8 @@ def _check_keys(ending: str, reading: Reading) -> None:
         value, endings = getattr(reading, name), _endings_with(name)
         if value is not None and ending not in endings:
             raise DataError(
-                f"expected no {name} for a {ending} file, which says it itself, found "
-                f"{value!r}; take it out ({name} is for {', '.join(endings)})"
+                f"expected no {name} for a {ending} file, found {value!r}; remove it "
+                f"({name} is for {', '.join(endings)})"
             )
 
 
@@ -281,7 +281,7 @@ def _stretch(latitude: Array, frame: Frame) -> float:
 
 
 def local_frame(longitude: Array, latitude: Array) -> Frame:
-    """Return the frame of `geographic_to_metric`, with its origin at the first node. [deg]."""
+    """Return the frame of `geographic_to_metric`, with its origin at the first node [deg]."""
     middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
     degree = EARTH_RADIUS * np.deg2rad(1.0)
     return Frame(

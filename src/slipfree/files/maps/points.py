@@ -143,7 +143,7 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
 
 
 def _distance(places: Array) -> float:
-    """Return the median distance of points from their nearest neighbours. [m]."""
+    """Return the median distance of points from their nearest neighbours [m]."""
     from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
 
     if len(places) < 3:

@@ -349,7 +349,7 @@ def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[
 
 
 def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
-    """Return the length on the ellipsoid of a metre of the map along x and along y. [m]."""
+    """Return the length on the ellipsoid of a metre of the map along x and along y [m]."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 

@@ -25,19 +25,19 @@ class WithUnit(float):
 
 
 class AngleWithUnit(WithUnit):
-    """An angle. [rad]."""
+    """An angle [rad]."""
 
     unit = "rad"
 
 
 class RateWithUnit(WithUnit):
-    """An angular rate. [rad/s]."""
+    """An angular rate [rad/s]."""
 
     unit = "rad s-1"
 
 
 class AccelerationWithUnit(WithUnit):
-    """An angular acceleration. [rad/s2]."""
+    """An angular acceleration [rad/s2]."""
 
     unit = "rad s-2"
 

@@ -1,4 +1,4 @@
-"""Types of single values of problem files, and their record."""
+"""Types of the values in problem files, and the base class of their tables."""
 
 from __future__ import annotations
 

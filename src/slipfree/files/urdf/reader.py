@@ -553,7 +553,7 @@ def _body(tree: Tree, link: str) -> Body:
 
 
 def _eccentricity(shape: Shape, axis: Vector) -> float:
-    """Return the distance of a shape's centre from an axis. [radius]."""
+    """Return the distance of a shape's centre from an axis [radius]."""
     return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
 
 
@@ -565,7 +565,7 @@ def _is_about(shape: Shape, axis: Vector) -> bool:
 
 
 def _lowest(shape: Shape, rotation: Array) -> float:
-    """Return the height of a shape's lowest point above its link's origin. [m]."""
+    """Return the height of a shape's lowest point above its link's origin [m]."""
     upward = 0.0
     if shape.kind == "cylinder":
         upward = min(1.0, abs(float((rotation @ rotation_of(shape.turned))[2, 2])))

@@ -17,7 +17,7 @@ FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 
 
 class Shape(NamedTuple):
-    """A cylinder about its z axis or a sphere, in a link's frame. [m, rad]."""
+    """A cylinder about its z axis or a sphere, in a link's frame [m, rad]."""
 
     kind: Literal["cylinder", "sphere"]
     radius: float
@@ -44,7 +44,7 @@ class Mimic(NamedTuple):
 
 
 class UrdfJoint(NamedTuple):
-    """A joint and its frame in the parent link; a fixed joint may have a zero axis. [m, rad]."""
+    """A joint and its frame in the parent link; a fixed joint may have a zero axis [m, rad]."""
 
     name: str
     type: str
@@ -272,7 +272,7 @@ def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[floa
 
 
 def _max_rate(element: Element, faults: Faults, who: str) -> float:
-    """Return the velocity limit of a joint, infinite if absent or zero. [rad/s or m/s]."""
+    """Return the velocity limit of a joint, infinite if absent or zero [rad/s or m/s]."""
     limit = element.first("limit")
     found = 0.0 if limit is None else _number(limit, "velocity", 0.0, faults, f"{who}: limit")
     return found if 0 < found < MAX_LIMIT else math.inf

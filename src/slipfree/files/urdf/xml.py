@@ -1,4 +1,4 @@
-"""XML as plain records with line numbers, without document types or entities."""
+"""Read XML into records with line numbers; document types and entities are rejected."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Setup(Protocol):
 
     @property
     def t(self) -> Array:
-        """Times of the samples. [s]."""
+        """Times of the samples [s]."""
 
     @property
     def facts(self) -> Facts:

@@ -365,7 +365,7 @@ def _start(
 def _sunk(
     problem: Problem[climb_schema.Climb], climber: Climber, contact: CompliantContact
 ) -> Array:
-    """Return the depths of the axles in a level floor; raise if the vehicle cannot stand. [m]."""
+    """Return the depths of the axles in a level floor; raise if the vehicle cannot stand [m]."""
     loads, faults = floor_loads(climber), []
     softest = float(loads.max()) / SUNK
     if not (loads > 0).all():
@@ -389,7 +389,7 @@ def _sunk(
 
 
 def _first_contact(climber: Climber, profile: Profile) -> float:
-    """Return the position of the front axle at the first contact of its wheels with a solid. [m].
+    """Return the position of the front axle at the first contact of its wheels with a solid [m].
 
     The distance from a convex solid along a line is convex, so that it decreases to zero once.
     """

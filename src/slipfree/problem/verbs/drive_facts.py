@@ -75,7 +75,7 @@ def angle_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def force_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the quasi-static loads on the ground and on the drives."""
+    """Yield lines of the summary on friction, normal forces, tip-over margin and drives."""
     if "utilisation" not in run.columns:
         return
     yield "friction", friction_words(run)

@@ -97,7 +97,7 @@ class Section(ABC):
         return x * axle + rho * away
 
     def point(self, u: ca.SX, v: ca.SX) -> ca.SX:
-        """Return the point of the surface for angles of the outward normal, shape (3, 1). [m].
+        """Return the point of the surface for angles of the outward normal, shape (3, 1) [m].
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class Section(ABC):
         return ca.vertcat(x, ca.cos(v) * rho, ca.sin(v) * rho)
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:
-        """Return the radius of curvature of the section at a normal; zero at an edge. [m].
+        """Return the radius of curvature of the section at a normal; zero at an edge [m].
 
         Parameters are those of `profile`.
         """
@@ -179,13 +179,13 @@ def components(normal: ca.SX, axle: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 @lru_cache(maxsize=64)
 def arc_lengths(section: Section) -> tuple[Array, Array]:
-    """Return angles of the normal, 0 to pi, and arc lengths of the section there. [rad, m]."""
+    """Return angles of the normal, 0 to pi, and arc lengths of the section there [rad, m]."""
     u = np.linspace(0, np.pi, ARC_LENGTH_POINTS)
     return u, _lengths(*section.outline(u))
 
 
 def _lengths(x: Array, rho: Array) -> Array:
-    """Return the arc length of a polyline at each of its points. [m]."""
+    """Return the arc length of a polyline at each of its points [m]."""
     return np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(rho))))
 
 
