@@ -258,6 +258,7 @@ def test_the_page_shows_what_moves(files: list[Path], browser: Any) -> None:
             line = process.stderr.readline() if process.stderr else ""
             address = line.split()[0]
             assert address.startswith("http://127.0.0.1:")
+            asked(browser), complaints(browser)  # those of other pages
             browser.get(address)
             assert missing(watched(browser)) == []
             text = browser.find_element("tag name", "body").text
