@@ -170,7 +170,10 @@ def test_what_cannot_be_exported(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="expected a path with x, y, z, found no y"):
         export_path(out, tmp_path / "path.csv")
     netcdf.write(out, found.part(slice(1)))
-    with pytest.raises(DataError, match="two samples or more for a line, found one"):
+    with pytest.raises(DataError, match="at least two samples for a LineString, found one"):
+        export_path(out, tmp_path / "path.geojson")
+    netcdf.write(out, replace(found, attributes={**found.attributes, "map_transform": "[[1]]"}))
+    with pytest.raises(DataError, match="expected rows of name, offset, factor and axis as JSON"):
         export_path(out, tmp_path / "path.geojson")
 
 

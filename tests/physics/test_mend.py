@@ -160,8 +160,9 @@ def test_scales_of_a_problem(tmp_path: Path) -> None:
     assert_array_equal(grid.x, 6 * plain.x)
     assert_array_equal(grid.z, plain.z)
     assert facts["ground"] == "g.npz scaled by 6 in x and y, by 1 in height"
-    assert facts["map coordinates"] == (
-        f"x = 0.0 + {1 / 6!r} x, y = 0.0 + {1 / 6!r} y, z = 0.0 + 1.0 z"
+    assert facts["coordinates in the map file"] == (
+        "x_file = 0.166666667 x, y_file = 0.166666667 y, z_file = z; x, y, z are those of "
+        "results, in metres"
     )
     part, _ = _grounds(tmp_path, "terrain.scale=2", "terrain.window=[-4, 2, -6, 1]")
     assert part.domain == (-4, 2, -6, 1)
@@ -184,7 +185,7 @@ def test_everything_that_is_changed_is_told(tmp_path: Path) -> None:
     assert "correlated over 1 m, seed 5" in facts["ground error added"]
     plain, told = _grounds(tmp_path, z=plane(40, 40, (0.25, 0.25)).z)
     assert np.abs(grid.z - plain.z).max() > 0.1
-    assert not {"ground holes filled", "map coordinates", "map crs"} & set(told)
+    assert not {"ground holes filled", "coordinates in the map file", "map crs"} & set(told)
 
 
 def test_filled_nodes_are_remembered_whatever_is_changed(tmp_path: Path) -> None:

@@ -4,78 +4,98 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from slipfree.atomic_files import replace_file
 from slipfree.errors import DataError
-from slipfree.files.netcdf import write_csv
+from slipfree.files.netcdf import read, write_csv
 from slipfree.records import Array, Label
 from slipfree.regular_files import resolve_links
 from slipfree.trajectory import Column, Trajectory
 
 ANGLES = ("heading", "pitch", "roll", "yaw")
-NUMBER = r"[-+.\deE]+"
-LINE = re.compile(rf"(\w+) = ({NUMBER}) \+ ({NUMBER}) ([xyz])(?:, |$)")
+DEGREES = ("longitude", "latitude")
 WGS84 = "EPSG:4326"  # default reference system of GeoJSON
-RUN_AGAIN = "give the result of a run on terrain"
+MAP_TRANSFORM = "map_transform"  # attribute of a result: its map coordinates as JSON
+RUN_AGAIN = "give a result of slipfree run with the verb direct, inverse or plan"
 
 
-class _Line(NamedTuple):
-    """A coordinate of the map: ``at + scale value`` of one of the ground's x, y, z."""
+class MapCoordinate(NamedTuple):
+    """A coordinate of the map file as a linear function of a coordinate of the motion.
+
+    Attributes
+    ----------
+    name : str
+        ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``.
+    offset : float
+        Value at the origin of the motion's coordinates. [m] or [deg]
+    factor : float
+        Units of the map file per metre of the motion.
+    axis : str
+        Coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``.
+    """
 
     name: str
-    at: float
-    scale: float
-    of: str
+    offset: float
+    factor: float
+    axis: str
 
 
 def export_path(file: Path, out: Path) -> None:
-    """Write the platform's path in the coordinates of the map.
+    """Write the path of the platform in the coordinates of the map file.
 
     Parameters
     ----------
     file : Path
         A result file.
     out : Path
-        ``.csv``: one row per sample with time, x, y, z or longitude, latitude (in degrees), z, and
-        the attitude. ``.geojson``: a LineString of the positions, with times; a reference system
-        other than WGS 84 is in the member ``crs`` of GeoJSON 2008.
+        File to write. ``.csv``: one row per sample with time [s], x, y, z [m] or longitude,
+        latitude [degrees], z [m], and the attitude [rad]. ``.geojson``: a LineString of the
+        positions, with times; the member ``crs`` of GeoJSON 2008 names a reference system other
+        than WGS 84.
 
     Raises
     ------
     DataError
-        If the file holds no motion over terrain, or the ending is unknown, or ``out`` cannot be
-        written.
+        If the result cannot be read or has no x, y, z, if ``out`` has another ending or is the
+        result file, if a GeoJSON path has a single sample, or if ``out`` cannot be written.
     """
-    run, writers = _motion(file, "xyz"), {".csv": _write_path, ".geojson": _write_geojson}
-    _checked(out, file, writers)(run, out)
+    run, writers = _read_motion(file, "xyz"), {".csv": _write_path, ".geojson": _write_geojson}
+    _choose_writer(out, file, writers)(run, out)
 
 
 def export_rates(file: Path, out: Path) -> None:
     """Write the rates of driven wheels and of joints with actuators as CSV, one row per sample.
 
-    Rates between two samples follow by linear interpolation; a jump has two rows of the same time.
+    Rates are linear between samples; a jump has two rows with the same time. Units are rad/s and
+    m/s.
+
+    Parameters
+    ----------
+    file : Path
+        A result file.
+    out : Path
+        File to write, ending in ``.csv``.
 
     Raises
     ------
     DataError
-        If the file holds no such rates, or ``out`` does not end in ``.csv`` or cannot be written.
+        If the result cannot be read or has no such rates, or if ``out`` has another ending, is the
+        result file, or cannot be written.
     """
-    run, write = _motion(file, ()), _checked(out, file, {".csv": lambda r, o: write_csv(o, r)})
+    run = read(file)
+    write = _choose_writer(out, file, {".csv": lambda run, out: write_csv(out, run)})
     names = [name for name in run.attributes.get("inputs", "").split() if name in run.columns]
     if not names:
-        raise DataError(
-            f"{file}: expected rates of driven wheels, found none; {RUN_AGAIN} by wheels"
-        )
+        raise DataError(f"{file}: expected rates of driven wheels, found none; {RUN_AGAIN}")
     write(replace(run, columns={name: run.columns[name] for name in names}), out)
 
 
-def _motion(file: Path, needed: str | tuple[str, ...]) -> Trajectory:
-    from slipfree.files.netcdf import read
-
+def _read_motion(file: Path, needed: Iterable[str]) -> Trajectory:
+    """Return the motion in a result file; raise DataError if a needed quantity is missing."""
     run = read(file)
     missing = [name for name in needed if name not in run.columns]
     if missing:
@@ -86,62 +106,80 @@ def _motion(file: Path, needed: str | tuple[str, ...]) -> Trajectory:
 Write = Callable[[Trajectory, Path], None]
 
 
-def _checked(out: Path, file: Path, writers: Mapping[str, Write]) -> Write:
-    """Return the function that writes a file, by its ending."""
+def _choose_writer(out: Path, file: Path, writers: Mapping[str, Write]) -> Write:
+    """Return the function that writes ``out``, chosen by its ending."""
     if out.suffix.lower() not in writers:
         raise DataError(
             f"{out}: expected a name that ends in {' or '.join(writers)}, found "
-            f"{repr(out.suffix) if out.suffix else 'no ending'}"
+            f"{repr(out.suffix) if out.suffix else 'no ending'}; choose another name"
         )
     if resolve_links(out) == resolve_links(file):
-        raise DataError(f"{out}: expected a file of its own, found the result file")
+        raise DataError(
+            f"{out}: expected a file of its own, found the result file; choose another name"
+        )
     return writers[out.suffix.lower()]
 
 
-def map_lines(run: Trajectory) -> list[_Line]:
-    """Return the linear functions from coordinates of the ground to those of the map."""
-    words = run.attributes.get("map_coordinates", "")
-    found = [_Line(name, float(a), float(k), of) for name, a, k, of in LINE.findall(words)]
-    return found or [_Line(name, 0.0, 1.0, name) for name in "xyz"]
+def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
+    """Return map coordinates as JSON text, for an attribute of a result file."""
+    return json.dumps([*coordinates])
 
 
-def _places(run: Trajectory) -> dict[str, tuple[str, Array]]:
-    """Return units and values of the map coordinates, by name."""
-    lines = map_lines(run)
+def _map_coordinates(run: Trajectory) -> list[MapCoordinate]:
+    """Return the coordinates of the map file; those of the motion if the result stores none."""
+    text = run.attributes.get(MAP_TRANSFORM)
+    if text is None:
+        return [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
+    try:
+        return [MapCoordinate(*row) for row in json.loads(text)]
+    except (ValueError, TypeError) as error:
+        raise DataError(
+            f"attribute {MAP_TRANSFORM!r}: expected rows of name, offset, factor and axis as JSON, "
+            f"found {text!r}; run the problem again"
+        ) from error
+
+
+def _map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
+    """Return units and values, shape (n,), of the map coordinates by name."""
     return {
-        line.name: (
-            "degree" if line.name in ("longitude", "latitude") else "m",
-            line.at + line.scale * run[line.of],
+        each.name: (
+            "degree" if each.name in DEGREES else "m",
+            each.offset + each.factor * run[each.axis],
         )
-        for line in lines
+        for each in _map_coordinates(run)
     }
 
 
 def _write_path(run: Trajectory, out: Path) -> None:
+    """Write the path and the attitude of the platform as CSV."""
     crs = run.attributes.get("map_crs", "no reference system given")
     columns = {
         name: Column(
-            Label(name, unit, f"{name} of the platform's centre on the map ({crs})"), place
+            Label(name, unit, f"{name} of the platform's centre on the map ({crs})"), values
         )
-        for name, (unit, place) in _places(run).items()
+        for name, (unit, values) in _map_positions(run).items()
     }
     attitude = {name: run.columns[name] for name in ANGLES if name in run.columns}
     write_csv(out, replace(run, columns=columns | attitude))
 
 
 def _write_geojson(run: Trajectory, out: Path) -> None:
+    """Write the path of the platform as a GeoJSON LineString."""
     if run.t.size < 2:
-        raise DataError(f"{out}: expected a motion of two samples or more for a line, found one")
+        raise DataError(
+            f"{out}: expected a motion of at least two samples for a LineString, found one; "
+            "write CSV instead"
+        )
     crs = run.attributes.get("map_crs", "")
-    places = [values.tolist() for _, values in _places(run).values()]
+    positions = [values.tolist() for _, values in _map_positions(run).values()]
     feature = {
         "type": "Feature",
         "properties": {
             "title": run.attributes.get("title", "path"),
-            "reference_system": crs or "not given: coordinates of the map",
+            "reference_system": crs or "not given: coordinates of the map file",
             "time_s": run.t.tolist(),
         },
-        "geometry": {"type": "LineString", "coordinates": [*zip(*places, strict=True)]},
+        "geometry": {"type": "LineString", "coordinates": [*zip(*positions, strict=True)]},
     }
     content: dict[str, Any] = {"type": "FeatureCollection", "features": [feature]}
     if crs not in ("", WGS84):
@@ -154,5 +192,6 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
 
 
 def _urn(crs: str) -> str:
+    """Return the URN of an EPSG code; other names of reference systems unchanged."""
     code = re.fullmatch(r"EPSG:(\d+)", crs)
     return f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs

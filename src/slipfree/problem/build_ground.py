@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slipfree.errors import DataError, ModelError
+from slipfree.files.export import DEGREES, MapCoordinate
 from slipfree.files.maps.elevation import Frame, Map, jacksboro, read_map, takes_key
 from slipfree.files.toml.errors import ProblemError
 from slipfree.files.toml.source_lines import Place
@@ -43,6 +44,8 @@ class Ground(NamedTuple):
         Description of the friction; empty without friction.
     told : list of (str, str)
         Further facts: the map, the changes, and the relation to the coordinates of the map.
+    coordinates : tuple of MapCoordinate
+        Coordinates of the map file; empty if they are those of motions.
     """
 
     grid: Grid
@@ -51,6 +54,7 @@ class Ground(NamedTuple):
     mu: float | Grid | None
     friction: str
     told: Facts
+    coordinates: tuple[MapCoordinate, ...]
 
 
 @contextmanager
@@ -80,14 +84,15 @@ def build_ground(problem: Problem[S]) -> Ground:
         with at(problem, ("terrain", "window")):
             grid = cut(grid, spec.window)
     grid, changes = _changed(problem, grid)
-    told = [*found.told, *changes, *_origin(found, horizontal, vertical)]
+    coordinates = _map_coordinates(found, horizontal, vertical)
+    told = [*found.told, *changes, *_map_facts(found.crs, coordinates)]
     mu, friction = _friction(problem, found)
     if spec.rolled is None:
-        return Ground(grid, source + _scale_words(spec), None, mu, friction, told)
+        return Ground(grid, source + _scale_words(spec), None, mu, friction, told, coordinates)
     with at(problem, ("terrain", "rolled")):
         _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
         felt = rolled(grid, spec.rolled)
-    return Ground(felt.grid, source + _scale_words(spec), felt, mu, friction, told)
+    return Ground(felt.grid, source + _scale_words(spec), felt, mu, friction, told, coordinates)
 
 
 def _check_keys(problem: Problem[S]) -> None:
@@ -136,19 +141,30 @@ def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
     return grid, told
 
 
-def _origin(found: Map, horizontal: float, vertical: float) -> Facts:
-    """Return the reference system of a map and the relation to its coordinates as facts."""
-    facts = [("map crs", found.crs)] if found.crs else []
+def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[MapCoordinate, ...]:
+    """Return the coordinates of a map file that differ from those of motions; empty if equal."""
     x0, kx, y0, ky = found.frame
-    if found.frame != Frame() or (horizontal, vertical) != (1, 1):
-        x, y = ("longitude", "latitude") if found.geographic else ("x", "y")
-        lines = (
-            (x, x0, kx / horizontal, "x"),
-            (y, y0, ky / horizontal, "y"),
-            ("z", 0.0, 1 / vertical, "z"),
-        )
-        words = ", ".join(f"{name} = {a!r} + {k!r} {of}" for name, a, k, of in lines)
-        facts.append(("map coordinates", words))
+    if found.frame == Frame() and (horizontal, vertical) == (1, 1):
+        return ()
+    x, y = ("longitude", "latitude") if found.geographic else ("x", "y")
+    return (
+        MapCoordinate(x, x0, kx / horizontal, "x"),
+        MapCoordinate(y, y0, ky / horizontal, "y"),
+        MapCoordinate("z", 0.0, 1 / vertical, "z"),
+    )
+
+
+def _map_facts(crs: str, coordinates: Iterable[MapCoordinate]) -> Facts:
+    """Return the reference system of a map file and its coordinates as facts."""
+    facts = [("map crs", crs)] if crs else []
+    formulas = [
+        f"{name if name in DEGREES else f'{name}_file'} = "
+        f"{f'{offset:.9g} + ' if offset else ''}{'' if factor == 1 else f'{factor:.9g} '}{axis}"
+        for name, offset, factor, axis in coordinates
+    ]
+    if formulas:
+        words = f"{', '.join(formulas)}; x, y, z are those of results, in metres"
+        facts.append(("coordinates in the map file", words))
     return facts
 
 

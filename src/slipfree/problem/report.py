@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from slipfree.files.export import MAP_TRANSFORM
 from slipfree.files.netcdf import ORIGIN, read
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.input_files import digest
@@ -34,6 +35,7 @@ ELSEWHERE = (  # attributes reported in other sections
     "failed_diagnostics",
     "date_created",
     "problem_folder",
+    MAP_TRANSFORM,
 )
 
 

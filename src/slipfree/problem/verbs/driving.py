@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from slipfree.errors import DataError
+from slipfree.files.export import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.poses import wheel_poses
@@ -172,11 +173,13 @@ class DriveVerb(MotionVerb):
         return Driven(name, run, terrain, vehicle)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
-        """Return the inputs, the frames, the model and the law of a motion."""
+        """Return the names of the inputs, the frames, and the coordinates of the map file."""
+        coordinates = setup.ground.coordinates
         return {
             "inputs": " ".join(label.full for label in leaves(setup.model.labels.u)),
             STORED: "paper",
             WANTED: problem.spec.frame,
+            **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
 
 
