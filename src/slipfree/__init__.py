@@ -1,6 +1,6 @@
-"""How wheeled vehicles move over uneven ground.
+"""Simulation and planning of the motion of wheeled vehicles over uneven ground.
 
-Make a ground and a vehicle, a model of both, a start, and simulate or plan the motion:
+Build a ground and a vehicle, then a model of both and a start; then simulate or plan the motion:
 
 Ground
     `Analytic`, a formula. `Bicubic`, the surface of a `Grid` of heights. `read_map`, heights from a
@@ -18,18 +18,19 @@ Start
 Inputs
     ``model.inputs(...)``, values or expressions. `follow` a `Path`, or drive `straight`.
 Motion, a `Trajectory`
-    `simulate`, with `SolverOptions`; how it ends is an `Outcome`. `cross_check`, the difference of
-    two formulations.
+    `simulate`, with `SolverOptions`; the `Outcome` says whether the motion is complete.
+    `cross_check`, the difference between two formulations.
 Plan
-    `plan`, the inputs of least `Cost` to a goal. `replan`, while driving. `Region`, to keep out of.
-    `Route`, a way over a map.
+    `plan`, the inputs of least `Cost` to a goal. `replan`, a plan from the current state while
+    driving. `Region`, a keep-out region. `Route`, a path over a map.
 Problem file
-    `load_problem`, `run_problem`: as ``slipfree run`` does. `open_result`, a result file.
+    `load_problem` and `run_problem`, as in ``slipfree run``. `open_result`, the result in a file.
 Errors
     `ModelError`, `DataError`, `SolverError`; all are `SlipfreeError`.
 
-SI units and radians. Map coordinates have z up; ``heading`` counts from the y axis,
-counter-clockwise. Expressions of a model are in local coordinates: see `Dae`.
+All quantities are in SI units, angles in radians. Map coordinates have z up; ``heading`` is
+measured counter-clockwise from the y axis. Expressions of a model are in local coordinates: see
+`Dae`.
 
 Examples
 --------
@@ -44,5 +45,5 @@ Examples
 
 import lazy_loader
 
-# Imported when they are first used, so that the command line answers at once.
+# Names are imported at their first use, so that the command line starts without delay.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

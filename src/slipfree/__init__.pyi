@@ -1,4 +1,4 @@
-"""Names that `slipfree` offers, and their homes: read at import by lazy_loader, and by mypy."""
+"""Public names of `slipfree` and the modules that define them, for lazy_loader and mypy."""
 
 from . import catalog
 from .control.path_following import follow, straight

@@ -1,4 +1,4 @@
-"""``python -m slipfree``, and the command ``slipfree``."""
+"""Entry point of ``python -m slipfree`` and of the command ``slipfree``."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import sys
 
 
 def _leave_current_folder() -> None:
-    """Take the current folder, which ``python -m`` puts first, off the path of modules.
+    """Remove the current folder from ``sys.path``, where ``python -m`` has inserted it first.
 
-    A file ``numpy.py`` there would be imported in place of numpy. The folder stays if slipfree
-    itself comes from it.
+    A file ``numpy.py`` in that folder would be imported instead of numpy. The folder is not removed
+    if slipfree itself is in it.
     """
     try:
-        here = os.getcwd()  # noqa: PTH109  # pathlib would be imported from there
-    except OSError:  # it is gone, and was not put there
+        here = os.getcwd()  # noqa: PTH109  # a file pathlib.py there would be imported
+    except OSError:  # the folder was deleted, so that Python did not insert it
         return
     home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))  # noqa: PTH100, PTH120
     if not sys.flags.safe_path and sys.path[:1] == [here] and here != home:
@@ -29,14 +29,14 @@ import signal  # noqa: E402
 
 from slipfree.threads import single  # noqa: E402
 
-INTERRUPTED = 130  # as `slipfree.cli` has it, which takes its time to be imported
+INTERRUPTED = 130  # exit code; equal to that of `slipfree.outcome`, whose import would be slow
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it with a word, even while it still starts."""
+    """Run the command line; Ctrl-C ends it with the message ``interrupted`` and exit code 130."""
     try:
         single()
-        os.environ["MPLBACKEND"] = "agg"  # figures are files; a notebook's may not be installed
+        os.environ["MPLBACKEND"] = "agg"  # a notebook's backend may not be installed here
         _open_streams()
         from slipfree.cli import main as run
 
@@ -45,15 +45,17 @@ def main() -> None:
         sys.stderr.write("interrupted\n")
         sys.exit(INTERRUPTED)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to be interrupted
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # no traceback from Ctrl-C at exit
 
 
 def _open_streams() -> None:
-    """Open standard streams that are closed on the null device, lest a result take their number.
+    """Connect closed standard streams to the null device.
 
-    Characters that the encoding of stdout does not have are escaped, as on stderr.
+    Otherwise the next opened file would get their file descriptor and receive what is printed.
+    Characters that the encoding of stdout lacks are escaped, as on stderr.
     """
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):  # in order of number
+    # in the order of their file descriptors 0, 1, 2
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123, SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):

@@ -7,24 +7,27 @@ import secrets
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slipfree.errors import DataError
 
-if TYPE_CHECKING:
-    pass
-
 
 def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
-    """Let ``fill`` write a temporary file, then replace ``path`` by it.
+    """Replace a file by a new one only when the new one is complete.
 
-    If this is interrupted, by an error, Ctrl-C, a signal or a crash of the machine, ``path`` is
-    either unchanged or complete.
+    After an error, Ctrl-C, a signal or a crash of the machine, ``path`` is either unchanged or
+    complete.
+
+    Parameters
+    ----------
+    path : Path
+        File to write. A symbolic link remains; its target is replaced.
+    fill : callable
+        ``fill(part)`` writes the contents to ``part``, a temporary file in the same folder.
 
     Raises
     ------
     DataError
-        If the file cannot be written, or is not a file, such as a device.
+        If the file cannot be written, or if ``path`` is a folder or a device.
     """
     target = Path(os.path.realpath(path))  # a symbolic link stays a link
     part = target.with_name(f".{secrets.token_hex(6)}.part{target.suffix}")
@@ -40,7 +43,7 @@ def replace_file(path: Path, fill: Callable[[Path], object]) -> None:
         part.replace(target)
     except OSError as error:
         raise DataError(
-            f"{path}: cannot be written ({error.strerror or error}); choose another place"
+            f"{path}: cannot be written ({error.strerror or error}); choose another name or folder"
         ) from error
     finally:
         with suppress(OSError):  # the folder may be read-only

@@ -1,8 +1,8 @@
 """Compilation of functions with the system's C compiler, and a cache of the libraries.
 
-Libraries are stored in a folder of the user, named by a digest of their source. Code is loaded from
-there, so only this user may have write access. Without a compiler or such a folder nothing is
-compiled: callers interpret the functions, and a warning gives the reason.
+Libraries are stored in a folder of the user; a digest of their source is their file name. Code is
+loaded from this folder, so only this user may have write access. Without a compiler or such a
+folder nothing is compiled: the functions are interpreted, and a warning gives the reason.
 """
 
 from __future__ import annotations
@@ -33,36 +33,39 @@ FOLDER = "SLIPFREE_CACHE"  # environment variable: path of the cache folder; emp
 # and without optimisation they take three times as long, like the interpreter.
 FLAGS = ("-O1", "-shared", "-fPIC", "-ffp-contract=off")
 NO_COMPILER = "no C compiler was found: cc, gcc, clang, or the command in CC"
+CACHE_DISABLED = f"{FOLDER} is empty"
 COMPILER_TIMEOUT = 300.0  # [s]
 MIN_OPERATIONS = 300  # smaller functions are not compiled
 MAX_LIBRARIES = 64  # libraries in the cache, of about a megabyte each
 SCRATCH_PREFIX = "making-"  # prefix of the compiler's working folders
-DIGEST_LENGTH = 32  # characters of a digest
+DIGEST_LENGTH = 32  # number of characters of a digest
 
 
 def library(
     text: str, names: Sequence[str], make: Callable[[], Sequence[ca.Function]]
 ) -> tuple[ca.Function, ...] | None:
-    """Return compiled functions, from the cache if they are there.
+    """Return compiled functions, from the cache if it contains them.
 
     Parameters
     ----------
     text : str
-        Text that determines the functions.
+        Key of the cache: equal texts must mean equal functions.
     names : sequence of str
         Names of the functions.
     make : callable
-        Returns the functions, SX functions without calls; called only for a compilation.
+        ``make()`` returns the functions: SX functions without calls of other functions. It is
+        called only for a compilation.
 
     Returns
     -------
     tuple of casadi Function, or None
-        None if they are not cached and cannot be compiled; a warning gives the reason.
+        The functions in the order of ``names``; None if they are not cached and cannot be compiled.
+        A warning then gives the reason.
     """
     key = _key(text)
     try:
         if (place := folder()) is None:
-            raise _UnavailableError(f"{FOLDER} is empty")
+            raise _UnavailableError(CACHE_DISABLED)
         _prepare(place)
         if found := _load_cached(place, key, names):
             return found
@@ -71,7 +74,10 @@ def library(
         _compile(place, key, make(), command)
         if found := _load_cached(place, key, names):
             return found
-        raise _UnavailableError(f"the library compiled by {shlex.join(command)} cannot be loaded")
+        raise _UnavailableError(
+            f"the library compiled by {shlex.join(command)} cannot be loaded; set CC to another "
+            "C compiler"
+        )
     except _UnavailableError as error:
         warnings.warn(f"equations are interpreted, not compiled: {error}", stacklevel=1)
     return None
@@ -84,18 +90,24 @@ def compiled_functions(
     *,
     compiled: bool,
 ) -> tuple[ca.Function, ...]:
-    """Return functions derived from another one, compiled on request if they are large.
+    """Return functions derived from another function, compiled on request if that one is large.
 
     Parameters
     ----------
     key : casadi Function
-        SX function whose operations identify the derived functions in the cache.
+        SX function from which the others are derived. Its operations, with the source file of
+        ``make``, identify them in the cache; with fewer than 300 operations nothing is compiled.
     names : sequence of str
         Names of the derived functions.
     make : callable
-        Returns the derived functions.
+        ``make()`` returns the derived functions.
     compiled : bool
-        Whether to compile them if a compiler is found.
+        Whether to compile the functions if a compiler is found.
+
+    Returns
+    -------
+    tuple of casadi Function
+        The compiled functions, or the result of ``make``.
     """
     if not compiled or key.n_instructions() < MIN_OPERATIONS:
         return tuple(make())
@@ -104,17 +116,17 @@ def compiled_functions(
 
 
 def obstacle() -> str | None:
-    """Return the reason why functions cannot be compiled here; None if they can."""
+    """Return the reason why functions cannot be compiled; None if they can be."""
     try:
         if folder() is None:
-            return f"{FOLDER} is empty"
+            return CACHE_DISABLED
     except _UnavailableError as error:
         return str(error)
     return NO_COMPILER if compiler() is None else None
 
 
 class _UnavailableError(Exception):
-    """No compiler or no usable cache folder is available."""
+    """Missing compiler or unusable cache folder; the message is the reason."""
 
 
 def source(functions: Sequence[ca.Function]) -> str:
@@ -126,12 +138,13 @@ def source(functions: Sequence[ca.Function]) -> str:
 
 
 def _key(text: str) -> str:
+    """Return the digest of a text, the platform, the compiler flags and CasADi's version."""
     parts = (ca.CasadiMeta.version(), platform.system(), platform.machine(), *FLAGS, text)
     return digest("\n".join(parts).encode())
 
 
 def folder() -> Path | None:
-    """Return the folder of the cache; None if the cache is disabled."""
+    """Return the folder of the cache; None if ``SLIPFREE_CACHE`` is set to nothing."""
     given = os.environ.get(FOLDER)
     if given is None:
         return platformdirs.user_cache_path("slipfree") / "compiled"
@@ -139,31 +152,51 @@ def folder() -> Path | None:
         return Path(given).expanduser() if given else None
     except RuntimeError as error:  # of ~NAME
         raise _UnavailableError(
-            f"{FOLDER}: expected a folder, found {given!r} of a user who has no home folder"
+            f"{FOLDER}: expected a folder, found {given!r} of a user without a home folder; set "
+            f"{FOLDER} to another folder"
         ) from error
 
 
 def _prepare(place: Path) -> None:
-    """Create the cache folder if missing; raise an error if others may write to it."""
+    """Create the cache folder if missing.
+
+    Raises
+    ------
+    _UnavailableError
+        If the folder cannot be created, or if other users may write to it.
+    """
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_private(place.stat()):
             raise _UnavailableError(
-                f"{place}: expected a folder of this user that others cannot write to"
+                f"{place}: expected a folder that only this user can write to, found one with "
+                f"another owner or write access for others; change its owner and mode, or set "
+                f"{FOLDER} to another folder"
             )
     except OSError as error:
-        raise _UnavailableError(f"{place}: {error.strerror}") from error
+        raise _UnavailableError(_unusable(place, error)) from error
+
+
+def _unusable(place: Path, error: OSError) -> str:
+    """Return the message of a system error in the cache folder."""
+    return (
+        f"{place}: the cache folder cannot be used ({error.strerror}); set {FOLDER} to another "
+        "folder"
+    )
 
 
 def _is_private(about: os.stat_result) -> bool:
-    """Return whether a file or folder belongs to this user and only this user may write to it."""
+    """Return whether only this user owns and may write to a file or folder, from its status.
+
+    The result is true on systems without POSIX permissions.
+    """
     if os.name != "posix":
         return True
     return about.st_uid == os.geteuid() and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def compiler() -> list[str] | None:
-    """Return the command of the C compiler, or None."""
+    """Return the command of the C compiler as words; None without a compiler."""
     try:
         named = shlex.split(os.environ.get("CC", ""))
     except ValueError:  # an unbalanced quote
@@ -175,7 +208,10 @@ def compiler() -> list[str] | None:
 
 
 def _load_cached(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Function, ...] | None:
-    """Return the cached functions of a key, or None; remove damaged libraries of that key."""
+    """Return the functions cached under a key; remove damaged libraries of that key.
+
+    The result is None if there is no usable library.
+    """
     for file in sorted(place.glob(f"{key}.*.so")):
         try:
             same = file.suffixes[-2] == f".{digest(file.read_bytes())}"
@@ -184,7 +220,7 @@ def _load_cached(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Functi
                 with suppress(OSError):  # the folder may be read-only
                     os.utime(file)  # the least recently used library is removed first
                 return found
-        except (OSError, RuntimeError):  # it vanished, or cannot be loaded here
+        except (OSError, RuntimeError):  # removed by another process, or not loadable
             pass
         with suppress(OSError):  # the folder may be read-only
             file.unlink(missing_ok=True)
@@ -192,7 +228,7 @@ def _load_cached(place: Path, key: str, names: Sequence[str]) -> tuple[ca.Functi
 
 
 def digest(content: bytes) -> str:
-    """Return the digest of a content, as used in file names of the cache."""
+    """Return the first 32 hexadecimal digits of the SHA-256 of bytes, for cached file names."""
     return hashlib.sha256(content).hexdigest()[:DIGEST_LENGTH]
 
 
@@ -208,19 +244,28 @@ def _compile(
             if not file.exists():
                 raise _UnavailableError(
                     f"{shlex.join(command)}: expected a C compiler, found a command that wrote no "
-                    "library; set CC to another one"
+                    "library; set CC to a C compiler"
                 )
             file.chmod(0o700)
             file.replace(place / f"{key}.{digest(file.read_bytes())}.so")
     except OSError as error:
-        raise _UnavailableError(f"{place}: {error.strerror}") from error
+        raise _UnavailableError(_unusable(place, error)) from error
     except subprocess.SubprocessError as error:
-        raise _UnavailableError(f"{shlex.join(command)} failed") from error
+        raise _UnavailableError(
+            f"{shlex.join(command)}: the C compiler failed or took more than "
+            f"{COMPILER_TIMEOUT:g} s; set CC to another C compiler"
+        ) from error
     _remove_old(place)
 
 
 def _run(command: Sequence[str]) -> None:
-    """Run a compiler in its own session, and end it if this process is interrupted."""
+    """Run a compiler in its own session; kill it if this process is interrupted or time runs out.
+
+    Raises
+    ------
+    subprocess.SubprocessError
+        If the compiler fails, or does not end within 300 s.
+    """
     none = subprocess.DEVNULL
     with subprocess.Popen(
         command, stdin=none, stdout=none, stderr=none, start_new_session=True
@@ -228,7 +273,7 @@ def _run(command: Sequence[str]) -> None:
 
         def end() -> None:
             if process.returncode is None:
-                with suppress(OSError):  # it has just ended
+                with suppress(OSError):  # the compiler has just ended
                     if os.name == "posix":
                         os.killpg(process.pid, signal.SIGKILL)  # with its child processes
                     else:

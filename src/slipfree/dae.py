@@ -1,4 +1,4 @@
-"""Symbolic model that every model function returns and every solver takes."""
+"""Symbolic model as a DAE: the result of every model function and the input of every solver."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ from slipfree.trajectory import Trajectory
 
 
 class Limit(NamedTuple):
-    """Limit of a motion: it ends where ``lower <= expression <= upper`` is violated.
+    """Limit of a motion: the motion ends where ``lower <= expression <= upper`` is violated.
 
     Attributes
     ----------
     label : Label
-        Name and unit; its words complete the sentence "at t = 3 s ...".
+        Name, unit and message; the message completes the sentence "at t = 3 s ...".
     expression : SX, shape (1, 1)
-        Expression in the symbols of the model, with local positions
+        Limited quantity in the symbols of the model, with local positions
         (:ref:`local-and-map-coordinates`).
     lower, upper : float
         Bounds, in the label's unit.
     describe : callable or None
-        ``describe(x, z)`` returns a more specific message than the label's words for a local state
-        of shapes (n_x,) and (n_z,); empty if this limit is not the reason.
+        ``describe(x, z)`` returns a more specific message for a local state of shapes (n_x,) and
+        (n_z,), or an empty string if this limit is not the reason of the stop.
     outcome : Outcome
         Outcome of a motion that ends at this limit.
     """
@@ -66,8 +66,10 @@ class PiecewiseLinear:
 
     Attributes
     ----------
-    base, slope : ndarray, shape (n - 1,)
-        It is ``base + slope t``. [the input's unit, and that per second]
+    base : ndarray, shape (n - 1,)
+        Value of each linear function ``base + slope t`` at t = 0, in the unit of the input.
+    slope : ndarray, shape (n - 1,)
+        Rate of each linear function, in the unit of the input per second.
     """
 
     base: Array
@@ -75,14 +77,15 @@ class PiecewiseLinear:
 
 
 class Continuation(NamedTuple):
-    """Continuation parameter from simpler equations to those of the model.
+    """Continuation (homotopy) parameter for the solution of the equations at a start.
 
     Attributes
     ----------
     symbol : SX, shape (1, 1)
-        Symbol in the residuals.
+        Symbol of the parameter in the residuals.
     values : tuple of float
-        Consecutive values at a start; the last one is that of the model.
+        Values for which the equations are solved one after the other, from simpler equations to
+        those of the model.
     """
 
     symbol: ca.SX
@@ -90,23 +93,31 @@ class Continuation(NamedTuple):
 
 
 class SampledCheck(Protocol):
-    """A numeric condition on the samples of a motion that is not an expression."""
+    """A condition on the samples of a motion that is computed numerically, not symbolically."""
 
     @property
     def label(self) -> Label:
         """Name, unit and description of the margin."""
 
     def margin(self, x: Array, z: Array) -> Array:
-        """Return the margins, shape (n,), of states in columns; negative is a violation."""
+        """Return the margins, shape (n,), of n states in the columns of ``x`` and ``z``.
+
+        A negative margin is a violation; its unit is that of the label.
+        """
 
     def describe(self, x: Array, z: Array) -> str:
-        """Return the description of a violation in a state of shapes (n_x,) and (n_z,)."""
+        """Return a message about the violation in a state of shapes (n_x,) and (n_z,)."""
 
 
 class Labels(NamedTuple):
-    """Labels of every unknown, in records shaped like those they name, and of every equation.
+    """Labels of the variables and equations of a `Dae`.
 
-    ``alg`` holds one tuple for each block of equations.
+    Attributes
+    ----------
+    x, z, q, u, y : record of Label
+        Labels of the variables, in records with the structure of those in the model.
+    alg : tuple of tuple of Label
+        Labels of the algebraic equations, one tuple per block.
     """
 
     x: Any
@@ -118,12 +129,12 @@ class Labels(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Scales of the solvers, with the size of the vehicle as unit of length.
+    """Scales of variables and residuals, with the size of the vehicle as unit of length.
 
     Attributes
     ----------
     x, z, alg : ndarray, shape (n_x,), (n_z,) and (n_z,)
-        Scales of the states, the unknowns and the residuals.
+        Scales of the states, the unknowns and the residuals, each in the unit of its quantity.
     """
 
     x: Array
@@ -135,27 +146,28 @@ class Sizes(NamedTuple):
 class Dae:
     """Semi-explicit DAE of index 1: ``x' = ode(t, x, z, u)``, ``0 = alg(t, x, z, u)``.
 
-    ``z`` and ``alg`` may be empty: then it is an ordinary differential equation.
-    The algebraic equations come in blocks, one for each field of ``z``; a block determines its
-    field for given values of the fields before it. Final blocks on which neither the rates of the
-    states nor other blocks depend, such as the forces that a given motion needs, are solved only at
-    the samples; quadratures may depend on them. States and unknowns are in the model's local
-    coordinates; adding ``shift`` gives map coordinates, which starts, outputs and trajectories use.
+    Without ``z`` and ``alg`` the model is an ordinary differential equation. The algebraic
+    equations are ordered in blocks, one for each field of ``z``; a block determines its field for
+    given values of the fields before it. The last blocks are solved only at the samples if neither
+    the rates of the states nor other blocks depend on them; an example are the forces that a given
+    motion needs. Quadratures may depend on such blocks. States and unknowns are in local
+    coordinates. Starts, outputs and trajectories are in map coordinates: local values plus
+    ``shift``.
 
     Attributes
     ----------
     t : SX, shape (1, 1)
         Time. [s]
     x, z, q, u : record of SX
-        Differential states, algebraic unknowns, quadratures and inputs.
+        Symbols of differential states, algebraic unknowns, quadratures and inputs.
     ode, quad : SX, shape (n_x, 1) and (n_q, 1)
         Rates of the states and of the quadratures.
     alg : tuple of SX
-        Residuals, one block for each field of ``z``.
+        Residuals, one column for each field of ``z``.
     y : record of SX
-        Outputs; positions among them are in map coordinates.
+        Outputs; positions are in map coordinates.
     labels : Labels
-        Names, units and descriptions.
+        Names, units and descriptions of variables and equations.
     limits : tuple of Limit
         Limits of a valid motion.
     checks : tuple of SampledCheck
@@ -163,19 +175,20 @@ class Dae:
     guess : SX, shape (n_z, 1)
         Initial guess of ``z`` from ``x``.
     scale : ndarray, shape (n_z,)
-        Typical sizes of ``z``.
+        Typical sizes of ``z``, each in the unit of its unknown.
     shift : tuple of two ndarrays, shapes (n_x,) and (n_z,)
-        Map minus local values.
+        Map values minus local values of ``x`` and of ``z``.
     size : float
-        Unit of length of the solvers, the extent of a vehicle. Tolerances, residuals and rank
-        decisions do not change if all lengths of a problem are scaled with it. [m]
+        Unit of length of the solvers, usually the extent of the vehicle. Tolerances, residuals and
+        rank decisions do not change if all lengths of a problem are scaled with it. [m]
     suppress_algebraic : bool
-        Whether the integrator's error test ignores ``z``; for models whose ``z`` contains
-        stabilisation terms, which are noise for that test.
+        Whether the integrator's error test ignores ``z``, as for models whose ``z`` contains
+        stabilisation terms.
     continuation : Continuation or None
-        Continuation for a start at which Newton's method alone would not converge.
+        Continuation for starts at which Newton's method alone does not converge.
     lookups : tuple of Lookup
-        Numbers of the ground that the expressions contain as symbols; `function` looks them up.
+        Coefficients of the ground that the expressions contain as symbols; `function` evaluates
+        them.
 
     Notes
     -----
@@ -185,7 +198,7 @@ class Dae:
 
     Examples
     --------
-    The distance from a map position, as an expression for a cost or an event.
+    Distance of the platform from a map position, for a cost or an event:
 
     >>> import casadi as ca
     >>> import numpy as np
@@ -231,14 +244,18 @@ class Dae:
         for name, rows, record in sizes:
             count = len(list(leaves(record)))
             if rows.shape != (count, 1):
-                raise ModelError(f"{name}: expected {count} rows, found shape {rows.shape}")
+                raise ModelError(
+                    f"{name}: expected a column of {count} expressions, one for each variable, "
+                    f"found shape {rows.shape}"
+                )
         if not 0 < self.size < float("inf"):
             raise ModelError(f"size: expected a positive length in metres, found {self.size}")
         names = [label.full for label in leaves(tuple(self.labels[:5]))]
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise ModelError(
-                f"the name {min(twice)} occurs twice in the model: rename a coordinate"
+                f"labels: expected a different name for each variable, found {min(twice)!r} twice; "
+                "rename a coordinate of the vehicle"
             )
 
     def __repr__(self) -> str:
@@ -266,12 +283,12 @@ class Dae:
         )
 
     def size_of(self, label: Label) -> float:
-        """Return the scale of a quantity in the solvers, in the label's unit."""
+        """Return the scale of a quantity in the solvers: ``size`` to the power of metres in it."""
         return float(self.size ** power_of_length(label.unit))
 
     @property
     def residuals(self) -> tuple[ca.SX, ...]:
-        """Dimensionless blocks of ``alg``, divided by their scales."""
+        """Blocks of ``alg`` divided by their scales, dimensionless."""
         ends = np.cumsum([0, *(rows.numel() for rows in self.alg)]).tolist()
         sizes = [self.sizes.alg[begin:end] for begin, end in pairwise(ends)]
         return tuple(rows / ca.DM(size) for rows, size in zip(self.alg, sizes, strict=True))
@@ -282,9 +299,15 @@ class Dae:
         Parameters
         ----------
         **values : float, ndarray of shape (n - 1,), PiecewiseLinear or SX
-            A constant; one value, or one linear function of time, for each interval between
-            samples; or an expression of the model's symbols, such as a function of ``t`` or a
-            feedback law, with positions in local coordinates (:ref:`local-and-map-coordinates`).
+            Value of each input. A float is constant. An array has one value, and a PiecewiseLinear
+            one linear function of time, for each interval between samples. An expression in the
+            model's symbols is a function of ``t`` or a feedback law, with positions in local
+            coordinates (:ref:`local-and-map-coordinates`).
+
+        Returns
+        -------
+        record
+            Values with the structure of ``u``.
 
         Raises
         ------
@@ -296,14 +319,26 @@ class Dae:
         return unpack(self.u, [values[name] for name in names])
 
     def rows(self, record: str, run: Trajectory, index: int) -> Array:
-        """Return ``x``, ``z`` or ``q`` of one sample as a column in local coordinates."""
+        """Return one sample of a trajectory as a vector in local coordinates.
+
+        Parameters
+        ----------
+        record : {"x", "z", "q"}
+            Variables to return.
+        run : Trajectory
+            Motion of this model, in map coordinates.
+        index : int
+            Index of the sample.
+        """
         labels = leaves(getattr(self.labels, record))
         values = [run.of(label)[index] for label in labels]
         shift = {"x": self.shift[0], "z": self.shift[1]}.get(record, np.zeros(len(values)))
         return np.array(values) - shift
 
     def start(self, **values: float) -> Array:
-        """Return ``x`` in local coordinates from map values by name; states without value are zero.
+        """Return a state vector in local coordinates, shape (n_x,), from map values by name.
+
+        States that are not named have the map value zero.
 
         Raises
         ------
@@ -314,11 +349,13 @@ class Dae:
         _same_names("start", names, values, all_needed=False)
         for name, value in values.items():
             if not np.isfinite(value):
-                raise ModelError(f"start: {name} must be finite, found {value}")
+                raise ModelError(f"start: expected a finite number for {name!r}, found {value}")
         return np.array([values.get(name, 0.0) for name in names]) - self.shift[0]
 
     def named(self, name: str) -> list[ca.SX]:
-        """Return the local expressions of a quantity: one, or one per wheel.
+        """Return the expressions of a quantity: one, or one per wheel.
+
+        Positions are local, except those among the outputs.
 
         Raises
         ------
@@ -338,7 +375,7 @@ class Dae:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise ModelError(
-                f"expected a quantity of the model, found {name!r}; {hint}it has "
+                f"expected a quantity of the model, found {name!r}; {hint}the model has "
                 f"{', '.join(sorted(known))}"
             )
         return found
@@ -357,14 +394,14 @@ class Dae:
         name : str
             Name of the function.
         symbols, expressions : sequence of SX
-            Its arguments and its results.
+            Arguments and results of the function.
         options : dict, optional
             Options of the casadi Function.
         """
         return lookup_function(self.lookups, name, symbols, expressions, options)
 
     def columns(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the symbols of ``x``, ``z`` and ``u`` as columns."""
+        """Return the symbols of ``x``, of ``z`` and of ``u`` as three columns."""
         return pack(self.x), pack(self.z), pack(self.u)
 
 
@@ -377,11 +414,12 @@ def power_of_length(unit: str) -> int:
 def _same_names(
     what: str, names: list[str], given: Iterable[str], *, all_needed: bool = True
 ) -> None:
+    """Raise ModelError for unknown names and, if all are needed, for missing names."""
     unknown = sorted(set(given) - set(names))
     missing = [name for name in names if name not in set(given)] if all_needed else []
     if unknown or missing:
         raise ModelError(
             f"{what}: expected {', '.join(names)}"
-            + (f"; not known: {', '.join(unknown)}" if unknown else "")
+            + (f"; found the unknown {', '.join(unknown)}" if unknown else "")
             + (f"; missing: {', '.join(missing)}" if missing else "")
         )

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 
 class SlipfreeError(Exception):
-    """Base class: catch this to catch every error of the package."""
+    """Base class of all errors of the package."""
 
 
 class ModelError(SlipfreeError, ValueError):
-    """Invalid or ill-posed input: geometry, shapes, domain, or a start off the ground."""
+    """Invalid or ill-posed input, such as wrong shapes, or a start outside the ground."""
 
 
 class DataError(SlipfreeError, ValueError):
-    """A file cannot be read, or its contents cannot be used."""
+    """File that cannot be read or written, or whose contents cannot be used."""
 
 
 def missing_package(package: str, extra: str) -> str:
-    """Return how to install an optional package, for the message of an error."""
+    """Return an error message for a missing optional package, with the command to install it."""
     return (
-        f"expected the package {package}, found none; in the folder of slipfree: "
-        f"python -m pip install '.[{extra}]'"
+        f"expected the package {package}, found that it is not installed; in the source folder of "
+        f"slipfree run: python -m pip install '.[{extra}]'"
     )

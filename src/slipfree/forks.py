@@ -1,8 +1,8 @@
 """Delay of forks of the process until no other thread computes.
 
-A forked child has a single thread, but the locks of CasADi, functools and the linear algebra remain
-as other threads held them, and are never released. OpenBLAS can even hang in ``fork`` itself, since
-it waits for threads that compute.
+A forked child has a single thread. Locks of CasADi, functools and the linear algebra library that
+other threads had acquired stay locked in it forever. OpenBLAS can even hang in ``fork`` itself,
+since it waits for threads that compute.
 """
 
 from __future__ import annotations
@@ -18,19 +18,32 @@ from slipfree.errors import SlipfreeError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-MAX_WAIT = 10.0  # of a fork for other threads [s]
+MAX_WAIT = 10.0  # longest delay of a fork [s]
 
 
 class _Forks:
-    """Threads that compute, and whether a fork waits for them."""
+    """Record of the threads that compute and of the forks that wait for them.
+
+    Attributes
+    ----------
+    changed : Condition
+        Lock of this record; threads wait for its changes.
+    depths : dict of int to int
+        Number of nested calls of `computing` functions, by thread.
+    waiting : int
+        Number of forks that wait.
+    unsafe : bool
+        Whether this process was forked while another thread computed.
+    """
 
     def __init__(self) -> None:
         self.changed = threading.Condition()
-        self.depths: dict[int, int] = {}  # of nested calls, by thread
+        self.depths: dict[int, int] = {}
         self.waiting = 0
         self.unsafe = False
 
     def enter(self) -> None:
+        """Count a call of this thread; its first call waits until no fork is waiting."""
         me = threading.get_ident()
         with self.changed:
             if me not in self.depths:
@@ -38,6 +51,7 @@ class _Forks:
             self.depths[me] = self.depths.get(me, 0) + 1
 
     def leave(self) -> None:
+        """Count the end of a call of this thread."""
         me = threading.get_ident()
         with self.changed:
             self.depths[me] -= 1
@@ -46,16 +60,19 @@ class _Forks:
                 self.changed.notify_all()
 
     def before(self) -> None:
+        """Wait before a fork until no other thread computes, for at most 10 s."""
         self.changed.acquire()
         self.waiting += 1
         self.changed.wait_for(self._is_alone, MAX_WAIT)
 
     def in_parent(self) -> None:
+        """Let waiting threads continue after a fork."""
         self.waiting -= 1
         self.changed.notify_all()
         self.changed.release()
 
     def in_child(self) -> None:
+        """Reset the record in a forked child, which has only this thread."""
         me = threading.get_ident()
         unsafe = self.unsafe or not self._is_alone()
         self.changed = threading.Condition()
@@ -76,7 +93,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def computing(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that delays forks in other threads until it returns, by at most 10 s.
+    """Return a function during whose calls forks in other threads wait, for at most 10 s.
 
     Raises
     ------
@@ -88,8 +105,9 @@ def computing(function: Callable[P, R]) -> Callable[P, R]:
     def alone(*args: P.args, **more: P.kwargs) -> R:
         if _forks.unsafe:
             raise SlipfreeError(
-                "expected a process whose locks are free, found one that was forked while another "
-                "thread computed; start it by multiprocessing.get_context('spawn')"
+                "expected a process that was not forked during a computation, found one forked "
+                "while another thread computed; start processes with "
+                "multiprocessing.get_context('spawn')"
             )
         _forks.enter()
         try:

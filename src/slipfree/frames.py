@@ -1,7 +1,8 @@
 """Reference frames of headings.
 
-Motions are computed and stored in the frame "paper", with headings measured from the y axis.
-Printed, exported and drawn headings are in the frame of the problem.
+Motions are computed and stored in the frame "paper": headings are measured from the y axis. In the
+frame "rep103" (ROS convention) they are measured from the x axis. Printed, exported and drawn
+headings are in the frame of the problem.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from slipfree.records import Label
 from slipfree.trajectory import Column, Trajectory
 
 Frame = Literal["paper", "rep103"]
-STORED = "frame"  # attribute of a motion: the frame of its samples
-WANTED = "problem_frame"  # attribute of a motion: the frame of its problem
-OFFSET: dict[str, float] = {"paper": 0.0, "rep103": pi / 2}  # added to headings from y [rad]
+STORED = "frame"  # attribute of a motion: frame of its samples
+WANTED = "problem_frame"  # attribute of a motion: frame of its problem
+OFFSET: dict[str, float] = {"paper": 0.0, "rep103": pi / 2}  # minus the heading from y [rad]
 HEADING = Label("heading", "rad", "counter-clockwise angle of the left axis from the y axis")
 
 
@@ -26,8 +27,8 @@ def to_problem_frame(run: Trajectory) -> Trajectory:
     Parameters
     ----------
     run : Trajectory
-        A motion. Without the attribute ``problem_frame``, as of a climb or from version 0.1, it is
-        returned as it is, as is a motion that is in the frame of its problem.
+        The motion. It is returned unchanged if it has no attribute ``problem_frame``, as climbs and
+        results of version 0.1, or if its heading is in that frame already.
     """
     stored = run.attributes.get(STORED, "paper")
     wanted = run.attributes.get(WANTED, stored)

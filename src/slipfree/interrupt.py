@@ -1,7 +1,7 @@
 """Preservation of Ctrl-C and of exceptions in callbacks while CasADi runs.
 
-CasADi does not propagate an exception from a callback, or from a signal handler that runs inside
-its code: it raises an error of its own, retries the step, ends the search, or ignores it.
+CasADi does not propagate an exception from a callback or from a signal handler that runs inside its
+code. Instead it raises another error, retries the step, ends the search, or ignores the exception.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ R = TypeVar("R")
 
 
 class InterruptGuard:
-    """Context that stores exceptions of callbacks and of the SIGINT handler and raises them again.
+    """Context manager that raises exceptions of callbacks and of the SIGINT handler at its end.
 
-    At its end the stored exception replaces any other ``Exception``. A handler that raises no
-    exception works as before. Nested contexts share the stored exception. Outside the main thread,
-    where no handler runs, only exceptions of callbacks are stored.
+    The stored exception replaces any other ``Exception`` that ends the context. A handler that
+    raises no exception works as before. Nested contexts share the stored exception. Outside the
+    main thread, where no signal handler runs, only exceptions of callbacks are stored.
     """
 
     def __init__(self) -> None:
-        self._kept: list[BaseException] = []  # at most one
+        self._kept: list[BaseException] = []  # the stored exception, at most one
         self._former: Callable[[int, FrameType | None], Any] | None = None
 
     def __enter__(self) -> Self:
@@ -57,10 +57,10 @@ class InterruptGuard:
             raise error from error.__cause__
 
     def call(self, function: Callable[P, R], *args: P.args, **more: P.kwargs) -> R:
-        """Call a function in a callback, and store the exception that it raises.
+        """Return the result of a function called in a callback; store the exception that it raises.
 
-        An exception stored before is raised at once. When the function returns, exceptions that it
-        has handled are discarded.
+        An exception stored earlier is raised without calling the function. When the function
+        returns, exceptions stored during its call are discarded.
         """
         if self._kept:
             raise self._kept[0]
@@ -73,17 +73,21 @@ class InterruptGuard:
         return result
 
     def keep(self, error: BaseException) -> None:
-        """Store an exception of a callback; it may be the consequence of an interrupt."""
+        """Store an exception of a callback.
+
+        An ``Exception`` does not replace a stored one, of which it may be a consequence.
+        """
         if not self._kept or not isinstance(error, Exception):
             self._kept[:] = [error]
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
+        """Handle SIGINT by the former handler; store and raise the exception that it raises."""
         try:
             if self._former is not None:
                 self._former(number, frame)
         except BaseException as error:
             self._kept[:] = [error]
-            # not inside __enter__ and __exit__, which must finish installing the handler
+            # no exception inside __enter__ and __exit__, which must finish changing the handler
             while frame is not None:
                 if frame.f_code in (_ENTER, _EXIT):
                     return
@@ -107,9 +111,15 @@ def with_interrupt_guard(function: Callable[P, R]) -> Callable[P, R]:
 
 @contextmanager
 def ended_by_interrupt(end: Callable[[], object]) -> Iterator[None]:
-    """Call a function at Ctrl-C, before its handler, and raise KeyboardInterrupt at the end.
+    """Call a function at Ctrl-C, before the SIGINT handler, to end the wait in this context.
 
-    KeyboardInterrupt is raised even if the handler raises nothing, for code that only waits.
+    After Ctrl-C the end of the context raises KeyboardInterrupt, even if the handler raises no
+    exception. Outside the main thread the context has no effect.
+
+    Parameters
+    ----------
+    end : callable
+        Function without arguments that ends the wait, such as one that kills a child process.
     """
     former, pressed = signal.getsignal(signal.SIGINT), False
     if threading.current_thread() is not threading.main_thread() or not callable(former):

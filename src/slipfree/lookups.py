@@ -1,9 +1,10 @@
-"""Lookups: numbers of a ground that are symbols of a model.
+"""Lookups: coefficients of a ground that are symbols of a model.
 
-Inside a cell a bicubic ground is a polynomial. Its coefficients are symbols of the model; a lookup
-function returns them for a position and is constant within each cell. CasADi takes its derivatives
-as zero. The model is therefore an SX graph without calls, whose derivatives of any order CasADi
-computes. Any other function is looked up as its Taylor polynomial about the position itself.
+Inside a cell a bicubic ground is a polynomial. Its coefficients are symbols of the model. A lookup
+function returns the coefficients for a position; it is constant within each cell, and CasADi takes
+its derivatives as zero. The model is therefore an SX graph without function calls, whose
+derivatives of any order CasADi computes. A ground that is not piecewise polynomial is replaced by
+its Taylor polynomial about the current position.
 """
 
 from __future__ import annotations
@@ -22,71 +23,70 @@ class Lookup(NamedTuple):
 
     Attributes
     ----------
-    question : SX, shape (n, 1)
+    argument : SX, shape (n, 1)
         Argument of the function, in the symbols of the model and of earlier lookups.
     found : SX, shape (m, 1)
-        Symbols of the result, constant with respect to all others.
+        Symbols of the result; derivatives treat them as constants.
     function : casadi Function
-        Function from the argument to the result, constant for CasADi.
+        Function from the argument to the result; CasADi takes its derivatives as zero.
     order : float
-        Highest order of derivatives by the argument up to which expressions of the result are
-        exact; infinite for cells of a bicubic ground.
+        Highest order of derivatives with respect to the argument for which expressions of the
+        result are exact; infinite for a bicubic ground.
     """
 
-    question: ca.SX
+    argument: ca.SX
     found: ca.SX
     function: ca.Function
     order: float
 
 
 class LookupTable:
-    """Table of the lookups of a model under construction; equal arguments share a lookup.
-
-    Attributes
-    ----------
-    lookups : tuple of Lookup
-        The lookups in the order of their creation.
-    """
+    """Table of the lookups of a model during its construction; equal arguments share a lookup."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[float, ...], tuple[Lookup, ca.Function]] = {}
 
     @property
     def lookups(self) -> tuple[Lookup, ...]:
-        """All lookups, each after those that its argument contains."""
+        """Lookups in the order of their creation: each follows those that its argument contains."""
         return tuple(lookup for lookup, _ in self._known.values())
 
-    def find(self, function: ca.Function, question: ca.SX, *, order: float = inf) -> ca.SX:
-        """Return the symbols of the result of a function.
+    def find(self, function: ca.Function, argument: ca.SX, *, order: float = inf) -> ca.SX:
+        """Return the symbols of the result of a function, from a new or an existing lookup.
 
         Parameters
         ----------
         function : casadi Function
-            Function from one dense column to one dense column.
-        question : SX, shape (n, 1)
-            Its argument, in the symbols of the model and of earlier lookups.
+            Function from one dense column to one dense column of m rows.
+        argument : SX, shape (n, 1)
+            Argument of the function, in the symbols of the model and of earlier lookups.
         order : float
-            See `Lookup`.
+            Highest order of exact derivatives, as in `Lookup`.
+
+        Returns
+        -------
+        SX, shape (m, 1)
         """
-        question = ca.densify(question)
-        entries = (entry.element_hash() for entry in ca.vertsplit(question))
+        argument = ca.densify(argument)
+        entries = (entry.element_hash() for entry in ca.vertsplit(argument))
         key = (hash(function), order, *entries)
         if key not in self._known:
             found = ca.SX.sym(f"found{len(self._known)}", function.numel_out(0))
-            lookup = Lookup(question, found, _constant(function), order)
-            self._known[key] = lookup, function  # keeps the function alive, and with it the hash
+            lookup = Lookup(argument, found, _constant(function), order)
+            # the function is kept alive: another one could get its hash
+            self._known[key] = lookup, function
         return self._known[key][0].found
 
 
 def _constant(function: ca.Function) -> ca.Function:
-    """Return a function with zero derivatives, so that CasADi does not differentiate it."""
+    """Return the same function with derivatives that CasADi takes as zero."""
     at = ca.MX.sym("at", function.sparsity_in(0))
-    alone: dict[str, Any] = {"is_diff_in": [False], "is_diff_out": [False], "never_inline": True}
-    return ca.Function("lookup", [at], function.call([at]), alone)
+    options: dict[str, Any] = {"is_diff_in": [False], "is_diff_out": [False], "never_inline": True}
+    return ca.Function("lookup", [at], function.call([at]), options)
 
 
 def found_column(lookups: Sequence[Lookup]) -> ca.SX:
-    """Return the symbols of the results of lookups as a column."""
+    """Return the symbols of the results of lookups as one column, shape (m, 1)."""
     return ca.vertcat(ca.SX(0, 1), *(each.found for each in lookups))
 
 
@@ -97,7 +97,7 @@ def needed_lookups(lookups: Sequence[Lookup], expressions: Sequence[ca.SX]) -> t
     for lookup in reversed(lookups):
         if not used.isdisjoint(_symbols(lookup.found)):
             needed.append(lookup)
-            used |= _symbols(lookup.question)
+            used |= _symbols(lookup.argument)
     return tuple(reversed(needed))
 
 
@@ -107,11 +107,21 @@ def _symbols(expression: ca.SX) -> set[int]:
 
 
 def check_order(lookups: Sequence[Lookup], order: int, purpose: str) -> None:
-    """Raise ModelError if lookups are not differentiable up to an order."""
+    """Raise ModelError if lookups are not differentiable up to an order.
+
+    Parameters
+    ----------
+    lookups : sequence of Lookup
+        Lookups of the model.
+    order : int
+        Required order of derivatives.
+    purpose : str
+        Subject of the message, such as the name of a formulation.
+    """
     least = min((each.order for each in lookups), default=inf)
     if least < order:
         raise ModelError(
-            f"{purpose} needs derivatives of the ground up to order {order}, found a lookup with "
+            f"{purpose} needs derivatives of the ground up to order {order}, found a ground with "
             f"derivatives up to order {least:g}; use a ground given by a formula or a map"
         )
 
@@ -119,20 +129,21 @@ def check_order(lookups: Sequence[Lookup], order: int, purpose: str) -> None:
 def substitute_lookups(
     lookups: Sequence[Lookup], symbols: Sequence[ca.SX], values: Sequence[ca.SX]
 ) -> tuple[tuple[Lookup, ...], list[ca.SX], list[ca.SX]]:
-    """Return lookups with symbols replaced by values, and the substitution of their results.
+    """Return lookups with symbols replaced by values in their arguments.
 
     Returns
     -------
     lookups : tuple of Lookup
-        New lookups with new symbols of their results.
+        New lookups, with new symbols for their results.
     symbols, values : list of SX
-        The given symbols and values, extended by the results of the given and of the new lookups.
+        The complete substitution for other expressions: ``symbols`` also contains the results of
+        the given lookups, and ``values`` those of the new lookups.
     """
     before, after, new = [*symbols], [*values], list[Lookup]()
     for lookup in lookups:
-        (question,) = ca.substitute([lookup.question], before, after)
+        (argument,) = ca.substitute([lookup.argument], before, after)
         found = ca.SX.sym("found", lookup.found.numel())
-        new.append(lookup._replace(question=question, found=found))
+        new.append(lookup._replace(argument=argument, found=found))
         before.append(lookup.found)
         after.append(found)
     return tuple(new), before, after
@@ -141,14 +152,24 @@ def substitute_lookups(
 def lookup_results(
     lookups: Sequence[Lookup], symbols: Sequence[ca.SX], given: Sequence[ca.MX]
 ) -> ca.MX:
-    """Return the results of lookups for given values of a model's symbols, as a column."""
+    """Return the results of lookups for given values of a model's symbols, shape (m, 1).
+
+    Parameters
+    ----------
+    lookups : sequence of Lookup
+        The lookups, in the order of their creation.
+    symbols : sequence of SX
+        Symbols of the model.
+    given : sequence of MX
+        Values of the symbols.
+    """
     found = ca.MX(0, 1)
     for group in _stages(lookups):
         before = found_column(lookups[: group.start])
         inputs = [*symbols, before]
-        questions = ca.Function("questions", inputs, [lookups[k].question for k in group])
-        asked = questions.call([*given, found])
-        results = (lookups[k].function(at) for k, at in zip(group, asked, strict=True))
+        arguments = ca.Function("arguments", inputs, [lookups[k].argument for k in group])
+        values = arguments.call([*given, found])
+        results = (lookups[k].function(at) for k, at in zip(group, values, strict=True))
         found = ca.vertcat(found, *results)
     return found
 
@@ -157,7 +178,7 @@ def _stages(lookups: Sequence[Lookup]) -> Iterator[range]:
     """Yield ranges of lookups whose arguments contain no results of the same range."""
     start, found = 0, set[int]()
     for k, lookup in enumerate(lookups):
-        if not found.isdisjoint(_symbols(lookup.question)):
+        if not found.isdisjoint(_symbols(lookup.argument)):
             yield range(start, k)
             start, found = k, set()
         found |= _symbols(lookup.found)
@@ -177,11 +198,11 @@ def lookup_function(
     Parameters
     ----------
     lookups : sequence of Lookup
-        Lookups of the model; those on which the expressions do not depend are omitted.
+        Lookups of the model. Only those on which the expressions depend are evaluated.
     name : str
         Name of the function.
     symbols, expressions : sequence of SX
-        Its arguments and its results.
+        Arguments and results of the function.
     options : dict, optional
         Options of the casadi Function.
     """

@@ -1,4 +1,4 @@
-"""Nonlinear program: interface between other transcriptions and the solver of plans."""
+"""Nonlinear program: interface between further transcriptions and the solver of plans."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from slipfree.records import Array
 
 @dataclass(frozen=True, eq=False)
 class Nlp:
-    """Nonlinear program: minimise ``f(x)`` within bounds of ``x`` and of ``g(x)``.
+    """Nonlinear program: minimise ``f`` within bounds of the unknowns and of ``g``.
 
     Attributes
     ----------
-    x, f, g : MX
-        Unknowns divided by their scales; objective and constraints as functions of them.
+    x : MX, shape (n_x, 1)
+        Unknowns divided by their scales.
+    f, g : MX, shapes (1, 1) and (n_g, 1)
+        Objective and constraints as functions of ``x``.
     guess, scale, lower, upper : ndarray, shape (n_x,)
-        Initial guess, scales and bounds of the unknowns, in physical units.
+        Initial guess, scales and bounds of the unknowns, each in the unit of its quantity.
     g_lower, g_upper : ndarray, shape (n_g,)
-        Bounds of the constraints.
-    where : mapping of str to ndarray
-        Indices of the unknowns of each quantity, in the shape of the quantity.
+        Bounds of the constraints, in the units of ``g``.
+    where : mapping of str to ndarray of int
+        Indices into ``x`` by name of the quantity; each array has the shape of its quantity.
     """
 
     x: ca.MX

@@ -1,4 +1,4 @@
-"""Rearrangement of models, such as inputs that become unknowns."""
+"""Rearrangement of models: for example, inputs become unknowns."""
 
 from __future__ import annotations
 
@@ -16,20 +16,22 @@ from slipfree.records import Array, Label, leaves, pack, unpack
 
 @dataclass(frozen=True, eq=False)
 class Variable:
-    """A symbol of a model with its label and numbers.
+    """A state, unknown or input of a model.
 
     Attributes
     ----------
     label : Label
         Name, unit and description.
     symbol : SX, shape (1, 1)
-        The symbol.
-    rate, guess : SX, shape (1, 1)
-        Rate of a state, and initial guess of an unknown from the states; zero for others.
+        Symbol in the expressions of the model.
+    rate : SX, shape (1, 1)
+        Rate of a state; zero for unknowns and inputs.
+    guess : SX, shape (1, 1)
+        Initial guess of an unknown as a function of the states; zero for states and inputs.
     scale : float
         Typical size, in the label's unit.
     shift : float
-        Map minus local value, in the label's unit.
+        Map value minus local value, in the label's unit.
     """
 
     label: Label
@@ -41,7 +43,7 @@ class Variable:
 
 
 def variables(dae: Dae) -> tuple[Any, Any, Any]:
-    """Return the records of states, unknowns and inputs of a model as records of variables."""
+    """Return the states, unknowns and inputs of a model as three records of `Variable`."""
     x = zip(leaves(dae.labels.x), leaves(dae.x), _entries(dae.ode), dae.shift[0], strict=True)
     z = zip(
         leaves(dae.labels.z),
@@ -61,11 +63,22 @@ def variables(dae: Dae) -> tuple[Any, Any, Any]:
 
 
 def _entries(column: ca.SX) -> list[ca.SX]:
+    """Return the entries of a column; an empty list for an empty column."""
     return ca.vertsplit(column) if column.numel() else []
 
 
 def new_variable(dae: Dae, label: Label, symbol: ca.SX | None = None) -> Variable:
-    """Return a variable with a typical scale for a model, by default with a new symbol."""
+    """Return a variable with the scale that a model has for its unit.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model.
+    label : Label
+        Name, unit and description of the variable.
+    symbol : SX, shape (1, 1), optional
+        Symbol of the variable; by default a new one.
+    """
     symbol = ca.SX.sym(label.full) if symbol is None else symbol
     return Variable(label, symbol, ca.SX(0), ca.SX(0), dae.size_of(label))
 
@@ -79,17 +92,17 @@ def rearrange(
 ) -> Dae:
     """Return a model with rearranged states, unknowns and inputs.
 
-    Rates, guesses, scales and shifts follow their symbols. In guesses, symbols that are no longer
-    states are zero. In checks, symbols that are no longer states or unknowns are zero.
+    Former states that are not states of the new model are zero in initial guesses; in numeric
+    checks the same holds for former states and unknowns.
 
     Parameters
     ----------
     dae : Dae
         The model.
     x, z, u : record of Variable
-        States, unknowns in blocks, and inputs.
+        States, unknowns (one record per block) and inputs of the new model.
     equations : sequence of (SX, sequence of Label)
-        Residuals of each block of ``z``, and their labels.
+        Residuals of each block of ``z`` as a column, and their labels.
     """
     symbols = [_each(record, "symbol") for record in (x, z, u)]
     labels = [_each(record, "label") for record in (x, z, u)]
@@ -123,7 +136,8 @@ def rearrange(
 def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> Dae:
     """Return a model with symbols replaced by values in its equations, outputs and limits.
 
-    Lookups must not depend on the symbols. `rearrange` removes the symbols from the inputs.
+    The symbols remain variables of the model until `rearrange` removes them. Lookups must not
+    depend on them.
     """
     before, after = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *values)
 
@@ -141,12 +155,12 @@ def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> D
 
 
 def blocks(dae: Dae) -> list[tuple[ca.SX, tuple[Label, ...]]]:
-    """Return the blocks of equations of a model with their labels."""
+    """Return the residuals and labels of each block of algebraic equations of a model."""
     return list(zip(dae.alg, dae.labels.alg, strict=True))
 
 
 def with_outputs(dae: Dae, outputs: Sequence[tuple[Label, ca.SX]]) -> Dae:
-    """Return a model with additional outputs."""
+    """Return a model with additional outputs, given as labels and expressions."""
     labels, expressions = (tuple(each[k] for each in outputs) for k in (0, 1))
     return replace(
         dae,
@@ -156,21 +170,31 @@ def with_outputs(dae: Dae, outputs: Sequence[tuple[Label, ca.SX]]) -> Dae:
 
 
 def _each(record: Any, name: str) -> Any:
-    """Return the record of an attribute of a record of variables."""
+    """Return a record with one attribute of each variable of a record, chosen by its name."""
     return unpack(record, [getattr(each, name) for each in leaves(record)])
 
 
 def _shifts(record: Any) -> Array:
+    """Return the shifts of the variables of a record, shape (n,)."""
     return np.array([each.shift for each in leaves(record)])
 
 
 def _hashes(record: Any) -> set[int]:
+    """Return the hashes of the symbols of a record."""
     return {symbol.element_hash() for symbol in leaves(record)}
 
 
 @dataclass(frozen=True, eq=False)
 class _RearrangedCheck:
-    """Check of a model in terms of the states and unknowns of a rearranged model."""
+    """Check of a model, evaluated at states and unknowns of a rearranged model.
+
+    Attributes
+    ----------
+    check : SampledCheck
+        Check of the original model.
+    states : casadi Function
+        Function from ``x`` and ``z`` of the rearranged model to those of the original model.
+    """
 
     check: SampledCheck
     states: ca.Function
@@ -181,17 +205,17 @@ class _RearrangedCheck:
         return self.check.label
 
     def margin(self, x: Array, z: Array) -> Array:
-        """Return the margins of states in columns, shape (n,)."""
+        """Return the margins, shape (n,), of n states in the columns of ``x`` and ``z``."""
         found = self.states.map(x.shape[1])(x, z)
         return self.check.margin(*(np.array(each) for each in found))
 
     def describe(self, x: Array, z: Array) -> str:
-        """Return the description of a violation in a state."""
+        """Return a message about the violation in a state of shapes (n_x,) and (n_z,)."""
         return self.check.describe(*(np.array(each).ravel() for each in self.states(x, z)))
 
 
 def _rearranged_checks(dae: Dae, new: Dae) -> tuple[SampledCheck, ...]:
-    """Return the checks of a model for its rearrangement."""
+    """Return the checks of the model ``dae`` for its rearrangement ``new``."""
     known = _hashes((new.x, new.z))
     former = [
         [each if each.element_hash() in known else ca.SX(0) for each in leaves(record)]

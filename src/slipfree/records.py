@@ -1,8 +1,8 @@
-"""Named vectors: one record type for symbols, start values and results.
+"""Named vectors: one record type for the symbols, labels and values of a vector.
 
 A vector such as the state of a model is declared once, as a ``NamedTuple`` of scalars or of nested
-records. The same type contains CasADi symbols while the model is built and numbers afterwards, so
-that ``state.contacts[0].x`` has the same meaning everywhere.
+records. The same type contains CasADi symbols, labels or numbers, so that ``state.contacts[0].x``
+has the same meaning everywhere.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy.typing as npt
 R = TypeVar("R")
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
-LINE_WIDTH, MAX_LINES = 92, 5  # of a repr
-MAX_VALUE = 60  # characters of a value in a repr
+LINE_WIDTH, MAX_LINES = 92, 5  # largest width and number of lines of a repr
+MAX_VALUE = 60  # largest number of characters of a value in a repr
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class Label:
     words : str
         Description in one line.
     wheel : str or None
-        Name of its wheel; labels that differ only in the wheel form one quantity.
+        Name of the wheel that the quantity belongs to, if any. Labels that differ only in the wheel
+        form one quantity with a value per wheel.
     """
 
     name: str
@@ -46,7 +47,7 @@ class Label:
 
     @property
     def full(self) -> str:
-        """Name with the wheel, as in ``slip_along[front]``."""
+        """Name with the wheel in brackets, if there is one, as in ``slip_along[front]``."""
         return self.name if self.wheel is None else f"{self.name}[{self.wheel}]"
 
 
@@ -60,12 +61,12 @@ def leaves(record: Any) -> Iterator[Any]:
 
 
 def pack(record: Any) -> ca.SX:
-    """Return the scalars of a record of symbols as a column."""
+    """Return the scalars of a record of symbols as a column, shape (n, 1)."""
     return ca.vertcat(ca.SX(0, 1), *leaves(record))
 
 
 def unpack(like: R, rows: Iterable[Any]) -> R:
-    """Return a record with the structure of ``like`` and the scalars of ``rows``."""
+    """Return a record with the structure of ``like`` and the scalars of ``rows``, depth first."""
     remaining = iter(rows)
 
     def build(node: Any) -> Any:
@@ -86,7 +87,7 @@ def symbols(labels: R) -> R:
 def overview(title: str, **names: Iterable[object]) -> str:
     """Return the repr of a large record: a title, and a line for each list that is not empty.
 
-    Long lines are cut.
+    Lines are shortened to 90 characters.
     """
     lists = ((key, ", ".join(map(str, each))) for key, each in names.items())
     lines = [title, *(f"{key}: {text}" for key, text in lists if text)]
@@ -95,9 +96,9 @@ def overview(title: str, **names: Iterable[object]) -> str:
 
 
 def field_overview(record: Any) -> str:
-    """Return the repr of a dataclass or named tuple: fields that differ from their defaults.
+    """Return the repr of a dataclass or named tuple, without fields that have their defaults.
 
-    Large values are given by type and size. The text takes at most five lines.
+    Large values are described by type and size. The text is shortened to five lines.
     """
     if isinstance(record, tuple):
         names, defaults = record._fields, record._field_defaults  # type: ignore[attr-defined]
@@ -116,7 +117,7 @@ def field_overview(record: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return the repr of a value if it is short, else its type and size."""
+    """Return the repr of a value; type and size of arrays and of values with a long repr."""
     if isinstance(value, str):
         return repr(textwrap.shorten(value, MAX_VALUE, placeholder=" ..."))
     if shape := getattr(value, "shape", None):
@@ -129,5 +130,5 @@ def _short(value: Any) -> str:
 
 
 def quantity_names(labels: Any) -> tuple[str, ...]:
-    """Return the names of the quantities of a record of labels, each once for all wheels."""
+    """Return the names of the quantities in a record of labels, without repetition per wheel."""
     return tuple(dict.fromkeys(label.name for label in leaves(labels)))

@@ -1,4 +1,4 @@
-"""Checks of the files that a user names, shared by all readers."""
+"""Checks of the names and kinds of files given by the user, shared by all readers."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ KINDS = {
 
 @contextmanager
 def regular_file(path: Path, expected: str) -> Iterator[int]:
-    """Yield the size of a regular file, and raise system errors of reading it as DataError.
+    """Check that a file is a regular file, and raise system errors of the context as DataError.
+
+    Pipes, devices and process substitutions are refused, since reading them may never end.
 
     Parameters
     ----------
     path : Path
         The file, or a symbolic link to it.
     expected : str
-        Contents that the caller expects, for messages, as in ``"a problem file"``.
+        Description of the expected contents in messages, as in ``"a problem file"``.
 
     Yields
     ------
     int
-        Size. [bytes]
+        Size of the file. [bytes]
 
     Raises
     ------
     DataError
-        If the path cannot be used as a name, names no regular file (a pipe, a device and a process
-        substitution may never end), or the file cannot be read.
+        If the file does not exist, is not a regular file, or cannot be read.
     """
     size = _checked_size(path, expected)
     try:
@@ -52,11 +53,11 @@ def regular_file(path: Path, expected: str) -> Iterator[int]:
 def read_bytes(path: Path, expected: str) -> bytes:
     """Return the contents of a regular file; parameters and errors are those of `regular_file`."""
     with regular_file(path, expected) as size, path.open("rb") as stream:
-        return stream.read(size)  # files of /proc state a size of 0, and some never end
+        return stream.read(size)  # not read(): some files of /proc are endless, with a size of 0
 
 
 def check_name(path: Path) -> None:
-    """Raise DataError for a path that cannot be the name of a file to write."""
+    """Raise DataError if a path cannot be the name of a file to write, such as a name too long."""
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -64,7 +65,7 @@ def check_name(path: Path) -> None:
     except (OSError, ValueError) as error:  # ValueError: a null character
         reason = error.strerror if isinstance(error, OSError) else error
         raise DataError(
-            f"{path}: expected the name of a file to write, found one that cannot be used "
+            f"{path}: expected the name of a file to write, found a name that cannot be used "
             f"({reason}); choose another name"
         ) from error
 
@@ -73,21 +74,22 @@ def resolve_links(path: Path) -> Path:
     """Return a path with symbolic links resolved; an invalid name is returned unchanged."""
     try:
         return Path(os.path.realpath(path))
-    except ValueError:  # a null character: reading or writing it reports that
+    except ValueError:  # a null character; reading or writing the file reports it
         return path
 
 
 def escape_name(name: str) -> str:
-    r"""Return a file name as text in UTF-8: ``\udcff`` stands for the byte 0xff."""
+    r"""Return a file name as valid UTF-8: a byte that is not UTF-8, 0xff, becomes ``\udcff``."""
     return name.encode(errors="backslashreplace").decode()
 
 
 def unescape_name(text: str) -> str:
-    """Return the file name of a text from `escape_name`."""
+    """Return the file name from a text that `escape_name` returned."""
     return re.sub(r"\\udc([89a-f][0-9a-f])", lambda found: chr(int(f"dc{found[1]}", 16)), text)
 
 
 def _checked_size(path: Path, expected: str) -> int:
+    """Return the size of a regular file in bytes; raise DataError for other kinds of files."""
     try:
         status = path.stat()
     except (OSError, ValueError) as error:  # ValueError: a null character
@@ -98,11 +100,12 @@ def _checked_size(path: Path, expected: str) -> int:
     kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
     remedy = "check the name"
     if not stat.S_ISDIR(status.st_mode):
-        remedy = "write the contents to a file first (/dev/stdin and <(...) are refused too)"
+        remedy = "write the contents to a file (/dev/stdin and <(...) are not accepted)"
     raise DataError(f"{path}: expected {expected}, found {kind}, not a regular file; {remedy}")
 
 
 def _unreadable(path: Path, expected: str, reason: object) -> DataError:
+    """Return the error for a file that cannot be read."""
     return DataError(
         f"{path}: expected {expected}, found that it cannot be read ({reason}); check the name"
     )

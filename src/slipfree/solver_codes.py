@@ -1,39 +1,39 @@
-"""Meanings of the codes with which IPOPT and SUNDIALS report how they ended."""
+"""Meanings of the status codes of IPOPT and SUNDIALS."""
 
 from __future__ import annotations
 
 import re
 
-NO_START = "no consistent start was found"
+NO_START = "no consistent initial conditions were found"
 SINGULAR = "the Jacobian is singular"
 NOT_FINITE = "the equations have no finite value"
 RATES_NOT_FINITE = "the rates have no finite value"
 INTEGRAL_NOT_FINITE = "an integrated quantity has no finite value"
-TOO_LONG = "the search did not end within its time"
-MALFORMED = "the program is malformed: please report it"
+TOO_LONG = "the search reached its time limit"
+MALFORMED = "the nonlinear program is malformed: please report this as an error of slipfree"
 
 IPOPT_STATUSES = {
     "Solve_Succeeded": "the plan is solved",
-    "Solved_To_Acceptable_Level": "the plan is solved, to a lesser accuracy",
-    "Feasible_Point_Found": "a motion that meets the constraints was found, not the best one",
+    "Solved_To_Acceptable_Level": "the plan is solved with reduced accuracy",
+    "Feasible_Point_Found": "a motion that meets the constraints was found, but not the best one",
     "Infeasible_Problem_Detected": "the constraints contradict each other where the search ended",
-    "Restoration_Failed": "the search found no way back to the constraints",
-    "Maximum_Iterations_Exceeded": "the search did not end within its iterations",
+    "Restoration_Failed": "the search could not return to motions that meet the constraints",
+    "Maximum_Iterations_Exceeded": "the search reached its largest number of iterations",
     "Maximum_CpuTime_Exceeded": TOO_LONG,
     "Maximum_WallTime_Exceeded": TOO_LONG,
     "User_Requested_Stop": "the search was stopped",
-    "Diverging_Iterates": "the unknowns grow without bound: a cost rewards what no bound limits",
+    "Diverging_Iterates": "the unknowns grow without bound: add bounds to quantities in the cost",
     "Search_Direction_Becomes_Too_Small": "the search made no more progress",
-    "Error_In_Step_Computation": "the search found no next step",
+    "Error_In_Step_Computation": "the next step of the search could not be computed",
     "Not_Enough_Degrees_Of_Freedom": "there are more equations than unknowns",
-    "Invalid_Number_Detected": "a function of the model has no value where the search looked",
+    "Invalid_Number_Detected": "a function of the model has no finite value during the search",
     "Invalid_Problem_Definition": MALFORMED,
     "Invalid_Option": MALFORMED,
     "Insufficient_Memory": "there is not enough memory: use fewer intervals",
 }
-SUNDIALS_FLAGS = {  # of IDAS and CVODES, without their prefixes
+SUNDIALS_FLAGS = {  # flags of IDAS and CVODES without the prefixes IDA_ and CV_
     "TOO_MUCH_WORK": "too many steps between two samples",
-    "TOO_MUCH_ACC": "the tolerance is smaller than rounding allows",
+    "TOO_MUCH_ACC": "the tolerance is too small for double precision",
     "ERR_FAIL": "the error test failed at the smallest step",
     "ERR_FAILURE": "the error test failed at the smallest step",
     "CONV_FAIL": "the equations of a step could not be solved",
@@ -57,23 +57,23 @@ SUNDIALS_FLAGS = {  # of IDAS and CVODES, without their prefixes
     "LINESEARCH_FAIL": NO_START,
     "NO_RECOVERY": NO_START,
     "BAD_EWT": "an unknown has no finite value",
-    "ILL_INPUT": "the equations are not usable at the start",
-    "TOO_CLOSE": "the samples are too close for the digits of the time",
+    "ILL_INPUT": "the integrator cannot use the initial values",
+    "TOO_CLOSE": "consecutive sample times are too close for double precision",
     "MEM_FAIL": "there is not enough memory",
 }
 FLAG = re.compile(r"\b(IDA|CV)_([A-Z_]+)\b")
-SOURCE = re.compile(r"^\S+\.[ch]pp:\d+: ")  # where in CasADi's sources an error arose
+SOURCE = re.compile(r"^\S+\.[ch]pp:\d+: ")  # line of CasADi's source code in a message
 
 
 def ipopt_words(status: str) -> str:
-    """Return the meaning of a status of IPOPT, and the status."""
+    """Return the meaning of a status of IPOPT, followed by the status in parentheses."""
     return f"{IPOPT_STATUSES.get(status, 'the search failed')} (IPOPT: {status})"
 
 
 def sundials_words(message: str) -> str:
-    """Return the meaning of the flag of SUNDIALS in an error message of CasADi, and the flag.
+    """Return the meaning of the SUNDIALS flag in an error message of CasADi, and the flag.
 
-    Of a message without a flag, the last line is returned.
+    For a message without a flag, return its last line.
     """
     if found := FLAG.search(message):
         return f"{SUNDIALS_FLAGS.get(found[2], 'the integrator failed')} ({found[0]})"

@@ -1,4 +1,4 @@
-"""Trajectory: the numeric result of every solver, for figures and files."""
+"""Trajectory: the samples of a motion, which every solver returns."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 TIME = {"units": "s", "long_name": "time", "standard_name": "time", "axis": "T"}
 WHEELS = {"long_name": "name of the wheel"}
-STATISTICS = "statistics_"  # prefix of the solver's counts among the metadata
+STATISTICS = "statistics_"  # prefix of the solver's statistics in the metadata
 STOP = ("stop_name", "stop_time", "stop_words")
 OUTCOME = "outcome"
 PLAN, PLAN_ACCURACY = "plan", "plan_accuracy"  # names of the stops of plans
@@ -31,15 +31,15 @@ class Stop(NamedTuple):
     Attributes
     ----------
     name : str
-        Name of the limit, check or event that was reached; ``"fold"``, ``"solver"``,
-        ``"interrupted"``, ``"plan"`` or ``"plan_accuracy"`` otherwise.
+        Name of the limit, check or event that ended the motion; otherwise ``"fold"``,
+        ``"no_equilibrium"``, ``"solver"``, ``"interrupted"``, ``"plan"`` or ``"plan_accuracy"``.
     t : float
         Time of the last sample. [s]
     words : str
-        Description of what happened, where, and what to do.
+        Message: the cause, its location, and a remedy if there is one.
     outcome : Outcome
-        Kind of the reason. A motion ended by an event that the caller gave is complete, as in
-        SciPy's ``solve_ivp``.
+        Kind of the reason. A motion that ends at an event of the caller is complete, as in SciPy's
+        ``solve_ivp``.
     """
 
     name: str
@@ -57,9 +57,9 @@ class Column(NamedTuple):
     Attributes
     ----------
     label : Label
-        Name, unit and words.
+        Name, unit and description.
     values : ndarray, shape (n,) or (n, n_wheels)
-        Samples; one column a wheel where the quantity belongs to the wheels.
+        Samples, in the label's unit; quantities of wheels have one column per wheel.
     """
 
     label: Label
@@ -75,34 +75,33 @@ class Column(NamedTuple):
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Unit and description, as CF names them."""
+        """Unit and description under the keys ``units`` and ``long_name`` of the CF conventions."""
         return {"units": self.label.unit, "long_name": self.label.words}
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of a motion, by name.
+    """Samples of a motion, by name of the quantity.
 
-    ``run["heading"]`` is an array over time; ``run["slip_along"]`` has one column a wheel, and
-    ``run["slip_along", "front"]`` is the column of one wheel.
+    ``run["heading"]`` is an array over time, shape (n,). ``run["slip_along"]`` has one column per
+    wheel, shape (n, n_wheels), and ``run["slip_along", "front"]`` is the column of one wheel.
 
     Attributes
     ----------
     t : ndarray, shape (n,)
-        Times. [s]
+        Times of the samples. [s]
     columns : mapping of str to Column
-        Everything that was sampled.
+        Sampled quantities, by name.
     wheels : tuple of str
-        Names of the wheels, in the order of the columns.
+        Names of the wheels, in the order of the columns of quantities of wheels.
     stop : Stop or None
-        Why the motion ended early; None if it reached the last time asked for.
+        Reason of an early end; None if the motion reached the last requested time.
     statistics : mapping of str to float
-        Counts and times of the solver.
+        Statistics of the solver, such as numbers of steps and computing times, by name.
     attributes : mapping of str to str
-        Words about the whole: problem file, versions.
+        Descriptions of the motion, such as its problem file and versions, by name.
     events : mapping of str to ndarray
-        Times at which the events that `simulate` was given occurred, by name; result files do not
-        keep them. [s]
+        Times of the events passed to `simulate`, by name; result files do not contain them. [s]
 
     Examples
     --------
@@ -136,12 +135,17 @@ class Trajectory:
         )
 
     def __getitem__(self, name: str | tuple[str, str]) -> Array:
-        """Return the samples of a quantity, or those of one wheel.
+        """Return the samples of a quantity, shape (n,) or (n, n_wheels).
+
+        Parameters
+        ----------
+        name : str or (str, str)
+            Name of the quantity; or names of quantity and wheel, for the samples of one wheel.
 
         Raises
         ------
         ModelError
-            If the quantity or the wheel is not in this trajectory; the message lists what is.
+            If the trajectory does not have the quantity, or the quantity not the wheel.
         """
         quantity, wheel = (name, None) if isinstance(name, str) else name
         if quantity not in self.columns:
@@ -156,7 +160,7 @@ class Trajectory:
         return values[:, self.wheels.index(wheel)]
 
     def of(self, label: Label) -> Array:
-        """Return the samples of the quantity of a label, of one wheel if the label names one."""
+        """Return the samples of a label's quantity; only those of its wheel if it names one."""
         return self[label.name] if label.wheel is None else self[label.name, label.wheel]
 
     def __iter__(self) -> Iterator[str]:
@@ -164,7 +168,7 @@ class Trajectory:
         return iter(self.columns)
 
     def part(self, span: slice, stop: Stop | None = None) -> Trajectory:
-        """Return some of the samples, ended for the reason given."""
+        """Return a part of the trajectory: a range of its samples, with a stop or without."""
         columns = {k: Column(c.label, c.values[span]) for k, c in self.columns.items()}
         t = self.t[span]
         first, last = t.min(initial=np.inf), t.max(initial=-np.inf)
@@ -173,7 +177,7 @@ class Trajectory:
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the stop; complete without one."""
+        """Outcome of the motion; complete if there is no stop."""
         return self.stop.outcome if self.stop else Outcome.COMPLETE
 
     @property
@@ -187,8 +191,8 @@ class Trajectory:
     def to_xarray(self) -> xarray.Dataset:
         """Return the samples as an xarray Dataset with dimensions ``time`` and ``wheel``.
 
-        Each variable has the attributes ``units`` and ``long_name``; the dataset has the `metadata`
-        of the motion, as ``xarray.open_dataset`` reads from its result file.
+        Each variable has the attributes ``units`` and ``long_name``. The attributes of the dataset
+        are the `metadata` of the motion.
 
         Raises
         ------
@@ -205,11 +209,11 @@ class Trajectory:
     def to_pandas(self) -> pandas.DataFrame:
         """Return the samples as a pandas DataFrame with one row per time.
 
-        Columns have two levels, quantity and wheel, so that a frame is indexed as a trajectory:
-        ``frame["heading"]`` and ``frame["slip_along", "front"]`` are series, and
-        ``frame["slip_along"]`` has a column per wheel. ``frame.attrs["units"]`` and
-        ``frame.attrs["long_name"]`` map quantities to their units and descriptions; other entries
-        are the `metadata` of the motion.
+        Columns have two levels, quantity and wheel, so that a frame has the indices of a
+        trajectory: ``frame["heading"]`` and ``frame["slip_along", "front"]`` are series, and
+        ``frame["slip_along"]`` has one column per wheel. ``frame.attrs["units"]`` and
+        ``frame.attrs["long_name"]`` map quantities to their units and descriptions. The other
+        entries of ``frame.attrs`` are the `metadata` of the motion.
 
         Raises
         ------
@@ -235,7 +239,7 @@ class Trajectory:
 
 
 def _require(package: str) -> Any:
-    """Import an optional package."""
+    """Return an optional package; raise SlipfreeError if it is not installed."""
     try:
         return import_module(package)
     except ImportError as error:
@@ -243,12 +247,12 @@ def _require(package: str) -> Any:
 
 
 class SolverError(SlipfreeError, RuntimeError):
-    """The question was fine, but the solver found no answer.
+    """Failure of a solver for valid input.
 
     Attributes
     ----------
     trajectory : Trajectory or None
-        The motion that was reached before the solver stopped.
+        Motion up to the failure; None if there is none.
     """
 
     def __init__(self, message: str, trajectory: Trajectory | None = None) -> None:
@@ -257,7 +261,7 @@ class SolverError(SlipfreeError, RuntimeError):
 
 
 def joined(*runs: Trajectory) -> Trajectory:
-    """Return motions of one model, one after the other, as one; the last one's end counts."""
+    """Return consecutive motions of one model as one motion, with the stop of the last."""
     columns = {
         name: Column(column.label, np.concatenate([run[name] for run in runs]))
         for name, column in runs[0].columns.items()
@@ -268,9 +272,9 @@ def joined(*runs: Trajectory) -> Trajectory:
 
 
 def outcome_title(run: Trajectory) -> str:
-    """Return the outcome of a motion, with time and name of a stop that has a time.
+    """Return the outcome of a motion in words, with time and name of its stop.
 
-    Plans are solved as a whole: the stop of one that was not solved has no time.
+    Stops of plans are given without time, since a plan is solved for all times at once.
     """
     stop, title = run.stop, run.outcome.title
     if stop is None or stop.name in (PLAN, PLAN_ACCURACY):
@@ -280,7 +284,7 @@ def outcome_title(run: Trajectory) -> str:
 
 
 def outcome_words(run: Trajectory) -> str:
-    """Return the outcome of a motion with its reason."""
+    """Return the outcome of a motion in words, followed by the message of its stop."""
     return f"{outcome_title(run)}: {run.stop.words}" if run.stop else outcome_title(run)
 
 

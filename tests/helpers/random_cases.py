@@ -365,13 +365,17 @@ def _first_input(value: Any) -> Callable[[dict[str, Any]], Any]:
 
 
 FAULTS = {
-    "start not finite": Fault(_set("start", x=np.nan), r"start: x must be finite, found nan"),
-    "unknown start": Fault(_set("start", yaw=0.1), r"start: expected x, .*; not known: yaw"),
+    "start not finite": Fault(
+        _set("start", x=np.nan), "start: expected a finite number for 'x', found nan"
+    ),
+    "unknown start": Fault(_set("start", yaw=0.1), r"start: expected x, .*; found the unknown yaw"),
     "unknown guess": Fault(_set("start", guess={"height": 1.0}), r"guess: 'height' is not known"),
     "input not finite": Fault(_first_input(np.inf), r"input \w+_rate: must be finite"),
     "short input": Fault(_first_input(np.ones(2)), r"input \w+: expected .* found shape \(2,\)"),
     "missing input": Fault(lambda r: r["inputs"].pop(next(iter(r["inputs"]))), r"missing: \w+"),
-    "unknown input": Fault(_set("inputs", thrust=1.0), r"inputs: expected .* not known: thrust"),
+    "unknown input": Fault(
+        _set("inputs", thrust=1.0), r"inputs: expected .* found the unknown thrust"
+    ),
     "tolerance": Fault(
         lambda r: r["call"].update(options=SolverOptions(tolerance=0.0)),
         r"tolerance: expected a number .*, found 0.0",

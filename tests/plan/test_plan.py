@@ -139,7 +139,7 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
     ("options", "words"),
     [
         ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
-        ({"costs": {"slop": 1.0}}, "found 'slop'; it has"),
+        ({"costs": {"slop": 1.0}}, "found 'slop'; the model has"),
         ({"costs": {"slip": -1.0}}, "the weight of slip must not be negative"),
         ({"duration": 0.0}, "expected a positive duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "bounds of steer must ascend"),

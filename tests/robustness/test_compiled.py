@@ -278,12 +278,12 @@ def test_only_the_newest_are_kept(folder, monkeypatch):
     ("what", "words"),
     [
         ("no compiler", "no C compiler was found"),
-        ("one that fails", "false failed"),
+        ("one that fails", "false: the C compiler failed"),
         ("one that does nothing", "true: expected a C compiler, found a command"),
         ("no folder", "SLIPFREE_CACHE is empty"),
         ("no place", "File exists"),
-        ("nobody's home", "expected a folder, found '~no user/x' of a user who has no home folder"),
-        ("open to others", "others cannot write to"),
+        ("nobody's home", "expected a folder, found '~no user/x' of a user without a home folder"),
+        ("open to others", "only this user can write to"),
     ],
 )
 def test_where_nothing_can_be_compiled_a_warning_says_why(what, words, folder, monkeypatch):

@@ -205,7 +205,7 @@ def test_a_disk_that_is_full_while_a_result_is_written(folder: Path) -> None:
     _, told = process.communicate(timeout=60)
     assert (process.returncode, told) == (
         2,
-        "p.nc: cannot be written (File too large); choose another place\n",
+        "p.nc: cannot be written (File too large); choose another name or folder\n",
     )
     assert {each.name for each in folder.iterdir()} == {"p.toml", "p.nc"}
     assert (folder / "p.nc").read_bytes() == OLD

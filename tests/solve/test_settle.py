@@ -54,11 +54,13 @@ def test_plane_is_exact():
 
 
 def test_unknown_names_are_refused(on_hills):
-    with pytest.raises(ModelError, match=r"start: expected x, y, heading, .*; not known: azimuth"):
+    with pytest.raises(
+        ModelError, match=r"start: expected x, y, heading, .*; found the unknown azimuth"
+    ):
         settle(on_hills, azimuth=0.1)
     with pytest.raises(ModelError, match="guess: 'height' is not known"):
         settle(on_hills, guess={"height": 1.0})
-    with pytest.raises(ModelError, match="start: x must be finite"):
+    with pytest.raises(ModelError, match="start: expected a finite number for 'x'"):
         settle(on_hills, x=np.nan)
 
 

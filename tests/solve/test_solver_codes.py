@@ -12,7 +12,7 @@ CASADI = "casadi/interfaces/sundials/idas_interface.cpp:620: IDASolve returned "
     ("flag", "meaning"),
     [
         ("IDA_CONV_FAIL", "the equations of a step could not be solved"),
-        ("IDA_ILL_INPUT", "the equations are not usable at the start"),
+        ("IDA_ILL_INPUT", "the integrator cannot use the initial values"),
         ("CV_CONV_FAILURE", "the equations of a step could not be solved"),
         ("CV_REPTD_RHSFUNC_ERR", "the rates have no finite value"),
         ("IDA_UNHEARD_OF", "the integrator failed"),
@@ -41,7 +41,8 @@ def test_flags_that_casadi_raises_have_a_meaning() -> None:
 
 def test_statuses_of_ipopt() -> None:
     assert ipopt_words("Restoration_Failed") == (
-        "the search found no way back to the constraints (IPOPT: Restoration_Failed)"
+        "the search could not return to motions that meet the constraints "
+        "(IPOPT: Restoration_Failed)"
     )
     assert ipopt_words("Unheard_Of") == "the search failed (IPOPT: Unheard_Of)"
 

@@ -120,7 +120,7 @@ def nlp_block(
     key = ca.Function("values", given, [cost, rows], shared)
     questions = tuple(
         Question(
-            ca.Function("question", [*symbols, found_column(lookups[:k])], [each.question]),
+            ca.Function("question", [*symbols, found_column(lookups[:k])], [each.argument]),
             each.function,
         )
         for k, each in enumerate(lookups)
