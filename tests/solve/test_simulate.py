@@ -208,7 +208,7 @@ def test_mismatched_equations_are_refused():
     ):
         Dae(**{**dae.__dict__, "alg": (*dae.alg, ca.SX.zeros(0, 1))})
     labels = dae.labels._replace(u=Rate(Label("value", "m", "again")))
-    with pytest.raises(ModelError, match="the name value occurs twice"):
+    with pytest.raises(ModelError, match="found 'value' twice; rename a coordinate"):
         Dae(**{**dae.__dict__, "labels": labels})
 
 
