@@ -34,7 +34,7 @@ COMMAND = re.compile(r"^\$ .*\n(?:> .*\n)*", re.MULTILINE)
 END = "\x1e"  # what no program prints
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 VARIES = re.compile(
-    r"[\d.e+-]+ (?:s CPU|steps|evaluations|iterations|s, of it [\d.]+ s in)|in [\d.]+ s\b"
+    r"[\d.e+-]+ (?:s CPU|steps|evaluations|iterations|s, of which [\d.]+ s in)|in [\d.]+ s\b"
 )
 PROGRESS = re.compile(r"integrated to [\d.]+ of |.*\biteration \d+, cost ")
 ROUNDING, TOLERANCE = 1e-6, 0.01

@@ -59,7 +59,7 @@ def test_the_start_of_the_search_ends_at_the_goal():
             "keep_out[0]: expected either x, y and radius, or points",
         ),
         (["keep_out=[{ points = [[0, 0], [1, 1]] }]"], "points"),
-        (["goal={ heading = 0.0 }"], "a route needs a goal in x and y"),
+        (["goal={ heading = 0.0 }"], "goal: expected values for x and y, which a route"),
         (["terrain.friction=0.01"], "needs a friction coefficient of 0.0563, the ground offers"),
     ],
 )
@@ -84,27 +84,30 @@ def test_a_way_point_is_passed():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected at, a fraction of"),
-        (["way_points=[{ at = 1.0, x = 17.0 }]"], "found at = 1"),
-        (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "at 0.5 lies off the map: y is 99 m"),
+        (["way_points=[{ x = 17.0, y = 19.0 }]"], "way_points[0]: expected the key 'at'"),
+        (["way_points=[{ at = 1.0, x = 17.0 }]"], "between 0 and 1, found 1"),
+        (["way_points=[{ at = 0.5, x = 17.0, y = 99.0 }]"], "way-point at 0.5 on the map, which"),
         (["way_points=[{ at = 0.5, x = 13.0, y = 19.0 }]", "driver.count=2"], "count = 1"),
         (
             [
                 'driver={ name = "follow", speed = 0.5, path = [[17, 14], [17, 24]], '
                 "paths = [[[17, 14], [17, 24]]] }"
             ],
-            "expected only one of path, paths and file",
+            "expected one of path, paths and file, found several",
         ),
         (
             ["law.coulomb.creep=1e-3"],
             "law.coulomb: expected model = 'quasi-static', where this law",
         ),
-        (["goal.y=45.0"], "goal: the goal lies off the map: y is 45 m, and the map extends"),
+        (["goal.y=45.0"], "goal: expected a goal on the map, which extends from"),
         (["goal.y=39.9"], "the vehicle cannot be at the goal (20, 39.9)"),
-        (["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"], "two; put them together"),
+        (
+            ["way_points=[{ at = 0.5, x = 13.0 }, { at = 0.5, y = 19.0 }]"],
+            "two; put their values together",
+        ),
         (["limits.x=[0.0, 10.0]"], "x at the goal must be 20 m, but x of the vehicle must be 0"),
         (["costs.foo=1.0"], "expected a quantity of the model, found 'foo'"),
-        (["goal={}"], "a route needs a goal in x and y"),
+        (["goal={}"], "goal: expected values for x and y, which a route"),
     ],
 )
 def test_what_is_wrong_with_places_and_ways_is_told(settings, words):

@@ -510,7 +510,10 @@ def test_a_changed_ground_is_refused(named: Path, tmp_path: Path) -> None:
     with np.load(folder / "hills.npz") as grid:
         np.savez(tmp_path / "hills.npz", x=grid["x"], y=grid["y"], z=grid["z"] + 0.01)
     words = refused(str(named), "--folder", str(tmp_path))
-    assert "expected the ground of its run, found another one (hills.npz)" in words
+    assert (
+        "expected the ground with which the result was computed, found a different one (hills.npz)"
+        in words
+    )
     assert "up to 0.01 m from the contact points" in words
 
 
@@ -520,9 +523,9 @@ def test_a_changed_ground_is_refused(named: Path, tmp_path: Path) -> None:
         (
             "radius = 0.25, tube = 0.02 }]",
             "radius = 0.26, tube = 0.02 }]",
-            "its wheels are 0.01 m from the motion's",
+            "its wheels are 0.01 m from those of the result",
         ),
-        ("[1.0", "[1.1", "its wheels are 0.1 m from the motion's"),
+        ("[1.0", "[1.1", "its wheels are 0.1 m from those of the result"),
         ('name = "rear"', 'name = "back"', "its wheels or joints have other names"),
     ],
 )
@@ -535,7 +538,7 @@ def test_a_changed_vehicle_is_refused(
     assert old in text
     (tmp_path / "trike.toml").write_text(text.replace(old, new))
     words = refused(str(named), "--folder", str(tmp_path))
-    assert f"another one (trike.toml): {said}" in words
+    assert f"a different one (trike.toml): {said}" in words
 
 
 def test_films(file: Path, climb_file: Path, tmp_path: Path) -> None:

@@ -177,8 +177,8 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
             ["--vary", "terrain.synthetic.power_law=1,2", "--set", f"{ROUGH}=3"],
             "found --set terrain.synthetic.power_law.rms=3",
         ),
-        (["--vary", f"{SPEED}=1,0"], "expected a speed other than zero, found 0"),
-        (["--vary", "driver.sped=1,2"], "did you mean 'speed'?"),
+        (["--vary", f"{SPEED}=1,0"], f"--vary {SPEED}: expected a speed other than zero, found 0"),
+        (["--vary", "driver.sped=1,2"], "--vary driver.sped: did you mean 'speed'?"),
         (["--vary", f"{SPEED}=1:2:1000", "--repeat", "1000"], "at most 100000 runs, found 1000000"),
         (["--scheduler", "tcp://x:1", "--processes", "2"], "expected --scheduler or --processes"),
         (["-o", "p.toml"], "expected a folder for the sweep, found a file"),
@@ -650,7 +650,7 @@ def test_figures_that_cannot_be_drawn() -> None:
 
 
 def test_a_bad_grid_names_the_value(file: Path) -> None:
-    with pytest.raises(ProblemError, match=r"--set time.step: expected a number greater than 0"):
+    with pytest.raises(ProblemError, match=r"--vary time.step: expected a number greater than 0"):
         sweep_of(file, ["time.step=0.1,-0.1"])
 
 

@@ -310,9 +310,9 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         ),
         (
             'urdf = "cart.urdf"\n[joints]\ncastor = "passive"',
-            "cart.toml:3: joints.castor: expected "
-            "one of left_drive, right_drive, bracket, lidar_mount, caster, caster_axle, found the "
-            "unknown key 'castor'; did you mean 'caster'?",
+            "cart.toml:3: joints.castor: did you mean 'caster'? expected one of left_drive, "
+            "right_drive, bracket, lidar_mount, caster, caster_axle, found the "
+            "unknown key 'castor'",
         ),
         (
             'urdf = "cart.urdf"\njoints = { caster = "free" }',
@@ -328,9 +328,9 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         (
             'urdf = "cart.urdf"\n[wheels]\nleft_drive = { tubes = 1 }',
             "cart.toml:3: "
-            "wheels.left_drive.tubes: expected one of driven, radius, tube, grip, rollers, "
-            "found the "
-            "unknown key 'tubes'; did you mean 'tube'?",
+            "wheels.left_drive.tubes: did you mean 'tube'? expected one of "
+            "driven, radius, tube, grip, rollers, found the "
+            "unknown key 'tubes'",
         ),
         ('urdf = "cart.urdf"\ntube = 1.0', "expected a tube of at most the radius, 0.15 m, f"),
         (

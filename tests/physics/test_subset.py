@@ -339,14 +339,14 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["given.velocity_x=0.0"], "given.forward: expected rates in the platform's heading fr"),
+        (["given.velocity_x=0.0"], "given.forward: expected either rates in the platform's h"),
         (
             ["given={velocity_x=0.0, velocity_y=0.1, heading_rate=0.0}"],
             "rocky7 cannot roll without slip, as inverse kinematics with these rates requires",
         ),
         (
             ['given={velocity_x=0.0, velocity_y="t", heading_rate=0.0}'],
-            "given.velocity_y: expected a number, found values in time, which only forward, right",
+            "given.velocity_y: expected a number, found a function of time; only forward, right",
         ),
         ([*CAR, "given.yaw_rate=q*t"], "given.yaw_rate: formula 'q*t': 'q' is not known; known: t"),
         (["given.yaw_rate=true"], "expected a number, an array of [time, value] pairs, or a form"),

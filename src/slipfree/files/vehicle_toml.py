@@ -243,8 +243,8 @@ class File(NamedTuple):
 
     def line(self, fault: Fault) -> str:
         """Return the text of an error, with the name of its element."""
-        where = self.source.where(fault.place)
-        return f"{where}{self._who(fault.place)}: expected {fault.expected}, found {fault.found}"
+        where = f"{self.source.where(fault.place)}{self._who(fault.place)}"
+        return f"{where}: {fault.hint}expected {fault.expected}, found {fault.found}"
 
     def _who(self, place: Place) -> str:
         if len(place) < 2 or not isinstance(place[1], int):

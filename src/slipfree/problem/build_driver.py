@@ -26,17 +26,23 @@ def build_law(
     vehicle: Vehicle,
     start: Trajectory,
 ) -> Any:
-    """Return the inputs of the driving law of a problem."""
+    """Return the inputs of the driving law of a problem, as functions of state and time."""
     with at(problem, ("driver",)):
         if driver.name == "straight":
             if driver.path is not None or driver.file is not None:
-                raise ModelError("driver: 'straight' takes no path; use name = 'follow'")
+                raise ModelError(
+                    "driver: expected no path with name = 'straight', found one; use name = "
+                    "'follow', or remove the path"
+                )
             return straight(dae, vehicle, start, speed=driver.speed)
-        return follow(dae, vehicle, Path(way_of(problem, driver)), speed=driver.speed)
+        return follow(dae, vehicle, Path(path_points(problem, driver)), speed=driver.speed)
 
 
-def way_of(problem: Problem[S], driver: Driver) -> Array:
+def path_points(problem: Problem[S], driver: Driver) -> Array:
     """Return the points of the path that a driving law follows, shape (n, 2) [m]."""
     if (driver.path is None) == (driver.file is None):
-        raise ModelError("driver: 'follow' needs either path, an array of [x, y], or file")
+        raise ModelError(
+            "driver: expected either path, an array of [x, y], or file for name = "
+            "'follow', found both or none"
+        )
     return np.array(driver.path or read_columns(problem.folder / str(driver.file), "xy"))

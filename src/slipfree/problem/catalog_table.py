@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from slipfree import catalog
 from slipfree.files.toml.angles import IN_RADIANS, in_radians
+from slipfree.files.toml.errors import similar_hint
 from slipfree.geometry.frame import Vector
 from slipfree.vehicle.tree import Vehicle
 
@@ -36,9 +36,9 @@ class Found:
         return self.words
 
 
-def fault(place: str | None, expected: str, found: str) -> InitErrorDetails:
+def fault(place: str | None, expected: str, found: str, hint: str = "") -> InitErrorDetails:
     """Return an error in a key of a table, or in the table itself."""
-    kind = PydanticCustomError("expected", "{words}", {"words": expected})
+    kind = PydanticCustomError("expected", "{words}", {"words": expected, "hint": hint})
     return InitErrorDetails(type=kind, loc=(place,) if place else (), input=Found(found))
 
 
@@ -105,14 +105,14 @@ def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
     """Return an error of a table; for an unknown key it lists the known keys."""
     if error["type"] == "extra_forbidden":
         name = str(error["loc"][-1])
-        nearest = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        details = fault(name, f"one of {', '.join(known)}", f"the unknown key {name!r}{hint}")
+        expected, found = f"one of {', '.join(known)}", f"the unknown key {name!r}"
+        details = fault(name, expected, found, similar_hint(name, known))
     elif error["type"] == "missing":
         expected = "a number" if isinstance(error["loc"][-1], int) else "a value"
         details = fault(None, expected, "none")
     elif error["type"] == "expected":
-        kind = PydanticCustomError("expected", "{words}", {"words": error["msg"]})
+        context = error.get("ctx", {}) | {"words": error["msg"]}
+        kind = PydanticCustomError("expected", "{words}", context)
         details = InitErrorDetails(type=kind, loc=(), input=error["input"])
     else:
         details = InitErrorDetails(type=error["type"], loc=(), input=error["input"])

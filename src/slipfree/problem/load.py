@@ -52,11 +52,28 @@ def load_problem(
     return _load(verbs_of(command), path, settings)
 
 
-def load_variants(path: str | Path, variants: Iterable[Sequence[str]]) -> Iterator[Problem[Any]]:
-    """Yield the problem in a TOML file for several settings; the file is read once."""
+def load_variants(
+    path: str | Path, settings: Sequence[str], variants: Iterable[Sequence[str]]
+) -> Iterator[Problem[Any]]:
+    """Yield the variants of the problem in a TOML file, which is read once.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    settings : sequence of str
+        Settings of all variants; see `load_problem`.
+    variants : iterable of sequence of str
+        Further settings of each variant, from the option ``--vary``.
+
+    Raises
+    ------
+    ProblemError
+        As in `load_problem`.
+    """
     text = read_text(Path(path))
-    for settings in variants:
-        yield _from_text(verbs_of("run"), Path(path), text, settings)
+    for varied in variants:
+        yield _from_text(verbs_of("run"), Path(path), text, settings, varied)
 
 
 def load_earlier(path: str | Path, settings: Sequence[str] = ()) -> Problem[Any]:
@@ -84,13 +101,15 @@ def _from_text(
     path: Path,
     text: str,
     settings: Sequence[str],
+    varied: Sequence[str] = (),
     *,
     earlier: bool = False,
 ) -> Problem[Any]:
-    """Return the problem in a text; see `_load`."""
+    """Return the problem in a text; see `_load` and `load_variants`."""
     data = _copy(_parsed(path, text))
     places = replace_values(data, settings)
-    source = Source(path, text, key_lines(text), places)
+    varied_places = replace_values(data, varied, "--vary")
+    source = Source(path, text, key_lines(text), places | varied_places, frozenset(varied_places))
     schema = _by_verb(verbs, data, source).schema
     data, replaced = upgrade_keys(data)
     faults = [*_alternatives(schema, data), *([] if earlier else _with_remedy(source, replaced))]

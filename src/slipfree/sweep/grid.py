@@ -185,7 +185,7 @@ def sweep_of(
         raise DataError(
             f"sweep: expected at most {MOST_RUNS} runs, found {sizes}; vary fewer values"
         )
-    problems = load_variants(file, ([*settings, *point] for point in _checked_points(axes)))
+    problems = load_variants(file, settings, _checked_points(axes))
     first = next(problems)
     files, count = input_files(first), sum(len(axis.values) for axis in axes)
     for done, problem in enumerate(problems, 1 + len(axes)):

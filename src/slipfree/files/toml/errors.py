@@ -53,18 +53,32 @@ EXPECTED = {
 
 
 class Fault(NamedTuple):
-    """One error in a problem file."""
+    """One error in a problem file.
+
+    Attributes
+    ----------
+    place : tuple of str or int
+        Keys of the value, and indices of array elements.
+    expected, found : str
+        Descriptions of the expected and the found value.
+    hint : str
+        Suggestion that precedes the other texts; empty without one.
+    """
 
     place: Place
     expected: str
     found: str
+    hint: str = ""
 
 
 def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
     """Return the exception that reports all errors, in the order of their lines."""
     ordered = sorted(faults, key=lambda fault: source.order(fault.place))
     return ProblemError(
-        *(f"{source.where(f.place)}: expected {f.expected}, found {f.found}" for f in ordered)
+        *(
+            f"{source.where(f.place)}: {f.hint}expected {f.expected}, found {f.found}"
+            for f in ordered
+        )
     )
 
 
@@ -100,14 +114,21 @@ def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
         table |= str(wanted).startswith("dict")
         return Fault(place, f"a table [{place[-1]}]" if table else "a value", found)
     words = EXPECTED.get(kind)
-    return Fault(place, words.format(**error.get("ctx", {})) if words else error["msg"], found)
+    details = error.get("ctx", {})
+    expected = words.format(**details) if words else error["msg"]
+    return Fault(place, expected, found, details.get("hint", ""))
 
 
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
     name = str(place[-1])
+    expected, found = f"one of {listed(known)}", f"the unknown key {_cut(name)!r}"
+    return Fault(place, expected, found, similar_hint(name, known))
+
+
+def similar_hint(name: str, known: Sequence[str]) -> str:
+    """Return a suggestion of the most similar known name; empty without a similar one."""
     nearest = difflib.get_close_matches(name, known, n=1)
-    hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-    return Fault(place, f"one of {listed(known)}", f"the unknown key {_cut(name)!r}{hint}")
+    return f"did you mean {nearest[0]!r}? " if nearest else ""
 
 
 def listed(known: Sequence[str]) -> str:

@@ -14,7 +14,9 @@ from slipfree.regular_files import escape_name
 BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
 
 
-def replace_values(data: dict[str, Any], settings: Sequence[str]) -> dict[Place, str]:
+def replace_values(
+    data: dict[str, Any], settings: Sequence[str], option: str = "--set"
+) -> dict[Place, str]:
     """Replace values of the tables of a file by settings, in place, and return their keys.
 
     Parameters
@@ -23,6 +25,8 @@ def replace_values(data: dict[str, Any], settings: Sequence[str]) -> dict[Place,
         The tables.
     settings : sequence of str
         ``key=value`` with dotted keys, values in TOML or bare words; ``key=`` removes the key.
+    option : str
+        Option of the command line, for errors.
 
     Returns
     -------
@@ -40,8 +44,8 @@ def replace_values(data: dict[str, Any], settings: Sequence[str]) -> dict[Place,
         key, equals, text = setting.partition("=")
         if (readable := escape_name(setting)) != setting:
             faults.append(
-                f"--set {escape_name(key.strip())}: expected text in UTF-8, as in a problem file, "
-                f"found {readable}; rename the file if it is a name"
+                f"{option} {escape_name(key.strip())}: expected text in UTF-8, as in a problem "
+                f"file, found {readable}; rename the file if it is a name"
             )
             continue
         try:
@@ -51,8 +55,8 @@ def replace_values(data: dict[str, Any], settings: Sequence[str]) -> dict[Place,
             new = _put(data, path, _value(text)) if text.strip() else _taken_out(data, path)
         except ValueError:
             faults.append(
-                f"--set {key.strip()}: expected key=value with a value in TOML or a bare word, or "
-                f"key= to remove an existing key, found {setting!r}"
+                f"{option} {key.strip()}: expected key=value with a value in TOML or a bare word, "
+                f"or key= to remove an existing key, found {setting!r}"
             )
         else:
             places |= dict.fromkeys(new, setting)

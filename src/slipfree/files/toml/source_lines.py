@@ -37,18 +37,22 @@ class Source:
         Line of every key and table; elements of arrays of tables by number.
     settings : mapping of tuple to str
         Values of the command line, ``key=value`` by keys.
+    varied : frozenset of tuple
+        Those keys of `settings` that ``--vary`` sets, not ``--set``.
     """
 
     path: Path
     text: str
     lines: Mapping[Place, int]
     settings: Mapping[Place, str] = field(default_factory=dict)
+    varied: frozenset[Place] = frozenset()
 
     def where(self, place: Place) -> str:
-        """Return ``file:line: key``, or ``--set key``, of a value or of its table."""
+        """Return ``file:line: key``, ``--set key`` or ``--vary key`` of a value or of its table."""
         key = spelled(place)
         if (part := _longest(place, self.settings)) is not None:
-            return f"--set {spelled(part)}" + (f": {key}" if part != place else "")
+            option = "--vary" if part in self.varied else "--set"
+            return f"{option} {spelled(part)}" + (f": {key}" if part != place else "")
         line = f"{self.path}:{self._line(place)}"
         return f"{line}: {key}" if key else line
 

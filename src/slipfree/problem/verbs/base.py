@@ -1,7 +1,7 @@
 """Interface between commands and verbs.
 
-A verb is what a problem file can ask for. Commands know this interface and the registry alone; all
-that depends on the kind of a problem is in the verb's module.
+A verb is a kind of problem: the value of the key ``verb`` in a problem file. Commands use only this
+interface and the registry; everything specific to a verb is in the module of the verb.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ CROSS_CHECK, RESUME, ANIMATION = "cross-check", "resume", "animation"  # options
 
 
 class Quantity(NamedTuple):
-    """A value and its unit."""
+    """A metric: its value and its unit."""
 
     value: float
     unit: str
 
 
 class Setup(Protocol):
-    """Everything that the solution of a problem needs: start, times and facts."""
+    """Set-up of a problem: start, sample times and facts, besides those of the verb."""
 
     @property
     def start(self) -> Trajectory:
-        """The vehicle at its start."""
+        """One sample: the vehicle at its start."""
 
     @property
     def t(self) -> Array:
@@ -52,7 +52,7 @@ class Setup(Protocol):
 
     @property
     def facts(self) -> Facts:
-        """Facts about ground, vehicle and inputs."""
+        """Names and texts that describe ground, vehicle and inputs."""
 
 
 class Watch(NamedTuple):
@@ -63,7 +63,7 @@ class Watch(NamedTuple):
     time : callable or None
         Called with the time reached. [s]
     line : callable or None
-        Called with the phase of the search and a line about every iterate of a plan.
+        Called for every iterate of a plan with the phase of the search and a line of text.
     """
 
     time: Callable[[float], None] | None = None
@@ -89,14 +89,14 @@ class Solution(NamedTuple):
 
 
 class CrossCheck(NamedTuple):
-    """Differences of a motion from that of another formulation.
+    """Differences between the motions of two formulations of contact.
 
     Attributes
     ----------
     other : str
-        The other formulation.
+        Name of the other formulation.
     differences : tuple of Difference
-        Largest difference of each quantity.
+        Largest difference of each quantity over the motion.
     """
 
     other: str
@@ -110,18 +110,18 @@ class Result:
     Attributes
     ----------
     kind : str
-        Name of the verb; empty if the file that it was read from does not say it.
+        Name of the verb; empty if the result file does not contain a known one.
     trajectory : Trajectory
         The motion, complete or up to its stop.
     verification : mapping of str to Quantity
-        Largest differences of the motion from its independent repetition, and violations of limits,
-        by name; empty for verbs that have none.
+        Largest differences of the motion from an independent repetition, and violations of limits,
+        by name; empty for verbs without verification.
     setup : Setup or None
         Model, start and inputs of the motion; None if it was read from a file.
     arrays : mapping of str to ndarray
-        Arrays of the result file besides the samples: the plan from which another one may start.
+        Arrays of the result file besides the samples, such as the plan for a warm start.
     load : callable
-        Returns the problem.
+        Function without arguments that returns the problem.
     """
 
     kind: str
@@ -146,21 +146,23 @@ class Result:
         Raises
         ------
         DataError
-            If the result was read from a file that holds no problem, or input files that the
-            problem names are missing; a ProblemError if it does not fit this version.
+            If the result was read from a file without a problem, or input files that the problem
+            names are missing.
+        ProblemError
+            If the problem is not valid in this version.
         """
         return self.load()
 
 
 class Viewer(NamedTuple):
-    """Functions that draw motions of one kind in space.
+    """Three-dimensional view of motions of one kind.
 
     Attributes
     ----------
     noun : str
-        The motions, in words.
+        Name of the kind of motions, in the plural.
     scene : callable
-        Returns the scene of several motions.
+        Function that takes a sequence of motions and returns their scene.
     """
 
     noun: str
@@ -168,14 +170,14 @@ class Viewer(NamedTuple):
 
 
 class Verb(ABC):
-    """Interface of the kinds of problems: schema and commands.
+    """Interface of a verb: schema and commands.
 
     Attributes
     ----------
     schema : type
-        Record of its problem files.
+        Record type of its problem files.
     commands : tuple of str
-        Commands that take it, the one that solves it first.
+        Names of the commands that accept it; the first one solves it.
     """
 
     schema: ClassVar[type[Asked]]
@@ -189,18 +191,18 @@ class Verb(ABC):
 
 
 class MotionVerb(Verb):
-    """Interface of the kinds of problems whose solution is the motion of one vehicle.
+    """Interface of a verb whose solution is the motion of one vehicle.
 
     Attributes
     ----------
     options : tuple of str
-        Options of ``slipfree run`` that it offers, of `CROSS_CHECK`, `RESUME` and `ANIMATION`.
+        Supported options of ``slipfree run``: some of `CROSS_CHECK`, `RESUME` and `ANIMATION`.
     is_timed : bool
-        Whether it is solved along the time of the motion.
+        Whether the solver proceeds along the time of the motion, as integrators do.
     checks : tuple of str
-        Names of facts about the accuracy and validity of a result.
+        Names of the facts about accuracy and validity, which reports list separately.
     metrics_shown : tuple of str
-        Metrics that a sweep shows by default.
+        Names of the metrics that a sweep shows by default.
     """
 
     options: ClassVar[tuple[str, ...]] = ()
@@ -229,16 +231,17 @@ class MotionVerb(Verb):
         problem : Problem
             The problem.
         setup : Setup
-            From `build`.
+            Result of `build`.
         watch : Watch
-            Functions to call meanwhile.
+            Callbacks that report the progress.
         resume : SavedPlan or None
-            The plan from which to start.
+            Plan for a warm start.
 
         Raises
         ------
         SolverError
-            If there is no motion at all; later failures are a stop of the trajectory.
+            If the solver fails before the first sample; a later failure is the stop of the
+            trajectory.
         """
 
     @abstractmethod
@@ -251,7 +254,7 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return the metrics of a motion for sweeps, besides statistics, by name."""
+        """Return the metrics of a motion for sweeps by name, without its statistics."""
 
     def describe_end(self, run: Trajectory) -> str:
         """Return the description of the end of a complete motion; empty for most verbs."""
@@ -263,7 +266,7 @@ class MotionVerb(Verb):
 
     @abstractmethod
     def viewer(self) -> Viewer:
-        """Return the functions that draw its motions in space."""
+        """Return the viewer of the motions of the verb."""
 
     @abstractmethod
     def shown(self, result: Result, name: str) -> Any:
@@ -272,7 +275,7 @@ class MotionVerb(Verb):
         Raises
         ------
         DataError
-            If ground or vehicle are not those of the motion.
+            If ground or vehicle differ from those of the motion.
         """
 
     def attributes(self, problem: Problem[Any], setup: Any) -> dict[str, str]:
@@ -288,11 +291,17 @@ class MotionVerb(Verb):
         return {}
 
     def cross_check(self, result: Result) -> CrossCheck:
-        """Return the differences from the other formulation; for verbs that offer it."""
+        """Return the differences from the other formulation of contact.
+
+        Raises
+        ------
+        NotImplementedError
+            If the verb does not offer a cross-check.
+        """
         raise NotImplementedError(CROSS_CHECK)
 
     def animate(self, result: Result, file: Path) -> None:
-        """Write a film of a result."""
+        """Write an animation of a result to a file."""
         from slipfree.show.film import animate
 
         title = result.trajectory.attributes.get("title", "")
@@ -300,18 +309,18 @@ class MotionVerb(Verb):
 
 
 class Extremes(NamedTuple):
-    """Names of quantities whose ends and extremes are metrics.
+    """Names of quantities whose last values and extremes are metrics.
 
     Attributes
     ----------
     end : tuple of str
-        Quantities whose last value counts, as ``end_x``.
+        Quantities whose last value is a metric, such as ``end_x``.
     largest : tuple of str
-        Quantities whose largest size counts, as ``pitch_largest``.
+        Quantities whose largest absolute value is a metric, such as ``pitch_largest``.
     least : tuple of str
-        Quantities whose least value counts, as ``clearance_least``.
+        Quantities whose smallest value is a metric, such as ``clearance_least``.
     gained : tuple of str
-        Quantities whose difference from start to end counts, as ``work``.
+        Quantities whose change from start to end is a metric, such as ``work``.
     """
 
     end: tuple[str, ...] = ()
@@ -335,12 +344,12 @@ class Extremes(NamedTuple):
 
 
 def _shared(names: Sequence[str], run: Trajectory) -> list[str]:
-    """Return the names that a motion has."""
+    """Return those names that are quantities of a motion."""
     return [name for name in names if name in run.columns]
 
 
 def differences(run: Trajectory, *prefixes: str) -> dict[str, Quantity]:
-    """Return the statistics with some prefixes, with the units of the quantities behind these."""
+    """Return the statistics of a motion whose names begin with a prefix, with units."""
     found = {}
     for prefix in prefixes:
         for name, size in run.statistics.items():
@@ -351,7 +360,7 @@ def differences(run: Trajectory, *prefixes: str) -> dict[str, Quantity]:
 
 
 def largest_tilt(run: Trajectory) -> dict[str, Quantity]:
-    """Return the largest tilt of all tilting parts; empty without any."""
+    """Return the metric of the largest tilt of all tilting parts; empty without such parts."""
     rates = ("_rate", "_stop", "_torque")
     names = [name for name in run if name.startswith("tilt_") and not name.endswith(rates)]
     sizes = [float(np.abs(run[name]).max()) for name in names]

@@ -81,18 +81,18 @@ MEANS = ("climb_slip", "climb_true_slip", "climb_disturbance")
 
 @dataclass(frozen=True, eq=False)
 class Climbing:
-    """Everything that the simulation of a climb needs.
+    """Set-up of the simulation of a climb.
 
     Attributes
     ----------
-    climber, profile, contact : Climber, Profile, Contact
+    climber, profile, contact : Climber, Profile, CompliantContact
         Vehicle, ground and contact law.
     control : Control or Tracking
         Controller of the wheels.
     dae : Dae
         The model.
     start : Trajectory
-        The vehicle on the floor before the obstacle.
+        One sample: the vehicle on the floor, in front of the obstacle.
     inputs : record
         Reference speed, and torques of a sampled controller.
     t : ndarray, shape (n,)
@@ -100,9 +100,9 @@ class Climbing:
     every : int
         Number of controller samples per sample of the result; zero for continuous control.
     facts : Facts
-        Facts about the set-up.
+        Names and texts that describe ground, vehicle and control.
     plan : Trajectory or None
-        The plan that is tracked.
+        Plan to track; None without a plan.
     """
 
     climber: Climber
@@ -174,7 +174,7 @@ class ClimbVerb(MotionVerb):
         watch: Watch,
         resume: SavedPlan | None,
     ) -> Solution:
-        """Return the motion of a climb, its ending and its averages."""
+        """Return the motion of a climb with its ending and its averages."""
         spec = problem.spec
         if spec.plan is None:
             return Solution(_judged(_simulated(spec, setup, watch), setup), setup)
@@ -190,18 +190,18 @@ class ClimbVerb(MotionVerb):
     def describe_start(
         self, problem: Problem[climb_schema.Climb], setup: Climbing
     ) -> tuple[Trajectory, Facts]:
-        """Return the start, and words about it and the samples."""
+        """Return the start, and facts about the start and the samples."""
         start = setup.start
         place = ", ".join(f"{name} {start[name][0]:.6g}" for name in ("x", "z", "velocity_x"))
         samples = f"{setup.t.size} to {setup.t[-1]:g} s"
         return start, [("start", f"{place} (m, m/s)"), ("samples", samples)]
 
     def facts(self, run: Trajectory) -> Facts:
-        """Return the summary of a climb: names and words."""
+        """Return the summary of a climb as names and texts."""
         return [*climb_facts(run)]
 
     def metrics(self, run: Trajectory, spec: climb_schema.Climb) -> dict[str, Quantity]:
-        """Return ends, extremes, and means over the axles."""
+        """Return last values, extremes, and means over the axles by name."""
         found = EXTREMES.of(run) | largest_tilt(run)
         for mean in MEANS:
             names = [f"{mean}_{axle}" for axle in run.wheels]
@@ -211,7 +211,7 @@ class ClimbVerb(MotionVerb):
         return found
 
     def describe_end(self, run: Trajectory) -> str:
-        """Return how a climb ended."""
+        """Return the description of the end of a climb."""
         return run.attributes[ENDING]
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
@@ -223,7 +223,7 @@ class ClimbVerb(MotionVerb):
         return climb_plots(result.trajectory, climber, profile, plan)
 
     def viewer(self) -> Viewer:
-        """Return the functions that draw climbs in space."""
+        """Return the viewer of climbs."""
         from slipfree.show.climb_scene import climb_scene
 
         return Viewer("climbs", climb_scene)
@@ -247,11 +247,11 @@ def _vehicle_and_ground(result: Result) -> tuple[Climber, Profile]:
 
 
 def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
-    """Raise ProblemError for control keys that the tracking of a plan does not use."""
+    """Raise ProblemError for control keys or a friction that the tracking cannot use."""
     spec = problem.spec
     given = spec.control.model_dump(exclude_none=True, exclude={"speed", "proportional"})
-    words = "only speed and proportional with [plan], which is tracked"
-    faults = [Fault(("control", name), words, f"{value}") for name, value in given.items()]
+    words = "only the keys 'speed' and 'proportional' in [control] with a [plan]"
+    faults = [Fault(("control", name), words, f"{name!r}; remove it") for name in given]
     mu = spec.plan.friction if spec.plan else None
     if mu is not None and mu > spec.friction.static:
         expected = f"at most friction.static, {spec.friction.static:g}"
@@ -261,14 +261,14 @@ def _check_tracking(problem: Problem[climb_schema.Climb]) -> None:
 
 
 class _Times(NamedTuple):
-    """Times of the computation, and number of them per stored sample."""
+    """Times of the computation [s], and their number per stored sample (0 if all are stored)."""
 
     t: Array
     every: int
 
 
 def _times(problem: Problem[climb_schema.Climb], control: Control, climber: Climber) -> _Times:
-    """Return the times of the samples, including those of a sampled controller."""
+    """Return the times of the computation: of the samples, or of a sampled controller."""
     period, time = problem.spec.control.period, problem.spec.time
     if period is None:
         return _Times(samples(time, {})[0], 0)
@@ -313,7 +313,10 @@ def _from_file(problem: Problem[climb_schema.Climb], name: str) -> tuple[Solid, 
     numbers = [number for number, _ in groupby(row[0] for row in rows)]
     for number in numbers:
         if numbers.count(number) > 1:
-            raise ModelError(f"{name}: solid {number:g}: expected its corners in consecutive rows")
+            raise ModelError(
+                f"{name}: solid {number:g}: expected its corners in consecutive rows, "
+                "found rows of another solid between them"
+            )
     for number, corners in groupby(rows, key=lambda row: row[0]):
         try:
             found.append(Solid(tuple((x, z) for _, x, z in corners)))
@@ -339,7 +342,7 @@ def _start(
     profile: Profile,
     contact: CompliantContact,
 ) -> Trajectory:
-    """Return the vehicle on the floor, the front wheels at their distance from the obstacle."""
+    """Return the vehicle on the floor with its front wheels at a distance from the obstacle."""
     spec = problem.spec.start
     sunk = _sunk(problem, climber, contact)
     with at(problem, ("profile",)):
@@ -365,7 +368,13 @@ def _start(
 def _sunk(
     problem: Problem[climb_schema.Climb], climber: Climber, contact: CompliantContact
 ) -> Array:
-    """Return the depths of the axles in a level floor; raise if the vehicle cannot stand [m]."""
+    """Return the depths to which wheels at rest sink into a level floor, by axle [m].
+
+    Raises
+    ------
+    ProblemError
+        If an axle bears no load, or the contacts are too soft.
+    """
     loads, faults = floor_loads(climber), []
     softest = float(loads.max()) / SUNK
     if not (loads > 0).all():
@@ -373,13 +382,13 @@ def _sunk(
         faults.append(
             Fault(
                 ("vehicle",),
-                "centers of mass such that all axles bear on a level floor",
+                "centres of mass such that all axles bear load on a level floor",
                 f"{loads[axle]:.3g} N on the {AXLES[axle]} axle",
             )
         )
     elif contact.stiffness < softest:
         expected = (
-            f"at least {softest:.3g} N/m, so that wheels sink in by {1e3 * SUNK:g} mm at most"
+            f"at least {softest:.3g} N/m, so that wheels sink in by at most {1e3 * SUNK:g} mm"
         )
         found = f"{contact.stiffness:g}"
         faults.append(Fault(("contact", "stiffness"), expected, found))
@@ -389,7 +398,7 @@ def _sunk(
 
 
 def _first_contact(climber: Climber, profile: Profile) -> float:
-    """Return the position of the front axle at the first contact of its wheels with a solid [m].
+    """Return x of the front axle where its wheels first touch an obstacle [m].
 
     The distance from a convex solid along a line is convex, so that it decreases to zero once.
     """
@@ -408,14 +417,15 @@ def _first_contact(climber: Climber, profile: Profile) -> float:
             found.append(float(brentq(gap, ends[0], nearest)))
     if not found:
         raise ModelError(
-            "profile: expected an obstacle for wheels on the floor (the first solid, level at "
-            f"height 0); the wheels meet none of the {len(profile.solids) - 1} other solids"
+            "profile: expected a solid that wheels on the floor (the first solid, level at height "
+            f"0) can touch, found none among the {len(profile.solids) - 1} others; move a solid, "
+            "or add one"
         )
     return min(found)
 
 
 def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault | None:
-    """Return the error of a start with wheels inside a solid or off the floor."""
+    """Return the error of wheels inside solid k or off the floor (k = 0); None without."""
     gap = start[f"gap_{k}"][0]
     off = gap + sunk
     wrong = np.abs(off) > SLACK if k == 0 else off < -SLACK
@@ -428,17 +438,17 @@ def _misplaced(start: Trajectory, k: int, sunk: Array, distance: float) -> Fault
         place: Place = ("profile",)
         return Fault(
             place,
-            "the first solid to be a floor, level at height 0 under the vehicle",
+            "as first solid a floor, level at height 0 under the vehicle",
             f"{wheels} {1e3 * abs(off[axle]):.3g} mm {side}",
         )
     inside = f"{wheels} {-1e3 * gap[axle]:.3g} mm inside solid {k}"
     if AXLES[axle] == "front":
         return Fault(
             ("start", "distance"),
-            "at least 0 m, so that the vehicle starts outside of all solids",
+            "at least 0 m, so that the vehicle starts outside all solids",
             f"{distance:g} m: {inside}",
         )
-    return Fault(("start",), "a vehicle that starts outside of all solids", inside)
+    return Fault(("start",), "a vehicle that starts outside all solids", inside)
 
 
 def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Planned) -> Climbing:
@@ -504,21 +514,21 @@ def _averages(run: Trajectory, setup: Climbing) -> dict[str, float]:
 
 
 def _slow(setup: Climbing) -> tuple[dict[str, float], str]:
-    """Return the least friction of a slow climb, and its description."""
+    """Return the friction that a quasi-static climb needs, by name, and its description."""
     try:
         need = least_friction(setup.climber, setup.profile)
     except (ModelError, SolverError) as error:
         return {}, str(error)
     if not isfinite(need.mu):
-        return {}, f"no forces hold the vehicle where the {need.axle} wheels climb"
+        return {}, f"no contact forces hold the vehicle where the {need.axle} wheels climb"
     where = f"where the {need.axle} wheels climb"
     tilts = ", ".join(
         f"{name} body {round(degrees(tilt))}"
         for name, tilt in zip(("rear", "front"), need.q[2:], strict=True)
     )
     words = (
-        f"needs a coefficient of {need.mu:.3f}, {where} ({tilts} degrees nose-up), with forces "
-        "shared for the best"
+        f"needs a coefficient of {need.mu:.3f}, {where} ({tilts} degrees nose-up), with the "
+        "best distribution of forces"
     )
     return {"slow_climb_friction": need.mu}, words
 
@@ -531,7 +541,7 @@ def _facts(
         f"{name} {axle.wheels} x {climber.radius:g} m at {axle.ahead + 0:g} m"
         for name, axle in zip(AXLES, climber.axles, strict=True)
     )
-    limit = f"{climber.torque:g} N m a wheel" if isfinite(climber.torque) else "never limits"
+    limit = f"{climber.torque:g} N m per wheel" if isfinite(climber.torque) else "no torque limit"
     return [
         ("profile", _profile_words(spec.profile)),
         ("vehicle", f"{spec.vehicle.catalog}: wheels {axles} ahead of the joint"),
@@ -553,12 +563,12 @@ def _facts(
 def _control_words(spec: climb_schema.Climb, control: Control) -> str:
     if spec.plan is not None:
         allowed = "" if spec.plan.friction is None else f", friction {spec.plan.friction:g}"
-        return f"a plan of least {spec.plan.cost}{allowed}, its torques and rates tracked"
-    told = "" if control.law == "fixed" else f", directions from {control.directions}"
-    told += f", of which it is told {control.share:g}" if told and control.share != 1 else ""
+        return f"tracks torques and rates of a plan of least {spec.plan.cost}{allowed}"
+    used = "" if control.law == "fixed" else f", directions from {control.directions}"
+    used += f", times {control.share:g}" if used and control.share != 1 else ""
     rhythm = "continuous" if spec.control.period is None else f"every {spec.control.period:g} s"
     return (
-        f"{control.law} references for {spec.control.speed:g} m/s{told}; gains "
+        f"{control.law} references for {spec.control.speed:g} m/s{used}; gains "
         f"{control.proportional:g} N m s/rad, {control.integral:g} N m/rad, "
         f"{control.derivative:g} N m s2/rad; {rhythm}"
     )

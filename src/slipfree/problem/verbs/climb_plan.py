@@ -1,4 +1,4 @@
-"""Plans of climbs: least time, friction or slip, leg by leg."""
+"""Plans of climbs with least time, friction or slip; a leg is the climb of one axle."""
 
 from __future__ import annotations
 
@@ -18,24 +18,28 @@ from slipfree.problem.verbs import climb_schema as schema
 from slipfree.records import Array, Label
 from slipfree.trajectory import Column, SolverError, Trajectory
 
-OF_AXLES = {"wheel_rate": "rad s-1", "friction": "N", "load": "N"}  # shown in figures of a plan
+AXLE_QUANTITIES = {
+    "wheel_rate": "rad s-1",
+    "friction": "N",
+    "load": "N",
+}  # shown in figures of a plan
 POSE = ("x", "z", "tilt_rear", "tilt_front")
 PROGRESS = Label("progress", "m", "mean over the axles of x + z")
 
 
 class Planned(NamedTuple):
-    """A planned climb.
+    """Plan of a climb.
 
     Attributes
     ----------
     parts : tuple of (Climb, ndarray)
         Program and solution of every leg.
     run : Trajectory
-        Consecutive legs, with their ``progress``.
+        Motion over all legs, with the column ``progress``.
     least : tuple of float
-        Least coefficient of friction of each leg. [1]
+        Smallest sufficient coefficient of friction of each leg. [1]
     iterations, seconds : float
-        Iterations and computing time of the solver for the plan.
+        Number of iterations and computing time [s] of the solver.
     """
 
     parts: tuple[tuple[Climb, Array], ...]
@@ -57,9 +61,9 @@ def plan_climb(
     spec : Legs
         Specification of the plan.
     static : float
-        Coefficient of friction, if the plan does not give one. [1]
+        Coefficient of friction for a specification without one. [1]
     speed : float
-        Largest speed of an axle, if the plan does not give one. [m/s]
+        Largest speed of an axle for a specification without one. [m/s]
 
     Raises
     ------
@@ -88,14 +92,14 @@ def plan_climb(
 
 
 def _with_progress(run: Trajectory, climber: Climber) -> Trajectory:
-    """Return a plan with the column ``progress``."""
+    """Return the motion of a plan with the column ``progress``."""
     tilts = (run["tilt_rear"], run["tilt_rear"], run["tilt_front"])
     ahead = [
         axle.ahead * (np.cos(tilt) + np.sin(tilt))
         for axle, tilt in zip(climber.axles, tilts, strict=True)
     ]
-    come = np.asarray(run["x"] + run["z"] + np.mean(ahead, axis=0))
-    return replace(run, columns={**run.columns, PROGRESS.name: Column(PROGRESS, come)})
+    progress = np.asarray(run["x"] + run["z"] + np.mean(ahead, axis=0))
+    return replace(run, columns={**run.columns, PROGRESS.name: Column(PROGRESS, progress)})
 
 
 def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
@@ -106,10 +110,10 @@ def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
     plan : Planned
         The plan.
     run : Trajectory
-        The motion.
+        The motion that tracks it.
     """
     begin, end = plan.run[PROGRESS.name][[0, -1]]
-    come = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    progress = (run["axle_x"] + run["axle_z"]).mean(axis=1)
     found = {
         "climb_plan_duration": plan.run.statistics["duration"],
         "climb_plan_friction": plan.run.statistics["mu"],
@@ -117,14 +121,14 @@ def plan_statistics(plan: Planned, run: Trajectory) -> dict[str, float]:
         "climb_plan_seconds": plan.seconds,
     }
     found |= {f"climb_plan_least_{k + 1}": mu for k, mu in enumerate(plan.least)}
-    if come[-1] > end:
-        took = run.t[(come > end).argmax()] - run.t[(come > begin).argmax()]
+    if progress[-1] > end:
+        took = run.t[(progress > end).argmax()] - run.t[(progress > begin).argmax()]
         found["climb_plan_driven"] = float(took)
     return found
 
 
 def arrays_of(plan: Trajectory) -> dict[str, Array]:
-    """Return the samples of a plan by name, one array per axle, for a result file."""
+    """Return the samples of a plan by name, with one array per axle, for a result file."""
     found = {"plan_time": plan.t}
     for name, column in plan.columns.items():
         if column.values.ndim == 1:
@@ -173,8 +177,8 @@ def _check_friction(found: Sequence[Leg], least: Sequence[float], mu: float) -> 
     worst = max(range(len(found)), key=lambda k: least[k])
     if least[worst] > mu:
         raise SolverError(
-            f"plan, {_leg(worst, found[worst])}: needs a coefficient of friction of at least "
-            f"{least[worst]:.3f}, found {mu:g}; use a lower obstacle or more friction"
+            f"plan, {_leg(worst, found[worst])}: expected a coefficient of friction of at "
+            f"least {least[worst]:.3f}, found {mu:g}; use a lower obstacle or more friction"
         )
 
 
@@ -183,11 +187,11 @@ def _leg(number: int, leg: Leg) -> str:
 
 
 def plan_of(run: Trajectory, arrays: Mapping[str, Array]) -> Trajectory | None:
-    """Return the plan of a climb stored in its result; None if there is no plan."""
+    """Return the plan stored in the result of a climb; None if no plan is stored."""
     if "plan_time" not in arrays:
         return None
     columns = {PROGRESS.name: Column(PROGRESS, arrays[f"plan_{PROGRESS.name}"])}
-    for name, unit in OF_AXLES.items():
+    for name, unit in AXLE_QUANTITIES.items():
         values = np.stack([arrays[f"plan_{name}_{axle}"] for axle in run.wheels], axis=1)
         columns[name] = Column(Label(name, unit, f"{name} of the plan"), values)
     statistics = {"mu": run.statistics["climb_plan_friction"]}
@@ -197,9 +201,9 @@ def plan_of(run: Trajectory, arrays: Mapping[str, Array]) -> Trajectory | None:
 def poses_of_plan(
     run: Trajectory, arrays: Mapping[str, Array], climber: Climber
 ) -> Trajectory | None:
-    """Return the plan of a climb at the times of equal progress; None if there is no plan.
+    """Return the poses of the plan stored in the result of a climb; None if no plan is stored.
 
-    Its time begins when the motion reaches the beginning of the plan.
+    Time zero of the plan is the time at which the motion reaches the plan's first progress.
     """
     if "plan_time" not in arrays:
         return None
@@ -210,7 +214,7 @@ def poses_of_plan(
     for name, start, turned in (("axle_x", x, np.cos), ("axle_z", z, np.sin)):
         places = start[:, None] + ahead * turned(tilts)
         columns[name] = Column(run.columns[name].label, places)
-    come = (run["axle_x"] + run["axle_z"]).mean(axis=1)
-    begins = run.t[int((come > arrays[f"plan_{PROGRESS.name}"][0]).argmax())]
+    progress = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    begins = run.t[int((progress > arrays[f"plan_{PROGRESS.name}"][0]).argmax())]
     t = begins + arrays["plan_time"]
     return Trajectory(t, columns | {"wheel_angle": wheel_angles_at(run, t)}, run.wheels)

@@ -26,7 +26,7 @@ from slipfree.solve.options import MIN_TOLERANCE, Method
 
 
 class Incline(Record):
-    """A ramp up to a plateau, from x = 0 on."""
+    """A ramp up to a plateau; it begins at x = 0."""
 
     angle: Annotated[float, Field(gt=0, le=pi / 2), IN_RADIANS] = Field(
         description="angle of the ramp [rad]"
@@ -35,20 +35,20 @@ class Incline(Record):
 
 
 class Step(Record):
-    """A plateau, from x = 0 on."""
+    """A vertical step at x = 0 up to a plateau."""
 
     height: Positive = Field(description="height of the plateau [m]")
 
 
 class Kerb(Record):
-    """A block, from x = 0 on."""
+    """A rectangular block; it begins at x = 0."""
 
     height: Positive = Field(description="height of the block [m]")
     length: Positive = Field(description="length of the block along x [m]")
 
 
 class Stairs(Record):
-    """Stairs, from x = 0 on, the last step a plateau."""
+    """Stairs up to a plateau; they begin at x = 0."""
 
     height: Positive = Field(description="height of a step [m]")
     depth: Positive = Field(description="depth of a step along x [m]")
@@ -64,7 +64,7 @@ class Solid(Record):
 
 
 class Profile(Record):
-    """The ground of a climb: a floor with one obstacle, or solids, here or in a file."""
+    """The ground of a climb: a floor with one obstacle, or solids, as polygons or from a file."""
 
     ramp: Incline | None = Field(default=None, description="a ramp up to a plateau")
     step: Step | None = Field(default=None, description="a step up to a plateau")
@@ -79,30 +79,34 @@ class Profile(Record):
 
 
 class ClimberBody(Record):
-    """A body of a vehicle that climbs; the defaults are the catalogue's."""
+    """A body of a climbing vehicle; the defaults are the catalogue's."""
 
     mass: Positive | None = Field(default=None, description="mass, wheels included [kg]")
     ahead: float | None = Field(default=None, description="centre of mass ahead of the joint [m]")
     above: float | None = Field(default=None, description="centre of mass above the joint [m]")
     inertia: Positive | None = Field(
-        default=None, description="about its centre of mass, without wheel rotation [kg m2]"
+        default=None,
+        description="moment of inertia about the centre of mass, without wheel rotation [kg m2]",
     )
 
 
 class ClimberAxle(Record):
-    """Wheels of a vehicle that climbs; the defaults are the catalogue's."""
+    """An axle of a climbing vehicle; the defaults are the catalogue's."""
 
-    ahead: float | None = Field(default=None, description="ahead of the joint, along the body [m]")
+    ahead: float | None = Field(
+        default=None, description="distance ahead of the joint, along the body [m]"
+    )
     wheels: Annotated[int, Field(ge=1)] | None = Field(
         default=None, description="number of wheels, with one motor each"
     )
     inertia: Positive | None = Field(
-        default=None, description="of all wheels and rotors about the axle [kg m2]"
+        default=None,
+        description="moment of inertia of all wheels and rotors about the axle [kg m2]",
     )
 
 
 class Climber(Record):
-    """A vehicle that climbs, of the catalogue, and its dimensions."""
+    """A climbing vehicle of the catalogue, and its dimensions."""
 
     catalog: Literal["seven_wheels"] = Field(description="name in the catalogue")
     joint: float = Field(
@@ -127,7 +131,7 @@ class Friction(Record):
 
 
 class Compliance(Record):
-    """Compliance of the contacts; the defaults are those of `slipfree.climb.contact.Contact`."""
+    """Contact law; the defaults are those of `slipfree.climb.contact.CompliantContact`."""
 
     stiffness: Positive | None = Field(default=None, description="stiffness of a contact [N/m]")
     damping: NonNegative | None = Field(
@@ -165,7 +169,7 @@ class Control(Record):
     law: Law | None = Field(default=None, description="law of the axles' reference speeds")
     directions: Directions | None = Field(
         default=None,
-        description="directions of the axles: estimated by sensors, or those of the contacts",
+        description="directions of motion of the axles: estimated by sensors, or of the contacts",
     )
     smoothing: Positive | None = Field(
         default=None, description="time constant of the sensors' low-pass filter [s]"
@@ -176,10 +180,14 @@ class Control(Record):
     cap: Annotated[float, Field(ge=1)] | None = Field(
         default=None, description="largest reference speed relative to the vehicle's [1]"
     )
-    proportional: Positive | None = Field(default=None, description="gain on the error [N m s/rad]")
-    integral: Positive | None = Field(default=None, description="gain on its integral [N m/rad]")
+    proportional: Positive | None = Field(
+        default=None, description="gain on the error of the wheel rate [N m s/rad]"
+    )
+    integral: Positive | None = Field(
+        default=None, description="gain on the integral of the error [N m/rad]"
+    )
     derivative: NonNegative | None = Field(
-        default=None, description="gain on its derivative [N m s2/rad]"
+        default=None, description="gain on the derivative of the error [N m s2/rad]"
     )
     lag: Positive | None = Field(
         default=None, description="time constant of the derivative's filter [s]"
@@ -190,7 +198,7 @@ class Control(Record):
     )
     period: Positive | None = Field(
         default=None,
-        description="sample time of the controller; continuous without it [s]",
+        description="sample time of the controller; by default it is continuous [s]",
     )
     noise: Noise | None = Field(default=None, description="noise of the sensors; none by default")
 
@@ -205,10 +213,10 @@ class Approach(Record):
 
 
 class Legs(Record):
-    """Specification of the plan of a climb."""
+    """Specification of the plan of a climb; a leg is the climb of one axle."""
 
     cost: Literal["time", "friction", "slip"] = Field(
-        default="time", description="objective: time, the required friction, or creep"
+        default="time", description="objective: duration, required friction, or slip"
     )
     nodes: Annotated[int, Field(ge=20)] = Field(default=60, description="number of nodes per leg")
     friction: Positive | None = Field(
@@ -220,7 +228,7 @@ class Legs(Record):
 
 
 class Stiff(Solver):
-    """Options of the integrator of a stiff motion."""
+    """Options of the integrator for climbs, whose equations are stiff."""
 
     tolerance: Annotated[float, Field(ge=MIN_TOLERANCE, lt=1)] = Field(
         default=1e-6, description=TOLERANCE
@@ -235,7 +243,7 @@ class Climb(Runnable):
     solver: Stiff = Field(default=Stiff(), description="options of the integrator")
     profile: Profile = Field(description="the ground in the plane")
     vehicle: Climber = Field(description="the vehicle")
-    friction: Friction = Field(description="between wheels and ground")
+    friction: Friction = Field(description="coefficients of friction between wheels and ground")
     contact: Compliance = Field(default=Compliance(), description="compliance of the contacts")
     control: Control = Field(description="control of the wheels")
     start: Approach = Field(description="start of the climb")

@@ -10,7 +10,7 @@ from slipfree.climb.plan_tracking import MIN_SPEED
 from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory
 
-ENDING = "climb"  # attribute of a result
+ENDING = "climb"  # attribute of a result with the end of the climb
 UNBALANCED = 1e-3  # largest unreported error of the energy balance [work of the motors]
 
 AVERAGES = {
@@ -20,8 +20,8 @@ AVERAGES = {
 }
 SHARES = {"bearing": "share of the load", "effort": "share of the torques"}
 WINDOW = (
-    "50 ms before the front wheels first touch more than the floor to {} the rear axle is up; "
-    "eq. (20) takes the middle axle's speed for all, so that wheels that roll have some"
+    "50 ms before the front wheels first touch the obstacle to {} the rear axle is up; eq. (20) "
+    "uses the middle axle's speed for all axles, so that rolling wheels also have slip"
 )
 
 
@@ -44,12 +44,12 @@ def climb_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 def _averages(run: Trajectory) -> Iterator[tuple[str, str]]:
     counts = run.statistics
     if "climb_from" not in counts:
-        yield "averages", "none: the front wheels have met only the floor"
+        yield "averages", "none: the front wheels touched only the floor"
         return
     last = "100 ms after" if counts["climb_up"] else "the end, before"
     yield (
         "averages",
-        f"of sizes, t = {counts['climb_from']:.3f} to {counts['climb_to']:.3f} s: from "
+        f"of absolute values, t = {counts['climb_from']:.3f} to {counts['climb_to']:.3f} s: from "
         f"{WINDOW.format(last)}",
     )
     for measure, words in (AVERAGES | SHARES).items():
@@ -61,28 +61,28 @@ def _averages(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def _planned(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the facts of a plan, and the duration of the motion that tracks it."""
+    """Yield the facts of a plan, and the duration of its tracking; nothing without a plan."""
     counts = run.statistics
     if "climb_plan_duration" not in counts:
         return
     yield (
         "plan",
-        f"{counts['climb_plan_duration']:.3g} s from the first contact on, at rest wherever wheels "
-        f"meet a solid; uses a coefficient of {counts['climb_plan_friction']:.3f}; "
+        f"{counts['climb_plan_duration']:.3g} s from the first contact on, at rest at each contact "
+        f"with a solid; uses a coefficient of {counts['climb_plan_friction']:.3f}; "
         f"{counts['climb_plan_iterations']:.0f} iterations, {counts['climb_plan_seconds']:.2g} s",
     )
     least = [value for name, value in counts.items() if name.startswith("climb_plan_least_")]
-    yield "  least friction", "leg by leg " + ", ".join(f"{value:.3f}" for value in least)
+    yield "  least friction", "by leg " + ", ".join(f"{value:.3f}" for value in least)
     took = f"{counts['climb_plan_driven']:.3g} s" if "climb_plan_driven" in counts else "not done"
-    yield "  tracked", f"{took}; the tracker does not creep below {MIN_SPEED:g} m/s as plans may"
+    yield "  tracked", f"{took}; the tracker keeps at least {MIN_SPEED:g} m/s, a plan may be slower"
 
 
 def _slippery(run: Trajectory) -> str:
-    """Return the friction that a slow climb needs, with the available friction."""
+    """Return the description of the friction that a quasi-static climb needs."""
     words = run.attributes["slow_climb"]
     if "slow_climb_friction" not in run.statistics:
         return words
-    return f"{words}; there is {run.attributes['friction']}"
+    return f"{words}; available: {run.attributes['friction']}"
 
 
 def _energy(run: Trajectory) -> str:
@@ -93,7 +93,7 @@ def _energy(run: Trajectory) -> str:
         for name, sign in (("work", 1), ("rubbed", -1), ("damped", -1))
     )
     missed = float(np.abs(gained - given).max())
-    poor = "; that is much: ask for a smaller solver.tolerance or softer contacts"
+    poor = "; this error is large: reduce solver.tolerance or contact.stiffness"
     return (
         f"motors {work:.4g} J, lost to friction {rubbed:.3g} J, to damping {damped:.3g} J, gained "
         f"{gained[-1]:.4g} J; balance within {missed:.1e} J"

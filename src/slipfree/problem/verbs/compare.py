@@ -1,4 +1,4 @@
-"""Several vehicles on one ground: which of them can roll without slip, and how the others slip."""
+"""Comparison of several vehicles on one ground: rolling without slip, or remaining slip."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from slipfree.solve.system import with_inputs
 from slipfree.trajectory import SolverError, Stop, Trajectory
 from slipfree.vehicle.tree import Vehicle
 
-RANK = 1e-9  # singular values below this part of the largest are zero
+RANK = 1e-9  # smaller singular values, relative to the largest, count as zero
 
 
 class Compared(VehicleTable):
-    """One of several vehicles, with a name."""
+    """A named vehicle of a comparison."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="name of the vehicle")
 
@@ -60,21 +60,22 @@ class CompareVerb(Verb):
 
 
 class Drive(NamedTuple):
-    """One vehicle driven in one way.
+    """Results of one motion of a vehicle of a comparison.
 
     Attributes
     ----------
     along, across, measured : ndarray, shape (n_wheels,)
-        Largest slip of every wheel: of the model, and measured on the poses alone. [m/s]
+        Largest slip of every wheel along and across its plane in the model, and in total computed
+        from the wheel poses alone. [m/s]
     friction : float
         Largest coefficient of friction that a wheel needs, load-weighted where forces are
         indeterminate; NaN for a vehicle without mass. [1]
     tilt : float
         Largest passive tilt; zero if nothing tilts. [rad]
     width : tuple of 2 floats
-        Least and largest distance between the first two wheels' centres. [m]
+        Smallest and largest distance between the centres of the first two wheels. [m]
     stop : Stop or None
-        Why it ended early, if it did.
+        Stop of a motion that ended early; None for a complete motion.
     """
 
     along: Array
@@ -96,7 +97,7 @@ class Row(NamedTuple):
     wheels : tuple of str
         Names of its wheels, in the order of the arrays.
     rank, conditions : int
-        Rank of the slip in the rates that are not given, and number of slip conditions; the
+        Rank of the Jacobian of the slip in the unknown rates, and number of slip conditions; the
         vehicle can roll without slip if they are equal.
     same, fitting : Drive
         Motions at the common rates, and at the rates of the driving law.
@@ -111,7 +112,14 @@ class Row(NamedTuple):
 
 
 def compare(problem: Problem[Compare], progress: Callable[[str], None]) -> tuple[Ground, list[Row]]:
-    """Return the ground and a row per vehicle; ``progress`` is called with each vehicle's name.
+    """Return the ground and the results of each vehicle.
+
+    Parameters
+    ----------
+    problem : Problem
+        The comparison.
+    progress : callable
+        Called with the name of each vehicle before its computation.
 
     Raises
     ------
@@ -179,7 +187,10 @@ def _drive(
 
 
 def _rank(dae: Dae, start: Trajectory, options: SolverOptions) -> int:
-    """Return the rank of the slip in the unknown rates: of ``A`` in ``A'A``, the model's block."""
+    """Return the rank of the Jacobian ``A`` of the slip in the unknown rates.
+
+    The Jacobian of the rates of the model contains ``A'A``, which has the same rank.
+    """
     rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
     system = with_inputs(dae, rest, 0, options)
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)

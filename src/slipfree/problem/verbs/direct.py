@@ -1,4 +1,4 @@
-"""Direct kinematics: the motion at given rates, or under a driving law."""
+"""Direct problems: the motion at given rates, or under a driving law."""
 
 from __future__ import annotations
 
@@ -38,13 +38,14 @@ if TYPE_CHECKING:
 
 
 class Direct(Modelled):
-    """Direct problem: the motion under given rates or a driving law."""
+    """Direct problem: the motion at given rates, or under a driving law."""
 
     verb: Literal["direct"] = Field(description=VERB)
     inputs: dict[str, PiecewiseConstant] | None = Field(default=None, description=INPUTS)
     driver: Driver | None = Field(default=None, description="a driving law")
     formulation: Literal["closure", "montana"] = Field(
-        default="closure", description="formulation of contact: by positions, or by Montana's rates"
+        default="closure",
+        description="formulation of contact: closure of positions, or Montana's equations of rates",
     )
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {
@@ -74,7 +75,8 @@ class DirectVerb(DriveVerb):
             with at(problem, ("formulation",)):
                 if spec.model != "kinematics":
                     raise ModelError(
-                        f"'montana' expects model = 'kinematics', found {spec.model!r}"
+                        f"expected model = 'kinematics' with formulation = 'montana', found "
+                        f"{spec.model!r}"
                     )
                 dae = montana_kinematics(vehicle, terrain, slip=slip_law(problem, spec))
         if spec.driver is None:
@@ -89,11 +91,11 @@ class DirectVerb(DriveVerb):
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion that the integrator finds."""
+        """Return the motion, complete or up to its stop, and no arrays."""
         return integrate(setup, problem.spec.solver.options, watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
-        """Return also the model, the law and the formulation."""
+        """Return the attributes of the result, including model, law and formulation."""
         spec = problem.spec
         found = super().attributes(problem, setup) | model_attributes(spec)
         return found | {FORMULATION: spec.formulation}

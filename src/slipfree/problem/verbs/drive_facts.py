@@ -1,4 +1,4 @@
-"""Summary of a motion over terrain."""
+"""Facts of the summary of a motion over terrain."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory, path_length
 
-FORMULATION = "formulation"  # attribute of results of direct kinematics
-UNIQUE = ("clearance", "relative_curvature")  # what certifies that every wheel touches once
+FORMULATION = "formulation"  # attribute of results of direct problems
+UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
 CHECKS = (
     "closure residual",
     "Newton step",
@@ -26,7 +26,7 @@ CHECKS = (
 
 
 def path_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield duration, path and end of a motion."""
+    """Yield the facts about duration, path and end of a motion."""
     z = run["z"]
     yield duration_fact(run)
     yield "path length", f"{path_length(run):.6g} m"
@@ -34,25 +34,25 @@ def path_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     place = ", ".join(f"{name} {run[name][-1]:.3f} m" for name in "xyz")
     if "filled_ground" in run.attributes:
         yield "filled ground", run.attributes["filled_ground"]
-    yield "end place", place
+    yield "end position", place
     angles = ", ".join(f"{name} {run[name][-1]:.6g} rad" for name in ("heading", "pitch", "roll"))
     yield "end attitude", f"{angles} (yaw from the x axis {run['yaw'][-1]:.6g} rad)"
 
 
 def is_quasi_static(run: Trajectory) -> bool:
-    """Return whether a wheel-ground law determined a motion."""
+    """Return whether a motion is of the quasi-static model."""
     return run.attributes.get("model") == "quasi-static"
 
 
 def slip_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the slip of each wheel, and the law that determined it."""
+    """Yield the facts about the slip of each wheel, and the law that determined it."""
     law = run.attributes.get("law", "least")
     if is_quasi_static(run):
         yield "slip", f"a quasi-static prediction by the wheel-ground law {law!r}"
     elif law == "least":
-        yield "least slip", "what kinematics allows: a lower bound, not a prediction"
+        yield "least slip", "the least that kinematics allows: a lower bound, not a prediction"
     else:
-        yield "slip", f"of the slip law {law!r}, not a prediction"
+        yield "slip", f"by the slip law {law!r}, not a prediction"
     for wheel in run.wheels:
         along, across = run["slip_along", wheel], run["slip_across", wheel]
         rms = np.sqrt(np.mean(along**2 + across**2))
@@ -64,7 +64,7 @@ def slip_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def angle_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the largest angles of the platform and the tilting joints."""
+    """Yield the fact about the largest angles of the platform and the tilting joints."""
     largest = {name: np.abs(run[name]).max() for name in ("pitch", "roll")}
     largest |= {
         name: np.abs(run[name]).max()
@@ -75,7 +75,7 @@ def angle_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def force_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield lines of the summary on friction, normal forces, tip-over margin and drives."""
+    """Yield the facts about friction, normal forces, tip-over margin and drives, if computed."""
     if "utilisation" not in run.columns:
         return
     yield "friction", friction_words(run)
@@ -97,7 +97,7 @@ def force_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def friction_words(run: Trajectory) -> str:
-    """Return the largest utilisation of friction with wheel, time and meaning."""
+    """Return the description of the largest friction utilisation, with wheel and time."""
     used = run["utilisation"]
     k, i = np.unravel_index(int(used.argmax()), used.shape)
     where = f"at most (wheel {run.wheels[i]}, t = {run.t[k]:.4g} s)"
@@ -109,11 +109,13 @@ def friction_words(run: Trajectory) -> str:
     if "utilisation_best" in run.columns:
         spread += ", distributed by load"
     spread = f" by the law {run.attributes['law']!r}" if is_quasi_static(run) else spread
-    return f"{words}{spread}" + ("" if used[k, i] <= 1 else "; friction does not hold this motion")
+    return f"{words}{spread}" + (
+        "" if used[k, i] <= 1 else "; friction is not sufficient for this motion"
+    )
 
 
 def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str, str]]:
-    """Yield residuals, the singular value and the contact certificate.
+    """Yield the facts about residuals, conditioning and the contact certificate.
 
     Parameters
     ----------
@@ -136,7 +138,7 @@ def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str,
 
 
 def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the diagnostics that did not converge, with the number of samples, or failed."""
+    """Yield the facts about diagnostics that did not converge at some samples, or failed."""
     counts = {}
     for name, column in run.columns.items():
         unknown = np.isnan(column.values).reshape(run.t.size, -1).any(axis=1)
@@ -151,23 +153,23 @@ def _missing(run: Trajectory) -> Iterator[tuple[str, str]]:
 
 
 def certificate(run: Trajectory) -> str:
-    """Return whether every wheel touches the ground at one point only, with the margin."""
+    """Return the text on whether every wheel has only one contact point, with the margins."""
     clearance, curvature = (run[name].min() for name in UNIQUE)
     clean = "clean" if min(clearance, curvature) >= 0 else "broken"
     if run.stop is not None and run.stop.name.partition("[")[0] in UNIQUE:
         clean += " up to the stop"
     room = (
-        "no second place where the ground comes near"
+        "no other part of the ground near the wheels"
         if np.isinf(clearance)
         else f"clearance beside the contacts {clearance:.4g} m at least"
     )
     words = f"{clean}: {room}, relative curvature {curvature:.4g} 1/m at least"
     if run.t.size == 1:
         return words
-    return f"{words}; a sample every {_apart(run):.3g} m of way or less"
+    return f"{words}; samples at most {_sample_distance(run):.3g} m apart"
 
 
-def _apart(run: Trajectory) -> float:
-    """Return the largest distance of the platform between consecutive samples [m]."""
+def _sample_distance(run: Trajectory) -> float:
+    """Return the largest horizontal distance between consecutive samples [m]."""
     steps = np.hypot(np.diff(run["x"]), np.diff(run["y"]))
     return float(steps.max(initial=0.0))

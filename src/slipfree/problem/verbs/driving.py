@@ -65,11 +65,11 @@ EXTREMES = Extremes(
     ),
     gained=("work", "potential_energy"),
 )
-SAME = 1e-3  # largest distance of wheels from stored positions and from the ground [radius]
+SAME = 1e-3  # largest distance of wheels from stored positions and from the ground [radii]
 
 
 class DriveVerb(MotionVerb):
-    """Base of the kinds of problems with the motion of one vehicle over terrain."""
+    """Base class of the verbs for the motion of one vehicle over terrain."""
 
     commands = ("run", "vehicle")
     checks: ClassVar[tuple[str, ...]] = CHECKS
@@ -97,7 +97,7 @@ class DriveVerb(MotionVerb):
         spec = problem.spec
         start = to_problem_frame(replace(setup.start, attributes={WANTED: spec.frame}))
         names = dict.fromkeys([*spec.start, "z", "pitch", "roll"])
-        pose = ", ".join(f"{name} {start[name][0]:.10g}" for name in names)
+        pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
         return start, [
             ("start", f"{pose} (m, rad)"),
             ("contact certificate", certificate(start)),
@@ -126,15 +126,15 @@ class DriveVerb(MotionVerb):
         return []
 
     def trust_facts(self, run: Trajectory) -> Facts:
-        """Return residuals, the singular value and the contact certificate: names and words."""
+        """Return the facts about residuals, conditioning and the contact certificate."""
         return [*trust_facts(run, run.statistics.get("tolerance"))]
 
     def cost_facts(self, run: Trajectory) -> Facts:
-        """Return the cost of the solution: names and words."""
+        """Return the facts about the cost of the solution."""
         return [integrator_fact(run)]
 
     def metrics(self, run: Trajectory, spec: Any) -> dict[str, Quantity]:
-        """Return ends, extremes, path length and slip of a motion."""
+        """Return last values, extremes, path length and slip of a motion by name."""
         slip = np.hypot(run["slip_along"], run["slip_across"])
         duration, length = run.t[-1] - run.t[0], path_length(run)
         found = EXTREMES.of(run) | largest_tilt(run)
@@ -155,7 +155,7 @@ class DriveVerb(MotionVerb):
         return motion_plots(result.trajectory, ground_of(result).grid)
 
     def viewer(self) -> Viewer:
-        """Return the functions that draw motions over terrain in space."""
+        """Return the viewer of motions over terrain."""
         from slipfree.show.drive_scene import drive_scene
 
         return Viewer("motions over terrain", drive_scene)
@@ -184,7 +184,7 @@ class DriveVerb(MotionVerb):
 
 
 def model_attributes(spec: Modelled) -> dict[str, str]:
-    """Return the model and the law of a problem, for its result file."""
+    """Return the names of the model and the law of a problem, for its result file."""
     return {"model": spec.model, "law": law_name(spec)}
 
 
@@ -224,7 +224,7 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
 
 
 def _with_filled(grid: Grid, run: Trajectory) -> Trajectory:
-    """Return a motion with a note on the distances of its wheels on filled ground."""
+    """Return a motion with the distances that its wheels roll on filled ground as a text."""
     words = filled_words(grid, run)
     return replace(run, attributes={**run.attributes, "filled_ground": words}) if words else run
 
@@ -247,7 +247,7 @@ def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) 
     x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
     off = max(away.max(), np.hypot(along - x, out - rho).max())
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
-        raise _changed("vehicle", named, f"its wheels are {off:.2g} m from the motion's")
+        raise _changed("vehicle", named, f"its wheels are {off:.2g} m from those of the result")
 
 
 def _check_ground(
@@ -260,11 +260,12 @@ def _check_ground(
     off = np.abs(terrain.elevation(run["contact_x"], run["contact_y"]) - run["contact_z"]).max()
     if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
         words = f"it is up to {off:.2g} m from the contact points"
-        raise _changed("ground", problem.spec.terrain.file or "that is made", words)
+        raise _changed("ground", problem.spec.terrain.file or "not from a file", words)
 
 
 def _changed(what: str, named: str, words: str) -> DataError:
     return DataError(
-        f"expected the {what} of its run, found another one ({named}): {words}; "
+        f"expected the {what} with which the result was computed, found a different one "
+        f"({named}): {words}; "
         "restore the file, give its folder by --folder DIR, or run the problem again"
     )

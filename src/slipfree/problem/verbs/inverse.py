@@ -70,20 +70,20 @@ if TYPE_CHECKING:
 
 KNOWN = (*VELOCITY, *OMEGA, *EULER)
 COLUMNS = ("t", "x", "y", "heading")
-MIN_POINTS = 6  # way-points of a spline of degree five
-MIN_SAMPLES = 4  # between jumps of the given rates, for a replay
+MIN_POINTS = 6  # smallest number of way-points, for a spline of degree five
+MIN_SAMPLES = 4  # smallest number of samples between jumps of the given rates, for a replay
 GUESS_SPEED = 0.1  # speed of the initial guess if the velocity is not given [m/s]
 
 
 class InverseVerb(DriveVerb):
-    """Rates of wheels and steering that move the platform in a given way."""
+    """Inverse kinematics: wheel and steering rates for a given motion of the platform."""
 
     schema = Inverse
     checks = (*DriveVerb.checks, *CHECKS)
     metrics_shown = ("inverse_margin_least", "slip_rms", "utilisation_largest")
 
     def figures(self, result: Result) -> tuple[Plot, ...]:
-        """Return the figures of a motion, the rates of wheels and joints among the first."""
+        """Return the figures of a motion; map and rates of wheels and joints come first."""
         plots = super().figures(result)
         return tuple(sorted(plots, key=lambda plot: plot.name not in ("map", "rates")))
 
@@ -125,7 +125,7 @@ class InverseVerb(DriveVerb):
     def drive(
         self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion, or the part that was reached, with its replay."""
+        """Return the motion, compared with its replay by the direct model, and no arrays."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
             run, inputs = _collocate(setup, options, watch)
@@ -135,35 +135,37 @@ class InverseVerb(DriveVerb):
         return _with_replay(setup, run, inputs, options), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
-        """Return also the method by which the motion was found."""
+        """Return the attributes of the result, including its solution method."""
         is_collocated = _is_collocated(problem.spec, setup)
         method = COLLOCATION if is_collocated else "integration"
         return super().attributes(problem, setup) | {METHOD: method}
 
     def own_facts(self, run: Trajectory) -> Facts:
-        """Return rates, steering and margins."""
+        """Return the facts about rates, steering, margins and errors."""
         return [*inverse_facts(run)]
 
     def trust_facts(self, run: Trajectory) -> Facts:
-        """Return residuals; the tolerance of a collocation is that of the steering."""
-        return [*trust_facts(run, None)] if is_collocated(run) else super().trust_facts(run)
+        """Return the facts about residuals, conditioning and contacts."""
+        if is_collocated(run):
+            return [*trust_facts(run, None)]  # the stored tolerance is not of an integrator
+        return super().trust_facts(run)
 
     def cost_facts(self, run: Trajectory) -> Facts:
-        """Return the cost of the solution and its difference from a replay."""
+        """Return the facts about the cost of the solution and its difference from a replay."""
         fact = collocation_fact(run) if is_collocated(run) else integrator_fact(run)
         return [fact, *replay_facts(run)]
 
     def warnings(self, run: Trajectory) -> Sequence[str]:
-        """Return the warning that an integrated steering is unstable."""
+        """Return the warning of an unstable steering, unless the stop already contains it."""
         warning = steering_warning(run)
         return [warning] if warning and not (run.stop and warning in run.stop.words) else []
 
     def verification(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return the differences of the round trip and of the replay by the direct model."""
+        """Return the differences from the direct model, in rates and in a replay, by name."""
         return differences(run, "round_trip_", "replay_")
 
     def metrics(self, run: Trajectory, spec: Inverse) -> dict[str, Quantity]:
-        """Return also the margin and the slip of the steering."""
+        """Return the metrics of a motion, including least margin and largest steering slip."""
         own = Extremes(largest=("steering_slip",), least=("inverse_margin",))
         return super().metrics(run, spec) | own.of(run)
 
@@ -171,9 +173,10 @@ class InverseVerb(DriveVerb):
 def _given_rates(
     problem: Problem[S], spec: Inverse, vehicle: Vehicle, points: Array | None
 ) -> tuple[dict[str, Any], str]:
-    """Return the given rates, zero for those of a path, and their description.
+    """Return the given rates by name, and their description.
 
-    Vehicles that cannot roll without slip follow a path by commands.
+    For a path the rates are zeros. Their names are those of commands if the steering angle is
+    unknown and the vehicle cannot roll without slip, else those of the rates to impose.
     """
     if points is None and are_commands(spec.given or ()):
         return read_commands(problem, spec)
@@ -181,8 +184,11 @@ def _given_rates(
     faults = [*_rate_faults(given)]
     is_sought = points is not None and spec.steering == "angle"
     if spec.exact is not None and not is_sought:
-        expected = f"no key 'exact' but with {', '.join(COMMANDS)} or a path"
-        faults.append(Fault(("exact",), expected, str(spec.exact).lower()))
+        expected = (
+            f"the key 'exact' only with given rates {', '.join(COMMANDS)}, or with a path and "
+            "steering = 'angle'"
+        )
+        faults.append(Fault(("exact",), expected, f"{str(spec.exact).lower()}; remove the key"))
     if faults:
         raise problem_error(problem.source, faults)
     words = ", ".join(
@@ -206,14 +212,14 @@ def _check_units(problem: Problem[S], spec: Inverse) -> None:
 
 
 def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
-    """Yield errors in three given rates that cannot be imposed together."""
+    """Yield errors in the names, kinds and number of the given rates."""
     known = list(dict.fromkeys((*KNOWN, *COMMANDS, *ROBOT)))
     unknown = [*name_errors(("given",), given, known)]
     yield from unknown
     if ours := [name for name in given if name in {*COMMANDS, *ROBOT} - {*KNOWN}]:
         expected = (
-            f"rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = 'rep103' "
-            f"also {', '.join(ROBOT)}) or others alone"
+            f"either rates in the platform's heading frame ({', '.join(COMMANDS)}; with frame = "
+            f"'rep103' also {', '.join(ROBOT)}) or other rates, not both"
         )
         yield Fault(("given", ours[0]), expected, ", ".join(given))
     for name, value in given.items():
@@ -221,19 +227,19 @@ def _rate_faults(given: dict[str, float]) -> Iterator[Fault]:
             yield Fault(
                 ("given", name),
                 "a number",
-                f"values in time, which only {', '.join(COMMANDS)} may have",
+                f"a function of time; only {', '.join(COMMANDS)} may vary in time",
             )
     if len(given) != 3:
         listed = f": {', '.join(given)}" if given else ""
         yield Fault(("given",), "three rates of the platform", f"{len(given)}{listed}")
     angular = [name for name in given if name in (*OMEGA, *EULER)]
     if set(angular) & set(OMEGA) and set(angular) & set(EULER):
-        expected = f"some of {', '.join(OMEGA)} or some of {', '.join(EULER)}, not of both"
+        expected = f"either rates of {', '.join(OMEGA)} or rates of {', '.join(EULER)}, not both"
         yield Fault(("given",), expected, ", ".join(angular))
 
 
 def _points(problem: Problem[S], spec: Inverse) -> Array | None:
-    """Return times, positions and headings of the way-points, shape (4, n); None without a path."""
+    """Return t, x, y, heading of the way-points [s, m, m, rad], shape (4, n); None without path."""
     path = spec.path
     if path is None:
         return None
@@ -244,36 +250,42 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
         with at(problem, place):
             rows = read_columns(problem.folder / path.file, COLUMNS)
         points = np.array(rows, dtype=float).reshape(-1, len(COLUMNS)).T
-    turning = ("path", "heading") if path.file is None else place
-    faults = [*_times(points[0], place, spec.time.duration), *_turns(points[3], turning)]
+    heading_key = ("path", "heading") if path.file is None else place
+    faults = [
+        *_time_errors(points[0], place, spec.time.duration),
+        *_heading_errors(points[3], heading_key),
+    ]
     if faults:
         raise problem_error(problem.source, faults)
     points[3] += turned(problem)
     return points
 
 
-def _times(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
+def _time_errors(t: Array, place: tuple[str, ...], duration: float) -> Iterator[Fault]:
     """Yield errors in the times of a path."""
     if t.size < MIN_POINTS:
-        yield Fault(place, f"{MIN_POINTS} or more way-points", str(t.size))
+        yield Fault(place, f"at least {MIN_POINTS} way-points", str(t.size))
     elif t[0] != 0 or not (np.diff(t) > 0).all():
-        yield Fault(place, "times that ascend from 0", ", ".join(f"{each:g}" for each in t[:4]))
+        yield Fault(
+            place, "increasing times, the first 0", ", ".join(f"{each:g}" for each in t[:4])
+        )
     elif t[-1] < duration:
         expected = f"at most the time of the last way-point, {t[-1]:g} s"
         yield Fault(("time", "duration"), expected, f"{duration:g}")
 
 
-def _turns(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
-    """Yield an error for headings that wrap around."""
+def _heading_errors(heading: Array, place: tuple[str, ...]) -> Iterator[Fault]:
+    """Yield an error for consecutive headings that differ by more than pi."""
     leaps = np.flatnonzero(np.abs(np.diff(heading)) > np.pi)
     if leaps.size:
         before, after = heading[leaps[0] : leaps[0] + 2]
-        expected = "headings less than half a turn apart; add 2 pi where they wrap, or way-points"
-        yield Fault(place, expected, f"{after:g} after {before:g}")
+        remedy = "add 2 pi to the headings after a wrap, or add way-points"
+        expected = "consecutive headings that differ by at most pi"
+        yield Fault(place, expected, f"{after:g} after {before:g}; {remedy}")
 
 
 def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, Any, Any]:
-    """Return the times of the samples, the inputs, and those at the start."""
+    """Return the times of the samples [s], the inputs, and the inputs at the start."""
     texts = {name: value for name, value in given.items() if isinstance(value, str)}
     formulas = {name: evaluate(text, {"t": dae.t}) for name, text in texts.items()}
     numbers = {name: value for name, value in given.items() if name not in formulas}
@@ -285,10 +297,11 @@ def _inputs(spec: Inverse, dae: Dae, given: Mapping[str, Any]) -> tuple[Array, A
 
 
 def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajectory:
-    """Return the start with the first given rates.
+    """Return the vehicle at its start, moving at the first given rates.
 
-    Steering angles that are not in ``[start]`` are those of the first commands; along a path they
-    are unknowns of the motion.
+    Under commands, steering angles that are absent from ``[start]`` are those that the first
+    commands require. If collocation determines the steering, the vehicle is at rest, since the
+    steering angles are unknowns of the motion.
     """
     vehicle, direct, dae, stand = setup.vehicle, setup.model, setup.dae, setup.start
     options = spec.solver.options
@@ -296,13 +309,13 @@ def _start(spec: Inverse, setup: Setup, first: Any, *, exact: bool) -> Trajector
         return stand
     if not _is_commanded(setup):
         if spec.given is not None:
-            ahead = _ahead(direct, vehicle, stand, spec.given)
+            ahead = _forward_inputs(direct, vehicle, stand, spec.given)
             stand = apply_inputs(direct, stand, ahead, options=options)
         return apply_inputs(dae, stand, first, options=options)
-    sought = [name for name in steering_effects(vehicle, direct) if name not in spec.start]
+    unknown = [name for name in steering_effects(vehicle, direct) if name not in spec.start]
     try:
-        errors = [f"{name}_error" for name in sought]
-        return trim_states(dae, stand, first, states=sought, least=errors, options=options)
+        errors = [f"{name}_error" for name in unknown]
+        return trim_states(dae, stand, first, states=unknown, least=errors, options=options)
     except ModelError:
         if exact:
             check_authority(vehicle, direct, stand, _input_names(dae))
@@ -323,8 +336,10 @@ def _is_collocated(spec: Inverse, setup: Setup) -> bool:
     return spec.path is not None and spec.steering == "angle" and not _is_commanded(setup)
 
 
-def _ahead(direct: Dae, vehicle: Vehicle, start: Trajectory, given: Mapping[str, Any]) -> Any:
-    """Return inputs of the direct model that approximate the given motion of the platform."""
+def _forward_inputs(
+    direct: Dae, vehicle: Vehicle, start: Trajectory, given: Mapping[str, Any]
+) -> Any:
+    """Return inputs of the direct model that drive forward at about the given speed."""
     heading, speed = float(start["heading"][-1]), GUESS_SPEED
     if "velocity_x" in given and "velocity_y" in given:
         speed = given["velocity_y"] * np.cos(heading) - given["velocity_x"] * np.sin(heading)
@@ -345,7 +360,7 @@ def _collocate(setup: Setup, options: SolverOptions, watch: Watch) -> tuple[Traj
 
 
 def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
-    """Return a motion with the slip of its steering, or the reason why the steering failed."""
+    """Return a motion with its steering slip, or with the cause of a failure in its stop."""
     if "steering_lever" in run.columns:
         return steering_slip(vehicle, run)
     if run.stop is None or run.stop.name != "solver" or "steering_growth" not in run.columns:
@@ -355,9 +370,10 @@ def _with_steering(vehicle: Vehicle, run: Trajectory) -> Trajectory:
 
 
 def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOptions) -> Trajectory:
-    """Return a motion with its differences from that of the direct model under its inputs.
+    """Return a motion with its differences from the direct model in its statistics.
 
-    Unless inputs are given as functions of time, the samples of the motion are interpolated.
+    The direct model is integrated with `inputs`, functions of time; for None, the inputs are
+    splines through the samples of the motion.
     """
     direct, gaps, words = setup.model, dict[str, float](), ""
     try:
@@ -372,17 +388,17 @@ def _with_replay(setup: Setup, run: Trajectory, inputs: Any, options: SolverOpti
                 words = f"at {stop.t:.6g} s: {stop.words}"
     except (SlipfreeError, np.linalg.LinAlgError) as error:
         words = str(error)
-    held = [c.name for c in setup.vehicle.of("commanded") if _is_held(c, run)]
-    attributes = {"replay_stopped": words, "held_at_stop": " ".join(held)}
+    at_stop = [c.name for c in setup.vehicle.of("commanded") if _reaches_stop(c, run)]
+    attributes = {"replay_stopped": words, "held_at_stop": " ".join(at_stop)}
     attributes = {name: words for name, words in attributes.items() if words}
     return replace(run, statistics={**run.statistics, **gaps}, attributes=attributes)
 
 
-def _is_held(c: Coordinate, run: Trajectory) -> bool:
-    """Return whether the steering under commands reaches the last target within its stops."""
+def _reaches_stop(c: Coordinate, run: Trajectory) -> bool:
+    """Return whether a coordinate that follows commands reaches one of its stops."""
     angle = run[c.name]
-    room = np.minimum(c.upper - angle, angle - c.lower).min()
-    return f"{c.name}_error" in run.columns and bool(room < 2 * STOP_CLEARANCE)
+    distance = np.minimum(c.upper - angle, angle - c.lower).min()
+    return f"{c.name}_error" in run.columns and bool(distance < 2 * STOP_CLEARANCE)
 
 
 def _check_samples(t: Array, jumps: Sequence[float]) -> None:
@@ -390,13 +406,13 @@ def _check_samples(t: Array, jumps: Sequence[float]) -> None:
     places = np.searchsorted(t, [t[0], *jumps])
     if jumps and np.diff(places).min() < MIN_SAMPLES:
         raise ModelError(
-            f"not done: it needs {MIN_SAMPLES} or more samples between changes of the commands, "
-            f"found {np.diff(places).min()}; reduce 'step' in [time]"
+            f"expected at least {MIN_SAMPLES} samples between changes of the commands for a "
+            f"replay, found {np.diff(places).min()}; reduce 'step' in [time]"
         )
 
 
 def _jumps(setup: Setup, run: Trajectory) -> list[float]:
-    """Return the times at which given rates jump."""
+    """Return the times within a motion at which given rates jump [s]."""
     values: list[Any] = [v for v in leaves(setup.inputs) if isinstance(v, np.ndarray)]
     where = {k + 1 for each in values for k in np.flatnonzero(np.diff(each))}
     return [float(setup.t[k]) for k in sorted(where) if setup.t[k] < run.t[-1]]

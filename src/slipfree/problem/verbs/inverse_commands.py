@@ -37,13 +37,13 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
     Raises
     ------
     ProblemError
-        If the file cannot be read, or if names are unknown, given twice or of another frame.
+        If the file cannot be read, or a name is unknown, occurs twice or is of another frame.
     """
     given, columns, words = dict(spec.given or {}), dict[str, Any](), []
     if (file := given.pop(FILE, None)) is not None:
         with at(problem, ("given", FILE)):
             if not isinstance(file, str):
-                raise DataError("expected the name of a CSV file in quotes, found values")
+                raise DataError("expected the name of a CSV file in quotes, found another value")
             columns = _read_file(problem.folder / file)
         words = [f"{', '.join(columns)} of {file}"]
     if faults := [*_faults(spec, given, columns)]:
@@ -61,39 +61,43 @@ def read_commands(problem: Problem[S], spec: Inverse) -> tuple[dict[str, Any], s
 
 
 def _read_file(file: Path) -> dict[str, Piecewise]:
-    """Return the columns of a CSV file; a command is constant until the next row."""
+    """Return the commands of a CSV file by name; a command is constant until the next row."""
     names = read_names(file, "commands")
     rates = [name for name in names if name != "t"]
     if len(set(names)) < len(names) or "t" not in names or not are_commands(rates) or FILE in rates:
         raise DataError(
-            f"{file}: expected a first line of names with commas between, t and some of "
-            f"{', '.join(COMMANDS)} or some of {', '.join(ROBOT)}, found {','.join(names)!r}"
+            f"{file}: expected a first line with comma-separated names, t and some of "
+            f"{', '.join(COMMANDS)}, or t and some of {', '.join(ROBOT)}, found {','.join(names)!r}"
         )
     rows = read_columns(file, ["t", *rates], "commands")
     if not rows:
-        raise DataError(f"{file}: expected one or more rows of numbers, found names alone")
+        raise DataError(f"{file}: expected one or more rows of numbers, found only names")
     t, *columns = zip(*rows, strict=True)
     if t[0] != 0:
-        raise DataError(f"{file}: expected times that ascend from 0, found {t[0]:g} first")
+        raise DataError(f"{file}: expected increasing times, the first 0, found {t[0]:g} first")
     for before, after in pairwise(t):
         if after <= before:
             found = f"{after:g} after {before:g}"
-            raise DataError(f"{file}: expected times that ascend from 0, found {found}")
+            raise DataError(f"{file}: expected increasing times, the first 0, found {found}")
     return {
         name: tuple(zip(t, rate, strict=True)) for name, rate in zip(rates, columns, strict=True)
     }
 
 
 def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -> Iterator[Fault]:
-    """Yield errors in rates that should be commands."""
+    """Yield errors in commands: names of other kinds, repeated names, wrong frame or steering."""
     if spec.steering != "angle":
-        expected = f"'angle', which the steering follows with {', '.join(COMMANDS)}"
+        expected = f"'angle' with given rates {', '.join(COMMANDS)}"
         yield Fault(("steering",), expected, repr(spec.steering))
     for name in given:
         if not are_commands({name, *columns}):
-            yield Fault(("given", name), f"more rates like {', '.join(columns)}", repr(name))
+            yield Fault(
+                ("given", name),
+                f"rates of the same kind as {', '.join(columns)} in the CSV file",
+                repr(name),
+            )
         elif name in columns:
-            yield Fault(("given", name), "a rate that the file does not have", repr(name))
+            yield Fault(("given", name), "only rates that are not in the CSV file", repr(name))
     if spec.frame != "rep103" and (robot := [n for n in (*columns, *given) if n in ROBOT]):
         place = ("given", robot[0] if robot[0] in given else FILE)
         expected = f"{', '.join(COMMANDS)}, or frame = 'rep103' with {', '.join(ROBOT)} (v_y left)"
@@ -101,7 +105,7 @@ def _faults(spec: Inverse, given: Mapping[str, Any], columns: Collection[str]) -
 
 
 def _check_formula(text: str, time: Time) -> None:
-    """Raise ModelError for a rate that is not a formula of time, or not finite at a sample."""
+    """Raise ModelError for a formula that is not a function of t or not finite at a sample."""
     t, symbol = samples(time, {})[0], ca.SX.sym("t")
     try:
         value = evaluate(text, {"t": symbol})

@@ -1,4 +1,4 @@
-"""Summary of inverse kinematics."""
+"""Facts of the summary of inverse kinematics."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from slipfree.models.inverse import steering_note
 from slipfree.records import Mask
 from slipfree.trajectory import Trajectory
 
-METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and a value of it
-STEERED = 0.02  # error of a steering angle within which it is at its target [rad, m]
+METHOD, COLLOCATION = "solved_by", "collocation"  # attribute of a result, and one of its values
+STEERED = 0.02  # largest error of a steering coordinate at its target [rad, m]
 CHECKS = (
     "margin",
     "round trip",
@@ -23,7 +23,7 @@ CHECKS = (
 
 
 def is_collocated(run: Trajectory) -> bool:
-    """Return whether the steering was found along a whole path by collocation."""
+    """Return whether collocation determined the steering of a motion."""
     return run.attributes.get(METHOD) == COLLOCATION
 
 
@@ -35,7 +35,7 @@ def steering_warning(run: Trajectory) -> str:
 
 
 def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the facts of an inverse motion: rates, steering, errors and determinacy."""
+    """Yield the facts of an inverse motion: rates, steering, margin and errors."""
     commanded = [name for name in COMMANDS if f"{name}_error" in run.columns]
     for wheel in run.wheels:
         if (name := f"{wheel}_rate") in run.columns:
@@ -56,10 +56,10 @@ def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     for name in steered:
         low, high, off = run[name].min(), run[name].max(), np.abs(run[f"{name}_error"]).max()
         unit = run.columns[name].label.unit
-        held = (
-            "; held at its stop" if name in run.attributes.get("held_at_stop", "").split() else ""
+        at_stop = (
+            "; reaches its stop" if name in run.attributes.get("held_at_stop", "").split() else ""
         )
-        words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{held}"
+        words = f"{low:.6g} to {high:.6g} {unit}, off by {off:.1e} {unit} at most{at_stop}"
         yield f"steering {name}", words
     errors = [np.abs(run[f"{name}_error"]) for name in steered]
     is_turning = np.max([np.zeros(run.t.size), *errors], axis=0) > STEERED
@@ -69,22 +69,26 @@ def inverse_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         if name in run.columns:
             yield name.replace("_", " "), _largest_error(run, name)
     if "steering_slip" in run.columns:
-        yield "steering slip", f"{run['steering_slip'].max():.2e} m/s at most: lever times rate"
+        yield (
+            "steering slip",
+            f"{run['steering_slip'].max():.2e} m/s at most (steering lever times steering rate)",
+        )
     if warning := steering_warning(run):
         yield "warning", warning
     trip = [size for name, size in run.statistics.items() if name.startswith("round_trip_")]
     if trip:
         yield (
             "round trip",
-            f"{max(trip):.1e} at most: rates of the direct model at the samples, from those of "
-            "wheels and joints",
+            f"{max(trip):.1e} at most: difference of the platform rates from those of the direct "
+            "model at the same wheel and joint rates",
         )
 
 
 def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -> str:
-    """Return the largest error and its time, and the largest with the steering at its target.
+    """Return the text of the largest error, its time, and a second error.
 
-    For errors along a path, which accumulate, it is the last error instead.
+    The second error is the last one for errors along a path (`is_turning` is None), which
+    accumulate; else the largest one while the steering is at its target.
     """
     error, unit = np.abs(run[name]), run.columns[name].label.unit.replace(" s-1", "/s")
     worst = int(error.argmax())
@@ -99,17 +103,17 @@ def _largest_error(run: Trajectory, name: str, is_turning: Mask | None = None) -
 
 
 def collocation_fact(run: Trajectory) -> tuple[str, str]:
-    """Return the cost of the collocation along a path."""
+    """Return the fact about the cost of the collocation along a path."""
     counts = run.statistics
     return (
         "collocation",
         f"{counts['elements']:.0f} elements of degree {counts['degree']:.0f}, "
-        f"{counts['cpu_seconds']:.3g} s CPU, steering to {counts['sought_error']:.1e} rad",
+        f"{counts['cpu_seconds']:.3g} s CPU, steering error {counts['sought_error']:.1e} rad",
     )
 
 
 def replay_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the differences of the replay by the direct model, if there is one."""
+    """Yield the facts about the differences of the replay by the direct model, if computed."""
     gaps = {
         name.removeprefix("replay_"): size
         for name, size in run.statistics.items()

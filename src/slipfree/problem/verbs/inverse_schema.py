@@ -17,28 +17,28 @@ FILE = "file"  # the key of [given] that names a CSV file
 
 
 class Path(Record):
-    """A path in time: position and heading of the platform's centre, here or in a file."""
+    """Path in time: positions and headings of the platform's centre, as arrays or from a file."""
 
     t: Column | None = Field(default=None, description="times, increasing from 0 [s]")
-    x: Column | None = Field(default=None, description="at these times [m]")
-    y: Column | None = Field(default=None, description="at these times [m]")
-    heading: Angles | None = Field(default=None, description="at these times [rad]")
-    file: str | None = Field(default=None, description="a file with these four columns")
+    x: Column | None = Field(default=None, description="x at these times [m]")
+    y: Column | None = Field(default=None, description="y at these times [m]")
+    heading: Angles | None = Field(default=None, description="headings at these times [rad]")
+    file: str | None = Field(default=None, description="CSV file with the columns t, x, y, heading")
 
 
 class Inverse(Motion):
-    """Inverse problem: the wheel rates for given rates of the platform, or for its path."""
+    """Inverse problem: wheel and steering rates for given platform rates or a platform path."""
 
     verb: Literal["inverse"] = Field(description=VERB)
     given: dict[str, TimeFunction] | None = Field(
         default=None,
-        description="rates of the platform by name, or the name of a CSV file of them in "
-        "time [m/s, rad/s]",
+        description="rates of the platform by name, or 'file', a CSV file of rates over time "
+        "[m/s, rad/s]",
     )
     exact: bool | None = Field(
         default=None,
-        description="whether rates in the heading frame must be met exactly; otherwise their "
-        "errors are minimised; true by default unless all three are given",
+        description="whether rates in the heading frame are met exactly; otherwise their errors "
+        "are minimised; true by default unless all three are given",
     )
     path: Path | None = Field(default=None, description="a path in time, instead of given rates")
     steering: Literal["rate", "angle"] = Field(
@@ -53,12 +53,12 @@ class Inverse(Motion):
 
     @property
     def named_files(self) -> tuple[str, ...]:
-        """The CSV file of commands, if there is one."""
+        """Name of the CSV file of commands; empty without one."""
         file = (self.given or {}).get(FILE)
         return (file,) if isinstance(file, str) else ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield also the errors of a path: arrays beside a file, missing ones, unequal lengths."""
+        """Yield the errors of values that do not fit each other, including the arrays of a path."""
         yield from super().faults()
         path = self.path
         if path is None:
@@ -69,7 +69,9 @@ class Inverse(Motion):
         for name in ("x", "y", "heading"):
             place, column = ("path", name), getattr(path, name)
             if path.file is not None and column is not None:
-                yield Fault(place, "no array beside a file", format_value(list(column)))
+                yield Fault(
+                    place, "no array beside 'file'", f"{format_value(list(column))}; remove one"
+                )
             elif path.file is None and len(column or ()) != len(times):
-                expected = f"an array of {len(times)} numbers, one for each of t"
+                expected = f"an array of {len(times)} numbers, one for each time in t"
                 yield Fault(place, expected, f"{len(column)}" if column is not None else "none")

@@ -1,4 +1,4 @@
-"""Plans: inputs that lead to a goal at the least cost, and the motion under them."""
+"""Plans: inputs that reach a goal at least cost, and the resulting motion."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from slipfree.problem.verbs.driving import DriveVerb, model_attributes
 from slipfree.problem.verbs.plan_facts import CHECKS, plan_facts
 from slipfree.problem.verbs.plan_goals import (
     Place,
-    Wanted,
+    Ranges,
     facing,
     key_of,
     places_of,
@@ -74,34 +74,34 @@ if TYPE_CHECKING:
     from slipfree.show.drive_scene import Driven
     from slipfree.show.plots import Plot
 
-MAX_SAMPLES = 401  # of a plan in space
-ROUNDING = 1e-6  # of a limit that a plan meets, in its unit
-SLIDING = 0.95  # utilisation from which a wheel slides rather than rolls
+MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
+ROUNDING = 1e-6  # largest violation that counts as rounding, in the unit of the limit
+SLIDING = 0.95  # utilisation above which a wheel counts as sliding
 ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
-FRICTION_TOLERANCE = 1e-6  # of motions under friction with jumps; smaller ones may find no start
-Tell = Callable[[str, str], None]
+FRICTION_TOLERANCE = 1e-6  # smallest one for quasi-statics, which may not settle below it
+LineCallback = Callable[[str, str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Planning(Setup):
-    """Everything that the search for a plan needs.
+    """Set-up of the search for a plan.
 
     Attributes
     ----------
     layers : Traversability
         Traversability of the map.
     places : tuple of (str, float, float)
-        Names and positions of start, way-points and goal. [m]
+        Names and map coordinates of start, way-points and goal. [m]
     keep_out : tuple of Region
         Keep-out regions.
     ways : tuple of ndarray, shape (n, 2)
-        Paths of the initial guesses, if there are any. [m]
+        Paths of the initial guesses; empty if the guesses follow no path. [m]
     starts : tuple of (record, float)
-        Inputs and durations of the initial guesses. [s]
+        Inputs and duration of each initial guess. [rad/s, s]
     spec : Plan
-        Specification of the plan.
+        Record of the problem file.
     between : mapping of float to mapping
-        Constraints of the way-points, by fraction of the duration.
+        Ranges of quantities at the way-points, by fraction of the duration.
     """
 
     layers: Traversability
@@ -110,11 +110,11 @@ class Planning(Setup):
     ways: tuple[Array, ...]
     starts: tuple[tuple[Any, float], ...]
     spec: plan_schema.Plan
-    between: Mapping[float, Wanted]
+    between: Mapping[float, Ranges]
 
 
 class PlanVerb(DriveVerb):
-    """Inputs that lead to a goal at the least cost."""
+    """Planning: inputs that reach a goal at least cost, and the resulting motion."""
 
     schema = plan_schema.Plan
     options = (RESUME,)
@@ -176,7 +176,7 @@ class PlanVerb(DriveVerb):
         watch: Watch,
         resume: SavedPlan | None,
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion that a plan leads to, simulated, and the plan for a warm start."""
+        """Return the simulated motion of a plan, and the plan as arrays for a warm start."""
         spec = problem.spec
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
@@ -200,7 +200,7 @@ class PlanVerb(DriveVerb):
                 options=spec.solver.options,
                 step=spec.time.step,
                 resume=resume,
-                progress=_telling(watch.line),
+                progress=_iterate_reporter(watch.line),
             )
         run, stop = found.replay, found.run.stop
         if stop is not None and not found.success:
@@ -216,23 +216,23 @@ class PlanVerb(DriveVerb):
         return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
-        """Return also the model and the law."""
+        """Return the attributes of the result, including model and law."""
         return super().attributes(problem, setup) | model_attributes(problem.spec)
 
     def describe_samples(self, problem: Problem[plan_schema.Plan], setup: Setup) -> str:
-        """Return the sampling of the result in words; the duration may be the plan's choice."""
-        return f"{problem.spec.time.step:g} s apart or less, as the intervals of the plan need"
+        """Return the description of the sampling, without the duration, which may be unknown."""
+        return f"{problem.spec.time.step:g} s apart or less, depending on the intervals of the plan"
 
     def own_facts(self, run: Trajectory) -> Facts:
-        """Return costs of the plan and differences of its simulation."""
+        """Return the facts about costs of the plan and differences of its simulation."""
         return [*plan_facts(run)]
 
     def verification(self, run: Trajectory) -> dict[str, Quantity]:
-        """Return differences of the simulation from the plan, and violations of limits."""
+        """Return differences of the simulation from the plan, and violations of limits, by name."""
         return differences(run, "plan_difference_", "plan_violation_")
 
     def metrics(self, run: Trajectory, spec: plan_schema.Plan) -> dict[str, Quantity]:
-        """Return also the largest violation, and whether the motion is complete without any."""
+        """Return the metrics of a motion, including its largest violation of limits."""
         found = super().metrics(run, spec)
         sizes = [v for k, v in run.statistics.items() if k.startswith("plan_violation_")]
         violation = max(sizes, default=0.0)
@@ -252,18 +252,18 @@ class PlanVerb(DriveVerb):
         return *plots, *super().figures(replace(result, setup=setup))
 
     def shown(self, result: Result, name: str) -> Driven:
-        """Return the motion of a result with ground, vehicle, keep-outs and plan."""
+        """Return the motion of a result with ground, vehicle, keep-out regions and plan."""
         found, problem = super().shown(result, name), result.problem
         planned = poses_of_plan(result.trajectory, result.arrays, found.terrain)
         return found._replace(keep_out=regions(problem, problem.spec), plan=planned)
 
 
 def _check_quantities(problem: Problem[plan_schema.Plan], dae: Dae) -> None:
-    """Refuse goals and limits of quantities that the model does not have."""
+    """Raise ProblemError for goals and limits of unknown quantities."""
     spec = problem.spec
     own = {name for limit in dae.limits for name in (limit.label.name, limit.label.full)}
-    for table, asked in (("goal", spec.goal), ("limits", spec.limits)):
-        for name in asked.keys() - own:
+    for table, values in (("goal", spec.goal), ("limits", spec.limits)):
+        for name in values.keys() - own:
             with at(problem, (table, name)):
                 dae.named(name)
 
@@ -275,7 +275,7 @@ def _starts(
     start: Trajectory,
     ways: tuple[Array, ...],
 ) -> tuple[tuple[Any, float], ...]:
-    """Return the inputs of the motions from which the search starts, and their durations [s]."""
+    """Return inputs and duration [s] of each initial guess."""
     spec = problem.spec
     t, rates = samples(spec.time, spec.inputs or {})
     if spec.driver is None:
@@ -284,17 +284,17 @@ def _starts(
     if not ways:
         return ((build_law(problem, spec.driver, dae, vehicle, start), float(t[-1])),)
     with at(problem, ("driver",)):
-        return tuple(_along(dae, vehicle, way, spec.driver.speed) for way in ways)
+        return tuple(_path_guess(dae, vehicle, way, spec.driver.speed) for way in ways)
 
 
-def _along(dae: Dae, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
-    """Return the law that follows a path, and the duration of its motion."""
+def _path_guess(dae: Dae, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
+    """Return the inputs of a law that follows a path, and the duration of its motion [s]."""
     path = Path(way)
     return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
 
 
 def figure_options(setup: Planning) -> dict[str, Any]:
-    """Return the options of the figures of a plan."""
+    """Return the keyword arguments of `plan_plots` for a plan."""
     unbounded = {label.name: (-np.inf, np.inf) for label in leaves(setup.dae.labels.u)}
     return {
         "places": setup.places,
@@ -309,7 +309,7 @@ def _plan_arguments(
     spec: plan_schema.Plan,
     keep_out: tuple[Region, ...],
     model: tuple[Dae, Vehicle, Bicubic],
-    between: Mapping[float, Wanted],
+    between: Mapping[float, Ranges],
 ) -> dict[str, Any]:
     """Return the arguments of `plan` for a problem."""
     limits = (*limits_of(model[0], facing(problem, spec.limits)), *_kept_out(keep_out, *model))
@@ -344,7 +344,7 @@ def _kept_out(
 
 
 def _violations(found: Plan, accuracy: float) -> dict[str, str]:
-    """Return the violations by the simulation in words, as an attribute; none if it has none."""
+    """Return the description of violations in the simulation, as an attribute if there are any."""
     sizes = {name: size for name, size in found.violation.items() if size > ROUNDING}
     if not sizes:
         return {}
@@ -353,7 +353,7 @@ def _violations(found: Plan, accuracy: float) -> dict[str, str]:
 
 
 def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
-    """Return the stop of a plan that is solved, but simulated less exactly than required."""
+    """Return the stop of a solved plan whose simulation misses the required accuracy."""
     sizes = found.difference | found.violation
     parts = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
     worst = missed_words(parts, found.units) or "a narrow limit"
@@ -364,7 +364,7 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
         STOPPED_STATUS: "the refinement of its mesh was stopped",
     }.get(last.status, f"with {last.words} {ipopt_words(last.status)}; {advice}")
     words = (
-        f"the plan is solved, but its simulation misses {worst}, plan.accuracy allows "
+        f"the plan is solved, but its simulation misses {worst}; plan.accuracy allows "
         f"{spec.plan.accuracy:g}: {why}"
     )
     outcome = Outcome.INTERRUPTED if last.status == STOPPED_STATUS else Outcome.INACCURATE
@@ -389,10 +389,11 @@ def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
     return run.part(slice(max(int(away.argmin()), 1) + 1))
 
 
-def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
-    """Return a callback that prints every iterate in a line, and stops the search at Ctrl-C.
+def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], bool]:
+    """Return a callback that reports each iterate and stops the search after Ctrl-C.
 
-    Before the first iterate there is only the initial guess; Ctrl-C then ends the program.
+    It returns False to stop. Ctrl-C before the first iterate raises KeyboardInterrupt, since there
+    is no plan to save.
     """
     begun = False
 
@@ -403,8 +404,8 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
             f"{iterate.violation:.1e}"
         )
         try:
-            if tell is not None:
-                tell(words, line)
+            if report is not None:
+                report(words, line)
         except KeyboardInterrupt:
             if not begun:
                 raise
@@ -416,7 +417,7 @@ def _telling(tell: Tell | None) -> Callable[[str, Iterate], bool]:
 
 
 def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
-    """Return the description of the quasi-static motion under the plan's inputs."""
+    """Return the description of the quasi-static motion under the plan's inputs, if possible."""
     able = setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.model != "quasi-static"):
         return {}
@@ -443,10 +444,10 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     slip = np.hypot(run["slip_along"], run["slip_across"])
     sliding = 1e3 * np.trapezoid(slip, run.t, axis=0).mean() / path_length(run)
     used = run["utilisation"].max()
-    slides = ", that of a sliding wheel" if used > SLIDING else ""
+    slides = " (a wheel slides)" if used > SLIDING else ""
     words = (
         f"ends {apart:.3g} m from the plan, slips {sliding:.3g} mm per wheel and metre, "
-        f"utilisation {used:.3g} at most{slides}"
+        f"utilisation at most {used:.3g}{slides}"
     )
     return {"by_friction": words}
 
@@ -472,10 +473,10 @@ def _statistics(found: Plan) -> dict[str, float]:
 def poses_of_plan(
     run: Trajectory, arrays: Mapping[str, Array], terrain: Bicubic
 ) -> Trajectory | None:
-    """Return the poses of the plan that a motion simulates; None if there is no plan.
+    """Return the poses of the plan that a motion simulates; None if no plan is stored.
 
-    States and algebraic unknowns of a plan are the first quantities of its simulation, in order,
-    up to the contacts. The wheel angles are those of the simulation.
+    The first quantities of the simulation, up to the contacts, are states and algebraic unknowns of
+    the plan in the same order. The wheel angles are those of the simulation.
     """
     if f"{ARRAY_PREFIX}unknowns" not in arrays:
         return None

@@ -1,4 +1,4 @@
-"""Summary of a plan."""
+"""Facts of the summary of a plan."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CHECKS = ("simulated", "simulated with friction")  # facts about accuracy and va
 
 
 def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the facts of a plan, and its differences from the simulated motion."""
+    """Yield the facts of a plan: costs, differences of its simulation, slip, friction."""
     counts = run.statistics
     costs = {
         name.removeprefix("plan_cost_"): value
@@ -25,8 +25,8 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
         plan,
         ", ".join(f"{name} {value:.6g}" for name, value in costs.items())
         + (
-            f"; {counts['plan_iterations']:.0f} iterations, {counts['plan_seconds']:.3g} s, of it "
-            f"{counts['plan_seconds_functions']:.3g} s in functions"
+            f"; {counts['plan_iterations']:.0f} iterations, {counts['plan_seconds']:.3g} s, "
+            f"of which {counts['plan_seconds_functions']:.3g} s in functions"
         ),
     )
     gaps = [

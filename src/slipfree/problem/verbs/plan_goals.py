@@ -10,7 +10,7 @@ import numpy as np
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.build_common import turned
-from slipfree.problem.build_driver import way_of
+from slipfree.problem.build_driver import path_points
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.verbs.plan_schema import Guide, Plan
@@ -20,21 +20,22 @@ from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import Traversability
 
 Place = tuple[str, float, float]
-Wanted = dict[str, tuple[float, float]]
+Ranges = dict[str, tuple[float, float]]
 Domain = tuple[float, float, float, float]
 
 
 def places_of(
-    problem: Problem[S], spec: Plan, between: Mapping[float, Wanted], domain: Domain
+    problem: Problem[S], spec: Plan, between: Mapping[float, Ranges], domain: Domain
 ) -> tuple[tuple[Place, ...], set[str]]:
-    """Return start, way-points and goal in map coordinates, and the names of the exact ones.
+    """Return start, way-points and goal in map coordinates [m], and the names of the exact ones.
 
-    A range is represented by the middle of its part on the map.
+    An exact one has values for x and y, not ranges. A range is represented by the middle of its
+    part on the map. Way-points and goals without x and y are omitted.
 
     Raises
     ------
     ProblemError
-        If a range is entirely off the map.
+        If a value or a range is off the map.
     """
     places = [("start", spec.start.get("x", 0.0), spec.start.get("y", 0.0))]
     exact = {"start"}
@@ -48,8 +49,8 @@ def places_of(
             if least > most:
                 where = problem.source.where((key_of(name),))
                 raise ProblemError(
-                    f"{where}: the {name} lies off the map: {axis} is {spelled(wanted[axis])} m, "
-                    f"and the map extends from {low:.10g} to {high:.10g} m; move the {name}"
+                    f"{where}: expected a {name} on the map, which extends from {low:.10g} to "
+                    f"{high:.10g} m, found {axis} = {spelled(wanted[axis])} m; move the {name}"
                 )
             at[axis] = (least + most) / 2
         if len(at) == 2:
@@ -60,32 +61,33 @@ def places_of(
 
 
 def key_of(place: str) -> str:
-    """Return the key of a problem file for a start, way-point or goal."""
+    """Return the key of a problem file for the name of a start, way-point or goal."""
     return place if place in ("start", "goal") else "way_points"
 
 
-def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Wanted]:
-    """Return the constraints of the way-points, by the fraction of the duration."""
-    found: dict[float, Wanted] = {}
+def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
+    """Return the ranges of quantities at the way-points, by fraction of the duration."""
+    found: dict[float, Ranges] = {}
     for index, each in enumerate(spec.way_points):
         wanted = dict(each)
         with at(problem, ("way_points", index)):
             low, high = wanted.pop("at", (0.0, 0.0))
             if not 0 < low == high < 1:
                 raise ModelError(
-                    "way_points: expected at, a fraction of the duration between 0 and 1, and "
-                    f"values by name, found at = {spelled((low, high))}"
+                    "way_points: expected the key 'at', a fraction of the duration between 0 and "
+                    f"1, found {spelled((low, high))}"
                 )
             if low in found:
                 raise ModelError(
-                    f"way_points: expected one at {low:g}, found two; put them together"
+                    f"way_points: expected at most one way-point at {low:g}, found two; put their "
+                    "values together"
                 )
             found[low] = facing(problem, wanted)
     return dict(sorted(found.items()))
 
 
-def facing(problem: Problem[S], wanted: Wanted) -> Wanted:
-    """Return constraints with headings from the y axis."""
+def facing(problem: Problem[S], wanted: Ranges) -> Ranges:
+    """Return ranges with headings converted to the frame of the model, from the y axis."""
     return {
         name: (low + turned(problem), high + turned(problem)) if name == "heading" else (low, high)
         for name, (low, high) in wanted.items()
@@ -102,39 +104,40 @@ def ways_of(
     if driver.name == "follow":
         with at(problem, ("driver",)):
             if driver.paths is None:
-                return (way_of(problem, driver),)
+                return (path_points(problem, driver),)
             if driver.path is not None or driver.file is not None:
-                raise ModelError("driver: expected only one of path, paths and file, found two")
+                raise ModelError("driver: expected one of path, paths and file, found several")
             return tuple(np.array(path) for path in driver.paths)
     if places[-1][0] != "goal":
-        raise ProblemError(f"{problem.source.where(('goal',))}: a route needs a goal in x and y")
+        where = problem.source.where(("goal",))
+        raise ProblemError(f"{where}: expected values for x and y, which a route needs, found none")
     return _routes(problem, driver, layers, [np.array(place[1:]) for place in places])
 
 
 def _routes(
     problem: Problem[S], driver: Guide, layers: Traversability, places: list[Array]
 ) -> tuple[Array, ...]:
-    """Return routes through all way-points; several routes only without way-points."""
+    """Return the points of routes from start to goal; of one route if there are way-points."""
     with at(problem, ("driver",)):
         if len(places) == 2:
             found = routes(
                 layers, places[0], places[1], driver.count, turning_radius=driver.turning_radius
             )
-            return tuple(way.points for way in found)
+            return tuple(path.points for path in found)
         if driver.count > 1:
             raise ModelError(
-                "driver: expected count = 1 with way-points, since several routes are searched "
-                "only without them"
+                f"driver: expected count = 1 with way-points, found {driver.count}; several routes "
+                "are searched only without way-points"
             )
         legs = [
-            route(layers, one, other, turning_radius=driver.turning_radius)
-            for one, other in pairwise(places)
+            route(layers, first, second, turning_radius=driver.turning_radius)
+            for first, second in pairwise(places)
         ]
         return (np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]),)
 
 
 def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
-    """Return the keep-out regions."""
+    """Return the keep-out regions of a problem."""
     found: list[Region] = []
     for index, each in enumerate(spec.keep_out):
         with at(problem, ("keep_out", index)):
@@ -144,11 +147,13 @@ def regions(problem: Problem[S], spec: Plan) -> tuple[Region, ...]:
             elif each.points is None and None not in disc:
                 found.append(Region.disc(*(float(value or 0.0) for value in disc)))
             else:
-                raise ModelError("keep_out: expected either x, y and radius, or points")
+                raise ModelError(
+                    "keep_out: expected either x, y and radius, or points, found others"
+                )
     return tuple(found)
 
 
 def spelled(bounds: tuple[float, float]) -> str:
-    """Return the text of a value or a range."""
+    """Return the text of a range, or of a value if both bounds are equal."""
     low, high = bounds
     return f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}"

@@ -23,7 +23,7 @@ class Guide(Driver):
     """Initial guess of a plan: a driving law along paths or along routes over the ground."""
 
     name: Literal["straight", "follow", "route"] = Field(  # type: ignore[assignment]
-        description="name of the law; route: along a route over the map"
+        description="law; 'route': follow a path that a search finds on the map"
     )
     turning_radius: NonNegative = Field(
         default=1.0, description="smallest turning radius of a route [m]"
@@ -41,10 +41,10 @@ class Guide(Driver):
 
 
 class KeepOut(Record):
-    """A region that the vehicle must not touch: a disc or a polygon."""
+    """A region that no wheel may touch: a disc or a polygon."""
 
-    x: float | None = Field(default=None, description="coordinate of a disc's centre [m]")
-    y: float | None = Field(default=None, description="coordinate of a disc's centre [m]")
+    x: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
+    y: float | None = Field(default=None, description="coordinate of the centre of a disc [m]")
     radius: Positive | None = Field(default=None, description="radius of a disc [m]")
     points: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="corners of a polygon [m]"
@@ -77,10 +77,12 @@ class Search(Record):
 
 
 class Plan(Modelled):
-    """A plan: the inputs that reach a goal at least cost; a driving law is the initial guess."""
+    """Planning problem: the inputs that reach a goal at least cost."""
 
     verb: Literal["plan"] = Field(description=VERB)
-    goal: dict[str, Range] = Field(description="states or unknowns at the end, by name [m, rad]")
+    goal: dict[str, Range] = Field(
+        description="ranges of states or unknowns at the end, by name [m, rad]"
+    )
     costs: dict[str, NonNegative] = Field(
         description="weights of integrals over time: slip, effort, time, energy, or any quantity "
         "squared [1]"
@@ -90,14 +92,15 @@ class Plan(Modelled):
     )
     bounds: dict[str, Range] = Field(default={}, description="ranges of the inputs [rad/s, m/s]")
     accelerations: dict[str, Range] = Field(
-        default={}, description="bounds of the inputs' rates [rad/s2, m/s2]"
+        default={}, description="ranges of the time derivatives of the inputs [rad/s2, m/s2]"
     )
     plan: Search = Field(default=Search(), description="options of the search")
     keep_out: Annotated[tuple[KeepOut, ...], Field(strict=False)] = Field(
         default=(), description="regions that no wheel may touch"
     )
     way_points: Annotated[tuple[dict[str, Range], ...], Field(strict=False)] = Field(
-        default=(), description="like the goal, each at a fraction of the duration [m, rad]"
+        default=(),
+        description="ranges as in the goal, each at a fraction 'at' of the duration [m, rad]",
     )
     inputs: dict[str, PiecewiseConstant] | None = Field(
         default=None, description=f"inputs of the initial guess: {INPUTS}"

@@ -1,4 +1,4 @@
-"""Verbs of problem files."""
+"""Registry of the verbs of problem files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VERBS: tuple[Verb, ...] = (DirectVerb(), InverseVerb(), PlanVerb(), CompareVerb(
 
 
 def verbs_of(command: str) -> tuple[Verb, ...]:
-    """Return the verbs that a command takes."""
+    """Return the verbs that a command accepts."""
     return tuple(verb for verb in VERBS if command in verb.commands)
 
 
@@ -28,32 +28,32 @@ def find_verb(name: object) -> Verb | None:
 
 
 def motion_verbs() -> tuple[MotionVerb, ...]:
-    """Return the verbs that ``slipfree run`` takes."""
+    """Return the verbs that ``slipfree run`` solves."""
     return cast("tuple[MotionVerb, ...]", verbs_of("run"))
 
 
 def find_motion_verb(name: object) -> MotionVerb | None:
-    """Return the verb of ``slipfree run`` with a name; None for an unknown name."""
+    """Return the verb with a name that ``slipfree run`` solves; None for other names."""
     return next((verb for verb in motion_verbs() if verb.name == name), None)
 
 
 def verb_of(problem: Problem[Runnable]) -> MotionVerb:
-    """Return the verb of a problem of ``slipfree run``."""
+    """Return the verb of a problem that ``slipfree run`` solves."""
     return cast("MotionVerb", find_verb(problem.spec.verb))
 
 
 def check_option(problem: Problem[Any], option: str) -> None:
-    """Raise an error for an option of ``slipfree run`` that the verb does not offer.
+    """Check that the verb of a problem supports an option of ``slipfree run``.
 
     Raises
     ------
     ProblemError
-        With the line of the verb, and the verbs that offer the option.
+        If it does not; the message names the verbs that do.
     """
     if option in verb_of(problem).options:
         return
     able = [verb.name for verb in motion_verbs() if option in verb.options]
     raise ProblemError(
         f"{problem.source.where(('verb',))}: expected {' or '.join(map(repr, able))} for "
-        f"--{option}, found {problem.spec.verb!r}"
+        f"--{option}, found {problem.spec.verb!r}; omit --{option}"
     )
