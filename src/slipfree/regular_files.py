@@ -100,7 +100,7 @@ def _checked_size(path: Path, expected: str) -> int:
     kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
     remedy = "check the name"
     if not stat.S_ISDIR(status.st_mode):
-        remedy = "write the contents to a file (/dev/stdin and <(...) are not accepted)"
+        remedy = "write the contents to a file first (/dev/stdin and <(...) are not accepted)"
     raise DataError(f"{path}: expected {expected}, found {kind}, not a regular file; {remedy}")
 
 

@@ -34,7 +34,7 @@ def test_a_vehicle_file_by_itself():
     assert facts(found)["condition of rates"].endswith("at the start, weakest in caster_rate")
     notes = [words for name, words in found.facts if name == "vehicle file"]
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
-    assert notes[1].startswith("wheel right_drive: its rate is positive forward here")
+    assert notes[1].startswith("wheel right_drive: its rate is positive forward, opposite")
 
 
 def test_a_urdf_by_itself_is_drawn_with_what_it_lacks():

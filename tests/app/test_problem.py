@@ -112,13 +112,14 @@ def test_lines_of_keys() -> None:
         (
             "x = 0.1",
             "x = -1e155",
-            "p.toml:14: start.x: expected a number of at most 1e+100 in size, found -1e+155",
+            "p.toml:14: start.x: expected a number with an absolute value of "
+            "at most 1e+100, found -1e+155",
         ),
         (
             "x = [-3, 3]",
             "x = [-3, 1e200]",
-            "p.toml:4: terrain.synthetic.x[1]: expected a number "
-            "of at most 1e+100 in size, found 1e+200",
+            "p.toml:4: terrain.synthetic.x[1]: expected a number with an absolute value of "
+            "at most 1e+100, found 1e+200",
         ),
         (
             "x = 0.1",

@@ -184,14 +184,14 @@ def test_an_old_file_survives_a_failure(
 
 def test_names_that_cannot_be_used(motion: Trajectory, tmp_path: Path) -> None:
     path = tmp_path / "a.nc"
-    with pytest.raises(ModelError, match="no samples"):
+    with pytest.raises(ModelError, match="at least one sample, found none"):
         netcdf.write(path, motion.part(slice(0)))
     column = {"time": Column(Label("time", "s", "another time"), motion.t)}
-    with pytest.raises(ModelError, match="'time' has a meaning of its own"):
+    with pytest.raises(ModelError, match="reserved in result files, found 'time'"):
         netcdf.write(path, replace(motion, columns=column))
-    with pytest.raises(ModelError, match="'statistics_a' has a meaning of its own"):
+    with pytest.raises(ModelError, match="reserved in result files, found 'statistics_a'"):
         netcdf.write(path, replace(motion, attributes={"statistics_a": "1"}))
-    with pytest.raises(ModelError, match="'variables' has another meaning"):
+    with pytest.raises(ModelError, match="does not use, found 'variables'"):
         netcdf.write(path, replace(motion, attributes={"variables": "1"}))
     assert not list(tmp_path.iterdir())
 
@@ -243,7 +243,7 @@ def _foreign(path: Path, **attributes: bytes) -> Path:
 
 
 def test_a_foreign_netcdf_file(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="a netCDF file of something else; give a file that"):
+    with pytest.raises(DataError, match="a netCDF file of another program; give a file that"):
         netcdf.read(_foreign(tmp_path / "a.nc"))
 
 
@@ -255,8 +255,8 @@ def test_a_file_changed_by_others(motion: Trajectory, tmp_path: Path) -> None:
     data = path.read_bytes()
     for old, new, words in [
         (b"units", b"unite", "without units or long_name"),
-        (b"\0\0\0\4time\0\0", b"\0\0\0\4tine\0\0", "found no variable time"),
-        (b"x slip pitch", b"x slip patch", "found no variable patch"),
+        (b"\0\0\0\4time\0\0", b"\0\0\0\4tine\0\0", "found no variable 'time'"),
+        (b"x slip pitch", b"x slip patch", "found no variable 'patch'"),
         (struct.pack(">II", 11, 5), struct.pack(">II", 13, 5), "cut off or damaged"),
     ]:
         assert old in data

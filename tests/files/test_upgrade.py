@@ -87,7 +87,7 @@ def test_unknown_outcomes_are_refused(files: list[Path]) -> None:
     data = files[1].read_bytes()
     assert b"limit\0\0\0" in data
     files[1].write_bytes(data.replace(b"limit\0\0\0", b"limbo\0\0\0"))
-    with pytest.raises(DataError, match="outcome = 'limbo'"):
+    with pytest.raises(DataError, match="the unknown outcome 'limbo'"):
         netcdf.read(files[1])
 
 

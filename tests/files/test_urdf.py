@@ -204,7 +204,7 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
             "cart.urdf:27: joint 'left_drive': axis: expected three numbers in xyz, found '0 1'",
         ),
         ('<mass value="12"/>', '<mass value="many"/>', "link 'base_link': mass: expected a number"),
-        ('<mass value="12"/>', '<mass value="-1"/>', "expected a mass of zero or more kilograms"),
+        ('<mass value="12"/>', '<mass value="-1"/>', "expected a mass of at least 0 kg"),
         ('xyz="0 0.25 0"', 'xyz="0 250 0"', "expected xyz in metres, at most 100 (did you mean mi"),
         (
             'rpy="0.0 0.0 0.4"',
@@ -221,9 +221,9 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             CASTER,
             REVOLUTE.format(1, 1),
-            "joint 'caster': expected limits of caster that ascend, "
-            'found 1 to 1; write caster = "fixed" in "joints" if it does not move, else its '
-            '"lower" and "upper" there',
+            "joint 'caster': expected a lower limit of caster below the upper "
+            'one, found 1 and 1; write caster = "fixed" in "joints" if it does not move, else its '
+            '"lower" and "upper"',
         ),
         (
             CASTER,
@@ -233,7 +233,7 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             '<joint name="lidar_mount" type="revolute">',
             '<joint name="caster" type="revolute">',
-            "cart.urdf:45: joint 'caster': expected a name of its own, found 2 with it",
+            "cart.urdf:45: joint 'caster': expected a unique name, found 2 joints with it",
         ),
         (
             '<child link="caster_wheel"/>',
@@ -245,7 +245,7 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
             '<parent link="base_link"/><child link="lidar"/>',
             '<parent link="fork"/><child link="left_wheel"/>',
             "joint 'lidar_mount': expected a tree, found a closed loop: "
-            "link 'left_wheel' hangs on joint 'left_drive' as well; cut",
+            "link 'left_wheel' is also the child of joint 'left_drive'; cut",
         ),
         (
             '<parent link="base_link"/><child link="swivel"/>',
@@ -255,21 +255,25 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             '<link name="swivel"/>',
             '<link name="swivel"/><link name="lost"/>',
-            "expected one link that carries all others, found 'base_link', 'lost'",
+            "expected one root link, found 'base_link', 'lost'",
         ),
         (
             CASTER,
             CASTER.replace("continuous", "planar"),
             "joint 'caster': expected fixed, revolute, continuous or prismatic, found planar",
         ),
-        (CASTER, CASTER.replace("continuous", "hinge"), "joint 'caster': expected a type (fixed"),
+        (
+            CASTER,
+            CASTER.replace("continuous", "hinge"),
+            "joint 'caster': expected one of the types fixed",
+        ),
         (
             '<geometry><cylinder radius="0.15" length="0.04"/>',
             '<geometry><mesh filename="a.stl"/>',
-            "joint 'left_drive': expected a cylinder or a sphere as its wheel, found a mesh, whose "
-            "radius is not known; write wheels = { left_drive = { radius = ... } }",
+            "joint 'left_drive': expected a cylinder or a sphere as its wheel, found a mesh, which "
+            "does not give the radius; write wheels = { left_drive = { radius = ... } }",
         ),
-        ('radius="0.15"', 'radius="150"', "expected the radius of a cylinder in metres, found 150"),
+        ('radius="0.15"', 'radius="150"', "in metres, greater than 0 and at most 100, found 150"),
         (
             '<robot name="cart">',
             '<!DOCTYPE robot [<!ENTITY a "a">]><robot name="&a;">',
@@ -284,7 +288,7 @@ REVOLUTE = '<joint name="caster" type="revolute"><limit lower="{}" upper="{}"/>'
         (
             '<?xml version="1.0"?>',
             '<?xml version="1.0" encoding="klingon"?>',
-            "cart.urdf: expected XML in an encoding that is known",
+            "cart.urdf: expected XML in a known encoding",
         ),
         ('<robot name="cart">', "<sdf>", "cart.urdf:54: expected XML, found mismatched tag"),
     ],
@@ -363,7 +367,7 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
             'urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster_axle = '
             "{ driven = false }, lidar_mount = { radius = 0.1, driven = false } }",
             "expected 1 suspension coordinates for 4 wheels, one for each beyond three, found 0, 1 "
-            "too few: none; a wheel would hang in the air",
+            "too few: none; not all wheels could touch the ground",
         ),
         (
             'urdf = "cart.urdf"\njoints = { caster = { kind = "commanded", stiffness = 3 } }\n'
@@ -377,13 +381,12 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         ),
         (
             'urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }',
-            "joint 'caster': expected a "
-            "wheel that carries nothing that moves, found joints below it",
+            "joint 'caster': expected a wheel without moving joints below it, found some",
         ),
         (
             'urdf = "cart.urdf"\nwheels = { caster = { radius = 0.1 } }',
             "joint 'caster_axle': "
-            "expected a wheel on a part of the vehicle, found it on another wheel",
+            "expected the parent of a wheel to be the platform or a joint, found another wheel",
         ),
         (
             'urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster = {} }',
@@ -419,9 +422,9 @@ left_drive = { driven = false }
 @pytest.mark.parametrize(
     ("mimic", "words"),
     [
-        ("rear_left", "expected to mimic a joint that moves by itself, found 'rear_left', a wheel"),
+        ("rear_left", "expected a mimic of an independent joint, found 'rear_left', a wheel"),
         ("rocker", "found 'rocker', no joint of that name"),
-        ("rocker_right", "found 'rocker_right', one that follows it"),
+        ("rocker_right", "found 'rocker_right', a joint that follows this one"),
     ],
 )
 def test_mimics_that_lead_nowhere(mimic, words, tmp_path):
@@ -458,7 +461,8 @@ def test_limits_of_the_vehicle_file_override_those_of_the_urdf(in_urdf, in_roles
     [
         (
             ", lower = 0.5",
-            "joint 'caster': expected limits of caster that ascend, found 0.5 to 0.2; write",
+            "joint 'caster': expected a lower limit of caster below the upper one, found 0.5 and "
+            "0.2; write",
         ),
         (
             ", lower = 0, upper = 0",
@@ -593,7 +597,10 @@ def test_inertials_and_origins_may_be_missing(tmp_path):
     vehicle = read_vehicle(tmp_path / "cart.toml")
     assert vehicle.mass == 0
     assert vehicle.wheels[0].at == (0.0, 0.0, 0.0)
-    assert any(note.startswith("no inertial, so no mass: base_link") for note in vehicle.notes)
+    assert any(
+        note.startswith("without mass, since they have no inertial: base_link")
+        for note in vehicle.notes
+    )
 
 
 def test_a_ball_on_a_fixed_joint_is_a_caster(tmp_path):
@@ -638,6 +645,6 @@ def test_many_errors_are_counted_instead_of_listed(tmp_path):
         read_vehicle(tmp_path / "many.urdf")
     *lines, last = str(caught.value).splitlines()
     assert len(lines) == 50
-    assert "link 'l0': expected a name of its own, found 3 with it" in lines[0]
+    assert "link 'l0': expected a unique name, found 3 links with it" in lines[0]
     assert last == "and 10 more errors"
     assert len(caught.value.faults) == 60

@@ -249,27 +249,26 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'name = "fork"\nparent = "platform"',
             'name = "fork"\nparent = "fork"',
             "v.toml:10: "
-            "joints[0].parent (joint 'fork'): expected a tree that begins at 'platform' (cut "
-            "the loop "
-            "at one joint), found a loop: fork on fork",
+            "joints[0].parent (joint 'fork'): expected a tree with the root 'platform', "
+            "found a loop: fork on fork; cut the loop at one joint",
         ),
         (
             'name = "right"',
             'name = "left"',
             "v.toml:23: wheels[1].name (wheel 'left'): expected a "
-            "name of its own, found 'left', the name of wheels[0] too",
+            "unique name, found 'left', also the name of wheels[0]",
         ),
         (
             'name = "right"',
             'name = "swivel"',
             "v.toml:23: wheels[1].name (wheel 'swivel'): "
-            "expected a name of its own, found 'swivel', the name of coordinates[0] too",
+            "expected a unique name, found 'swivel', also the name of coordinates[0]",
         ),
         (
             'name = "fork"\n',
             'name = "platform"\n',
             "v.toml:9: joints[0].name (joint 'platform'): "
-            "expected a name of its own, found 'platform', the name of the platform too",
+            "expected a unique name, found 'platform', also the name of the platform",
         ),
         (
             'kind = "passive"',
@@ -277,24 +276,24 @@ def test_joints_may_stand_in_any_order(tmp_path):
             "v.toml:4: coordinates: expected 0 suspension "
             "coordinates for 3 wheels, one for each beyond three, found 1, 1 too many: "
             "swivel; remove "
-            "1, or make 1 of them 'passive' or 'commanded', or add a wheel",
+            "1, or set the kind of 1 of them to 'passive' or 'commanded', or add wheels",
         ),
         (
             '[[wheels]]\nname = "right"',
             '[[wheels]]\nname = "extra"\nparent = "platform"\nradius = 1'
             '\n[[wheels]]\nname = "right"',
             "v.toml:4: coordinates: expected 1 suspension coordinates "
-            "for 4 wheels, one for each beyond three, found 0, 1 too few: none; a wheel "
-            "would hang in "
-            "the air: add a joint with a suspension coordinate, or make one of the others "
-            "'suspension' (swivel)",
+            "for 4 wheels, one for each beyond three, found 0, 1 too few: none; not all wheels "
+            "could touch the ground: add a joint with a suspension coordinate, or set the kind of "
+            "another coordinate to 'suspension' (swivel)",
         ),
         (
             LONG[
                 LONG.index('[[wheels]]\nname = "right"') : LONG.index('[[wheels]]\nname = "caster"')
             ],
             "",
-            "v.toml:15: wheels: expected three wheels or more, so that it stands, found 2",
+            "v.toml:15: wheels: expected at least three wheels, so that the vehicle can stand, "
+            "found 2; add wheels",
         ),
         (
             'value = "swivel"',
@@ -320,7 +319,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'name = "swivel"',
             'name = "sin"',
             "v.toml:5: coordinates[0].name (coordinate 'sin'): "
-            "expected a name of letters, digits and _, other than a function's or a state's, found",
+            "expected a name of letters, digits and _ that is not the name of a function "
+            "or state, found",
         ),
         (
             'kind = "passive"',
@@ -334,7 +334,7 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'kind = "passive"',
             'kind = "passive"\nlower = 1.0\nupper = 0.5',
             "v.toml:4: "
-            "coordinates[0] (coordinate 'swivel'): expected a valid one of its kind, found "
+            "coordinates[0] (coordinate 'swivel'): expected a valid coordinate, found "
             "coordinate swivel: the lower stop must be below the upper one, found 1.0 and 0.5",
         ),
         (
@@ -349,7 +349,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             'value = "swivel"\nmotion = "slide"\n[[joints]]\nname = "b"\n'
             'parent = "platform"\naxis = "z"\nvalue = "swivel"',
             "v.toml:4: coordinates[0] "
-            "(coordinate 'swivel'): expected joints that all turn or all slide by it, found both",
+            "(coordinate 'swivel'): expected only turning or only sliding joints "
+            "whose value uses the coordinate, found both",
         ),
         (
             "at = [0, -0.25, 0]",
@@ -361,7 +362,8 @@ def test_joints_may_stand_in_any_order(tmp_path):
             "at = [0, -0.25, 0]",
             "at = [0, -0.25, 0]\nmass = 1e200",
             "v.toml:26: wheels[1].mass "
-            "(wheel 'right'): expected a number of at most 1e+100 in size, found 1e+200",
+            "(wheel 'right'): expected a number with an absolute value of at most 1e+100, found "
+            "1e+200",
         ),
         (
             "at = [0, -0.25, 0]",
@@ -466,7 +468,8 @@ def test_what_a_section_refuses_has_its_line(tmp_path, monkeypatch):
     text = LONG.replace("radius = 0.1\n", 'radius = 0.1\nsection = "barrel"\n')
     (found,), _ = faults(tmp_path, text)
     assert found == (
-        "v.toml:34: wheels[2].section (wheel 'caster'): expected dimensions of a section, found "
+        "v.toml:34: wheels[2].section (wheel 'caster'): expected valid dimensions of a section, "
+        "found "
         "barrel: too thin"
     )
 

@@ -217,7 +217,7 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
     ("setting", "words"),
     [
         ("goal.q=1", "goal.q: expected a quantity of the model, found 'q'"),
-        ("goal.x=[2, 1]", "goal.x: expected a number, or [low, high] that ascend"),
+        ("goal.x=[2, 1]", "goal.x: expected a number, or [low, high] in ascending order"),
         ("plan.degree=6", "plan.degree: expected"),
         ("bounds.wheel=[0, 1]", "'wheel' is not an input"),
     ],

@@ -111,10 +111,10 @@ def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a = " + "[" * 100_000, "nested a few deep"),
-        ("a = " + "{a=" * 100_000, "nested a few deep"),
-        ("a" + ".a" * 100_000 + " = 1", "keys of a few parts"),
-        ("\n'a'" + ". 'b'" * 100_000 + " = 1", ":2: expected keys of a few parts"),
+        ("a = " + "[" * 100_000, "with a few levels"),
+        ("a = " + "{a=" * 100_000, "with a few levels"),
+        ("a" + ".a" * 100_000 + " = 1", "keys with at most 60 dotted parts"),
+        ("\n'a'" + ". 'b'" * 100_000 + " = 1", ":2: expected keys with at most 60 dotted parts"),
         ("a = 1" + "0" * 10_000, "expected numbers, found an invalid one"),
         ("x" * 10_000_001, "at most 10 MB, found 10 MB"),
     ],

@@ -1,10 +1,10 @@
-r"""Results on disk: netCDF with CF metadata, and CSV.
+r"""Result files: netCDF with CF metadata, and CSV.
 
 A result file is netCDF-3 (64-bit offsets), which xarray, MATLAB, R, Julia, Panoply and ncdump open
-directly. It has the dimensions ``time`` and ``wheel``, one variable for each quantity with
-``units`` and ``long_name``, and global attributes on its origin: versions, date, the complete
-problem file, and the reason of an early stop. Attributes are UTF-8; a byte of a file name that is
-not UTF-8, such as 0xff, is written as ``\udcff``.
+directly. It has the dimensions ``time`` and ``wheel``, and one variable for each quantity with
+``units`` and ``long_name``. Its global attributes contain versions, date, the complete problem
+file, and the reason of an early stop. Attributes are UTF-8; a byte of a file name that is not
+UTF-8, such as 0xff, is written as ``\udcff``.
 """
 
 from __future__ import annotations
@@ -47,14 +47,15 @@ from slipfree.version import __version__
 
 CONVENTIONS = "CF-1.11"
 ORIGIN = "slipfree_version"  # attribute that identifies a result file
-OLD = "0.1."  # beginning of versions whose results are upgraded
-ORDER = "quantities"  # attribute with the order of the quantities, which netCDF does not keep
+OLD = "0.1."  # prefix of versions whose results are upgraded
+ORDER = "quantities"  # attribute with the names of the quantities in their order
 RESERVED = {"time", "wheel", "Conventions", ORDER, OUTCOME, *STOP}
-REMEDY = "run the problem again to get a whole file"
-DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)  # of scipy's reader
+REMEDY = "run the problem again to write a complete file"
+# exceptions of scipy's reader for a damaged file
+DAMAGED = (ValueError, LookupError, TypeError, OverflowError, MemoryError)
 MAX_VALUE = 1e100  # larger numbers in a result file mean that it is damaged
-BLOCK = 65536  # samples at once
-SIZE = "_size"  # suffix of the dimension of an array that is no sample
+BLOCK = 65536  # number of samples processed at once
+SIZE = "_size"  # suffix of the dimension of an array that is not over time
 NOTHING: Mapping[str, npt.NDArray[Any]] = {}
 Attribute = str | float
 
@@ -64,22 +65,22 @@ def write(
 ) -> None:
     """Write a trajectory as a netCDF file.
 
-    The file is replaced only when the new one is complete.
+    An existing file is replaced only when the new one is complete.
 
     Parameters
     ----------
     path : path
-        The file, usually ending in ``.nc``.
+        File to write, usually ending in ``.nc``.
     run : Trajectory
-        The motion. Versions and date are added to its attributes, unless it has them already
-        because it was read from a file.
+        The motion. Versions and date are added to its attributes, unless it was read from a result
+        file and has them.
     arrays : mapping of str to ndarray of shape (n,), optional
-        Further arrays, for `read_arrays`; each has a dimension of its own.
+        Further arrays by name, read by `read_arrays`; lengths may differ.
 
     Raises
     ------
     ModelError
-        If the trajectory is empty, or uses a reserved name.
+        If the trajectory has no samples or uses a reserved name.
     DataError
         If the file cannot be written.
     """
@@ -98,13 +99,13 @@ def write(
 def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
     """Write a trajectory as comma-separated values, one row per sample.
 
-    The first row names the columns, as in ``slip_along[front]``; values are in SI units, which a
-    netCDF file names. Headings are in the frame of the problem.
+    The first row contains the names of the columns, as in ``slip_along[front]``. Values are in SI
+    units and angles in radians. Headings are in the frame of the problem.
 
     Raises
     ------
     ModelError
-        If the trajectory is empty.
+        If the trajectory has no samples or uses a reserved name.
     DataError
         If the file cannot be written.
     """
@@ -123,14 +124,15 @@ def write_csv(path: str | os.PathLike[str], run: Trajectory) -> None:
 def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
     """Return the trajectory in a result file.
 
-    Values, names, units and attributes are equal to those that were written.
+    Values, names, units and attributes are those of the written trajectory. Results of version 0.1
+    are converted to the current attributes and values.
 
     Parameters
     ----------
     path : path
-        The file.
+        The result file.
     lazy : bool
-        Whether to read a quantity each time it is asked for, so that no two need be in memory.
+        Whether to read each quantity from the file whenever it is accessed, to save memory.
 
     Raises
     ------
@@ -148,12 +150,12 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the arrays of a result file that are not samples, by name.
+    """Return the further arrays of a result file by name, as passed to `write`.
 
     Raises
     ------
     DataError
-        As in `read`.
+        If the file is missing, is not netCDF-3, is incomplete, or was not written by ``write``.
     """
     file = _open(Path(path))
     names = [k for k, each in file.variables.items() if each.dimensions == (f"{k}{SIZE}",)]
@@ -162,7 +164,7 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float6
 
 
 def is_result(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is a result file of slipfree that can be read."""
+    """Return whether a file is a readable result file of slipfree."""
     try:
         _open(Path(path)).stream.close()
     except DataError:
@@ -171,15 +173,20 @@ def is_result(path: str | os.PathLike[str]) -> bool:
 
 
 def _check(run: Trajectory) -> None:
+    """Raise ModelError for a trajectory without samples or with a reserved name."""
     if run.t.size == 0:
-        raise ModelError("the trajectory has no samples: there is nothing to write")
+        raise ModelError("expected a trajectory with at least one sample, found none")
     taken = RESERVED & {*run.columns, *run.attributes}
     taken |= {name for name in run.attributes if name.startswith(STATISTICS)}
     if taken:
-        raise ModelError(f"{min(taken)!r} has a meaning of its own in a result file: rename it")
+        raise ModelError(
+            f"expected names other than those reserved in result files, found {min(taken)!r}; "
+            "rename the quantity or attribute"
+        )
 
 
 def _fill(file: Any, run: Trajectory) -> None:
+    """Write a trajectory to an open netCDF file."""
     _annotate(file, _attributes(run))
     file.createDimension("time", run.t.size)
     time = file.createVariable("time", "f8", ("time",))
@@ -200,15 +207,19 @@ def _fill(file: Any, run: Trajectory) -> None:
 
 
 def _annotate(node: Any, attributes: Mapping[str, Attribute]) -> None:
+    """Set attributes of a netCDF file or variable."""
     for name, value in attributes.items():
         if hasattr(node, name):
-            raise ModelError(f"attribute {name!r} has another meaning in netCDF: rename it")
+            raise ModelError(
+                f"expected an attribute name that scipy's netCDF writer does not use, found "
+                f"{name!r}; rename the attribute"
+            )
         text = escape_name(value).encode() if isinstance(value, str) else None
         setattr(node, name, np.float64(value) if text is None else text)
 
 
 def _attributes(run: Trajectory) -> dict[str, Attribute]:
-    """Return the global attributes of a result."""
+    """Return the global attributes of a result file, with those of the motion."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     return {
         "Conventions": CONVENTIONS,
@@ -224,17 +235,31 @@ def _attributes(run: Trajectory) -> dict[str, Attribute]:
 
 
 class _Variable(NamedTuple):
-    """A variable of a netCDF file, without its values."""
+    """Header of a variable in a netCDF file.
+
+    Attributes
+    ----------
+    dimensions : tuple of str
+        Names of the dimensions.
+    shape : tuple of int
+        Lengths of the dimensions.
+    dtype : dtype
+        Type of the values in the file.
+    start : int
+        Offset of the values in the file. [bytes]
+    attributes : dict of str to str or float
+        Attributes of the variable.
+    """
 
     dimensions: tuple[str, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    start: int  # byte of the file
+    start: int
     attributes: dict[str, Attribute]
 
 
 class _File(NamedTuple):
-    """Header of a netCDF file, and the open file."""
+    """An open netCDF file with its header."""
 
     path: Path
     stream: BinaryIO
@@ -242,43 +267,47 @@ class _File(NamedTuple):
     variables: dict[str, _Variable]
 
     def values(self, name: str) -> npt.NDArray[Any]:
-        """Return the values of a variable."""
+        """Return the values of a variable, read from the file."""
         variable = self.variables[name]
         self.stream.seek(variable.start)
         size = math.prod(variable.shape)
         return np.fromfile(self.stream, variable.dtype, size).reshape(variable.shape)
 
     def number(self, attribute: str) -> float:
+        """Return a global attribute that is a number; raise DataError if it is text."""
         value = self.attributes[attribute]
         if isinstance(value, str):
-            raise _fault(self.path, f"the attribute {attribute} = {value!r}, not a number")
+            raise _fault(
+                self.path, f"the text {value!r} in place of a number in the attribute {attribute!r}"
+            )
         return value
 
 
 def _fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
+    """Return the error for a file that is not a usable result file."""
     return DataError(f"{path}: expected a result file of slipfree, found {found}; {remedy}")
 
 
 def _open(path: Path) -> _File:
-    """Return the header of a result file, which is whole."""
+    """Return a result file opened for reading; raise DataError if it is not complete."""
     with regular_file(path, "a result file of slipfree"):
         with path.open("rb") as stream:
             head = stream.read(4)
         if head in (b"\x89HDF", b"CDF\5"):
             raise _fault(path, "another kind of netCDF", "convert it: nccopy -k cdf2 IN.nc OUT.nc")
         if not b"CDF".startswith(head[:3]):
-            raise _fault(path, "a file that is not netCDF", "give one that slipfree run wrote")
+            raise _fault(path, "a file that is not netCDF", "give a file that slipfree run wrote")
         try:
             with scipy.io.netcdf_file(path.open("rb"), mmap=True) as file:
                 attributes, dimensions = _attributes_of(file), dict(file.dimensions)
                 variables = {name: _variable(each) for name, each in file.variables.items()}
         except DAMAGED as error:
-            # Its traceback holds arrays, without which alone the file can be unmapped.
+            # The traceback refers to arrays that would keep the file open.
             found = "a netCDF file that is cut off or damaged"
             raise _fault(path, found) from error.with_traceback(None)
     if ORIGIN not in attributes:
         remedy = "give a file that slipfree run wrote"
-        raise _fault(path, "a netCDF file of something else", remedy)
+        raise _fault(path, "a netCDF file of another program", remedy)
     if str(attributes[ORIGIN]).startswith(OLD):
         attributes = upgrade_0_1(attributes)
     if not all(dimensions.values()):
@@ -287,6 +316,7 @@ def _open(path: Path) -> _File:
 
 
 def _variable(found: Any) -> _Variable:
+    """Return the header of a variable that scipy has read."""
     data = root = found.data
     while isinstance(root.base, np.ndarray):
         root = root.base
@@ -295,7 +325,7 @@ def _variable(found: Any) -> _Variable:
 
 
 def _attributes_of(node: Any) -> dict[str, Attribute]:
-    """Return the attributes of a file or a variable; scipy has no public list of them."""
+    """Return the attributes of a netCDF file or variable as text and numbers."""
     return {
         name: value.decode(errors="replace")
         if isinstance(value, bytes)
@@ -305,18 +335,18 @@ def _attributes_of(node: Any) -> dict[str, Attribute]:
 
 
 def _trajectory(file: _File) -> Trajectory:
-    """Return the trajectory in the contents of a result file."""
+    """Return the trajectory in an open result file; its quantities are read on access."""
     found, variables = file.attributes, file.variables
     order = str(found.get(ORDER, "")).split()
     missing = {"time", *order} - set(variables)
     if missing:
-        raise _fault(file.path, f"no variable {min(missing)}")
+        raise _fault(file.path, f"no variable {min(missing)!r}")
     t = file.values("time").astype(np.float64)
     wheels = file.values("wheel") if "wheel" in variables else np.empty((0, 4), "S1")
     if t.ndim != 1 or not np.isfinite(t).all() or (np.diff(t) < 0).any():
-        raise _fault(file.path, "times that do not ascend")
+        raise _fault(file.path, "times that are not finite and ascending")
     if wheels.ndim != 2 or wheels.dtype != "S1":
-        raise _fault(file.path, "names of wheels that are none")
+        raise _fault(file.path, "a variable 'wheel' that does not contain names")
     names = tuple(row.tobytes().rstrip(b"\0").decode(errors="replace") for row in wheels)
     sizes = {(t.size,), (t.size, len(names))}
     stop = None
@@ -342,7 +372,7 @@ def _outcome(file: _File) -> Outcome:
     """Return the outcome stored in a result file."""
     name = str(file.attributes.get(OUTCOME, "")).upper()
     if name not in Outcome.__members__:
-        raise _fault(file.path, f"the attribute {OUTCOME} = {name.lower()!r}, which is no outcome")
+        raise _fault(file.path, f"the unknown outcome {name.lower()!r}")
     return Outcome[name]
 
 
@@ -350,16 +380,19 @@ def _label(file: _File, name: str, sizes: Container[tuple[int, ...]]) -> Label:
     """Return the label of a quantity; raise DataError if it is invalid."""
     dimensions, shape, dtype, _, words = file.variables[name]
     if dimensions not in (("time",), ("time", "wheel")) or shape not in sizes:
-        raise _fault(file.path, f"{name} over the dimensions ({', '.join(dimensions)})")
+        raise _fault(
+            file.path,
+            f"the variable {name!r} with dimensions ({', '.join(dimensions)}) and shape {shape}",
+        )
     if dtype == "S1":
-        raise _fault(file.path, f"text in {name}")
+        raise _fault(file.path, f"text in the variable {name!r}")
     if not {"units", "long_name"} <= set(words):
-        raise _fault(file.path, f"{name} without units or long_name")
+        raise _fault(file.path, f"the variable {name!r} without units or long_name")
     return Label(name, str(words["units"]), str(words["long_name"]))
 
 
 class _Columns(Mapping[str, Column]):
-    """Quantities of a file, each read when it is asked for."""
+    """Mapping of the quantities in a result file; each access reads the values from the file."""
 
     def __init__(self, file: _File, labels: Mapping[str, Label]) -> None:
         self._file, self._labels = file, labels
@@ -371,7 +404,9 @@ class _Columns(Mapping[str, Column]):
         for k in range(0, len(found), BLOCK):
             values[k : k + BLOCK] = block = found[k : k + BLOCK]
             if (np.abs(block[np.isfinite(block)]) > MAX_VALUE).any():
-                raise _fault(self._file.path, f"numbers in {name} that no motion has")
+                raise _fault(
+                    self._file.path, f"numbers above {MAX_VALUE:g} in the variable {name!r}"
+                )
         column = Column(label, values)
         is_old = str(self._file.attributes[ORIGIN]).startswith(OLD)
         return upgrade_column_0_1(column) if is_old else column

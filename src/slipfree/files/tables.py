@@ -1,4 +1,4 @@
-"""Tables of comma-separated values: one line of names, then numbers."""
+"""Tables of comma-separated values: a line of column names, then lines of numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,16 @@ COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a table; the file appears under its name when it is complete.
+    """Write a table of comma-separated values; an existing file is replaced when it is complete.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    names : sequence of str
+        Names of the columns, written as the first line.
+    rows : iterable of sequence
+        Values of each line.
 
     Raises
     ------
@@ -33,7 +42,14 @@ def write_rows(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]
 
 
 def read_names(path: Path, expected: str) -> list[str]:
-    """Return the names in the first line of a table; ``t`` stands for ``time`` as well.
+    """Return the column names in the first line of a table; ``time`` is returned as ``t``.
+
+    Parameters
+    ----------
+    path : Path
+        The table.
+    expected : str
+        Description of the expected contents in messages, such as ``"way-points"``.
 
     Raises
     ------
@@ -45,34 +61,39 @@ def read_names(path: Path, expected: str) -> list[str]:
 
 
 def _names(line: str) -> list[str]:
+    """Return the names in a line, with ``t`` for the ``time`` of results."""
     cells = (cell.strip() for cell in line.split(","))
-    return ["t" if cell == "time" else cell for cell in cells]  # as results call it
+    return ["t" if cell == "time" else cell for cell in cells]
 
 
 def read_columns(
     path: Path, columns: Sequence[str], expected: str = "way-points"
 ) -> list[tuple[float, ...]]:
-    """Return columns of a table of numbers, row by row.
+    """Return the rows of a table of numbers, each with the values of the requested columns.
 
     Parameters
     ----------
     path : Path
-        A first line of names may give another order and further columns, as tables that slipfree
-        writes do; without it the file has these columns alone. ``t`` may be called ``time``.
+        The table. If its first line contains the requested names (``time`` counts as ``t``), other
+        columns are ignored and the order is free. Otherwise the table must have exactly the
+        requested columns in their order.
     columns : sequence of str
-        Names of the columns.
+        Names of the requested columns.
     expected : str
-        Contents that the caller expects, for messages.
+        Description of the expected contents in messages.
 
     Raises
     ------
     DataError
-        If the file cannot be read, or a line does not hold as many finite numbers.
+        If the file cannot be read, or if a line has another number of values than columns, or a
+        value that is not a finite number.
     """
     try:
         text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise DataError(f"{path}: expected {expected} as CSV, found no text file") from error
+        raise DataError(
+            f"{path}: expected {expected} as CSV, found a file that is not text"
+        ) from error
     rows, order, width = [], list(range(len(columns))), len(columns)
     wanted = f"{COUNTS.get(width, width)} numbers {','.join(columns)}"
     for number, line in enumerate(text.splitlines(), 1):

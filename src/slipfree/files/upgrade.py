@@ -1,4 +1,4 @@
-"""Upgrade the attributes and quantities of result files of version 0.1."""
+"""Conversion of the attributes and quantities in result files of version 0.1."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from slipfree.files.toml.settings import replace_values
 from slipfree.outcome import Outcome
 from slipfree.trajectory import OUTCOME, STATISTICS, STOP, Column
 
-NO_PLACE = 1.0  # least clearance that meant that the ground comes near at no second place [m]
-ROUNDING = 1e-6  # of a limit that a plan meets, in its unit
+NO_CLEARANCE = 1.0  # version 0.1 stored this for a wheel without a second near point [m]
+ROUNDING = 1e-6  # smaller violations of a limit are rounding, in the unit of the limit
 
-OUTCOMES = {  # of the names of stops; limits and checks have their own
+OUTCOMES = {  # outcome by name of the stop; limits and checks have other names
     "solver": Outcome.SOLVER_FAILURE,
     "interrupted": Outcome.INTERRUPTED,
     "no_equilibrium": Outcome.NO_EQUILIBRIUM,
@@ -23,7 +23,7 @@ OUTCOMES = {  # of the names of stops; limits and checks have their own
     "plan": Outcome.SOLVER_FAILURE,
     "plan_accuracy": Outcome.INACCURATE,
 }
-OUTCOMES_OF_PLANS = {  # of IPOPT's statuses in the words of the stop
+OUTCOMES_OF_PLANS = {  # outcome by status of IPOPT in the message of the stop
     "Infeasible_Problem_Detected": Outcome.INFEASIBLE,
     "User_Requested_Stop": Outcome.INTERRUPTED,
     "interrupted; go on": Outcome.INTERRUPTED,
@@ -31,10 +31,10 @@ OUTCOMES_OF_PLANS = {  # of IPOPT's statuses in the words of the stop
 
 
 def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]:
-    """Return the attributes of a result of version 0.1 under the keys of today.
+    """Return the attributes of a result of version 0.1 in the current format.
 
-    The outcome follows from the name of the stop; the ending of a climb, which was stored as
-    ``outcome``, becomes ``climb``; verb, model, law and method follow from the problem file.
+    The outcome follows from the name of the stop. The description of a climb moves from ``outcome``
+    to ``climb``. Verb, model, law and method follow from the problem file.
     """
     found = dict(attributes)
     if OUTCOME in found:
@@ -42,23 +42,29 @@ def upgrade_0_1(attributes: Mapping[str, str | float]) -> dict[str, str | float]
     found[OUTCOME] = _outcome(found).name.lower()
     if violated := _violations(found):
         found["plan_violations"] = violated
-    return {**_question(found), **found}
+    return {**_problem_attributes(found), **found}
 
 
 def upgrade_column_0_1(column: Column) -> Column:
-    """Return a quantity of a result of version 0.1, which stored 1 m for no second place."""
+    """Return a quantity of a result of version 0.1 with its current values.
+
+    Clearances of 1 m or more meant that no other point of the ground is near; they become infinite.
+    """
     label, values = column
     if label.name != "clearance":
         return column
-    return Column(label, np.where(values >= NO_PLACE, np.inf, values))
+    return Column(label, np.where(values >= NO_CLEARANCE, np.inf, values))
 
 
-def _question(attributes: Mapping[str, str | float]) -> dict[str, str]:
-    """Return verb, model, law and method of a motion from its problem file, if it holds one."""
+def _problem_attributes(attributes: Mapping[str, str | float]) -> dict[str, str]:
+    """Return verb, model, law and method of a motion from its problem file.
+
+    The result is empty if the attributes contain no readable problem file.
+    """
     try:
         data = tomllib.loads(str(attributes["problem"]))
         replace_values(data, str(attributes.get("settings", "")).splitlines())
-    except (KeyError, tomllib.TOMLDecodeError, ProblemError):  # of a library, or a damaged file
+    except (KeyError, tomllib.TOMLDecodeError, ProblemError):  # no problem, or a damaged one
         return {}
     verb, slip = str(data.get("verb")), str(data.get("slip", "least"))
     found = {"verb": verb}
@@ -75,7 +81,7 @@ def _question(attributes: Mapping[str, str | float]) -> dict[str, str]:
 
 
 def _outcome(attributes: Mapping[str, str | float]) -> Outcome:
-    """Return the outcome of a motion from the name and the words of its stop."""
+    """Return the outcome of a motion from the name and the message of its stop."""
     name, _, words = (str(attributes.get(key, "")) for key in STOP)
     if not name:
         return Outcome.COMPLETE
@@ -89,7 +95,7 @@ def _outcome(attributes: Mapping[str, str | float]) -> Outcome:
 
 
 def _violations(attributes: Mapping[str, str | float]) -> str:
-    """Return the violations of a plan, which version 0.1 stored without units."""
+    """Return the violations of a plan's limits in words; version 0.1 stored them without units."""
     prefix = f"{STATISTICS}plan_violation_"
     return ", ".join(
         f"{name.removeprefix(prefix)} by {size:.1e}"

@@ -1,4 +1,4 @@
-"""Drafts of vehicles: contents of a file before the check that they form a vehicle."""
+"""Drafts of vehicles: parts from a file, before the check that they form a vehicle."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from slipfree.vehicle.wheel import Wheel
 RESERVED_NAMES = ("x", "y", "z", "heading", "roll", "pitch")  # states of the platform
 NO_BODY = Body()
 MAX_LENGTH = 100.0  # largest length in a vehicle [m]
-FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # from rep103
+# rotation from axes x forward, y left (rep103) to axes x right, y forward
+FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
 class Draft:
-    """Parts of a vehicle, without checks.
+    """Parts of a vehicle that may not fit together.
 
     Attributes
     ----------
     name, coordinates, joints, wheels, body, notes
-        As in `slipfree.vehicle.tree.Vehicle`.
+        Fields of `slipfree.vehicle.tree.Vehicle`.
     """
 
     name: str
@@ -50,14 +51,14 @@ class Draft:
 
 
 class UnfitError(DataError):
-    """A file does not contain a valid vehicle.
+    """File that does not contain a valid vehicle.
 
     Attributes
     ----------
     faults : tuple of str
-        One text per error: place, expected and found.
+        One message per error: location, expected and found.
     draft : Draft or None
-        The parts of the vehicle that are known.
+        Valid parts of the vehicle; None if there are none.
     """
 
     def __init__(self, faults: Sequence[str], draft: Draft | None = None) -> None:
@@ -66,10 +67,16 @@ class UnfitError(DataError):
 
 
 def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
-    """Yield expected and found numbers of wheels and suspension coordinates that do not match."""
+    """Yield an error if the numbers of wheels and suspension coordinates do not match.
+
+    Yields
+    ------
+    expected, found : str
+        Parts of the error message.
+    """
     count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if count < 3:
-        yield "three wheels or more, so that it stands", f"{count}"
+        yield "at least three wheels, so that the vehicle can stand", f"{count}; add wheels"
         return
     needed = count - 3
     expected = f"{needed} suspension coordinates for {count} wheels, one for each beyond three"
@@ -79,8 +86,8 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
         yield (
             expected,
             (
-                f"{len(given)}, {more} too many: {have}; remove {more}, or make {more} of them "
-                "'passive' or 'commanded', or add a wheel"
+                f"{len(given)}, {more} too many: {have}; remove {more}, or set the kind of {more} "
+                "of them to 'passive' or 'commanded', or add wheels"
             ),
         )
     elif len(given) < needed:
@@ -90,14 +97,15 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
         yield (
             expected,
             (
-                f"{len(given)}, {fewer} too few: {have}; a wheel would hang in the air: add a "
-                f"joint with a suspension coordinate, or make one of the others 'suspension'{among}"
+                f"{len(given)}, {fewer} too few: {have}; not all wheels could touch the ground: "
+                "add a joint with a suspension coordinate, or set the kind of another coordinate "
+                f"to 'suspension'{among}"
             ),
         )
 
 
 def is_symbol(name: str) -> bool:
-    """Return whether a name is valid for a coordinate in formulas and results."""
+    """Return whether a name is valid for a coordinate: an identifier that is not reserved."""
     used = (
         name in FUNCTIONS or name in CONSTANTS or name in RESERVED_NAMES or keyword.iskeyword(name)
     )
@@ -105,16 +113,29 @@ def is_symbol(name: str) -> bool:
 
 
 def degrees_words(angle: float) -> str:
-    """Return the advice for an angle beyond a full turn; empty for smaller angles."""
+    """Return a hint for an angle in radians beyond a full turn, which may be degrees.
+
+    The result is empty for smaller angles.
+    """
     if abs(angle) <= FULL_TURN:
         return ""
     return f"did you mean {angle:.6g} degrees? write {math.radians(angle):.6g}"
 
 
 def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names with parents before children, and those not connected to the root.
+    """Return the names of a tree with parents before children.
 
-    Apart from that, the order is that of the mapping.
+    Parameters
+    ----------
+    parents : mapping of str to str
+        Parent of each name.
+    root : str
+        Name of the root.
+
+    Returns
+    -------
+    ordered, loose : tuple of str
+        Names connected to the root, without the root, and names not connected to it.
     """
     done, left = {root}, list(parents)
     ordered: list[str] = []
@@ -126,12 +147,15 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
 
 
 def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the loop above a name; each is the parent of the one before it."""
-    way = [name]
-    while parents.get(way[-1]) not in (None, *way):
-        way.append(parents[way[-1]])
-    last = parents.get(way[-1])
-    return tuple(way[way.index(last) :]) if last in way else ()
+    """Return the names of the loop to which the parents of a name lead; empty without a loop.
+
+    Each name in the result is followed by its parent.
+    """
+    chain = [name]
+    while parents.get(chain[-1]) not in (None, *chain):
+        chain.append(parents[chain[-1]])
+    last = parents.get(chain[-1])
+    return tuple(chain[chain.index(last) :]) if last in chain else ()
 
 
 def from_rep103(draft: Draft) -> Draft:
@@ -167,7 +191,7 @@ def _body(body: Body) -> Body:
 
 
 def _angles_right(turned: Vector) -> Vector:
-    """Return roll, pitch and yaw of the same rotation in axes x right, y forward."""
+    """Return roll, pitch and yaw [rad], converted to axes x right, y forward."""
     if not any(turned[:2]):
         return turned
     rotation = FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T
@@ -181,7 +205,7 @@ def _angles_right(turned: Vector) -> Vector:
 
 
 def rotation_of(turned: Vector) -> Array:
-    """Return the rotation by angles about fixed x, then y, then z, shape (3, 3)."""
+    """Return the rotation matrix, shape (3, 3), of angles about fixed x, then y, then z [rad]."""
     (sx, sy, sz), (cx, cy, cz) = np.sin(turned), np.cos(turned)
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

@@ -70,12 +70,12 @@ T = TypeVar("T")
 
 
 class VehicleError(ProblemError):
-    """A file does not contain a valid vehicle.
+    """Vehicle file in TOML that does not contain a valid vehicle.
 
     Attributes
     ----------
     draft : Draft or None
-        The parts of the vehicle that are known.
+        Valid parts of the vehicle; None if single values are invalid.
     """
 
     def __init__(self, *faults: str, draft: Draft | None = None) -> None:
@@ -84,7 +84,7 @@ class VehicleError(ProblemError):
 
 
 def meters(value: float) -> float:
-    """Return a length; raise an error if it is too large for a part of a vehicle."""
+    """Return a length unchanged; raise an error if it exceeds 100 m."""
     if abs(value) > MAX_LENGTH:
         raise _expected(
             f"metres, at most {MAX_LENGTH:g} (did you mean millimetres? write {value / 1000:g})"
@@ -93,22 +93,26 @@ def meters(value: float) -> float:
 
 
 def _place(value: Vector) -> Vector:
+    """Return a position unchanged; raise an error if a component exceeds 100 m."""
     for each in value:
         meters(each)
     return value
 
 
 def _radians(value: Vector) -> Vector:
+    """Return three angles unchanged; raise an error for a bare number beyond a full turn."""
     for each in value:
         in_radians(each)
     return value
 
 
 def _expected(words: str) -> PydanticCustomError:
+    """Return the validation error with the description of the expected value."""
     return PydanticCustomError("expected", "{words}", {"words": words})
 
 
 def _axis(value: Any) -> str | Vector:
+    """Return an axis: the name of an axis of the frame, or a vector."""
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
     numbers = value if isinstance(value, list) else []
@@ -122,6 +126,7 @@ def _axis(value: Any) -> str | Vector:
 
 
 def _known_section(_: Any) -> None:
+    """Raise the validation error for an unknown section."""
     raise PydanticCustomError("expected", "{words}", {"words": f"one of {', '.join(SECTIONS)}"})
 
 
@@ -132,7 +137,7 @@ Name = Annotated[str, Field(min_length=1)]
 
 
 class CoordinateTable(Record):
-    """Angle or length of one or more joints."""
+    """Table of a coordinate: an angle or length that determines the motion of joints."""
 
     name: Name
     kind: Kind
@@ -147,7 +152,7 @@ class CoordinateTable(Record):
 
 
 class JointTable(Record):
-    """A part that rotates about an axis of its parent or slides along it."""
+    """Table of a joint: a part that rotates about an axis of its parent or slides along it."""
 
     name: Name
     parent: Name
@@ -161,7 +166,7 @@ class JointTable(Record):
 
 
 class AnyWheelTable(Record):
-    """Common keys of wheels of every section."""
+    """Table of a wheel: the keys that do not depend on its section."""
 
     name: Name
     parent: Name
@@ -175,21 +180,21 @@ class AnyWheelTable(Record):
 
 
 class WheelTable(AnyWheelTable):
-    """A wheel without the key ``section``: a torus, disc or sphere."""
+    """Table of a wheel without the key ``section``: a torus, disc or sphere."""
 
     radius: Annotated[Positive, AfterValidator(meters)]
     tube: NonNegative = 0.0
 
 
 class UnknownSectionTable(AnyWheelTable):
-    """A wheel with an unknown section; its other keys are not checked."""
+    """Table of a wheel with an unknown section; further keys are not checked."""
 
     model_config = ConfigDict(extra="ignore")
     section: Annotated[Any, PlainValidator(_known_section)]
 
 
 def wheel_table(data: Any) -> type[AnyWheelTable]:
-    """Return the schema of a wheel, which has the fields of its section as keys."""
+    """Return the schema for the table of a wheel; its section determines further keys."""
     if not isinstance(data, dict) or "section" not in data:
         return WheelTable
     section = SECTIONS.get(data["section"]) if isinstance(data["section"], str) else None
@@ -198,6 +203,7 @@ def wheel_table(data: Any) -> type[AnyWheelTable]:
 
 @cache
 def _section_table(section: type[Section]) -> type[AnyWheelTable]:
+    """Return the schema for wheels with a section; the fields of the section are keys."""
     hints = get_type_hints(section)
     keys: dict[str, Any] = {
         each.name: (
@@ -210,11 +216,12 @@ def _section_table(section: type[Section]) -> type[AnyWheelTable]:
 
 
 def _read_wheel(data: Any, _: ValidatorFunctionWrapHandler) -> AnyWheelTable:
+    """Return the table of a wheel, validated by the schema of its section."""
     return wheel_table(data).model_validate(data)
 
 
 class VehicleTable(Record):
-    """A vehicle file."""
+    """Contents of a vehicle file."""
 
     name: Name
     frame: Literal["paper", "rep103"]
@@ -227,7 +234,8 @@ class VehicleTable(Record):
     ]
 
 
-Tables = Mapping[str, Callable[[Any], type[BaseModel]]]  # of the elements of parts, from their data
+# function from the data of an element to its schema, by name of the array of tables
+Tables = Mapping[str, Callable[[Any], type[BaseModel]]]
 TABLES: Tables = {
     "coordinates": lambda _: CoordinateTable,
     "joints": lambda _: JointTable,
@@ -236,17 +244,18 @@ TABLES: Tables = {
 
 
 class File(NamedTuple):
-    """Text and values of a vehicle file."""
+    """Text, line numbers and values of a vehicle file."""
 
     source: Source
     data: dict[str, Any]
 
     def line(self, fault: Fault) -> str:
-        """Return the text of an error, with the name of its element."""
+        """Return the message of an error, with file, line, key and name of the element."""
         where = f"{self.source.where(fault.place)}{self._who(fault.place)}"
         return f"{where}: {fault.hint}expected {fault.expected}, found {fault.found}"
 
     def _who(self, place: Place) -> str:
+        """Return the name of the element with a key, as in `` (joint 'boom')``; empty without."""
         if len(place) < 2 or not isinstance(place[1], int):
             return ""
         element = self.data[str(place[0])][place[1]]
@@ -254,7 +263,7 @@ class File(NamedTuple):
         return f" ({str(place[0])[:-1]} {name!r})" if name else ""
 
     def error(self, faults: list[Fault], draft: Draft | None = None) -> VehicleError:
-        """Return the exception that reports all errors, in the order of their lines."""
+        """Return an exception with the messages of all errors, in the order of their lines."""
         ordered = sorted(faults, key=lambda fault: self.source.order(fault.place))
         return VehicleError(*map(self.line, ordered), draft=draft)
 
@@ -272,7 +281,7 @@ def open_file(path: Path) -> File:
 
 
 def _element_lines(text: str, start: int) -> Iterator[int]:
-    """Yield the first lines of the inline tables of an array that begins on a line."""
+    """Yield the line numbers of the inline tables in an array that begins on line ``start``."""
     line, depth = start, 0
     rest = text.replace("\r\n", "\n").split("\n", start - 1)[-1]
     for piece in PIECE.findall(rest):
@@ -285,7 +294,22 @@ def _element_lines(text: str, start: int) -> Iterator[int]:
 
 
 def validated(model: type[Record], parts: Tables, file: File) -> Any:
-    """Return the record in a file; raise VehicleError with all invalid values."""
+    """Return the contents of a file as a record of type ``model``.
+
+    Parameters
+    ----------
+    model : type
+        Schema of the file.
+    parts : mapping of str to callable
+        Function from the data of an element to its schema, by name of the array of tables.
+    file : File
+        The file.
+
+    Raises
+    ------
+    VehicleError
+        If values are invalid; the message has a line for each.
+    """
     try:
         found = model.model_validate(file.data)
     except ValidationError as error:
@@ -300,24 +324,25 @@ def validated(model: type[Record], parts: Tables, file: File) -> Any:
 def _worded(
     model: type[BaseModel], parts: Tables, data: dict[str, Any], error: dict[str, Any]
 ) -> Fault:
+    """Return a validation error of pydantic in the words of the package."""
     place, kind = tuple(error["loc"]), error["type"]
     if kind == "extra_forbidden":
         table = parts[place[0]](data[place[0]][place[1]]) if len(place) > 1 else model
         (unknown,) = name_errors(place[:-1], [str(place[-1])], list(table.model_fields))
         return unknown
     if kind == "missing" and isinstance(place[-1], str):
-        expected = {"frame": FRAMES, "parent": PARENT, "wheels": "three wheels or more"}
+        expected = {"frame": FRAMES, "parent": PARENT, "wheels": "at least three wheels"}
         return Fault(place, expected.get(place[-1], "a value"), "none")
     return validation_fault(model, error)
 
 
 def read_toml(file: File) -> Draft:
-    """Return the draft of the vehicle in a file, checked to form a vehicle.
+    """Return the draft of the vehicle in a TOML file, checked to form a vehicle.
 
     Raises
     ------
     VehicleError
-        With all errors by line, and with a draft if the single values are valid.
+        If the file has errors; it contains all of them, and a draft if all single values are valid.
     """
     table: VehicleTable = validated(VehicleTable, TABLES, file)
     faults = [
@@ -337,12 +362,12 @@ def read_toml(file: File) -> Draft:
 
 
 def _counted(table: VehicleTable) -> str:
-    """Return the key to which errors in numbers of parts belong."""
+    """Return the key for the location of errors in the numbers of wheels or coordinates."""
     return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
 
 
 def _name_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield errors of names: used twice, reserved, or invalid in formulas."""
+    """Yield an error for each name that is used twice, reserved, or invalid in formulas."""
     seen: dict[str, str] = {}
     for part in ("coordinates", "wheels", "joints"):
         if part == "joints":
@@ -350,18 +375,20 @@ def _name_errors(table: VehicleTable) -> Iterator[Fault]:
         for index, each in enumerate(getattr(table, part)):
             place = (part, index, "name")
             if each.name in seen:
-                expected = "a name of its own"
-                yield Fault(place, expected, f"{each.name!r}, the name of {seen[each.name]} too")
+                expected = "a unique name"
+                yield Fault(place, expected, f"{each.name!r}, also the name of {seen[each.name]}")
             seen.setdefault(each.name, spelled((part, index)))
             if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
                 yield Fault(place, "a name of letters, digits, _ and -", repr(each.name))
             if part == "coordinates" and not is_symbol(each.name):
-                expected = "a name of letters, digits and _, other than a function's or a state's"
+                expected = (
+                    "a name of letters, digits and _ that is not the name of a function or state"
+                )
                 yield Fault(place, expected, repr(each.name))
 
 
 def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield errors of parents: unknown names and loops."""
+    """Yield an error for each unknown parent and for each loop of parents."""
     parents = {joint.name: joint.parent for joint in table.joints}
     known = ["platform", *parents]
     for part in ("joints", "wheels"):
@@ -370,23 +397,23 @@ def _parent_errors(table: VehicleTable) -> Iterator[Fault]:
                 yield Fault(
                     (part, index, "parent"), f"{PARENT}: {listed(known)}", _near(each.parent, known)
                 )
-    told: set[str] = set()
+    reported: set[str] = set()
     for index, joint in enumerate(table.joints):
         loop = loop_of(joint.name, parents)
-        if joint.name in loop and joint.name not in told:
-            told |= set(loop)
-            found = f"a loop: {' on '.join((*loop, loop[0]))}"
-            expected = "a tree that begins at 'platform' (cut the loop at one joint)"
-            yield Fault(("joints", index, "parent"), expected, found)
+        if joint.name in loop and joint.name not in reported:
+            reported |= set(loop)
+            found = f"a loop: {' on '.join((*loop, loop[0]))}; cut the loop at one joint"
+            yield Fault(("joints", index, "parent"), "a tree with the root 'platform'", found)
 
 
 def _near(name: str, known: list[str]) -> str:
+    """Return a name in quotes, with the most similar known name as a hint."""
     nearest = get_close_matches(name, known, n=1)
     return f"{name!r}" + (f"; did you mean {nearest[0]!r}?" if nearest else "")
 
 
 def _value_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield errors of the joints' formulas, and coordinates without joints."""
+    """Yield errors in the formulas of joints, and an error for each coordinate without a joint."""
     known = [c.name for c in table.coordinates]
     motions: dict[str, set[str]] = {name: set() for name in known}
     for index, joint in enumerate(table.joints):
@@ -406,11 +433,12 @@ def _value_errors(table: VehicleTable) -> Iterator[Fault]:
         if not motions[c.name]:
             yield Fault(("coordinates", index), "a joint whose value uses it", "none")
         if len(motions[c.name]) > 1:
-            yield Fault(("coordinates", index), "joints that all turn or all slide by it", "both")
+            expected = "only turning or only sliding joints whose value uses the coordinate"
+            yield Fault(("coordinates", index), expected, "both")
 
 
 def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield errors of stops and of wheel sections."""
+    """Yield errors in stops, rates and their units, and in the dimensions of wheels."""
     slides = {
         name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
     }
@@ -434,10 +462,11 @@ def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
         try:
             _section_of(wheel)
         except ModelError as error:
-            yield Fault(("wheels", index, "section"), "dimensions of a section", str(error))
+            yield Fault(("wheels", index, "section"), "valid dimensions of a section", str(error))
 
 
 def _names_in(formula: str) -> frozenset[str]:
+    """Return the names in a formula; none for an invalid formula."""
     try:
         return names_in(formula)
     except ModelError:
@@ -445,7 +474,10 @@ def _names_in(formula: str) -> frozenset[str]:
 
 
 def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
-    """Return the draft of the valid parts, parents before children, and the errors of others."""
+    """Return the draft of the valid parts, and the errors of invalid coordinates.
+
+    Errors of other parts are found by the checks of names, parents and values.
+    """
     faults: list[Fault] = []
 
     def build(part: str, make: Callable[[Any], T]) -> tuple[T, ...]:
@@ -454,7 +486,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
             try:
                 made.append(make(each))
             except ModelError as error:
-                faults.append(Fault((part, index), "a valid one of its kind", str(error)))
+                faults.append(Fault((part, index), f"a valid {part[:-1]}", str(error)))
         return tuple(made)
 
     coordinates = build("coordinates", _coordinate)
@@ -465,26 +497,30 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
     body = Body(table.mass, table.center_of_mass)
     ordered = tuple(joints[name] for name in (*hung, *loose))
     draft = Draft(table.name, coordinates, ordered, wheels, body)
-    return draft, [f for f in faults if f.place[0] == "coordinates"]  # the others are told
+    return draft, [f for f in faults if f.place[0] == "coordinates"]
 
 
 def _coordinate(table: CoordinateTable) -> Coordinate:
+    """Return the coordinate of a table."""
     given = table.model_dump(exclude_none=True)
     return Coordinate(**{"words": table.name.replace("_", " "), **given})
 
 
 def _joint(table: JointTable) -> Joint:
+    """Return the joint of a table."""
     given = table.model_dump(exclude={"mass", "center_of_mass"})
     return Joint(**given, body=Body(table.mass, table.center_of_mass))
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
+    """Return the wheel of a table; its axle is ``sideways`` by default."""
     given = table.model_dump(include={"name", "parent", "at", "driven", "grip", "mass"})
     axle = sideways if table.axle is None else table.axle
     return Wheel(**given, section=_section_of(table), axle=axle)
 
 
 def _section_of(table: AnyWheelTable) -> Section:
+    """Return the section of a wheel; raise ModelError for invalid dimensions."""
     if isinstance(table, WheelTable):
         tube, rollers = table.tube, table.rollers
         return section_of_radii(tube, table.radius - tube, rollers=rollers)

@@ -19,7 +19,7 @@ TEXT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)\s*(deg|ra
 
 
 class WithUnit(float):
-    """A number that was written with its unit, in SI units."""
+    """A number that was written with a unit, converted to SI units."""
 
     unit: ClassVar[str]
 
@@ -50,7 +50,7 @@ KINDS: dict[str | None, type[WithUnit]] = {
 
 
 def parse_unit(value: Any) -> Any:
-    """Return the number in a text such as "30 deg" in SI units; other values unchanged."""
+    """Return the number in a text such as "30 deg" as a `WithUnit`; other values unchanged."""
     found = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
     if found is None:
         return value
@@ -59,7 +59,7 @@ def parse_unit(value: Any) -> Any:
 
 
 def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
-    """Return a number; one with a unit keeps its type, for `unit_faults`."""
+    """Return a number, as a `WithUnit` if it has a unit, so that `unit_faults` can check it."""
     found = parse_unit(value)
     if isinstance(found, str):
         raise PydanticCustomError("expected", "{words}", {"words": EXAMPLE})
@@ -68,7 +68,7 @@ def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
 
 
 def _reader(unit: type[WithUnit]) -> WrapValidator:
-    """Return the validator of numbers with one unit."""
+    """Return the validator of numbers without a unit or with the given one."""
     words = f'a number, or text as in "{"5 deg/s" if unit is RateWithUnit else "30 deg"}"'
 
     def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
@@ -81,7 +81,7 @@ def _reader(unit: type[WithUnit]) -> WrapValidator:
 
 
 WITH_UNIT = WrapValidator(_read)
-Quantity = Annotated[float, WITH_UNIT]  # its name decides its unit: see `unit_faults`
+Quantity = Annotated[float, WITH_UNIT]  # `unit_faults` checks the unit, which depends on the key
 IN_RADIANS, IN_RADIANS_PER_SECOND = _reader(AngleWithUnit), _reader(RateWithUnit)
 Angle = Annotated[float, IN_RADIANS]
 
@@ -89,7 +89,7 @@ Angle = Annotated[float, IN_RADIANS]
 def unit_faults(
     place: Place, values: Mapping[str, Any], units: Mapping[str, str], *, bare: bool = False
 ) -> Iterator[Fault]:
-    """Yield an error for each value in another unit than that of its name.
+    """Yield an error for each value with a unit other than the expected one.
 
     Parameters
     ----------
@@ -98,16 +98,17 @@ def unit_faults(
     values : mapping
         Numbers, ranges, or piecewise constants by name.
     units : mapping of str to str
-        Units by name, in the spelling of labels; other names are not checked.
+        Expected units by name, as in ``rad s-1``; values without an entry are not checked.
     bare : bool
-        Whether angles without a unit beyond a full turn are errors too.
+        Whether a number without a unit beyond a full turn is an error for an angle.
     """
     for name, value in values.items():
         unit = units.get(name, "")
         for number in _numbers(value) if unit else ():
             if isinstance(number, WithUnit) and number.unit != unit:
                 spelled = unit.replace(" s-", "/s").replace("/s1", "/s")
-                yield Fault((*place, name), f"a number in {spelled}", f"one in {_spelled(number)}")
+                found = f"one in {_spelled(number)}"
+                yield Fault((*place, name), f"a number in {spelled}", found)
                 break
             if bare and unit == "rad" and (words := bare_words(number)):
                 yield Fault((*place, name), words, format_value(number))
@@ -115,20 +116,24 @@ def unit_faults(
 
 
 def bare_words(value: float) -> str:
-    """Return the advice for a bare angle beyond a full turn; empty for other values."""
+    """Return the description of the expected value for an angle without a unit beyond a full turn.
+
+    The result is empty for other values.
+    """
     if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
         return ""
     return f'radians (did you mean {value:.6g} degrees? write "{value:.6g} deg")'
 
 
 def in_radians(value: float) -> float:
-    """Return an angle; raise an error for a bare number beyond a full turn."""
+    """Return an angle unchanged; raise an error for a bare number beyond a full turn."""
     if words := bare_words(value):
         raise PydanticCustomError("expected", "{words}", {"words": words})
     return value
 
 
 def _spelled(number: WithUnit) -> str:
+    """Return the unit of a number as in ``rad/s``."""
     return number.unit.replace(" s-", "/s").replace("/s1", "/s")
 
 

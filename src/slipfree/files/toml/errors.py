@@ -1,4 +1,4 @@
-"""Errors in TOML files: expected, found and where."""
+"""Error messages for TOML files: location, expected value and found value."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from slipfree.files.toml.source_lines import Place, Source
 
 
 class ProblemError(DataError):
-    """A problem file cannot be used.
+    """Problem file that cannot be used.
 
     Attributes
     ----------
     faults : tuple of str
-        One line per error: place, expected and found.
+        One line per error: location, expected and found.
     """
 
     def __init__(self, *faults: str) -> None:
@@ -28,7 +28,7 @@ class ProblemError(DataError):
         self.faults = faults
 
 
-MAX_ERRORS = 50  # lines of a message
+MAX_ERRORS = 50  # largest number of errors in a message
 MAX_SHOWN_NUMBER = 1e300  # larger integers are described by their number of bits
 MAX_VALUE = 1e100  # largest quantity; its squares and cubes are finite
 MAX_LISTED = 60  # largest number of names in a message
@@ -62,7 +62,7 @@ class Fault(NamedTuple):
     expected, found : str
         Descriptions of the expected and the found value.
     hint : str
-        Suggestion that precedes the other texts; empty without one.
+        Suggestion at the start of the message, such as a similar key; empty without one.
     """
 
     place: Place
@@ -72,7 +72,7 @@ class Fault(NamedTuple):
 
 
 def problem_error(source: Source, faults: Iterable[Fault]) -> ProblemError:
-    """Return the exception that reports all errors, in the order of their lines."""
+    """Return an exception with the messages of all errors, in the order of their lines."""
     ordered = sorted(faults, key=lambda fault: source.order(fault.place))
     return ProblemError(
         *(
@@ -96,7 +96,8 @@ def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
         for key, part in parts:
             yield from value_errors(part, (*place, key))
     elif isinstance(value, float | int) and MAX_VALUE < abs(value) < inf:
-        yield Fault(place, f"a number of at most {MAX_VALUE:g} in size", format_value(value))
+        expected = f"a number with an absolute value of at most {MAX_VALUE:g}"
+        yield Fault(place, expected, format_value(value))
 
 
 def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
@@ -120,6 +121,7 @@ def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
 
 
 def _unknown(place: Place, known: Sequence[str]) -> Fault:
+    """Return the error for an unknown key."""
     name = str(place[-1])
     expected, found = f"one of {listed(known)}", f"the unknown key {_cut(name)!r}"
     return Fault(place, expected, found, similar_hint(name, known))
@@ -132,17 +134,17 @@ def similar_hint(name: str, known: Sequence[str]) -> str:
 
 
 def listed(known: Sequence[str]) -> str:
-    """Return names as a list in text, shortened if there are many."""
+    """Return names separated by commas; of more than 60 names, the first 60."""
     more = len(known) - MAX_LISTED
     return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
-    """Return the record that describes a table."""
+    """Return the schema of a table inside a schema."""
     model = schema
     for part in place:
         if isinstance(part, int):
-            continue  # of an array of tables
+            continue  # index in an array of tables
         model = next(_records(model.model_fields[str(part)].annotation))
     return model
 
@@ -160,7 +162,7 @@ def _cut(text: str) -> str:
 
 
 def format_value(value: Any, deepest: int = MAX_SHOWN_DEPTH) -> str:
-    """Return a value as TOML text, shortened."""
+    """Return a shortened text of a value for messages."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""Text and values of TOML files; errors name the line."""
+"""Reader of TOML files with line numbers in its error messages."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from slipfree.errors import DataError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.regular_files import read_bytes, regular_file
 
-MAX_BYTES = 10_000_000  # largest TOML file
-# Python's reader takes hours for keys with very many parts
+MAX_BYTES = 10_000_000  # size of the largest accepted TOML file
+# keys with at least 64 parts: tomllib takes hours for thousands of them
 LONG_KEY = re.compile(
     r"""(?m)(?:^|[\[{,])[ \t]*+(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
 )
@@ -23,7 +23,8 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
     if (found := LONG_KEY.search(text)) is not None:
         line = text.count("\n", 0, found.start()) + 1
         raise ProblemError(
-            f"{path}:{line}: expected keys of a few parts, found one of more than 60 parts"
+            f"{path}:{line}: expected keys with at most 60 dotted parts, found more; use fewer "
+            "nested tables"
         )
     try:
         return tomllib.loads(text)
@@ -31,19 +32,20 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
         raise ProblemError(_syntax(path, text, str(error))) from error
     except RecursionError as error:
         raise ProblemError(
-            f"{path}: expected arrays and tables nested a few deep, found them hundreds deep"
+            f"{path}: expected arrays and tables with a few levels, found hundreds of levels; "
+            "remove the nesting"
         ) from error
     except ValueError as error:  # an invalid number
         raise ProblemError(f"{path}: expected numbers, found an invalid one: {error}") from error
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a TOML file; raise ProblemError if it cannot be read as UTF-8."""
+    """Return the text of a TOML file; raise ProblemError if it is not UTF-8 or over 10 MB."""
     try:
         with regular_file(path, "a problem file") as size:
             if size > MAX_BYTES:
                 raise DataError(
-                    f"{path}: expected a file of TOML of at most {MAX_BYTES / 1e6:g} MB, found "
+                    f"{path}: expected a TOML file of at most {MAX_BYTES / 1e6:g} MB, found "
                     f"{size / 1e6:.3g} MB; check the name"
                 )
             raw = read_bytes(path, "a problem file")
@@ -59,7 +61,7 @@ def read_text(path: Path) -> str:
 
 
 def _syntax(path: Path, text: str, message: str) -> str:
-    """Return the message of tomllib with file and line in front."""
+    """Return a message of tomllib preceded by file and line."""
     found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
     if found is None:
         last = len(text.splitlines()) or 1

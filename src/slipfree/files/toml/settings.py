@@ -1,4 +1,4 @@
-"""Settings: values of the command line that replace those of a TOML file."""
+"""Settings: values given on the command line that replace values of a TOML file."""
 
 from __future__ import annotations
 
@@ -17,21 +17,22 @@ BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
 def replace_values(
     data: dict[str, Any], settings: Sequence[str], option: str = "--set"
 ) -> dict[Place, str]:
-    """Replace values of the tables of a file by settings, in place, and return their keys.
+    """Replace values in the tables of a file by settings; the tables are modified.
 
     Parameters
     ----------
     data : dict
-        The tables.
+        Contents of the file.
     settings : sequence of str
-        ``key=value`` with dotted keys, values in TOML or bare words; ``key=`` removes the key.
+        Texts ``key=value`` with a dotted key and a value in TOML or a bare word; ``key=`` removes
+        the key.
     option : str
-        Option of the command line, for errors.
+        Name of the command-line option in error messages.
 
     Returns
     -------
-    dict
-        The setting of each replaced key.
+    dict of tuple to str
+        Setting by the keys of each value or table that it changed, added or removed.
 
     Raises
     ------
@@ -66,6 +67,7 @@ def replace_values(
 
 
 def _value(text: str) -> Any:
+    """Return the value of a text in TOML or of a bare word; raise ValueError for other text."""
     try:
         found = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
@@ -78,7 +80,7 @@ def _value(text: str) -> Any:
 
 
 def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
-    """Insert a value into nested tables; return its keys and those of new tables."""
+    """Insert a value into nested tables; return its path and the paths of new tables."""
     places: list[Place] = [path]
     *tables, last = path
     for depth, name in enumerate(tables, start=1):
@@ -92,7 +94,7 @@ def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]
 
 
 def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
-    """Remove a key of nested tables; return its keys."""
+    """Remove a key from nested tables; return its path in a list."""
     for name in path[:-1]:
         data = data.get(name, {})
     if not isinstance(data, dict) or path[-1] not in data:

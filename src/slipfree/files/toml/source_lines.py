@@ -1,4 +1,4 @@
-"""Origin of each value: a line of a TOML file, or the command line."""
+"""Origin of the values of a problem: lines of a TOML file, or the command line."""
 
 from __future__ import annotations
 
@@ -25,20 +25,21 @@ KEY = re.compile(r"""\s*((?:"(?:\\.|[^"\\])*"|'[^']*'|[^"'=\]])+)""")
 
 @dataclass(frozen=True)
 class Source:
-    """Text of a problem file, and origin of its values.
+    """Text of a problem file, and the origin of its values.
 
     Attributes
     ----------
     path : Path
-        The file.
+        Path of the file.
     text : str
         Text of the file.
     lines : mapping of tuple to int
-        Line of every key and table; elements of arrays of tables by number.
+        Line number of every key and table. A key is a tuple of names, and of indices for elements
+        of arrays of tables.
     settings : mapping of tuple to str
-        Values of the command line, ``key=value`` by keys.
+        Settings ``key=value`` of the command line, by the keys that they set.
     varied : frozenset of tuple
-        Those keys of `settings` that ``--vary`` sets, not ``--set``.
+        Keys of `settings` that the option ``--vary`` sets; the others are set by ``--set``.
     """
 
     path: Path
@@ -48,7 +49,7 @@ class Source:
     varied: frozenset[Place] = frozenset()
 
     def where(self, place: Place) -> str:
-        """Return ``file:line: key``, ``--set key`` or ``--vary key`` of a value or of its table."""
+        """Return the location ``file:line: key``, ``--set key`` or ``--vary key`` of a value."""
         key = spelled(place)
         if (part := _longest(place, self.settings)) is not None:
             option = "--vary" if part in self.varied else "--set"
@@ -72,7 +73,7 @@ class Source:
 
 
 def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
-    """Return the longest known beginning of a sequence of keys."""
+    """Return the longest known prefix of a sequence of keys; None if there is none."""
     parts = (place[:end] for end in range(len(place), 0, -1))
     return next((part for part in parts if part in known), None)
 
@@ -128,7 +129,7 @@ def key_lines(text: str) -> Mapping[Place, int]:
 
 
 def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
-    """Return the keys of a table with the numbers of its array elements."""
+    """Return the keys of a table, with the index of the last element after each array of tables."""
     place: Place = ()
     for part in key:
         place = (*place, part)

@@ -23,7 +23,7 @@ NonNegative = Annotated[float, Field(ge=0)]
 NonNegativeAngle = Annotated[NonNegative, IN_RADIANS]
 NonNegativeRate = Annotated[NonNegative, IN_RADIANS_PER_SECOND]
 Count = Annotated[int, Field(ge=0)]
-# arrays are read as tuples; their elements stay strict
+# arrays are read as tuples; types of elements are not converted
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Place = Annotated[tuple[float, float, float], Field(strict=False)]
 Column = Annotated[tuple[float, ...], Field(strict=False)]
@@ -33,22 +33,20 @@ Rock = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 class Record(BaseModel):
-    """A table of a problem file: frozen, without type conversion and unknown keys.
-
-    Every key has a description; the description of a number ends with its unit in brackets.
-    """
+    """Base class of the tables of TOML files: frozen, without type conversion or unknown keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def _is_number(value: Any) -> bool:
+    """Return whether a value is a number with an absolute value of at most 1e300."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return abs(value) <= MAX_NUMBER  # integers may exceed all floats
 
 
 def _number(value: Any) -> float:
-    """Return a float; a number that was written with its unit keeps its type."""
+    """Return a number as float; a `WithUnit` unchanged."""
     return value if isinstance(value, WithUnit) else float(value)
 
 
@@ -70,7 +68,7 @@ def _piecewise_constant(value: Any) -> float | Piecewise:
 
 
 def _time_function(value: Any) -> float | Piecewise | str:
-    """Return a constant or piecewise constant as in `_rate`, or a formula of time."""
+    """Return a constant, times and values of a piecewise constant, or a formula of time."""
     value = parse_unit(value)
     if isinstance(value, str) and value:
         return value
@@ -81,7 +79,7 @@ def _time_function(value: Any) -> float | Piecewise | str:
 
 
 def _range(value: Any) -> tuple[float, float]:
-    """Return a range from a number or from an increasing pair."""
+    """Return a range from a number, which is both ends, or from a pair in ascending order."""
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
     if _is_number(value):
         return _number(value), _number(value)
@@ -89,7 +87,7 @@ def _range(value: Any) -> tuple[float, float]:
         low, high = map(_number, value)
         if low <= high:
             return low, high
-    raise PydanticCustomError("expected", "a number, or [low, high] that ascend")
+    raise PydanticCustomError("expected", "a number, or [low, high] in ascending order")
 
 
 def coefficient(value: Any) -> float | str:
@@ -98,11 +96,13 @@ def coefficient(value: Any) -> float | str:
         return value
     if _is_number(value) and value > 0:
         return float(value)
-    raise PydanticCustomError("expected", "a number greater than 0, or a file's name in quotes")
+    raise PydanticCustomError(
+        "expected", "a number greater than 0, or the name of a file in quotes"
+    )
 
 
 def not_zero(value: float) -> float:
-    """Return a speed other than zero."""
+    """Return a speed unchanged; raise an error for zero."""
     if value == 0:
         raise PydanticCustomError("expected", "a speed other than zero")
     return value

@@ -1,4 +1,4 @@
-"""Vehicles from URDF: joints, wheels from round links, and masses from inertials."""
+"""Conversion of URDF to vehicles: joints, wheels from round links, masses from inertials."""
 
 from __future__ import annotations
 
@@ -30,21 +30,35 @@ from slipfree.vehicle.tree import Body, Coordinate, Joint, Kind
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 MAX_AXLE_RISE = 0.5  # largest vertical component of the axle of a recognised wheel
-MAX_ECCENTRICITY = 1e-3  # of a wheel's centre from its joint's axis [radius]
+MAX_ECCENTRICITY = 1e-3  # largest distance of a wheel's centre from its joint's axis [radius]
 MIN_AXLE_LEFT = 1e-6  # a wheel with a smaller leftward component of its axle rolls sideways
-MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass are reported [m]
+MASS_OFFSET = 1e-3  # larger distances of a wheel's centre of mass from its centre are reported [m]
 RIGHT = (0.0, -1.0, 0.0)
 
 
 class JointRole(NamedTuple):
-    """Kind of a joint, and further keywords of its coordinate, which URDF does not have."""
+    """Kind of a joint, and further keywords of its `Coordinate`, which URDF does not contain."""
 
     kind: Kind | Literal["fixed"]
     keywords: Mapping[str, Any] = {}
 
 
 class WheelRole(NamedTuple):
-    """Properties of a wheel that URDF does not have; ``None``: from the URDF, or the default."""
+    """Properties of a wheel that URDF may not contain.
+
+    Attributes
+    ----------
+    driven : bool or None
+        Whether the wheel is driven; None if the URDF decides.
+    radius : float or None
+        Rolling radius; None for that of the shape in the URDF. [m]
+    tube : float or None
+        Radius of the tube; None for the default of all wheels. [m]
+    grip : float
+        Factor on the friction coefficient. [1]
+    rollers : bool
+        Whether the wheel has rollers (omnidirectional wheel).
+    """
 
     driven: bool | None = None
     radius: float | None = None
@@ -60,11 +74,12 @@ class Roles:
     Attributes
     ----------
     joints : mapping of str to JointRole
-        Kinds of the joints. Joints with a transmission, a command interface or a mimic need none.
+        Kinds of the joints; not required for joints with a transmission, a command interface or a
+        mimic.
     wheels : mapping of str to WheelRole
-        Joints that carry wheels, in addition to recognised ones.
+        Properties of wheels by joint; these joints carry wheels even if none is recognised.
     tube : float
-        Radius of the tubes of wheels whose link is a cylinder. [m]
+        Tube radius of wheels whose link is a cylinder. [m]
     """
 
     joints: Mapping[str, JointRole]
@@ -76,11 +91,11 @@ NO_ROLES = Roles({}, {})
 
 
 def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
-    """Return the vehicle of a URDF, in the package's axes.
+    """Return the vehicle of a URDF, in axes x right, y forward, z up.
 
-    The platform is the root link. Wheels are the links with a cylinder or a sphere around the axis
-    of a continuous, level joint at the end of the tree, and those in the roles. Joints that carry
-    neither a wheel nor a mass are omitted.
+    The platform is the root link. A joint carries a wheel if it has a wheel role, or if it is
+    continuous with a nearly horizontal axis, no other joint moves below it, and its link has a
+    cylinder or a sphere about its axis. Joints that carry neither a wheel nor a mass are omitted.
 
     Parameters
     ----------
@@ -92,8 +107,8 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
     Raises
     ------
     UnfitError
-        For joints of unknown kind, wheels of unknown shape, and numbers of wheels and suspension
-        coordinates that do not match.
+        If the kind of a joint or the shape of a wheel is unknown, or if the numbers of wheels and
+        suspension coordinates do not match.
     """
     draft, faults = _Reading(tree, roles).draft()
     draft = from_rep103(draft)
@@ -106,7 +121,7 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
 
 
 class _Reading:
-    """Conversion of a tree, with the coordinates, notes and errors found so far."""
+    """State of the conversion of a tree: coordinates, notes and errors found so far."""
 
     def __init__(self, tree: Tree, roles: Roles) -> None:
         self.roles, self.faults = roles, Faults(tree.file)
@@ -124,7 +139,7 @@ class _Reading:
         self.wheels = [j for j in tree.joints.values() if self._is_wheel(j)]
 
     def draft(self) -> tuple[Draft, Faults]:
-        """Return the draft of the vehicle in the axes of the URDF, and its errors."""
+        """Return the draft of the vehicle in axes x forward, y left, and its errors."""
         tree = self.tree
         self._check_fixed()
         kept = self._used_joints()
@@ -154,7 +169,7 @@ class _Reading:
                 self.faults.add(
                     joint.line,
                     f"joint {joint.name!r}: expected a cylinder or a "
-                    "sphere as its wheel, found a mesh, whose radius is not known; "
+                    "sphere as its wheel, found a mesh, which does not give the radius; "
                     f"write wheels = {{ {joint.name} = {{ radius = ... }} }}, or the kind of "
                     f'the joint in "joints" if it carries no wheel{self._in_file()}',
                 )
@@ -175,10 +190,10 @@ class _Reading:
                 )
 
     def _shape(self, joint: UrdfJoint) -> Shape | None:
-        """Return the lowest round shape of a wheel's link; None without round shapes.
+        """Return the lowest cylinder or sphere of a wheel's link; None if it has none.
 
         Shapes about the axis of a moving joint take precedence. The width of cylinders is ignored,
-        since wheels are discs or tori at the cylinder's centre.
+        since the wheel becomes a disc or torus at the centre of the cylinder.
         """
         shapes, rotation = self.tree.links[joint.child].shapes, self.turns[joint.child]
         if joint.moves:
@@ -208,7 +223,7 @@ class _Reading:
         return kept[::-1]
 
     def _joint(self, joint: UrdfJoint, parent: str) -> Joint:
-        """Return a joint of the vehicle."""
+        """Return the vehicle's joint for a joint of the URDF."""
         return Joint(
             joint.name,
             parent,
@@ -221,7 +236,7 @@ class _Reading:
         )
 
     def _value(self, joint: UrdfJoint) -> str:
-        """Return the formula of a joint, and note the coordinate that it needs."""
+        """Return the formula of a joint's value; create the coordinate in the formula."""
         if joint.type in ("floating", "planar"):
             self.faults.add(
                 joint.line,
@@ -242,27 +257,27 @@ class _Reading:
         return scaled + (f" + {offset!r}" if offset else "")
 
     def _leader(self, joint: UrdfJoint) -> tuple[UrdfJoint, float, float]:
-        """Return the last joint of a chain of mimics, with factor and offset."""
-        way, multiplier, offset = [joint], 1.0, 0.0
-        while (mimic := self._mimic(way[-1])) is not None:
+        """Return the joint that a joint follows through its mimics, with factor and offset."""
+        chain, multiplier, offset = [joint], 1.0, 0.0
+        while (mimic := self._mimic(chain[-1])) is not None:
             leader = self.tree.joints.get(mimic.joint)
             wrong = (
                 "no joint of that name"
                 if leader is None
                 else "a wheel"
                 if leader in self.wheels
-                else "one that follows it"
-                if leader in way
+                else "a joint that follows this one"
+                if leader in chain
                 else ""
             )
             if leader is None or wrong:
-                words = f"a joint that moves by itself, found {mimic.joint!r}, {wrong}"
-                self.faults.add(way[-1].line, f"joint {way[-1].name!r}: expected to mimic {words}")
+                words = f"expected a mimic of an independent joint, found {mimic.joint!r}, {wrong}"
+                self.faults.add(chain[-1].line, f"joint {chain[-1].name!r}: {words}")
                 break
             offset += multiplier * mimic.offset
             multiplier *= mimic.multiplier
-            way.append(leader)
-        return way[-1], multiplier, offset
+            chain.append(leader)
+        return chain[-1], multiplier, offset
 
     def _mimic(self, joint: UrdfJoint) -> Mimic | None:
         return None if joint.name in self.roles.joints or not joint.moves else joint.mimic
@@ -297,7 +312,7 @@ class _Reading:
         return name
 
     def _symbol(self, joint: str) -> str:
-        """Return a valid coordinate name for a joint."""
+        """Return a valid coordinate name for the name of a joint."""
         name = re.sub(r"\W", "_", joint)
         name = name if name.isidentifier() else f"_{name}"
         while not is_symbol(name) or (name != joint and name in self.tree.joints):
@@ -320,9 +335,18 @@ class _Reading:
     def _restrict(
         self, name: str, joint: UrdfJoint, leader: UrdfJoint, multiplier: float, offset: float
     ) -> None:
-        """Narrow stops and rate of a coordinate to the limits of a joint that it moves.
+        """Restrict the stops and the rate of a coordinate to the limits of a joint that it moves.
 
-        Limits in the role of the leading joint are not changed.
+        Limits in the role of the leading joint take precedence.
+
+        Parameters
+        ----------
+        name : str
+            Name of the coordinate.
+        joint, leader : UrdfJoint
+            Joint that the coordinate moves, and the joint that it follows.
+        multiplier, offset : float
+            Value of the joint: ``offset + multiplier coordinate``.
         """
         c, role = self.coordinates.get(name), self.roles.joints.get(leader.name)
         if multiplier == 0:
@@ -340,10 +364,10 @@ class _Reading:
         if not lower < upper:
             self.faults.add(
                 joint.line,
-                f"joint {joint.name!r}: expected limits of {name} that "
-                f"ascend, found {lower:g} to {upper:g}; write {leader.name} = "
-                '"fixed" in "joints" if it does not move, else its "lower" and "upper" '
-                f"there, which override the URDF's{self._in_file()}",
+                f"joint {joint.name!r}: expected a lower limit of {name} below the "
+                f"upper one, found {lower:g} and {upper:g}; write {leader.name} = "
+                '"fixed" in "joints" if it does not move, else its "lower" and "upper", '
+                f"which override those of the URDF,{self._in_file()}",
             )
             return
         rate = c.max_rate
@@ -370,8 +394,8 @@ class _Reading:
         if joint.parent not in part_of:
             self.faults.add(
                 joint.line,
-                f"joint {joint.name!r}: expected a wheel on a part of the "
-                "vehicle, found it on another wheel",
+                f"joint {joint.name!r}: expected the parent of a wheel to be the "
+                "platform or a joint, found another wheel; remove one of the wheels",
             )
             return None
         role = self.roles.wheels.get(joint.name, WheelRole())
@@ -381,8 +405,8 @@ class _Reading:
             if size is not None:
                 self.faults.add(
                     joint.line,
-                    f"joint {joint.name!r}: expected a wheel that carries "
-                    "nothing that moves, found joints below it",
+                    f"joint {joint.name!r}: expected a wheel without moving "
+                    "joints below it, found some; remove the joints or the wheel",
                 )
             return None
         radius, tube, at = size
@@ -410,7 +434,10 @@ class _Reading:
         )
 
     def _size(self, joint: UrdfJoint, role: WheelRole) -> tuple[float, float, Vector] | None:
-        """Return rolling radius, tube radius and position of a wheel in its link."""
+        """Return rolling radius, tube radius and position of a wheel in its link [m].
+
+        The result is None, with an error added, if they are invalid.
+        """
         shape = self._shape(joint)
         radius = role.radius or (shape.radius if shape else None)
         if radius is None:
@@ -436,14 +463,18 @@ class _Reading:
             self.faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a wheel about its axis, "
-                f"found its {shape.kind} at {_spelled(shape.at)} m; move one to the "
-                "other",
+                f"found its {shape.kind} at {_spelled(shape.at)} m; move the shape or the "
+                "axis",
             )
             return None
         return radius, tube, shape.at
 
     def _axle(self, joint: UrdfJoint) -> Vector:
-        """Return the axle of a wheel in the parent's frame, to the right; note a reversed axle."""
+        """Return the axle of a wheel in its parent's frame, a unit vector that points to the right.
+
+        Add a note if the rate of the wheel has another sign than that of the joint, or if the wheel
+        rolls sideways.
+        """
         parent = self.turns[joint.parent]
         if not joint.moves:
             return _vector(parent.T @ RIGHT)
@@ -451,12 +482,14 @@ class _Reading:
         left = float((parent @ axis)[1])
         if left < -MIN_AXLE_LEFT:
             self.notes.append(
-                f"wheel {joint.name}: its rate is positive forward here, about "
-                "the opposite of its joint's axis"
+                f"wheel {joint.name}: its rate is positive forward, opposite to the sign of "
+                "its joint in the URDF"
             )
             return _vector(axis)
         if left < MIN_AXLE_LEFT:
-            self.notes.append(f"wheel {joint.name}: rolls to a side; its rate has its joint's sign")
+            self.notes.append(
+                f"wheel {joint.name}: rolls sideways; its rate has the sign of its joint"
+            )
         return _vector(-axis)
 
     def _add_notes(self, kept: list[UrdfJoint]) -> None:
@@ -464,11 +497,11 @@ class _Reading:
         links = [self.tree.root, *(j.child for j in (*kept, *self.wheels))]
         bare = [link for link in links if self.tree.links[link].mass is None]
         if bare:
-            self.notes.append(f"no inertial, so no mass: {', '.join(bare)}")
+            self.notes.append(f"without mass, since they have no inertial: {', '.join(bare)}")
         released = [j.name for j in kept if j.name in self.released]
         if released:
             self.notes.append(
-                "of type fixed in the URDF, taken as revolute, as they or the "
+                "of type fixed in the URDF, but treated as revolute, since they or the "
                 f'joints that they mimic are in "joints": {", ".join(released)}'
             )
         self._add_shape_notes()
@@ -483,11 +516,13 @@ class _Reading:
         away = [j.name for j in self.wheels if self._hangs_off(j)]
         if away:
             self.notes.append(
-                f"mass taken at the wheel's centre, not where the inertial has it: "
+                "centre of mass moved from the inertial's origin to the wheel's centre: "
                 f"{', '.join(away)}"
             )
         if thin:
-            self.notes.append(f"cylinders taken as thin discs (tube = ...): {', '.join(thin)}")
+            self.notes.append(
+                f"cylinders treated as thin discs; change by tube = ...: {', '.join(thin)}"
+            )
 
     def _add_shape_notes(self) -> None:
         """Add notes on the choice of the radius among several shapes."""
@@ -513,14 +548,17 @@ class _Reading:
             )
 
     def _hangs_off(self, joint: UrdfJoint) -> bool:
-        """Return whether a wheel's centre of mass is not its centre."""
+        """Return whether a wheel's centre of mass is more than 1 mm from its centre."""
         link, shape = self.tree.links[joint.child], self._shape(joint)
         at = shape.at if shape else ORIGIN
         return bool(link.mass) and math.dist(link.center, at) > MASS_OFFSET
 
 
 def _released(tree: Tree, roles: Roles) -> frozenset[str]:
-    """Return the fixed joints with an axis that their role, or that of a leader, lets move."""
+    """Return the names of fixed joints that move because of the roles.
+
+    Such a joint has an axis, and it or the joint that it mimics has a role other than ``fixed``.
+    """
     fixed = [
         j
         for j in tree.joints.values()
@@ -536,7 +574,7 @@ def _released(tree: Tree, roles: Roles) -> frozenset[str]:
 
 
 def _orientations(tree: Tree) -> dict[str, Array]:
-    """Return the rotation of every link in the root's axes, with all joints at zero."""
+    """Return the rotation matrix from each link to the root, with all joints at zero, by link."""
     turns = {tree.root: np.eye(3)}
     for joint in tree.joints.values():
         turns[joint.child] = turns[joint.parent] @ rotation_of(joint.turned)
@@ -553,7 +591,7 @@ def _body(tree: Tree, link: str) -> Body:
 
 
 def _eccentricity(shape: Shape, axis: Vector) -> float:
-    """Return the distance of a shape's centre from an axis [radius]."""
+    """Return the distance of a shape's centre from an axis through its link's origin [radius]."""
     return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
 
 

@@ -1,4 +1,4 @@
-"""Links and joints of a URDF, checked to be a tree."""
+"""Reader of the links and joints of a URDF, checked to form a tree."""
 
 from __future__ import annotations
 
@@ -12,12 +12,24 @@ from slipfree.geometry.frame import Vector
 from slipfree.vehicle.wheel import ORIGIN
 
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
-MAX_LIMIT = 1e3  # larger limits count as no limit [rad or m]
+MAX_LIMIT = 1e3  # larger limits are ignored [rad, m, rad/s or m/s]
 FORWARD = (1.0, 0.0, 0.0)  # default axis of a joint
 
 
 class Shape(NamedTuple):
-    """A cylinder about its z axis or a sphere, in a link's frame [m, rad]."""
+    """A cylinder about its z axis or a sphere, in the frame of its link.
+
+    Attributes
+    ----------
+    kind : {"cylinder", "sphere"}
+        Kind of the shape.
+    radius : float
+        Radius. [m]
+    at : tuple of 3 floats
+        Position of the centre. [m]
+    turned : tuple of 3 floats
+        Roll, pitch and yaw. [rad]
+    """
 
     kind: Literal["cylinder", "sphere"]
     radius: float
@@ -26,7 +38,21 @@ class Shape(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A link: optional mass, and its round collision shapes, or else visual shapes."""
+    """A link of a URDF.
+
+    Attributes
+    ----------
+    name : str
+        Name of the link.
+    mass : float or None
+        Mass; None without an inertial. [kg]
+    center : tuple of 3 floats
+        Centre of mass in the frame of the link. [m]
+    shapes : tuple of Shape
+        Cylinders and spheres among the collision shapes; among the visual shapes if there are none.
+    meshed : bool
+        Whether the link has a mesh.
+    """
 
     name: str
     mass: float | None
@@ -36,7 +62,15 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """Value of a joint as a linear function of another joint's value."""
+    """Value of a joint: ``offset + multiplier value``, with the value of another joint.
+
+    Attributes
+    ----------
+    joint : str
+        Name of the other joint.
+    multiplier, offset : float
+        Coefficients; the offset is in rad or m.
+    """
 
     joint: str
     multiplier: float
@@ -44,7 +78,27 @@ class Mimic(NamedTuple):
 
 
 class UrdfJoint(NamedTuple):
-    """A joint and its frame in the parent link; a fixed joint may have a zero axis [m, rad]."""
+    """A joint of a URDF.
+
+    Attributes
+    ----------
+    name, type : str
+        Name, and type in the words of URDF.
+    parent, child : str
+        Names of the links that it connects.
+    at, turned : tuple of 3 floats
+        Position, and roll, pitch, yaw of its frame in the parent link. [m, rad]
+    axis : tuple of 3 floats
+        Axis in the joint's frame; zero for a fixed joint without axis. [1]
+    lower, upper : float
+        Limits, infinite if there are none. [rad or m]
+    max_rate : float
+        Largest rate, infinite if there is none. [rad/s or m/s]
+    mimic : Mimic or None
+        Joint that it follows.
+    line : int
+        Line of the file.
+    """
 
     name: str
     type: str
@@ -61,12 +115,24 @@ class UrdfJoint(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether the joint is not rigid."""
+        """Whether the joint is not of type ``fixed``."""
         return self.type != "fixed"
 
 
 class Tree(NamedTuple):
-    """Contents of a URDF; joints have parents before children."""
+    """Links and joints of a URDF.
+
+    Attributes
+    ----------
+    file, name, root : str
+        Names of the file, the robot and the root link.
+    links : dict of str to Link
+        Links by name.
+    joints : dict of str to UrdfJoint
+        Joints by name, parents before children.
+    actuated : frozenset of str
+        Names of the joints with a transmission or a command interface.
+    """
 
     file: str
     name: str
@@ -86,23 +152,29 @@ class Tree(NamedTuple):
 
 
 class Faults:
-    """Errors in a file, with their lines."""
+    """Collection of the errors in a file, with their lines.
+
+    Parameters
+    ----------
+    file : str
+        Name of the file in messages.
+    """
 
     def __init__(self, file: str) -> None:
         self.file = file
         self.found: list[tuple[int, str]] = []
 
     def add(self, line: int, words: str) -> None:
-        """Add an error."""
+        """Add an error in a line of the file."""
         self.found.append((line, words))
 
     @property
     def lines(self) -> list[str]:
-        """All errors in the order of their lines, as ``file:line: words``."""
+        """Messages of all errors in the order of their lines, as ``file:line: words``."""
         return [f"{self.file}:{line}: {words}" for line, words in sorted(self.found)]
 
     def stop(self) -> NoReturn:
-        """Raise the errors found."""
+        """Raise UnfitError with all errors."""
         raise UnfitError(self.lines)
 
 
@@ -114,16 +186,16 @@ def read_tree(data: bytes, file: str) -> Tree:
     data : bytes
         Contents of the file.
     file : str
-        Name of the file in errors.
+        Name of the file in messages.
 
     Raises
     ------
     DataError
-        If it is not XML; `UnfitError` with all errors in its elements, by line.
+        If the file is not XML; an `UnfitError` with all errors if its elements are not valid.
     """
     robot, faults = parse(data, file), Faults(file)
     if robot.tag != "robot":
-        faults.add(robot.line, f"expected URDF, that is <robot>, found <{robot.tag}>")
+        faults.add(robot.line, f"expected URDF with the root element <robot>, found <{robot.tag}>")
         faults.stop()
     for each in _everything(robot):
         if each.tag.startswith("xacro:") or any("${" in text for text in each.attributes.values()):
@@ -147,6 +219,7 @@ def read_tree(data: bytes, file: str) -> Tree:
 
 
 def _everything(element: Element) -> Iterator[Element]:
+    """Yield an element and all elements in it."""
     left = [element]
     while left:
         each = left.pop()
@@ -155,16 +228,18 @@ def _everything(element: Element) -> Iterator[Element]:
 
 
 def _check_names(robot: Element, tag: str, faults: Faults) -> None:
+    """Add an error for each name that several elements with a tag have."""
     lines: dict[str, list[int]] = {}
     for element in robot.all(tag):
         lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
     for name, found in lines.items():
         if len(found) > 1:
-            words = f"{tag} {name!r}: expected a name of its own, found {len(found)} with it"
+            words = f"{tag} {name!r}: expected a unique name, found {len(found)} {tag}s with it"
             faults.add(found[1], words)
 
 
 def _link(element: Element, faults: Faults) -> Link:
+    """Return the link of an element."""
     name = _text(element, "name", faults, "link")
     inertial = element.first("inertial")
     mass, center = None, ORIGIN
@@ -176,7 +251,7 @@ def _link(element: Element, faults: Faults) -> Link:
             if mass < 0:
                 faults.add(
                     weighed.line,
-                    f"link {name!r}: expected a mass of zero or more kilograms, found {mass:g}",
+                    f"link {name!r}: expected a mass of at least 0 kg, found {mass:g}",
                 )
     shapes = {
         tag: tuple(shape for e in element.all(tag) if (shape := _shape(e, faults, name)))
@@ -188,7 +263,7 @@ def _link(element: Element, faults: Faults) -> Link:
 
 
 def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
-    """Return the cylinder or sphere of a collision or visual; None for other shapes."""
+    """Return the cylinder or sphere of a collision or visual element; None for other shapes."""
     geometry = element.first("geometry")
     at, turned = _origin(element, faults, f"link {link!r}: {element.tag}")
     for kind in ("cylinder", "sphere"):
@@ -198,17 +273,20 @@ def _shape(element: Element, faults: Faults, link: str) -> Shape | None:
             if not 0 < radius <= MAX_LENGTH:
                 faults.add(
                     found.line,
-                    f"link {link!r}: expected the radius of a {kind} in metres, found {radius:g}",
+                    f"link {link!r}: expected the radius of a {kind} in metres, greater than 0 and "
+                    f"at most {MAX_LENGTH:g}, found {radius:g}",
                 )
             return Shape("cylinder" if kind == "cylinder" else "sphere", radius, at, turned)
     return None
 
 
 def _joint(element: Element, faults: Faults) -> UrdfJoint:
+    """Return the joint of an element."""
     name = _text(element, "name", faults, "joint")
     who, kind = f"joint {name!r}", element.attributes.get("type", "")
     if kind not in TYPES:
-        faults.add(element.line, f"{who}: expected a type ({', '.join(TYPES)}), found {kind!r}")
+        expected = f"one of the types {', '.join(TYPES)}"
+        faults.add(element.line, f"{who}: expected {expected}, found {kind!r}")
     ends = []
     for tag in ("parent", "child"):
         end = element.first(tag)
@@ -224,7 +302,7 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
             faults.add(
                 pointed.line,
                 f"{who}: expected an axis other than zero, found 0 0 0; "
-                'write <axis xyz="0 1 0"/> for one to the left',
+                'write <axis xyz="0 1 0"/> for an axis to the left',
             )
     lower, upper = _limits(element, kind, faults, who)
     max_rate = _max_rate(element, faults, who)
@@ -255,9 +333,9 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
 
 
 def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
-    """Return the limits of a joint, infinite if absent or beyond `MAX_LIMIT`.
+    """Return the limits of a joint [rad or m], infinite if absent or of at least 1000.
 
-    They are checked where they are used, since a vehicle file may override them.
+    Their values are checked later, since a vehicle file may override them.
     """
     limit = element.first("limit")
     if kind not in ("revolute", "prismatic", "fixed") or limit is None:
@@ -272,14 +350,14 @@ def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[floa
 
 
 def _max_rate(element: Element, faults: Faults, who: str) -> float:
-    """Return the velocity limit of a joint, infinite if absent or zero [rad/s or m/s]."""
+    """Return the rate limit of a joint [rad/s, m/s]; infinite if absent, zero or at least 1000."""
     limit = element.first("limit")
     found = 0.0 if limit is None else _number(limit, "velocity", 0.0, faults, f"{who}: limit")
     return found if 0 < found < MAX_LIMIT else math.inf
 
 
 def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]:
-    """Return position and angles of an element's origin; zero if it has none."""
+    """Return position [m] and roll, pitch, yaw [rad] of an element's origin; zero without one."""
     origin = element.first("origin")
     if origin is None:
         return ORIGIN, ORIGIN
@@ -298,6 +376,7 @@ def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]
 
 
 def _vector(element: Element, key: str, default: Vector, faults: Faults, who: str) -> Vector:
+    """Return three numbers of an attribute; add an error if they are invalid."""
     text = element.attributes.get(key)
     if text is None:
         return default
@@ -309,6 +388,7 @@ def _vector(element: Element, key: str, default: Vector, faults: Faults, who: st
 
 
 def _number(element: Element, key: str, default: float | None, faults: Faults, who: str) -> float:
+    """Return a number of an attribute; add an error if it is invalid or required and missing."""
     text = element.attributes.get(key)
     if text is None and default is not None:
         return default
@@ -321,6 +401,7 @@ def _number(element: Element, key: str, default: float | None, faults: Faults, w
 
 
 def _float(text: str) -> float:
+    """Return the number in a text; NaN without a number."""
     try:
         return float(text)
     except ValueError:
@@ -328,13 +409,14 @@ def _float(text: str) -> float:
 
 
 def _text(element: Element, key: str, faults: Faults, who: str) -> str:
+    """Return the name in an attribute; add an error if it is missing."""
     if not element.attributes.get(key):
-        faults.add(element.line, f"{who}: expected {key} = a name, found none")
+        faults.add(element.line, f"{who}: expected a name in {key}, found none")
     return element.attributes.get(key, "")
 
 
 def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) -> str:
-    """Return the root link; add an error for each reason why there is none."""
+    """Return the name of the root link; add errors if the links and joints do not form a tree."""
     parent_of: dict[str, UrdfJoint] = {}
     for joint in joints.values():
         for role, link in (("parent", joint.parent), ("child", joint.child)):
@@ -348,8 +430,8 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) 
             faults.add(
                 joint.line,
                 f"joint {joint.name!r}: expected a tree, found a closed loop: "
-                f"link {joint.child!r} hangs on joint {other!r} as well; cut the loop at "
-                "one of the two",
+                f"link {joint.child!r} is also the child of joint {other!r}; cut the loop at "
+                "one of these joints",
             )
         parent_of[joint.child] = joint
     if faults.found:
@@ -358,8 +440,7 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) 
     if len(roots) > 1:
         faults.add(
             1,
-            "expected one link that carries all others, found "
-            f"{', '.join(map(repr, roots))}: hang them on each other by joints",
+            f"expected one root link, found {', '.join(map(repr, roots))}; connect them by joints",
         )
         return ""
     root = roots[0] if roots else ""
@@ -372,7 +453,7 @@ def _root(links: dict[str, Link], joints: dict[str, UrdfJoint], faults: Faults) 
 
 
 def _actuated(robot: Element) -> Iterator[str]:
-    """Yield the joints that a transmission or a command interface moves."""
+    """Yield the names of the joints with a transmission or a command interface."""
     for each in robot.all("transmission"):
         yield from (joint.attributes.get("name", "") for joint in each.all("joint"))
     for each in robot.all("ros2_control"):

@@ -1,4 +1,4 @@
-"""Read XML into records with line numbers; document types and entities are rejected."""
+"""Reader of XML as records with line numbers; document types and entities are rejected."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def parse(data: bytes, name: str) -> Element:
     data : bytes
         Contents of the file.
     name : str
-        Name of the file in errors.
+        Name of the file in messages.
 
     Raises
     ------
     DataError
-        If it is not XML, or declares a document type, which could define entities.
+        If the file is not XML, or if it declares a document type, which could define entities.
     """
     parser = expat.ParserCreate()
     top = Element("", {}, 0)
@@ -54,7 +54,7 @@ def parse(data: bytes, name: str) -> Element:
     def refuse(*_: object) -> None:
         raise DataError(
             f"{name}:{parser.CurrentLineNumber}: expected XML without a document type, found "
-            "<!DOCTYPE; remove it, with the entities that it declares"
+            "<!DOCTYPE; remove the declaration and the entities that it defines"
         )
 
     parser.StartElementHandler = start
@@ -68,5 +68,7 @@ def parse(data: bytes, name: str) -> Element:
     except DataError:  # a document type; DataError is a ValueError
         raise
     except (LookupError, ValueError) as error:
-        raise DataError(f"{name}: expected XML in an encoding that is known ({error})") from error
+        raise DataError(
+            f"{name}: expected XML in a known encoding such as UTF-8, found another one ({error})"
+        ) from error
     return top.children[0]
