@@ -244,5 +244,6 @@ def test_names_that_are_not_utf_8_are_kept_as_text(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("command", ["run", "sweep"])
 def test_a_setting_that_is_not_utf_8_is_refused_before_anything_is_computed(command: str) -> None:
     setting = os.fsdecode(b"title=\xff")
-    told = _refused(command, "p.toml", "--vary" if command == "sweep" else "--set", setting)
-    assert "--set title: expected text in UTF-8, as in a problem file, found title=" in told
+    option = "--vary" if command == "sweep" else "--set"
+    told = _refused(command, "p.toml", option, setting)
+    assert f"{option} title: expected text in UTF-8, as in a problem file, found title=" in told
