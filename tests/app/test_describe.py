@@ -88,8 +88,8 @@ def test_what_can_be_said_of_what_is_no_vehicle(tmp_path):
     result = CliRunner().invoke(app, ["vehicle", str(tmp_path / "v.toml")])
     assert result.exit_code == 2
     assert "  p: turns about -x by a (suspension)" in result.stdout
-    assert "not on the platform: q, on r" in result.stdout
-    assert "not on the platform: wheel four, on hub" in result.stdout
+    assert "not connected to the platform: q, on r" in result.stdout
+    assert "not connected to the platform: wheel four, on hub" in result.stdout
     assert "1: a; 2 needed" in result.stdout
     faults = [line.partition("v.toml:")[2] for line in result.stderr.splitlines()]
     assert [fault.partition(": expected")[0] for fault in faults] == [
@@ -113,7 +113,7 @@ def test_a_caster_without_trail_is_named(tmp_path):
 def test_values_are_set_in_problems_only():
     result = CliRunner().invoke(app, ["vehicle", str(DATA / "cart.toml"), "--set", "name=a"])
     assert result.exit_code == 2
-    assert "--set: expected a problem file to set values in" in result.stderr
+    assert "--set: expected a problem file, found the vehicle file" in result.stderr
 
 
 @pytest.mark.parametrize("name", ["cart", "bogie"])

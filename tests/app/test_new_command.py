@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from slipfree import cli
 from slipfree.cli.common import reported, tell
-from slipfree.cli.messages import voiced
+from slipfree.cli.messages import with_output_options
 
 
 def count(file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")]) -> None:
@@ -31,7 +31,7 @@ def app() -> typer.Typer:
     """Return the command line as it is with one more line."""
     made = typer.Typer(cls=cli.app.info.cls)
     for command in (*cli.COMMANDS, count):
-        made.command()(voiced(command))
+        made.command()(with_output_options(command))
     return made
 
 

@@ -13,7 +13,7 @@ from slipfree.cli import app
 from slipfree.files import netcdf
 
 LINE = PROBLEM.count("\n") + 2  # of the key in _problem
-OUTSIDE = "expected a place in the working folder or in the problem's folder, found "
+OUTSIDE = "expected a path in the working folder or in the problem's folder, found "
 
 
 @pytest.fixture
@@ -151,7 +151,10 @@ def test_a_result_beside_the_problem(folder: Path) -> None:
 def test_a_folder_is_no_result(name: str) -> None:
     done = _run(_problem("r.nc"), "-o", name)
     assert done.exit_code == 2, done.exception
-    assert done.stderr == f"{name}: expected the name of a file to write, found a folder\n"
+    assert (
+        done.stderr
+        == f"{name}: expected the name of a file to write, found a folder; choose another name\n"
+    )
 
 
 @pytest.mark.usefixtures("folder")

@@ -180,7 +180,7 @@ def test_a_planned_climb_shows_its_plan(tmp_path: Path) -> None:
         "forces",
         "plan",
     }
-    assert "least friction" in {name.strip() for name, _ in found.tables["What came of it"]}
+    assert "least friction" in {name.strip() for name, _ in found.tables["Result"]}
 
 
 def test_a_result_without_a_problem_has_no_figures(tmp_path: Path) -> None:
@@ -224,7 +224,7 @@ def test_files_that_a_problem_names_are_sought(
     there.rename(tmp_path / "elsewhere")
     result = _invoke("out.nc")
     assert result.exit_code == 2
-    assert "needs vehicles/trailer.toml" in result.stderr
+    assert "expected the input file vehicles/trailer.toml" in result.stderr
     assert "--folder" in result.stderr
     result = _invoke("out.nc", "--folder", str(ROOT / "problems"))
     assert result.exit_code == 0, result.output
@@ -269,5 +269,5 @@ def test_figures_of_a_long_motion_show_fewer_samples(
     monkeypatch.setattr("slipfree.problem.report.FIGURE_SAMPLES", 5)
     file = _result("direct", tmp_path, "time.step=0.001")
     found = report(file)
-    assert re.match(r"The figures show \d{2,3} of 1001 samples, the extremes of all", found.note)
-    assert ("duration", "1 s, 1001 samples") in found.tables["What came of it"]
+    assert re.match(r"The figures show \d{2,3} of 1001 samples, including the extremes", found.note)
+    assert ("duration", "1 s, 1001 samples") in found.tables["Result"]

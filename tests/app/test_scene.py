@@ -448,7 +448,9 @@ def refused(*words: str) -> str:
 def test_what_cannot_be_shown_is_refused(
     file: Path, climb_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert "motions over terrain or climbs alone, found both" in refused(str(file), str(climb_file))
+    assert "results of one kind, found motions over terrain and climbs" in refused(
+        str(file), str(climb_file)
+    )
     run = netcdf.read(file)
     bare = tmp_path / "bare.nc"
     attributes = {name: words for name, words in run.attributes.items() if name != "problem"}
@@ -460,7 +462,7 @@ def test_what_cannot_be_shown_is_refused(
     netcdf.write(named, replace(run, attributes={**run.attributes, "problem": text}))
     monkeypatch.chdir(tmp_path)
     words = refused(str(named))
-    assert "its problem needs hills.npz" in words
+    assert "expected the input file hills.npz of its problem" in words
     assert "--folder DIR" in words
     data = file.parent / "data"
     data.mkdir()
@@ -496,9 +498,9 @@ def test_files_are_looked_for_where_the_problem_was(
     kept = {name: words for name, words in run.attributes.items() if name != "problem_folder"}
     netcdf.write(lost, replace(run, attributes=kept))
     words = refused(str(lost))
-    assert f"needs hills.npz, found none in {tmp_path} or {named.parent}; give" in words
+    assert f"in {tmp_path} or {named.parent}, found none; give" in words
     monkeypatch.chdir(tmp_path)
-    assert f"found none in {tmp_path}; give" in refused("lost.nc")
+    assert f"in {tmp_path}, found none; give" in refused("lost.nc")
     told = {**kept, "problem_folder": str(named.parent.parent)}
     netcdf.write(lost, replace(run, attributes=told))
     assert isinstance(shown(lost, "lost"), Driven)

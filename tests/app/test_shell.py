@@ -77,7 +77,7 @@ def test_new_replaces_nothing_unasked() -> None:
     result = _invoke("new", "plan", "a.toml")
     assert result.exit_code == 2
     assert result.stderr == (
-        "a.toml: expected no file of that name, found one; replace it by --force\n"
+        "a.toml: expected a new file, found an existing one; replace it with --force\n"
     )
     assert Path("a.toml").read_text() == "mine"
     assert _invoke("new", "plan", "a", "--force").exit_code == 0
@@ -117,7 +117,7 @@ def test_an_example_is_copied_with_what_it_needs(folder: Path) -> None:
     assert _invoke("check", "deep/er/your_vehicle.toml").exit_code == 0
     again = _invoke("examples", "your_vehicle", "--to", "deep/er")
     assert again.exit_code == 2
-    assert "replace them by --force" in again.stderr
+    assert "replace them with --force" in again.stderr
     assert _invoke("examples", "your_vehicle", "--to", "deep/er", "--force").exit_code == 0
 
 
@@ -155,7 +155,12 @@ def test_verbose_says_what_is_done_and_when() -> None:
     lines = result.stderr.splitlines()
     times = [float(re.match(r"\[ *([\d.]+) s\] ", line)[1]) for line in lines]
     assert times == sorted(times)
-    for words in ("read p.toml", "stood the vehicle on its start", "solved: steps ", "wrote p.nc"):
+    for words in (
+        "read p.toml",
+        "settled the vehicle at its start",
+        "solved: steps ",
+        "wrote p.nc",
+    ):
         assert words in result.stderr
     assert "integrated to" not in result.stderr  # it took no second
     names = [[line.split("  ")[0] for line in each.stdout.splitlines()] for each in (plain, result)]
@@ -273,9 +278,9 @@ def test_numbers_that_json_does_not_have_become_null() -> None:
 
 
 def test_facts_below_others_are_named_with_them() -> None:
-    with messages._speaking("test", messages.Voice(quiet=True)):
+    with messages._collecting("test", messages.OutputOptions(quiet=True)):
         messages.put_facts([("a", "1"), ("  b", "2"), ("c", "3"), ("c", "4")])
-        assert messages._said().content["facts"] == {"a": "1", "a: b": "2", "c": "3\n4"}
+        assert messages._current_output().content["facts"] == {"a": "1", "a: b": "2", "c": "3\n4"}
 
 
 def test_every_command_can_be_quiet_verbose_and_json() -> None:

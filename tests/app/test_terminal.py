@@ -99,7 +99,7 @@ def test_warnings_and_details() -> None:
     words = CliRunner()
     with (
         words.isolation() as (_, stderr, _both),
-        messages._speaking("x", messages.Voice(verbose=True)),
+        messages._collecting("x", messages.OutputOptions(verbose=True)),
     ):
         messages.warn(NASTY)
         messages.detail(NASTY)

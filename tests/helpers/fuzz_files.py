@@ -24,7 +24,7 @@ from slipfree.files import netcdf
 from slipfree.files.vehicle_toml import AnyWheelTable, VehicleTable, wheel_table
 from slipfree.outcome import Outcome
 from slipfree.problem.build_vehicle import UrdfTable
-from slipfree.problem.schema import Asked
+from slipfree.problem.schema import CommonKeys
 from slipfree.problem.verbs.registry import VERBS
 from slipfree.records import Label
 from slipfree.trajectory import Column, Stop, Trajectory
@@ -202,7 +202,7 @@ GROUND = {
     }
 }
 START = {"x": 0.0, "y": 0.0, "heading": 0.0}
-SCHEMAS: dict[str, type[Asked]] = {verb.name: verb.schema for verb in VERBS}
+SCHEMAS: dict[str, type[CommonKeys]] = {verb.name: verb.schema for verb in VERBS}
 SIDE = {
     "ground.asc": "ncols 13\nnrows 15\nxllcenter -3\nyllcenter -3\ncellsize 0.5\n"
     + ("0 " * 13 + "\n") * 15,

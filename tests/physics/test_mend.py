@@ -240,7 +240,9 @@ def test_a_summary_states_how_far_filled_ground_is_driven_on(tmp_path: Path) -> 
     told = CliRunner().invoke(app, ["info", str(tmp_path / "run.nc")]).stdout
     assert told.count("interpolated heights") == 1
     away = run_problem(_read(tmp_path, FILE, *settings, "start.x=2")).trajectory
-    assert away.attributes["filled_ground"] == "no wheel on it at any of 81 samples"
+    assert (
+        away.attributes["filled_ground"] == "no wheel on interpolated heights at any of 81 samples"
+    )
     np.savez(tmp_path / "g.npz", x=x, y=y, z=np.zeros(z.shape))
     whole = run_problem(_read(tmp_path, FILE, *settings)).trajectory
     assert "filled ground" not in dict(motion_facts(whole))

@@ -106,9 +106,9 @@ def test_exchanges_are_checked(exchange, words):
 
 def test_starts_from_a_contact_are_checked():
     dae = closure_model(three_wheeler(), HILLS)
-    with pytest.raises(ModelError, match=r"no contact of a wheel 'rear'.* front, left, right"):
+    with pytest.raises(ModelError, match=r"front, left, right.*, found 'rear'"):
         settle_contact(dae, "rear", contact_x=0.0, contact_y=0.0)
-    with pytest.raises(ModelError, match="y follow from the contact; remove them"):
+    with pytest.raises(ModelError, match="which follow from the contact point, found y"):
         settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, y=1.0)
     with pytest.raises(ModelError, match="found the unknown azimuth"):
         settle_contact(dae, "left", contact_x=0.0, contact_y=0.0, azimuth=1.0)

@@ -1,9 +1,8 @@
 """The command line: ``slipfree new | examples | run | check | vehicle | compare | info ...``.
 
-Exit codes: 0 done; 1 not complete or failed, with what was reached saved; 2 bad input, or a package
-that is not installed; 130 interrupted. ``--quiet``, ``--verbose`` and ``--json`` belong
-to every command (`cli.messages`). What a command needs is imported inside it, so that
-``slipfree --help`` answers at once.
+Exit codes: 0 done; 1 not complete or failed; 2 bad input, or a package that is not installed; 130
+interrupted. Every command has the options ``--quiet``, ``--verbose`` and ``--json``
+(`cli.messages`). Commands import their modules when they run, so that ``slipfree --help`` is fast.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from slipfree.cli.messages import (
     Json,
     Quiet,
     Verbose,
-    ask,
     complain,
     fail,
     print_json,
     say,
+    store_options,
     visible,
-    voiced,
+    with_output_options,
 )
 from slipfree.cli.migrate import migrate
 from slipfree.cli.new import new
@@ -40,26 +39,28 @@ from slipfree.cli.run import run
 from slipfree.cli.show import show
 from slipfree.cli.sweep import sweep
 
-UsageError: Any = typer.BadParameter.__bases__[0]  # of click, of which newer typer has a copy
+UsageError: Any = typer.BadParameter.__bases__[
+    0
+]  # class of click, or of the copy of click in typer
 
 
 class _Commands(TyperGroup):
-    """The commands, with ``--json`` also for errors in the command line."""
+    """Group of the commands, which reports errors of the command line also as JSON."""
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **more: Any) -> Any:
         words = tuple(args)  # parsing consumes the list
-        with self._telling(words):
+        with self._reporting(words):
             return super().make_context(info_name, args, *rest, obj=words, **more)
 
     def invoke(self, ctx: Any) -> Any:
-        with self._telling(ctx.obj):
+        with self._reporting(ctx.obj):
             return super().invoke(ctx)
 
     @contextmanager
-    def _telling(self, words: Sequence[str]) -> Iterator[None]:
+    def _reporting(self, words: Sequence[str]) -> Iterator[None]:
         try:
             yield
-        except KeyboardInterrupt as error:  # before or after what a command does
+        except KeyboardInterrupt as error:  # before or after the command
             complain("interrupted")
             raise typer.Exit(INTERRUPTED) from error
         except OSError as error:  # of stdout or stderr
@@ -96,7 +97,7 @@ COMMANDS = (
     sweep,
 )
 for command in COMMANDS:
-    app.command()(voiced(command))
+    app.command()(with_output_options(command))
 
 
 def main() -> None:
@@ -124,4 +125,4 @@ def _common(
     verbose: Verbose = False,
     json: Json = False,
 ) -> None:
-    ask(quiet, verbose, json)
+    store_options(quiet, verbose, json)

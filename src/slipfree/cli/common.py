@@ -1,4 +1,4 @@
-"""Common parts of the commands: options, checks of paths and errors."""
+"""Common parts of the commands: options, checks of output paths, reports of errors."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def about(file: Path) -> Iterator[None]:
         if str(file) in str(error):
             raise
         raise DataError(f"{file}: {error}") from error
-    except KeyError as error:  # a quantity, statistic or attribute of every result
+    except KeyError as error:  # every result has this quantity, statistic or attribute
         raise DataError(
             f"{file}: expected a result of slipfree run, found no {error} in it; run the problem "
             "again"
@@ -81,7 +81,7 @@ def about(file: Path) -> Iterator[None]:
 
 
 def read_problem(file: Path, settings: list[str] | None) -> Problem[Any]:
-    """Return a validated problem with some values replaced."""
+    """Return the validated problem in a file, with values replaced by settings."""
     from slipfree.problem.load import load_problem
 
     refuse_result(file)
@@ -95,7 +95,7 @@ def refuse_result(file: Path) -> None:
     if _begins_with(file, RESULT):
         raise DataError(
             f"{file}: expected a problem file, found a result; use slipfree info or slipfree "
-            "report for a result, slipfree info --problem prints its problem"
+            "report for a result, or slipfree info --problem to print its problem"
         )
 
 
@@ -114,9 +114,9 @@ def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) 
     Parameters
     ----------
     out : Path
-        Result file of the problem, or the default.
+        Result file that the problem names, or the default.
     folder : Path or None
-        Folder for figures beside it, unless the command line gives one.
+        Default folder for figures; None if no default folder is used.
     problem : Problem
         The problem.
 
@@ -140,7 +140,7 @@ def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) 
         if not any(target.is_relative_to(each) for each in inside):
             link = "" if target == Path.cwd() / path else f", which is {target}"
             raise DataError(
-                f"{where}: expected a place in the working folder or in the problem's folder, "
+                f"{where}: expected a path in the working folder or in the problem's folder, "
                 f"found {path}{link}; {remedy}"
             )
     if out.suffix.lower() != ".nc":
@@ -159,7 +159,7 @@ def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) 
 
 
 def check_places(files: list[Path | None], folder: Path | None, problem: Problem[Any]) -> None:
-    """Raise DataError for outputs that cannot be written or are inputs, before any computation."""
+    """Raise DataError for outputs that cannot be written or coincide with other files."""
     from slipfree.problem.input_files import input_names
 
     taken = {resolve_links(problem.source.path): "the problem file"}
@@ -172,13 +172,18 @@ def check_places(files: list[Path | None], folder: Path | None, problem: Problem
             continue
         target = resolve_links(path)
         if target in taken:
-            raise DataError(f"{path}: expected a file of its own, found {taken[target]}")
+            raise DataError(
+                f"{path}: expected a file of its own, found {taken[target]}; choose another name"
+            )
         taken[target] = "another output"
         check_place(path)
     if folder is not None:
         check_name(folder)
         if folder.exists() and not folder.is_dir():
-            raise DataError(f"{folder}: expected a folder for figures, found a file")
+            raise DataError(
+                f"{folder}: expected a folder for figures, found a file; choose another folder: "
+                "--figures DIR"
+            )
         above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
         _check_writable(folder, above)
 
@@ -192,36 +197,49 @@ def check_page(out: Path, files: Sequence[Path]) -> None:
 
 
 def check_apart(out: Path, files: Sequence[Path]) -> None:
-    """Raise DataError for an output that is one of the results read."""
+    """Raise DataError if an output file is one of the result files to read."""
     if resolve_links(out) in map(resolve_links, files):
-        raise DataError(f"{out}: expected a file of its own, found the result file")
+        raise DataError(
+            f"{out}: expected a file of its own, found the result file; choose another name"
+        )
 
 
 def check_place(path: Path) -> None:
     """Raise DataError for a file that cannot be written, before any computation."""
     check_name(path)
     if path.is_dir():
-        raise DataError(f"{path}: expected the name of a file to write, found a folder")
+        raise DataError(
+            f"{path}: expected the name of a file to write, found a folder; choose another name"
+        )
     if path.exists() and not path.is_file():
-        raise DataError(f"{path}: expected the name of a file to write, found a device or a pipe")
+        raise DataError(
+            f"{path}: expected the name of a file to write, found a device or a pipe; choose "
+            "another name"
+        )
     if not path.parent.is_dir():
-        raise DataError(f"{path}: expected a folder {path.parent} to write to, found none")
+        raise DataError(
+            f"{path}: expected a folder {path.parent} to write to, found none; create it"
+        )
     _check_writable(path, path.parent)
 
 
 def _check_writable(path: Path, folder: Path) -> None:
     if not os.access(folder, os.W_OK):
-        raise DataError(f"{path}: expected a folder {folder} that may be written to")
+        raise DataError(
+            f"{path}: expected a folder {folder} that may be written to, found one without write "
+            "permission; choose another folder"
+        )
 
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], None]]:
     """Yield a function that raises KeyboardInterrupt if Ctrl-C was pressed.
 
-    An exception in a signal handler is lost while the integrator's code runs. A second Ctrl-C acts
-    immediately. A Ctrl-C after the last call of the function acts at the end.
+    The integrator loses exceptions of signal handlers, so that the handler only stores the first
+    Ctrl-C. A second Ctrl-C raises immediately; a first one after the last call of the function
+    raises at the end of the block.
     """
-    pressed = told = False
+    pressed = raised = False
 
     def remember(_signal: int, _frame: object) -> None:
         nonlocal pressed
@@ -230,9 +248,9 @@ def interruptible() -> Iterator[Callable[[], None]]:
         pressed = True
 
     def poll() -> None:
-        nonlocal told
+        nonlocal raised
         if pressed:
-            told = True
+            raised = True
             raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGINT, remember)
@@ -240,32 +258,32 @@ def interruptible() -> Iterator[Callable[[], None]]:
         yield poll
     finally:
         signal.signal(signal.SIGINT, before)
-        if pressed and not told:
+        if pressed and not raised:
             raise KeyboardInterrupt
 
 
 def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:
-    """Return a function that ignores calls in quick succession."""
+    """Return a callback that ignores calls within a time of the last one [s]."""
     last = 0.0
 
-    def seldom(what: Any) -> None:
+    def throttle(value: Any) -> None:
         nonlocal last
         now = time.monotonic()
         if now - last > apart:
             last = now
-            show(what)
+            show(value)
 
-    return seldom
+    return throttle
 
 
 def tell(facts: list[tuple[str, str]]) -> None:
-    """Print names and values, or add them to the facts in JSON."""
+    """Print facts, and add them to the JSON object."""
     put_facts(facts)
     show(facts)
 
 
 def show(facts: list[tuple[str, str]]) -> None:
-    """Print names and values: a table on a terminal, plain lines elsewhere."""
+    """Print facts: as a table on a terminal, as plain lines elsewhere."""
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in facts)
         for name, value in facts:

@@ -1,4 +1,4 @@
-"""``slipfree examples``: the shipped problems, listed and copied."""
+"""``slipfree examples``: list and copy the shipped problems."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def examples(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME]...",
+            metavar="NAME",
             help="Problems to copy; all if only --to is given.",
             autocompletion=_complete,
         ),
@@ -45,7 +45,10 @@ def examples(
         bool, typer.Option("--force", help="Replace files of the same names.")
     ] = False,
 ) -> None:
-    """List the shipped problems, or copy some with the files that they need."""
+    """List the shipped problems, or copy some of them.
+
+    Copies include the input files that the problems need.
+    """
     with reported():
         shipped = _shipped()
         if not names and to is None:
@@ -73,7 +76,7 @@ def _shipped() -> dict[str, Traversable]:
 
 
 def _list(shipped: Mapping[str, Traversable]) -> None:
-    """Print names, verbs and titles."""
+    """Print name, verb and title of each shipped problem and vehicle."""
     rows = []
     for name, file in shipped.items():
         data = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -104,7 +107,8 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
     taken = [str(out) for out in places if out.exists()]
     if taken and not force:
         raise DataError(
-            f"expected no files of these names, found {', '.join(taken)}; replace them by --force"
+            f"expected new files, found existing ones: {', '.join(taken)}; replace them with "
+            "--force"
         )
     for out, text in places.items():
         try:
@@ -112,7 +116,7 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
         except OSError as error:
             raise DataError(
                 f"{out.parent}: expected a folder to write to, found none that can be made "
-                f"({error.strerror}); choose another place"
+                f"({error.strerror}); choose another folder: --to DIR"
             ) from error
         place(text, out, force)
         say(f"wrote {out}")

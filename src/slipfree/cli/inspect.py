@@ -1,4 +1,4 @@
-"""Commands that look at problems, vehicles and results."""
+"""Commands that inspect problems, vehicles and results."""
 
 from __future__ import annotations
 
@@ -30,14 +30,17 @@ if TYPE_CHECKING:
 
 
 def check(file: File, settings: Settings = None) -> None:
-    """Check a problem and settle the vehicle at its start, without solving."""
+    """Check a problem and settle the vehicle at its start.
+
+    The motion is not computed.
+    """
     with reported():
         from slipfree.problem.solve import build
         from slipfree.problem.verbs.registry import verb_of
 
         problem = read_problem(file, settings)
         setup = build(problem)
-        detail("stood the vehicle on its start")
+        detail("settled the vehicle at its start")
         start, facts = verb_of(problem).describe_start(problem, setup)
         put("start", lambda: quantities(start))
         tell([*setup.facts, *facts])
@@ -50,7 +53,10 @@ def vehicle(
     ],
     settings: Settings = None,
 ) -> None:
-    """Describe a vehicle: parts, unknowns, equations, rolling and conditioning."""
+    """Describe the vehicle of a problem or of a vehicle file.
+
+    Print its parts, unknowns, equations, rolling conditions and condition numbers.
+    """
     with reported():
         from slipfree.problem.vehicle_report import describe
 
@@ -64,7 +70,10 @@ def vehicle(
 
 
 def compare(file: File, settings: Settings = None) -> None:
-    """Compare vehicles on one ground: rolling without slip, or the slip that remains."""
+    """Compare the slip of several vehicles on one ground.
+
+    Print whether each vehicle can roll without slip, and the slip that remains otherwise.
+    """
     with reported():
         from slipfree.problem.build_ground import ground_facts
         from slipfree.problem.load import load_problem
@@ -107,7 +116,7 @@ def _drive(drive: Drive) -> str:
 def info(
     file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
     problem: Annotated[
-        bool, typer.Option("--problem", help="Print its problem file instead.")
+        bool, typer.Option("--problem", help="Print the stored problem file instead.")
     ] = False,
 ) -> None:
     """Print the contents of a result file."""
@@ -121,7 +130,10 @@ def info(
         text = attributes.pop("problem", None)
         if problem:
             if text is None:
-                raise DataError(f"{file}: holds no problem file: it was not written by run")
+                raise DataError(
+                    f"{file}: expected a result with its problem file, found none; use a file of "
+                    "slipfree run"
+                )
             put("problem", lambda: text)
             typer.echo(visible(text) if sys.stdout.isatty() else text, nl=False)
             return
@@ -147,7 +159,10 @@ def export(
         Path | None, typer.Option(metavar="FILE.csv", help="Rates of driven wheels and joints.")
     ] = None,
 ) -> None:
-    """Export a result for other programs: path on the map, rates for a robot."""
+    """Export the path or the rates of a result.
+
+    The path is for geographic information systems, the rates are for robots.
+    """
     with reported(), about(file):
         from slipfree.files.export import export_path, export_rates
 

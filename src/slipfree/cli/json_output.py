@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def motion_answer(run: Trajectory) -> dict[str, Any]:
-    """Return samples, stop, counts and the range of every quantity of a motion."""
+    """Return the JSON of a motion: samples, stop, statistics and ranges of its quantities."""
     return {
         "samples": run.t.size,
         "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
@@ -22,14 +22,14 @@ def motion_answer(run: Trajectory) -> dict[str, Any]:
 
 
 def stop_answer(stop: Stop | None) -> dict[str, Any] | None:
-    """Return reason and time of an early stop; None without one."""
+    """Return the JSON of an early stop; None without one."""
     return None if stop is None else {"name": stop.name, "time": stop.t, "words": stop.words}
 
 
 def quantities(run: Trajectory) -> dict[str, Any]:
     """Return description, unit, first, last, smallest and largest value of every quantity.
 
-    First and last values of quantities of the wheels are arrays with one number per wheel.
+    For quantities of wheels, first and last values are arrays of shape (n_wheels,).
     """
     from slipfree.frames import to_problem_frame
 
@@ -47,7 +47,7 @@ def quantities(run: Trajectory) -> dict[str, Any]:
 
 
 def row_answer(row: Row) -> dict[str, Any]:
-    """Return one vehicle of a comparison."""
+    """Return the JSON of one vehicle of a comparison."""
     return {
         "name": row.name,
         "wheels": row.wheels,

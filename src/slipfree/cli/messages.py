@@ -1,9 +1,9 @@
 """Output of the commands: common options, messages, details and JSON.
 
-Commands print to stdout; with ``--quiet`` nothing, with ``--json`` one object with the facts, the
-values added by `put`, and the meaning of the exit code. Errors, warnings and details are lines on
-stderr. All text passes `say`, which escapes control characters, since names and titles in files
-must not control the terminal.
+Commands print to stdout: text by default, nothing with ``--quiet``, and with ``--json`` one object
+with facts, values added by `put`, and the meaning of the exit code. Errors, warnings and details
+are lines on stderr. `say` escapes the control characters of all texts, since names and titles in
+files must not control the terminal.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MEANINGS = {
     INTERRUPTED: "interrupted",
 }
 
-# C0 but for tab and the ends of lines, delete, C1, separators, directions of writing, surrogates
+# C0 without tab and newline, delete, C1, separators, text directions, surrogates
 CONTROL = re.compile(
     r"[\0-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
     r"\ud800-\udfff]|\r(?!\n)"
@@ -47,8 +47,8 @@ Verbose = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 
 
-class Voice(NamedTuple):
-    """Options of the output.
+class OutputOptions(NamedTuple):
+    """Values of the output options of a command.
 
     Attributes
     ----------
@@ -62,71 +62,82 @@ class Voice(NamedTuple):
 
 
 @dataclass
-class _Answer:
-    """Output of one command.
+class _CommandOutput:
+    """Output of one command, collected for ``--json``.
 
-    Details go to the original stderr, since messages of the integrator are kept from stderr while
-    it runs.
+    Attributes
+    ----------
+    options : OutputOptions
+        Output options of the command.
+    stderr : text stream
+        Stream of the details: the original stderr, since messages of integrators are redirected.
+    began : float
+        Start of the command by `time.perf_counter`. [s]
+    content : dict
+        Content of the JSON object.
     """
 
-    voice: Voice
+    options: OutputOptions
     stderr: TextIO = field(default_factory=lambda: sys.stderr)
     began: float = field(default_factory=time.perf_counter)
     content: dict[str, Any] = field(default_factory=dict)
 
 
-_asked = [Voice()]  # options given before the command's name
-_speakers: list[_Answer] = []  # output of the running command, if there is one
+_global_options = [OutputOptions()]  # options given before the command's name
+_running: list[_CommandOutput] = []  # output of the running command, if there is one
 
 
-def _said() -> _Answer:
-    """Return the output of the running command; an empty one outside of commands."""
-    return _speakers[-1] if _speakers else _Answer(Voice())
+def _current_output() -> _CommandOutput:
+    """Return the output of the running command; a new one outside commands."""
+    return _running[-1] if _running else _CommandOutput(OutputOptions())
 
 
-def ask(quiet: bool, verbose: bool, json: bool) -> None:
+def store_options(quiet: bool, verbose: bool, json: bool) -> None:
     """Store options given before the command's name."""
-    _asked[:] = [Voice(quiet, verbose, json)]
+    _global_options[:] = [OutputOptions(quiet, verbose, json)]
 
 
-def voiced(command: Callable[..., None]) -> Callable[..., None]:
+def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command with the options ``--quiet``, ``--verbose`` and ``--json``."""
     hints = get_type_hints(command, include_extras=True)
     own = inspect.signature(command).parameters.values()
-    options = {"quiet": Quiet, "verbose": Verbose, "json": Json}
+    annotations = {"quiet": Quiet, "verbose": Verbose, "json": Json}
     more = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False) for name in options
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False)
+        for name in annotations
     ]
 
     @wraps(command)
-    def spoken(*, quiet: bool, verbose: bool, json: bool, **values: Any) -> None:
-        before = _asked[0]
-        voice = Voice(quiet or before.quiet, verbose or before.verbose, json or before.json)
-        with _speaking(command.__name__, voice):
+    def wrapped(*, quiet: bool, verbose: bool, json: bool, **values: Any) -> None:
+        before = _global_options[0]
+        options = OutputOptions(
+            quiet or before.quiet, verbose or before.verbose, json or before.json
+        )
+        with _collecting(command.__name__, options):
             _check_folder()
-            if voice.quiet and voice.verbose:
+            if options.quiet and options.verbose:
                 complain("expected --quiet or --verbose, found both")
                 raise typer.Exit(BAD_INPUT)
             command(**values)
 
-    hints |= options
+    hints |= annotations
     given: list[inspect.Parameter] = [
         each.replace(annotation=hints[each.name], kind=inspect.Parameter.KEYWORD_ONLY)
         for each in (*own, *more)
     ]
-    spoken.__dict__["__signature__"] = inspect.Signature(given)
-    spoken.__annotations__ = hints
-    del spoken.__dict__["__wrapped__"]  # its signature lacks the options
-    return spoken
+    wrapped.__dict__["__signature__"] = inspect.Signature(given)
+    wrapped.__annotations__ = hints
+    del wrapped.__dict__["__wrapped__"]  # its signature lacks the options
+    return wrapped
 
 
 @contextmanager
-def _speaking(name: str, voice: Voice) -> Iterator[None]:
+def _collecting(name: str, options: OutputOptions) -> Iterator[None]:
     """Collect the output of a command; print the JSON object at its end."""
-    answer = _Answer(voice)
-    _speakers.append(answer)
+    output = _CommandOutput(options)
+    _running.append(output)
     code = STOPPED
-    hidden = redirect_stdout(io.StringIO()) if voice.quiet or voice.json else nullcontext()
+    hidden = redirect_stdout(io.StringIO()) if options.quiet or options.json else nullcontext()
     try:
         with hidden, warnings.catch_warnings():
             warnings.showwarning = _warn_once
@@ -136,19 +147,19 @@ def _speaking(name: str, voice: Voice) -> Iterator[None]:
         code = end.exit_code
         raise
     finally:
-        _speakers.pop()
-        if voice.json:
-            print_json(name, code, answer.content)
+        _running.pop()
+        if options.json:
+            print_json(name, code, output.content)
 
 
 def _check_folder() -> None:
-    """Exit if the current folder does not exist, since libraries need its name."""
+    """Report an error and exit if the current folder does not exist."""
     try:
         Path.cwd()
     except OSError as error:
         complain(
-            f"expected a current folder, found none ({error.strerror}): it was removed; change to "
-            "another one"
+            f"expected an existing current folder, found a removed one ({error.strerror}); change "
+            "to another folder"
         )
         raise typer.Exit(BAD_INPUT) from error
 
@@ -159,7 +170,7 @@ def visible(text: str) -> str:
 
 
 def say(words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | None = None) -> None:
-    """Print text on stdout, stderr or another stream, control characters escaped."""
+    """Print text with escaped control characters on stdout, stderr or another stream."""
     try:
         typer.echo(visible(words), nl=nl, err=err, file=file)
     except OSError as error:
@@ -168,7 +179,7 @@ def say(words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | N
 
 
 def fail(error: OSError) -> NoReturn:
-    """Report a system error without a message of its own, such as a full disk, and exit."""
+    """Report an operating-system error, such as a full disk, and exit."""
     if error.errno == errno.EPIPE:  # the reader of the output is gone: typer ends silently
         raise error
     name = f"{error.filename}: " if error.filename else ""
@@ -185,14 +196,14 @@ def print_json(command: str, code: int, content: Mapping[str, Any]) -> None:
 
 def put(name: str, make: Callable[[], Any]) -> None:
     """Add a value to the JSON object; ``make`` is called only with ``--json``."""
-    answer = _said()
-    if answer.voice.json:
-        answer.content[name] = make()
+    output = _current_output()
+    if output.options.json:
+        output.content[name] = make()
 
 
 def put_facts(facts: list[tuple[str, str]]) -> None:
-    """Add facts to the JSON object; indented names belong to the names above."""
-    found, above = _said().content.setdefault("facts", {}), ""
+    """Add facts to the JSON object, with indented names below the names before them."""
+    found, above = _current_output().content.setdefault("facts", {}), ""
     for name, words in facts:
         above = above if name.startswith(" ") else name
         key = f"{above}: {name.strip()}" if name.startswith(" ") and above else name.strip()
@@ -200,25 +211,25 @@ def put_facts(facts: list[tuple[str, str]]) -> None:
 
 
 def put_file(file: object) -> None:
-    """Add a file that was written to the JSON object."""
-    _said().content.setdefault("files", []).append(str(file))
+    """Add the name of a written file to the JSON object."""
+    _current_output().content.setdefault("files", []).append(str(file))
 
 
 def put_lines(name: str, words: str) -> None:
     """Add lines of text to the JSON object."""
-    _said().content.setdefault(name, []).extend(words.splitlines())
+    _current_output().content.setdefault(name, []).extend(words.splitlines())
 
 
 def warn(words: str) -> None:
     """Print a warning on stderr, unless ``--quiet`` is given."""
     put_lines("warnings", words)
-    if not _said().voice.quiet:
+    if not _current_output().options.quiet:
         say(f"warning: {words}", err=True)
 
 
 def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
     """Print a warning of the library once."""
-    if not set(str(message).splitlines()) <= set(_said().content.get("warnings", ())):
+    if not set(str(message).splitlines()) <= set(_current_output().content.get("warnings", ())):
         warn(str(message))
 
 
@@ -230,30 +241,30 @@ def complain(words: str) -> None:
 
 
 def detail(words: str) -> None:
-    """Print a completed step with the time since the start on stderr, with ``--verbose``."""
-    answer = _said()
-    if answer.voice.verbose:
-        elapsed = time.perf_counter() - answer.began
-        say(f"[{elapsed:8.3f} s] {words}", file=answer.stderr)
+    """Print a completed step and the elapsed time on stderr if ``--verbose`` is given."""
+    output = _current_output()
+    if output.options.verbose:
+        elapsed = time.perf_counter() - output.began
+        say(f"[{elapsed:8.3f} s] {words}", file=output.stderr)
 
 
 def has_bar() -> bool:
-    """Return whether a progress bar may be shown: on a terminal, without details."""
-    return not any(_said().voice)
+    """Return whether progress may be shown: none of the output options is given."""
+    return not any(_current_output().options)
 
 
 def is_quiet() -> bool:
     """Return whether ``--quiet`` or ``--json`` suppresses text."""
-    return _said().voice.quiet
+    return _current_output().options.quiet
 
 
 def is_verbose() -> bool:
     """Return whether ``--verbose`` is given."""
-    return _said().voice.verbose
+    return _current_output().options.verbose
 
 
 def plain(value: Any) -> Any:
-    """Return a value for JSON; numbers that are not finite become null."""
+    """Return a value as types that JSON has; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, str) or value is None:

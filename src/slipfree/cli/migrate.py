@@ -13,7 +13,7 @@ from slipfree.cli.messages import put, put_file, say, warn
 from slipfree.errors import DataError
 from slipfree.regular_files import resolve_links
 
-SUFFIX = ".bak"  # of the original file
+SUFFIX = ".bak"  # ending of the copy of the original file
 
 
 def migrate(
@@ -30,7 +30,10 @@ def migrate(
         ),
     ] = None,
 ) -> None:
-    """Rewrite a problem file of version 0.1.0 with current keys; comments are kept."""
+    """Rewrite a problem file of version 0.1.0 with current keys.
+
+    Comments and layout are kept.
+    """
     with reported():
         from slipfree.files.toml.reader import read_text
         from slipfree.problem.migrate import migrate_text
@@ -56,18 +59,21 @@ def migrate(
 
 
 def _check_new(path: Path, file: Path) -> None:
-    """Raise DataError if the output file exists."""
+    """Raise DataError if the output file exists or is the input file."""
     check_place(path)
     if resolve_links(path) == resolve_links(file):
-        raise DataError(f"{path}: expected another file than FILE; omit -o to rewrite FILE itself")
+        raise DataError(
+            f"{path}: expected another file than FILE, found FILE; omit -o to rewrite it"
+        )
     if path.exists():
         raise DataError(
-            f"{path}: expected no file of this name, found one; move it, or choose another by -o"
+            f"{path}: expected a new file, found an existing one; move it, or choose another "
+            "name with -o"
         )
 
 
 def _write(path: Path, like: Path, content: bytes) -> None:
-    """Write a file with the permissions of another."""
+    """Write a file with the permissions of another file."""
     from slipfree.atomic_files import replace_file
 
     def fill(part: Path) -> None:

@@ -13,8 +13,8 @@ from slipfree.cli.common import check_place, reported
 from slipfree.cli.messages import put_file, say
 from slipfree.errors import DataError
 
-FOLDER = "starters"  # in the package
-HOLE = "FILE"  # placeholder of the file's name in comments
+FOLDER = "starters"  # folder of the templates in the package
+HOLE = "FILE"  # placeholder of the file name in the comments of a template
 
 
 class Kind(StrEnum):
@@ -27,7 +27,10 @@ class Kind(StrEnum):
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(help="Kind of the problem.")],
+    kind: Annotated[
+        Kind,
+        typer.Argument(metavar="KIND", help="Kind of the problem: direct, inverse, plan or climb."),
+    ],
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
@@ -45,10 +48,12 @@ def new(
 
 
 def place(text: str, out: Path, force: bool) -> None:
-    """Write a file; raise DataError if it exists, unless ``force`` is set."""
+    """Write a new file; raise DataError if it exists and ``force`` is not set."""
     check_place(out)
     if out.exists() and not force:
-        raise DataError(f"{out}: expected no file of that name, found one; replace it by --force")
+        raise DataError(
+            f"{out}: expected a new file, found an existing one; replace it with --force"
+        )
     from slipfree.atomic_files import replace_file
 
     replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Motions that are not complete: messages, and the command that goes on with a plan."""
+"""Messages about incomplete motions, and the command that resumes a plan."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 def say_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
-    """Print that a motion is not complete, where it is kept, and the command that goes on.
+    """Print the outcome of an incomplete motion, its file, and the command that resumes it.
 
-    The reason is the first line of the summary, and printed here if the summary is not.
+    With ``--quiet`` the reason is printed too, which else is the first line of the summary.
     """
     from slipfree.trajectory import outcome_title, outcome_words
 
@@ -27,7 +27,7 @@ def say_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
 
 
 def resume_command(run: Trajectory, out: Path, *options: str) -> str:
-    """Return the command that goes on with an interrupted plan; empty for other motions."""
+    """Return the command that resumes an interrupted plan; empty for other motions."""
     from slipfree.problem.verbs.base import RESUME, VERB_ATTRIBUTE
     from slipfree.problem.verbs.registry import find_motion_verb
 

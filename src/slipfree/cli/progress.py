@@ -11,9 +11,9 @@ from typing import NamedTuple
 from slipfree.cli.common import interruptible, throttled
 from slipfree.cli.messages import detail, has_bar, is_verbose, say, visible
 
-FIRST_LINE = 2.0  # after which a computation reports for the first time [s]
-NEW_PHASE = 1.0  # between two lines of different phases at least [s]
-SAME_PHASE = 10.0  # between two lines of the same phase at least [s]
+FIRST_LINE = 2.0  # time before the first line of a computation [s]
+NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
+SAME_PHASE = 10.0  # shortest time between lines of the same phase [s]
 INTEGRATION = "integrated"
 
 
@@ -34,15 +34,14 @@ class Reports(NamedTuple):
 
 @contextmanager
 def reporting(duration: float | None) -> Iterator[Reports]:
-    """Give the callables by which a computation reports its progress.
+    """Yield the callables by which a computation reports its progress.
 
-    Details, if wanted, are a line for every iterate; with ``--quiet`` and ``--json`` nothing is
-    printed.
+    With ``--verbose`` every iterate is a line; with ``--quiet`` and ``--json`` nothing is printed.
 
     Parameters
     ----------
     duration : float or None
-        Duration of the motion; None if a search decides it. [s]
+        Duration of the motion; None for a search over the whole motion. [s]
     """
     with interruptible() as poll:
         if is_verbose():
@@ -53,7 +52,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
             with _bar(poll, duration) as reports:
                 yield reports
         else:
-            stderr = sys.stderr  # as it is now: messages of integrators are kept from it
+            stderr = sys.stderr  # the current one: integrators redirect sys.stderr
             show = _sparse(lambda line: say(line, file=stderr), SAME_PHASE)
             yield _reports(poll, show, show, duration)
 
@@ -78,21 +77,21 @@ def _reports(
 
 
 def _detailed() -> Callable[[str, str], None]:
-    """Return a function that prints that the integration begins, then the time reached."""
+    """Return a callback that prints the start of the integration, then the time reached."""
     seldom, begun = _sparse(detail, NEW_PHASE), False
 
     def integrated(phase: str, line: str) -> None:
         nonlocal begun
         if not begun:
             begun = True
-            detail("stood the vehicle on its start; integrates")
+            detail("settled the vehicle at its start; integrating")
         seldom(phase, line)
 
     return integrated
 
 
 def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], None]:
-    """Return a function that shows the first line of a phase, then one at most every so often."""
+    """Return a callback that limits the lines of a phase to one per `apart` seconds."""
     last, former = time.monotonic() + FIRST_LINE - NEW_PHASE, ""
 
     def seldom(phase: str, line: str) -> None:
@@ -107,7 +106,7 @@ def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], N
 
 @contextmanager
 def _bar(poll: Callable[[], None], duration: float | None) -> Iterator[Reports]:
-    """Give callables that move a bar."""
+    """Yield callables that update a progress bar."""
     from rich.console import Console
     from rich.markup import escape
     from rich.progress import Progress

@@ -16,14 +16,19 @@ def report(
     file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result file.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="OUT.html", help="The page; default: OUT.html."),
+        typer.Option(
+            "-o", "--output", metavar="OUT.html", help="Page to write; default: OUT.html."
+        ),
     ] = None,
     folder: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of the problem, if it names other files."),
+        typer.Option(metavar="DIR", help="Folder of the input files of the problem."),
     ] = None,
 ) -> None:
-    """Write a result as one HTML page: facts, checks, figures, the problem, versions."""
+    """Write a result as one HTML page.
+
+    The page has facts, checks, figures, the problem file and versions.
+    """
     with reported(), about(file):
         from slipfree.atomic_files import replace_file
         from slipfree.problem.report import report as made
@@ -43,4 +48,6 @@ def report(
 
 
 def _write(part: Path, text: str) -> None:
-    part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files
+    part.write_text(
+        text, encoding="utf-8", errors="backslashreplace"
+    )  # file names may have invalid characters

@@ -46,10 +46,11 @@ Out = Annotated[
         "-o",
         "--output",
         metavar="OUT.nc",
-        help="Result file; default: the problem's [output] file, or its name with .nc, here.",
+        help="Result file; default: the [output] file of the problem, or its name with .nc in the "
+        "current folder.",
     ),
 ]
-Csv = Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Also write the samples as CSV.")]
+Csv = Annotated[Path | None, typer.Option(metavar="OUT.csv", help="Write the samples also as CSV.")]
 Figures = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Folder for figures; default: OUT_figures beside OUT.nc."),
@@ -61,18 +62,19 @@ DrawAll = Annotated[
 CrossCheck = Annotated[
     bool,
     typer.Option(
-        "--cross-check", help="Also solve with the other formulation of contact, and compare."
+        "--cross-check",
+        help="Solve also with the other formulation of contact, and print differences.",
     ),
 ]
 Resume = Annotated[
     Path | None,
     typer.Option(
         metavar="OUT.nc",
-        help="Start a plan from the plan in a result file; mesh, ground or goal may differ.",
+        help="Start the search from the plan in a result file; mesh, ground or goal may differ.",
     ),
 ]
 Animation = Annotated[
-    Path | None, typer.Option(metavar="OUT.gif", help="Write a climb as an animation.")
+    Path | None, typer.Option(metavar="OUT.gif", help="Write an animation (climbs only).")
 ]
 
 
@@ -88,7 +90,10 @@ def run(
     resume: Resume = None,
     animation: Animation = None,
 ) -> None:
-    """Solve a problem: write the result, print a summary, draw figures."""
+    """Solve a problem and write the result.
+
+    Print a summary and draw figures.
+    """
     with reported():
         from slipfree.problem.verbs.registry import verb_of
 
@@ -131,7 +136,7 @@ def _places(
 def _check_options(
     problem: Problem[Any], cross_check: bool, resume: Path | None, animation: Path | None
 ) -> None:
-    """Raise DataError for options that the verb does not offer, before any computation."""
+    """Raise DataError for options that the verb does not support."""
     from slipfree.problem.verbs.base import ANIMATION, CROSS_CHECK, RESUME
     from slipfree.problem.verbs.registry import check_option
 
@@ -144,7 +149,7 @@ def _check_options(
 
 
 def output_of(problem: Problem[Any]) -> str:
-    """Return the name of the result file."""
+    """Return the name of the result file: that of the problem, or the default."""
     spec = problem.spec.output
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
@@ -166,7 +171,7 @@ def _report_counts(result: Result) -> Result:
 
 
 def _former(file: Path | None) -> SavedPlan | None:
-    """Return the plan of ``--resume``; None without the option."""
+    """Return the plan in the file of ``--resume``; None without the option."""
     from slipfree.files.netcdf import read_arrays
     from slipfree.plan.warm_start import from_arrays
 

@@ -1,4 +1,4 @@
-"""``slipfree show``: results in space, in a browser, as a page or as an animation."""
+"""``slipfree show``: results in three dimensions, in a browser, as page or animation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Layer = Literal["height", "slope", "traversability"]
 
 def show(
     files: Annotated[
-        list[Path], typer.Argument(metavar="OUT.nc...", help="Result files on the same ground.")
+        list[Path], typer.Argument(metavar="OUT.nc", help="Result files on the same ground.")
     ],
     html: Annotated[
         Path | None,
@@ -34,20 +34,28 @@ def show(
     animation: Annotated[
         Path | None, typer.Option(metavar="FILE.gif|.mp4", help="Save an animation instead.")
     ] = None,
-    color: Annotated[Layer, typer.Option(help="Initial colouring of the ground.")] = "height",
+    color: Annotated[
+        Layer,
+        typer.Option(metavar="LAYER", help="Initial colours: height, slope or traversability."),
+    ] = "height",
     folder: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder of the input files; default: beside the result, or the current folder.",
+            help="Folder of the input files of the problem; default: that of the problem, of the "
+            "result, or the current one.",
         ),
     ] = None,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the page; default: any free one.")
+        int,
+        typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free one."),
     ] = 0,
     browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
 ) -> None:
-    """Show motions in a web page: ground, vehicles, contact points, slip and forces."""
+    """Show motions in a web page, or save a page or an animation.
+
+    The page shows ground, vehicles, contact points, slip and forces in three dimensions.
+    """
     with reported():
         _check_places(files, html, animation)
         viewer, found = _read(files, folder)
@@ -73,7 +81,7 @@ def show(
 
 
 def _check_places(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
-    """Raise DataError for outputs that cannot be written, before any computation."""
+    """Raise DataError for output files that cannot be written."""
     if html is not None:
         check_page(html, files)
     if animation is not None:
@@ -85,7 +93,9 @@ def _check_places(files: Sequence[Path], html: Path | None, animation: Path | No
 
 
 def _write(part: Path, text: str) -> None:
-    part.write_text(text, encoding="utf-8", errors="backslashreplace")  # names of files
+    part.write_text(
+        text, encoding="utf-8", errors="backslashreplace"
+    )  # file names may have invalid characters
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]]:
@@ -103,7 +113,10 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
             found.append(verb.shown(result, name))
             viewers.setdefault(verb.viewer().noun, verb.viewer())
     if len(viewers) > 1:
-        raise DataError(f"show: expected {' or '.join(viewers)} alone, found both")
+        raise DataError(
+            f"show: expected results of one kind, found {' and '.join(viewers)}; show "
+            "them separately"
+        )
     return next(iter(viewers.values())), found
 
 
@@ -126,7 +139,7 @@ def _film(scene: Scene, title: str, file: Path) -> None:
 
 
 def _ready(url: str, browser: bool) -> None:
-    """Print the address of the page, also with ``--quiet``, and open it on request."""
+    """Print the address of the page, and open it if ``browser`` is set and a display exists."""
     say(f"{url} shows it; Ctrl-C ends it", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")

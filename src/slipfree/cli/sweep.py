@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 MOST_KEYS = 2  # largest number of varied keys in figures
 FIGURES = "figures"
-FIRST_LINE, LINES_APART = 1.0, 60.0  # of progress without a terminal [s]
+FIRST_LINE, LINES_APART = 1.0, 60.0  # times between lines of progress without a terminal [s]
 
 
 def sweep(
@@ -34,15 +34,15 @@ def sweep(
         list[str] | None,
         typer.Option(
             metavar="KEY=VALUES",
-            help="A key and its values: KEY=a:b:n for n numbers from a to b, or KEY=v1,v2,...; "
-            "repeatable: all combinations are run.",
+            help="Vary a key: KEY=a:b:n for n numbers from a to b, or KEY=v1,v2,...; repeatable, "
+            "all combinations are run.",
         ),
     ] = None,
     repeat: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Run each combination N times with different seeds."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="The first seed of --repeat.")] = 1,
+    seed: Annotated[int, typer.Option(metavar="SEED", min=0, help="First seed of --repeat.")] = 1,
     settings: Settings = None,
     out: Annotated[
         Path | None,
@@ -76,13 +76,14 @@ def sweep(
     dry_run: Annotated[
         bool,
         typer.Option(
-            "--dry-run", help="Print the runs, and from finished ones the time left; run nothing."
+            "--dry-run", help="Print the runs and the estimated time, without running them."
         ),
     ] = False,
 ) -> None:
-    """Run a problem for many values and seeds: write one table, print a summary, draw figures.
+    """Run a problem for many values and seeds.
 
-    The same command continues a sweep that was interrupted or killed.
+    Write one table, print a summary and draw figures. The same command continues a sweep that was
+    interrupted or killed.
     """
     with reported():
         from slipfree.codegen_cache import obstacle
@@ -99,7 +100,7 @@ def sweep(
         if draw:
             _check_figures(folder / FIGURES)
         if plan.problem.spec.solver.compiled and (why := obstacle()):
-            warn(f"equations that are not kept yet are interpreted, not compiled: {why}")
+            warn(f"equations without a cached library are interpreted, not compiled: {why}")
         rows = _done(plan, folder, _pool(processes, scheduler), keep, again)
         names = choose_figures(plan, rows, figures or [])
         found = grids(plan, rows, names)
@@ -125,7 +126,7 @@ def _check_figures(folder: Path) -> None:
 
 
 def _tell_plan(plan: Sweep, folder: Path, processes: int) -> None:
-    """Print the runs of a sweep, and their time estimated from finished runs."""
+    """Print the facts of a sweep, and its remaining time, estimated from finished runs."""
     from slipfree.sweep.log import NAME, Log
     from slipfree.sweep.table import plan_facts
 
@@ -139,7 +140,7 @@ def _tell_plan(plan: Sweep, folder: Path, processes: int) -> None:
             if len(rows):
                 each = sum(row.seconds for row in rows) / len(rows)
                 about_all = duration(left * each / processes)
-                words = f"about {about_all}: {each:.3g} s a run on {processes} processes"
+                words = f"about {about_all}: {each:.3g} s per run on {processes} processes"
     tell([*facts, ("time", words if left else "nothing is left to run")])
 
 
@@ -161,8 +162,8 @@ def _tell_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
         file = result_path(folder, plan, first.run)
         words = ["slipfree", "run", str(plan.problem.source.path), *sets, "-o", str(file)]
         warn(
-            f"--keep: {len(missing)} runs were finished without it and have no result file; for "
-            f"all of them sweep into another folder with -o, for one: {shlex.join(words)}"
+            f"--keep: {len(missing)} runs finished without --keep and have no result file; to "
+            f"write all, sweep into another folder with -o; to write one: {shlex.join(words)}"
         )
 
 
@@ -188,7 +189,7 @@ def _cores() -> int:
 
 
 def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:
-    """Return the rows of all runs, and show the progress."""
+    """Run the sweep, show its progress, and return the rows of all runs."""
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
 
@@ -207,8 +208,8 @@ def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again
 def _progress(words: str) -> Iterator[Callable[..., None]]:
     """Yield a function that shows the progress: a bar on a terminal, else lines on stderr.
 
-    It takes the number done, that of all, and words. Lines come after a second, then ever more
-    seldom, down to one a minute.
+    The function takes the number of completed items, their total number, and a text. The first
+    line comes after a second; the time between lines grows up to a minute.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
@@ -237,7 +238,7 @@ def _draw(plan: Sweep, grids: Sequence[Swept], folder: Path) -> None:
     from slipfree.show.sweep_figures import save_sweep_figures
 
     if len(plan.axes) > MOST_KEYS:
-        say(f"no figures: {len(plan.axes)} keys are varied, and figures have at most two")
+        say(f"no figures: {len(plan.axes)} keys are varied, and figures show at most two")
         return
     if plan.count > 1:
         paths = save_sweep_figures(grids, folder)

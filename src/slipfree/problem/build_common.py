@@ -28,18 +28,18 @@ TIME_TOLERANCE = 1e-9  # times at a smaller distance count as equal [duration]
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Everything that the integration of a problem needs.
+    """Set-up of the integration of a problem.
 
     Attributes
     ----------
     ground, terrain, vehicle : Ground, Bicubic, Vehicle
-        The ground as data and as a surface, and the vehicle.
+        Ground as heights on a grid and as a smooth surface; vehicle.
     model, dae : Dae
         The closure model, which settles the start, and the model to integrate.
     start : Trajectory
-        The vehicle at its start, at rest or with the given rates of its platform.
+        One sample: the vehicle at its start, at rest or with the given rates of its platform.
     inputs : record
-        Rates, or a driving law.
+        Inputs of `dae`: constant rates, rates per interval of `t`, or a driving law.
     t : ndarray, shape (n,)
         Times of the samples. [s]
     driven : str
@@ -58,7 +58,7 @@ class Setup:
 
     @property
     def facts(self) -> Facts:
-        """Facts about ground, vehicle and inputs."""
+        """Names and texts that describe ground, vehicle and inputs."""
         drive = ("driven by", self.driven)
         return [*ground_facts(self.ground), *vehicle_facts(self.vehicle), drive]
 
@@ -82,15 +82,15 @@ def build_terrain(problem: Problem[S], ground: Ground) -> Bicubic:
     return Bicubic(grid, (start.get("x", 0.0), start.get("y", 0.0)), ground.mu)
 
 
-def turned(problem: Problem[S]) -> float:
+def heading_offset(problem: Problem[S]) -> float:
     """Return the offset from headings of the problem's frame to headings from the y axis [rad]."""
     return -OFFSET[getattr(problem.spec, "frame", "paper")]
 
 
 def build_start(problem: Problem[S], dae: Dae) -> Trajectory:
-    """Return the vehicle at rest at the start of the problem."""
+    """Return the vehicle settled at rest at the start of a problem."""
     values: dict[str, Any] = dict(problem.spec.start)
-    values["heading"] = values.get("heading", 0.0) + turned(problem)
+    values["heading"] = values.get("heading", 0.0) + heading_offset(problem)
     with at(problem, ("start",)):
         return settle(dae, options=problem.spec.solver.options, **values)
 
@@ -105,7 +105,7 @@ def samples(
     t : ndarray, shape (n,)
         From zero to the duration. [s]
     rates : dict of str to float or ndarray of shape (n - 1,)
-        Constants, or values per interval of piecewise constant rates. [rad/s]
+        Constant rates, or rates per interval of `t`. [rad/s, m/s]
     """
     near = TIME_TOLERANCE * time.duration
     regular = time.step * np.arange(int(time.duration / time.step) + 1)
@@ -144,7 +144,7 @@ def _names(labels: Iterable[Any]) -> list[str]:
 
 
 def vehicle_facts(vehicle: Vehicle) -> Facts:
-    """Return the facts about a vehicle."""
+    """Return the facts about a vehicle: wheels, mass and notes of its file."""
     wheels = ", ".join(
         f"{w.name} {w.radius:g} m {'driven' if w.driven else 'free'}" for w in vehicle.wheels
     )
@@ -157,7 +157,7 @@ def vehicle_facts(vehicle: Vehicle) -> Facts:
 
 
 def wheel_angles_at(run: Trajectory, t: Array) -> Column:
-    """Return the angles of the wheels of a motion at given times."""
+    """Return the wheel angles of a motion, interpolated at given times [s]."""
     turns = run.columns["wheel_angle"]
     values = [np.interp(t, run.t, each) for each in turns.values.T]
     return Column(turns.label, np.stack(values, axis=1))

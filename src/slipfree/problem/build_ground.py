@@ -37,13 +37,13 @@ class Ground(NamedTuple):
     source : str
         Description of its origin.
     rolled : Rolled or None
-        Change by ``rolled``, if requested.
+        Ground that the key ``rolled`` changed; None without this key.
     mu : float, Grid or None
         Coefficient of friction, or a map of it. [1]
     friction : str
         Description of the friction; empty without friction.
     told : list of (str, str)
-        Further facts: the map, the changes, and the relation to the coordinates of the map.
+        Further facts: the map, the changes, and the transformation to coordinates of the map.
     coordinates : tuple of MapCoordinate
         Coordinates of the map file; empty if they are those of motions.
     """
@@ -59,13 +59,13 @@ class Ground(NamedTuple):
 
 @contextmanager
 def at(problem: Problem[A], place: Place) -> Iterator[None]:
-    """Raise errors of the library as ProblemError with the line of the problem."""
+    """Convert ModelError and DataError of the block to ProblemError with the line of a key."""
     try:
         yield
     except (ModelError, DataError) as error:
         if isinstance(error, ProblemError):
             raise
-        words = str(error).removeprefix(f"{place[0]}: ")  # the place says it
+        words = str(error).removeprefix(f"{place[0]}: ")  # the line of the key contains it
         raise ProblemError(f"{problem.source.where(place)}: {words}") from error
 
 
@@ -91,8 +91,10 @@ def build_ground(problem: Problem[S]) -> Ground:
         return Ground(grid, source + _scale_words(spec), None, mu, friction, told, coordinates)
     with at(problem, ("terrain", "rolled")):
         _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
-        felt = rolled(grid, spec.rolled)
-    return Ground(felt.grid, source + _scale_words(spec), felt, mu, friction, told, coordinates)
+        changed = rolled(grid, spec.rolled)
+    return Ground(
+        changed.grid, source + _scale_words(spec), changed, mu, friction, told, coordinates
+    )
 
 
 def _check_keys(problem: Problem[S]) -> None:
@@ -102,7 +104,9 @@ def _check_keys(problem: Problem[S]) -> None:
         read = spec.file is not None or isinstance(spec.friction, str)
         if not read and getattr(spec, key) is not None:
             where = problem.source.where(("terrain", key))
-            raise ProblemError(f"{where}: expected this key only with a map file; remove it")
+            raise ProblemError(
+                f"{where}: expected this key only with a map file, found none; remove the key"
+            )
 
 
 def _scales(spec: schema.Terrain) -> tuple[float, float]:
@@ -178,16 +182,16 @@ def _check_size(width: float, length: float, spacing: float) -> None:
 
 
 def _source(problem: Problem[S]) -> tuple[Map, str]:
-    """Return the ground before scaling, and its description."""
+    """Return the ground before scaling, and the description of its origin."""
     spec = problem.spec.terrain
     if spec.file is not None:
         window, (horizontal, _) = spec.window, _scales(spec)
         if window is not None and spec.geographic is None:
             a, b, c, d = (each / horizontal for each in window)
             window = a, b, c, d
-        asked = {key: getattr(spec, key) for key in OF_FILES}
+        options = {key: getattr(spec, key) for key in OF_FILES}
         with at(problem, ("terrain", "file")):
-            found = read_map(problem.folder / spec.file, window=window, **asked)
+            found = read_map(problem.folder / spec.file, window=window, **options)
         return found, spec.file
     if spec.synthetic is not None:
         with at(problem, ("terrain", "synthetic")):
@@ -203,11 +207,13 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
     if not isinstance(name, str):
         return name, "" if name is None else f"{name:g}"
     ending = Path(name).suffix.lower()
-    asked: dict[str, Any] = {key: getattr(spec, key) for key in OF_FILES if takes_key(ending, key)}
+    options: dict[str, Any] = {
+        key: getattr(spec, key) for key in OF_FILES if takes_key(ending, key)
+    }
     if ground.geographic:
-        asked["geographic"] = ground.frame
+        options["geographic"] = ground.frame
     with at(problem, ("terrain", "friction")):
-        found = read_map(problem.folder / name, **asked)
+        found = read_map(problem.folder / name, **options)
         check_friction(found.grid)  # before scaling: the message has coordinates of the file
     # both files describe the same area, so that both are scaled; coefficients are not
     mu = scaled(found.grid, horizontal, 1.0)
@@ -235,7 +241,7 @@ def filled_words(grid: Grid, run: Trajectory) -> str:
     on = grid.touches_filled(run["contact_x"], run["contact_y"])
     count, size = np.count_nonzero(on.any(axis=1)), run.t.size
     if not count:
-        return f"no wheel on it at any of {size} samples"
+        return f"no wheel on interpolated heights at any of {size} samples"
     steps = np.sqrt(sum(np.diff(run[f"contact_{axis}"], axis=0) ** 2 for axis in "xyz"))
     lengths = (0.5 * (on[:-1].astype(float) + on[1:]) * steps).sum(axis=0)
     parts = [

@@ -36,7 +36,7 @@ def build_model(
 
 
 def slip_law(problem: Problem[S], spec: schema.Modelled) -> SlipLaw:
-    """Return the slip law of a problem of kinematics."""
+    """Return the slip law of a problem with the kinematic model."""
     for name in spec.law.model_fields_set - {spec.slip}:
         expected = (
             "model = 'quasi-static', where this law applies"
@@ -60,7 +60,8 @@ def ground_law(problem: Problem[S], spec: schema.Modelled) -> GroundLaw:
     name = law_name(spec)
     if "slip" in spec.model_fields_set:
         expected = "no slip law with model = 'quasi-static', where forces determine the slip"
-        raise problem_error(problem.source, [Fault(("slip",), expected, repr(spec.slip))])
+        found = f"{spec.slip!r}; remove the key"
+        raise problem_error(problem.source, [Fault(("slip",), expected, found)])
     for other in spec.law.model_fields_set - ({name} & set(GROUND_LAWS)):
         expected = f"one wheel-ground law with model = 'quasi-static', of {', '.join(GROUND_LAWS)}"
         found = ", ".join(sorted(spec.law.model_fields_set))

@@ -55,7 +55,7 @@ class WheelTable(Record):
     rollers: bool = False
 
 
-def _kind_alone(value: Any) -> Any:
+def _expanded_kind(value: Any) -> Any:
     return {"kind": value} if isinstance(value, str) else value
 
 
@@ -65,7 +65,7 @@ class UrdfTable(Record):
     urdf: Annotated[str, Field(min_length=1)]
     name: Annotated[str, Field(min_length=1)] | None = None
     tube: NonNegative = 0.0
-    joints: dict[str, Annotated[JointTable, BeforeValidator(_kind_alone)]] | None = None
+    joints: dict[str, Annotated[JointTable, BeforeValidator(_expanded_kind)]] | None = None
     wheels: dict[str, WheelTable] | None = None
 
 
@@ -75,9 +75,9 @@ def build_vehicle(spec: schema.Vehicle, folder: Path) -> Vehicle:
     Parameters
     ----------
     spec : Vehicle
-        The problem's table.
+        Table [vehicle] of the problem.
     folder : Path
-        Folder of relative file names.
+        Folder to which file names are relative.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def read_vehicle(path: str | Path) -> Vehicle:
     VehicleError
         With all errors by file and line, and a draft of the known parts.
     DataError
-        If the name of the file has another ending.
+        If the file name does not end in .toml or .urdf.
     """
     draft = _draft(Path(path))
     try:
@@ -163,12 +163,14 @@ def _urdf(path: Path, roles: Roles, file: File | None = None) -> Draft:
 
 
 def _check(roles: Roles, known: list[str], file: File) -> None:
-    """Raise an error for joints that the URDF does not have, or with two roles."""
+    """Raise VehicleError for joints that are not in the URDF, or that are also wheels."""
     faults: list[Fault] = []
     for table, given in (("joints", roles.joints), ("wheels", roles.wheels)):
         faults += name_errors((table,), given, known)
     for name in set(roles.joints) & set(roles.wheels):
         place: Place = ("joints", name)
-        faults.append(Fault(place, "a joint that is no wheel", "the same name in wheels"))
+        faults.append(
+            Fault(place, "a joint that is not a wheel", "the same name in [wheels]; remove one")
+        )
     if faults:
         raise file.error(faults)

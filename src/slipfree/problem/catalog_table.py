@@ -1,4 +1,4 @@
-"""Vehicles of the catalogue, and the keys that each takes in a problem file."""
+"""Vehicles of the catalogue, and the keys that a problem file may give for each of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OWN = ("catalog", "file", "actuated", "name")  # keys that are not keywords of t
 
 @dataclass(frozen=True)
 class Found:
-    """Description of the value found."""
+    """Text that replaces the value in an error of pydantic."""
 
     words: str
 
@@ -37,14 +37,14 @@ class Found:
 
 
 def fault(place: str | None, expected: str, found: str, hint: str = "") -> InitErrorDetails:
-    """Return an error in a key of a table, or in the table itself."""
+    """Return an error of pydantic in a key of a table, or in the table itself."""
     kind = PydanticCustomError("expected", "{words}", {"words": expected, "hint": hint})
     return InitErrorDetails(type=kind, loc=(place,) if place else (), input=Found(found))
 
 
 @cache
 def table_of(base: type[BaseModel], catalog: str) -> type[BaseModel]:
-    """Return the schema of the table of a catalogue vehicle: base keys and keywords."""
+    """Return the schema for a vehicle of the catalogue: keys of `base` and keyword arguments."""
     function = CATALOG[catalog]
     hints = get_type_hints(function)
     fields: dict[str, Any] = {
@@ -102,7 +102,7 @@ def read_table(base: type[BaseModel], data: Any, read: Callable[[Any], BaseModel
 
 
 def reworded(error: dict[str, Any], known: list[str]) -> InitErrorDetails:
-    """Return an error of a table; for an unknown key it lists the known keys."""
+    """Return an error of pydantic in the words of the package, with the known keys."""
     if error["type"] == "extra_forbidden":
         name = str(error["loc"][-1])
         expected, found = f"one of {', '.join(known)}", f"the unknown key {name!r}"

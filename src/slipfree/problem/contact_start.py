@@ -46,13 +46,12 @@ def settle_contact(
     known = {label.wheel for label in leaves(dae.labels.z[0]) if label.name == "contact_x"}
     if wheel not in known:
         names = ", ".join(sorted(filter(None, known))) or "none"
-        raise ModelError(
-            f"settle_contact: the model has no contact of a wheel {wheel!r}; known: {names}"
-        )
+        raise ModelError(f"settle_contact: expected a wheel in contact ({names}), found {wheel!r}")
     fixed = {name: start.pop(name) for name in ("x", "y") if name in start}
     if fixed:
         raise ModelError(
-            f"settle_contact: {' and '.join(fixed)} follow from the contact; remove them"
+            "settle_contact: expected no x and y, which follow from the contact point, found "
+            f"{' and '.join(fixed)}; remove them"
         )
     place = {f"contact_x[{wheel}]": contact_x, f"contact_y[{wheel}]": contact_y}
     exchange = dict(zip(("x", "y"), place, strict=True))

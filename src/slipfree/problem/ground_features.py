@@ -1,4 +1,4 @@
-"""Features of made grounds: tables of a problem file, below ``[terrain.synthetic]``.
+"""Features of synthetic grounds: tables of a problem file, below ``[terrain.synthetic]``.
 
 A feature is a record with the method `added`, and an entry of `FEATURES`.
 """
@@ -17,7 +17,7 @@ SEED = "seed of the random numbers"
 
 
 class Feature(Record):
-    """A feature of a made ground."""
+    """A feature of a synthetic ground."""
 
     def added(self, grid: Grid) -> Grid:
         """Return a ground with the feature added."""
@@ -27,8 +27,8 @@ class Feature(Record):
 class Ramp(Feature):
     """A ramp along y."""
 
-    start: float = Field(description="y where it begins [m]")
-    end: float = Field(description="y where it ends [m]")
+    start: float = Field(description="y at which the ramp begins [m]")
+    end: float = Field(description="y at which the ramp ends [m]")
     rise: float = Field(description="height behind the ramp [m]")
     smooth: bool = Field(
         default=True,
@@ -62,8 +62,8 @@ class PowerLaw(Feature):
 class Craters(Feature):
     """Craters scattered over the ground."""
 
-    count: Count = Field(description="number; a larger number adds to those of a smaller one")
-    diameters: Pair = Field(description="smallest and largest, from crest to crest [m]")
+    count: Count = Field(description="number; a larger number keeps those of a smaller one")
+    diameters: Pair = Field(description="smallest and largest diameter of the crests [m]")
     seed: Count = Field(description=SEED)
 
     def added(self, grid: Grid) -> Grid:
@@ -74,8 +74,8 @@ class Craters(Feature):
 class Rocks(Feature):
     """Rocks scattered over the ground."""
 
-    count: Count = Field(description="number; a larger number adds to those of a smaller one")
-    diameters: Pair = Field(description="smallest and largest [m]")
+    count: Count = Field(description="number; a larger number keeps those of a smaller one")
+    diameters: Pair = Field(description="smallest and largest diameter [m]")
     height_ratio: Positive = Field(description="height over diameter [1]")
     seed: Count = Field(description=SEED)
 

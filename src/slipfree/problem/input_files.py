@@ -11,7 +11,7 @@ from typing import Any
 from slipfree.errors import DataError
 from slipfree.files.vehicle_toml import open_file
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Asked
+from slipfree.problem.schema import CommonKeys
 from slipfree.regular_files import regular_file
 
 TABLES = ("terrain", "vehicle", "driver", "path", "profile")  # tables with input files
@@ -19,7 +19,7 @@ DRAWN = ("terrain", "vehicle", "profile")  # tables of ground and vehicle
 MISSING = "missing"
 
 
-def input_names(spec: Asked, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
+def input_names(spec: CommonKeys, tables: Sequence[str] = TABLES) -> tuple[str, ...]:
     """Return the names of input files in tables of a problem, as written there."""
     found = [getattr(spec, name, None) for name in tables]
     names: list[Any] = [getattr(table, "file", None) for table in found]
@@ -50,7 +50,7 @@ def digest(file: Path) -> str:
 
 
 def _named_urdf(folder: Path, name: str) -> list[str]:
-    """Return the name of the URDF that a vehicle file completes, from the problem's folder."""
+    """Return the name of the URDF in a vehicle file, relative to the problem's folder, if any."""
     with suppress(DataError):  # build_vehicle reports errors in the file
         urdf = open_file(folder / name).data.get("urdf")
         if isinstance(urdf, str):

@@ -22,7 +22,7 @@ from slipfree.files.toml.settings import replace_values
 from slipfree.files.toml.source_lines import Source, key_lines
 from slipfree.problem.old_keys import upgrade_keys
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Asked
+from slipfree.problem.schema import CommonKeys
 from slipfree.problem.verbs.base import Verb
 from slipfree.problem.verbs.registry import find_verb, verbs_of
 
@@ -38,7 +38,7 @@ def load_problem(
         The file.
     settings : sequence of str
         Values that replace those of the file, as ``key=value``: dotted keys, values in TOML or
-        bare words. ``key=`` with no value takes the key out.
+        bare words. ``key=`` without a value removes the key.
     command : str
         The command of ``slipfree`` that solves it: ``"run"``, ``"compare"``, or ``"vehicle"`` for
         problems with a vehicle on terrain.
@@ -157,7 +157,7 @@ def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> 
     raise problem_error(source, [Fault(("verb",), expected, format_value(data["verb"]) + hint)])
 
 
-def _alternatives(schema: type[Asked], data: dict[str, Any]) -> Iterator[Fault]:
+def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fault]:
     """Yield an error for a table with none or several of mutually exclusive keys."""
     for place, keys in schema.alternatives.items():
         table: Any = data

@@ -73,7 +73,7 @@ def migrate_text(path: Path, text: str) -> Migrated:
     if parse_toml(path, changed) != upgrade_keys(data)[0]:
         wanted = ", ".join(f"{each.words[1]} by {each.words[0]}" for each in found)
         raise ProblemError(
-            f"{path}: expected keys in a usual layout, found one that cannot be preserved; replace "
+            f"{path}: expected a layout of keys that can be preserved, found another one; replace "
             f"{wanted} by hand"
         )
     words = (f"{source.where((c.old,))}: {c.words[1]} is now {c.words[0]}" for c in found)
@@ -81,13 +81,15 @@ def migrate_text(path: Path, text: str) -> Migrated:
 
 
 def _note(source: Source, data: dict[str, Any]) -> str:
-    """Return the changes of headings in files with ``frame = "rep103"``."""
+    """Return the note on headings in files with ``frame = "rep103"``; empty for others."""
     if "verb" not in data or data.get("frame") != "rep103":
         return ""
     start, limits = data.get("start", {}), data.get("limits", {})
     remedies = []
     if "heading" not in start:
-        remedies.append("the start now faces +x (0.1.0: +y): to keep it, start.heading = '90 deg'")
+        remedies.append(
+            "the start now faces +x (0.1.0: +y): to face +y, set start.heading = '90 deg'"
+        )
     if "heading" in limits:
         remedies.append("limits.heading now counts from the x axis (0.1.0: from the y axis)")
     return f"{source.where(('frame',))}: {'; '.join(remedies)}" if remedies else ""

@@ -16,15 +16,15 @@ class KeyChange(NamedTuple):
     Attributes
     ----------
     old : str
-        The key.
+        The old key.
     value : str or None
-        The value for which it is replaced; None for any value.
+        Old value that is replaced; None if every value is.
     new : tuple of str
-        Tables and key that replace it.
+        Names of the tables and of the key that replace it.
     new_value : str or None
-        The new value; None for the old value.
+        New value; None to keep the old value.
     words : tuple of str
-        New and old key in the user's spelling.
+        New and old key, as written in a problem file.
     found : str
         Description of the old key, for errors.
     """

@@ -1,4 +1,4 @@
-"""A validated problem, and where each of its values comes from."""
+"""A validated problem, and the origin of each value."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from slipfree.files.toml.source_lines import Source
-from slipfree.problem.schema import Asked, Task
+from slipfree.problem.schema import CommonKeys, Task
 
 S = TypeVar("S", bound=Task)
-A = TypeVar("A", bound=Asked)
+A = TypeVar("A", bound=CommonKeys)
 
 
 @dataclass(frozen=True)
 class Problem(Generic[A]):
-    """A validated problem, and where each of its values comes from.
+    """A validated problem, and the origin of each value.
 
     Attributes
     ----------
-    spec : Asked
-        The record of its verb's schema.
+    spec : CommonKeys
+        Values of the problem file, a record of the schema of its verb.
     source : Source
         File, lines and settings of the values.
     """

@@ -40,7 +40,7 @@ ELSEWHERE = (  # attributes reported in other sections
 
 
 class _Drawn(NamedTuple):
-    """Figures, or the reason why there are none."""
+    """Figures, and a note on omitted samples or on the reason why there are no figures."""
 
     figures: Sequence[Plot]
     note: str
@@ -54,7 +54,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
     file : Path
         A result file.
     folder : Path, optional
-        Where names of files in its problem start; as for `open_result`.
+        Folder of the input files of its problem; see `open_result`.
 
     Raises
     ------
@@ -65,11 +65,11 @@ def report(file: Path, folder: Path | None = None) -> Report:
     run, verb = read(file, lazy=True), find_motion_verb(result.kind)
     facts, names = [outcome_fact(run), *motion_facts(run)], verb.checks if verb else ()
     found = run.attributes
-    told = [(name, words) for name, words in facts if name not in names]
+    rest = [(name, words) for name, words in facts if name not in names]
     checks = [(name, words) for name, words in facts if name in names]
     spans = [(name, words, run.columns[name].label.words) for name, words in ranges(run)]
     tables: dict[str, Sequence[tuple[str, ...]]] = {
-        "What came of it": told,
+        "Result": rest,
         "Checks": checks,
         "Set-up": _set_up(found),
         "Quantities": spans,
@@ -86,7 +86,7 @@ def report(file: Path, folder: Path | None = None) -> Report:
 
 
 def _lead(run: Trajectory, verb: MotionVerb | None) -> str:
-    """Return a sentence on the end of a motion."""
+    """Return a sentence on the outcome of a motion."""
     words = outcome_words(run)
     if run.stop is None and verb is not None:
         words = verb.describe_end(run) or words
@@ -103,26 +103,26 @@ def _set_up(found: Mapping[str, str]) -> Facts:
 
 
 def _versions(file: Path, found: Mapping[str, str]) -> Facts:
-    """Return the versions and the digest of a result."""
+    """Return the facts about versions, date and digest of a result file."""
     parts = [
         (name.removesuffix(VERSION), words)
         for name, words in found.items()
         if name.endswith(VERSION)
     ]
     return [
-        ("computed", found.get("date_created", "unknown when")),
+        ("computed", found.get("date_created", "date unknown")),
         *parts,
         ("result file", file.name),
-        ("its SHA-256", digest(file)),
+        ("SHA-256 of the file", digest(file)),
         ("this page", f"written by slipfree {__version__}"),
     ]
 
 
 def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
-    """Return the problem file and the commands to run it again."""
+    """Return the texts of the problem file and of the commands to run it again, by title."""
     if "problem" not in found:
         return {}
-    name = f"{Path(found.get('problem_file', 'problem.toml')).stem}_again.toml"  # theirs is kept
+    name = f"{Path(found.get('problem_file', 'problem.toml')).stem}_again.toml"
     settings = found.get("settings", "").splitlines()
     words = ["slipfree", "run", name, *(part for each in settings for part in ("--set", each))]
     again = f"slipfree info {shlex.quote(file.name)} --problem > {shlex.quote(name)}\n"
@@ -133,11 +133,13 @@ def _texts(file: Path, found: Mapping[str, str]) -> dict[str, str]:
 def _drawn(result: Result, count: int) -> _Drawn:
     """Return the figures of ``slipfree run``, or the reason why they cannot be drawn."""
     if "problem" not in result.trajectory.attributes:
-        return _Drawn((), "None: the result holds no problem file, so its ground is not known.")
+        return _Drawn(
+            (), "None: the result holds no problem file, so that its ground is not known."
+        )
     try:
         shown = result.trajectory.t.size
-        note = f"The figures show {shown} of {count} samples, the extremes of all quantities among "
-        note += "them; the tables are of all samples."
+        note = f"The figures show {shown} of {count} samples, including the extremes of all "
+        note += "quantities; the tables use all samples."
         figures = verb_of(result.problem).figures(result)
         return _Drawn(figures, note if shown < count else "")
     except ProblemError as error:

@@ -35,11 +35,11 @@ def open_result(
     path : path
         The result file.
     folder : Path, optional
-        Where names of files in the problem start; by default the folder that the problem was in,
-        that of the result, or the current one, whichever has them first.
+        Folder of the input files of the problem. By default the problem's folder, the result's
+        folder and the current folder are searched, in this order.
     samples : int, optional
-        Number of samples, about, to keep of a longer motion, and all extremes besides (see
-        `slipfree.show.thinning.thin`); all by default.
+        Approximate number of samples to keep, in addition to all extremes (see
+        `slipfree.show.thinning.thin`); by default all are kept.
 
     Raises
     ------
@@ -61,20 +61,20 @@ def motion_facts(run: Trajectory) -> Facts:
 
 
 def shown(file: Path, name: str, folder: Path | None = None) -> Any:
-    """Return the motion in a result file for the viewer: with its ground and vehicle.
+    """Return the motion in a result file with its ground and vehicle, for the viewer.
 
     Parameters
     ----------
     file, folder : Path
         As for `open_result`.
     name : str
-        What to call the motion.
+        Name of the motion in the viewer.
 
     Raises
     ------
     DataError
-        If the file cannot be read or has no problem, or if input files of its problem are missing
-        or result in another ground or vehicle than those of the motion.
+        If the file cannot be read or contains no problem, or if input files of its problem are
+        missing or have changed.
     """
     result = open_result(file, folder)
     return verb_of(result.problem).shown(result, name)
@@ -93,8 +93,9 @@ def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Probl
     Raises
     ------
     DataError
-        If the result holds no problem, or input files that it names are missing; a ProblemError if
-        it does not fit this version.
+        If the result contains no problem, or input files of the problem are missing.
+    ProblemError
+        If the problem is not valid in this version.
     """
     text = run.attributes.get("problem")
     if text is None:
@@ -131,8 +132,9 @@ def _folder(file: Path, spec: Runnable, recorded: str, folder: Path | None) -> P
         if not missing:
             return place
     raise DataError(
-        f"{file}: its problem needs {missing[0]}, found none in {' or '.join(map(str, tried))}; "
-        "give the folder of the problem file by --folder DIR"
+        f"{file}: expected the input file {missing[0]} of its problem in "
+        f"{' or '.join(map(str, tried))}, found none; give the folder of the problem "
+        "file by --folder DIR"
     )
 
 

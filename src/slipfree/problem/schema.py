@@ -32,7 +32,9 @@ SlipName = Annotated[str, AfterValidator(known_slip)]
 MOST_SAMPLES = 1_000_000  # largest number of samples of a motion
 VERB = "kind of the problem"
 TOLERANCE = "tolerance of the integrator, absolute and relative [1]"
-SIZED = "tolerance of the integrator, absolute and relative; lengths in vehicle sizes [1]"
+SIZED = (
+    "tolerance of the integrator, absolute and relative; lengths relative to the vehicle size [1]"
+)
 COMPILED = "whether to compile the equations; takes seconds once per vehicle, and is cached"
 MODEL = "kinematics: the slip law determines the rates; quasi-static: the wheel-ground law does"
 SLIP = "slip law, for model = 'kinematics': least slip, or rolling without slip"
@@ -56,7 +58,7 @@ class Vehicle(Record):
     @model_validator(mode="wrap")
     @classmethod
     def _by_source(cls, data: Any, handler: ModelWrapValidatorHandler[Vehicle]) -> Vehicle:
-        """Read the table of a vehicle of the catalogue by the keywords of its function."""
+        """Validate the table of a vehicle of the catalogue by the arguments of its function."""
         return cast("Vehicle", read_table(cls, data, handler))
 
     @property
@@ -70,7 +72,7 @@ class Driver(Record):
 
     name: Literal["straight", "follow"] = Field(description="name of the law")
     speed: Annotated[float, AfterValidator(not_zero)] = Field(
-        description="forward speed; negative to drive backward [m/s]"
+        description="speed; negative to drive backward [m/s]"
     )
     path: Annotated[tuple[Pair, ...], Field(strict=False)] | None = Field(
         default=None, description="way-points to follow [m]"
@@ -109,7 +111,7 @@ class Output(Record):
     )
 
 
-class Asked(Record):
+class CommonKeys(Record):
     """Common keys of all problems: verb, title, time and solver."""
 
     verb: str = Field(description=VERB)
@@ -118,15 +120,15 @@ class Asked(Record):
     solver: Solver = Field(default=Solver(), description="options of the integrator")
 
     alternatives: ClassVar[Mapping[KeyPath, tuple[str, ...]]] = {}
-    """Tables with several keys each of which exactly one is required."""
+    """Keys of which exactly one is required, by table."""
 
     @property
     def named_files(self) -> tuple[str, ...]:
-        """Names of input files besides those that the keys 'file' and 'friction' of tables name."""
+        """Names of input files in other keys than 'file' and 'friction' of tables."""
         return ()
 
     def faults(self) -> Iterator[Fault]:
-        """Yield the errors of values that do not fit each other."""
+        """Yield the errors of values that contradict each other."""
         time = self.time
         if time.step > time.duration:
             expected = f"at most the duration, {time.duration:g} s"
@@ -136,13 +138,13 @@ class Asked(Record):
             yield Fault(("time", "step"), expected, f"{time.step:g}")
 
 
-class Runnable(Asked):
+class Runnable(CommonKeys):
     """Keys of the problems that ``slipfree run`` solves."""
 
     output: Output | None = Field(default=None, description="destination of the result")
 
 
-class Task(Asked):
+class Task(CommonKeys):
     """Common keys of problems on terrain: ground and start."""
 
     terrain: Terrain = Field(description="the ground")
@@ -161,8 +163,8 @@ class Motion(Task, Runnable):
 
     frame: Frame = Field(
         default="paper",
-        description="zero of headings, also in summaries, exports and figures: the y axis, or "
-        "the x axis (REP 103)",
+        description="axis from which headings count, also in summaries, exports and figures: "
+        "y, or x (REP 103)",
     )
     vehicle: Vehicle = Field(description="the vehicle")
 

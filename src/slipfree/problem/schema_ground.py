@@ -30,7 +30,7 @@ class MadeGround(Record):
     )
 
     def features(self) -> list[Feature]:
-        """Return the features that are added, in order."""
+        """Return the features to add to the level grid, in order."""
         found = (getattr(self, name) for name in FEATURES)
         return [each for each in found if each is not None]
 
@@ -68,7 +68,7 @@ class ElevationError(Record):
 class Terrain(Record):
     """The ground: a file, matplotlib's sample, or a synthetic one; and its friction."""
 
-    file: str | None = Field(default=None, description="the map file, relative to the problem file")
+    file: str | None = Field(default=None, description="map file, relative to the problem file")
     sample: Literal["jacksboro"] | None = Field(
         default=None, description="the sample map of matplotlib"
     )
@@ -78,31 +78,30 @@ class Terrain(Record):
     )
     registration: Literal["area", "point"] | None = Field(
         default=None,
-        description="position of the values of such a picture: centres of cells, or nodes",
+        description="'area': values of a picture are at cell centres; 'point': at nodes",
     )
     spacing: Positive | None = Field(
         default=None, description="distance between nodes, for scattered points [m]"
     )
     geographic: Literal["local"] | None = Field(
-        default=None, description="converts degrees to metres; without it degrees are an error"
+        default=None, description="conversion of degrees to metres; by default degrees are an error"
     )
     fill: Literal["linear"] | None = Field(
         default=None,
-        description="fills holes from surrounding heights; without it holes are an error",
+        description="interpolation of holes from heights around them; by default an error",
     )
     scale: Positive = Field(default=1.0, description="factor on x, y and heights [1]")
     horizontal_scale: Positive = Field(default=1.0, description="further factor on x and y [1]")
     vertical_scale: Positive = Field(default=1.0, description="further factor on heights [1]")
-    window: Window | None = Field(
-        default=None, description="part that is used, in coordinates of the scaled ground [m]"
-    )
+    window: Window | None = Field(default=None, description="part of the scaled ground to use [m]")
     smooth: Positive | None = Field(
         default=None, description="standard deviation of a Gaussian average of the heights [m]"
     )
     error: ElevationError | None = Field(default=None, description="a random error of the heights")
     rolled: Positive | None = Field(
-        default=None, description="radius of the largest wheel, for which hollows are filled [m]"
+        default=None,
+        description="radius of the largest wheel; hollows that it cannot touch are filled [m]",
     )
     friction: Annotated[float | str | None, PlainValidator(coefficient)] = Field(
-        default=None, description="coefficient of friction, or the name of a map of it [1]"
+        default=None, description="coefficient of friction, or the name of a friction map [1]"
     )

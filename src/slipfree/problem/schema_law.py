@@ -53,7 +53,7 @@ def law_record(law: type) -> type[Record]:
 
 
 def _description(hint: Any) -> str:
-    """Return description and unit of a parameter."""
+    """Return the description of a parameter, with its unit."""
     metadata = getattr(hint, "__metadata__", ())
     words = [each.documentation for each in metadata if isinstance(each, DocInfo)]
     return " ".join([*words, *(f"[{each.unit}]" for each in metadata if isinstance(each, Unit))])
@@ -84,7 +84,7 @@ class Law(Record):
             ) from error
 
     def parameters(self, name: str) -> dict[str, Any]:
-        """Return the parameters given for a law."""
+        """Return the parameters that a problem gives for a law, by name."""
         table = getattr(self, name, None)
         return {} if table is None else dict(table)
 

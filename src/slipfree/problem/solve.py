@@ -25,13 +25,13 @@ from slipfree.regular_files import escape_name
 
 @computing
 def build(problem: Problem[Any]) -> Any:
-    """Return the model, the start and the inputs of a problem, as its verb builds them.
+    """Return the set-up of a problem: model, start and inputs.
 
     Raises
     ------
     ProblemError
         If the ground cannot be read or made, names are unknown, or the vehicle cannot stand at the
-        start or move from there as the problem demands.
+        start or move from there as the problem specifies.
     """
     return verb_of(problem).build(problem)
 
@@ -52,9 +52,9 @@ def run_problem(
     progress : callable, optional
         Called with the time reached. [s]
     tell : callable, optional
-        Called with the phase of the search and one line about every iterate of a plan.
+        Called for every iterate of a plan with the phase of the search and a line of text.
     resume : SavedPlan, optional
-        The plan from which to start.
+        Plan for a warm start.
 
     Returns
     -------
@@ -66,8 +66,8 @@ def run_problem(
     ProblemError
         If the problem cannot be built.
     SolverError
-        If the integrator fails before the first sample; later failures are a stop of the
-        trajectory.
+        If the integrator fails before the first sample; a later failure is the stop of
+        the trajectory.
     """
     verb = verb_of(problem)
     setup = build(problem)

@@ -1,4 +1,4 @@
-"""Summaries: names and words about motions of all kinds."""
+"""Facts for the summaries of motions of all kinds: pairs of a name and a text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Facts = list[tuple[str, str]]
 
 
 def ranges(run: Trajectory) -> Facts:
-    """Return the range of every quantity over time and wheels.
+    """Return the facts about the range of every quantity over time and wheels.
 
     On a ground without a friction coefficient, ``utilisation`` equals ``friction_needed`` and is
     omitted.
@@ -38,22 +38,22 @@ def has_friction(run: Trajectory) -> bool:
 
 
 def plain_facts(run: Trajectory) -> Facts:
-    """Return duration and cost of a motion."""
+    """Return the facts about duration and cost of a motion."""
     return [duration_fact(run), integrator_fact(run)]
 
 
 def outcome_fact(run: Trajectory) -> tuple[str, str]:
-    """Return the outcome of a motion, the first line of every summary."""
+    """Return the fact about the outcome of a motion, the first line of every summary."""
     return "outcome", outcome_words(run)
 
 
 def duration_fact(run: Trajectory) -> tuple[str, str]:
-    """Return the duration of a motion and its number of samples."""
+    """Return the fact about duration and number of samples of a motion."""
     return "duration", f"{run.t[-1] - run.t[0]:g} s, {run.t.size} samples"
 
 
 def integrator_fact(run: Trajectory) -> tuple[str, str]:
-    """Return the cost of the integration."""
+    """Return the fact about the cost of the integration."""
     counts = run.statistics
     if "steps" not in counts:
         return "integrator", "not used"

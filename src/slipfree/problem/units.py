@@ -6,12 +6,12 @@ import re
 from typing import Any
 
 from slipfree.files.toml.source_lines import key_path
-from slipfree.problem.schema import Asked
+from slipfree.problem.schema import CommonKeys
 
 UNIT = re.compile(r"\[([^\],]+)\]$")  # a single unit at the end of a description
 
 
-def unit_of(spec: Asked, key: str) -> str:
+def unit_of(spec: CommonKeys, key: str) -> str:
     """Return the unit of a dotted key of a problem, as in ``m/s``; empty if it has none."""
     table: Any = spec
     words = ""

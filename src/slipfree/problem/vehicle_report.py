@@ -27,9 +27,9 @@ from slipfree.terrain.analytic import Analytic
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Coordinate, Joint, Vehicle
 
-MIN_SHARE = 0.3  # of the largest entry of a singular vector, from which on an entry is named
+MIN_SHARE = 0.3  # smallest named entry of a singular vector, relative to the largest
 
-MAX_TREE_DEPTH = 40  # parts below parts that are told
+MAX_TREE_DEPTH = 40  # largest printed depth of the tree of parts
 
 
 class Description(NamedTuple):
@@ -38,9 +38,9 @@ class Description(NamedTuple):
     Attributes
     ----------
     tree : list of str
-        Lines with its name and its tree of parts.
+        Lines of text: the name and the tree of the parts.
     facts : list of pairs of str
-        Names and values.
+        Names and texts on unknowns, equations and conditioning.
     faults : tuple of str
         Reasons why it cannot be built or cannot stand on its ground; empty if it can.
     """
@@ -66,7 +66,9 @@ def describe(path: Path, settings: Sequence[str] = ()) -> Description:
             setup = build(load_problem(path, settings, command="vehicle"))
             return _description(setup.vehicle, setup.model, setup.start)
         if settings:
-            raise DataError(f"--set: expected a problem file to set values in, found {path}")
+            raise DataError(
+                f"--set: expected a problem file, found the vehicle file {path}; omit --set"
+            )
         vehicle = read_vehicle(path)
     except VehicleError as error:
         if error.draft is None:
@@ -101,7 +103,7 @@ def _level(x: ca.SX, _: ca.SX) -> ca.SX:
 def tree(vehicle: Vehicle | Draft) -> list[str]:
     """Return the lines of the tree of a vehicle's parts, indented below their parents."""
     kinds = {c.name: c for c in vehicle.coordinates}
-    hung: list[Joint] = []
+    connected: list[Joint] = []
 
     def below(part: str, indent: str) -> Iterator[str]:
         if len(indent) > 2 * MAX_TREE_DEPTH:
@@ -109,7 +111,7 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
             return
         for joint in vehicle.joints:
             if joint.parent == part:
-                hung.append(joint)
+                connected.append(joint)
                 yield f"{indent}{joint.name}: {_joint(joint, kinds)}"
                 yield from below(joint.name, indent + "  ")
         for wheel in vehicle.wheels:
@@ -123,17 +125,17 @@ def tree(vehicle: Vehicle | Draft) -> list[str]:
     at = ", ".join(f"{each:g}" for each in body.at)
     mass = f": {body.mass:g} kg, centre of mass at ({at}) m" if body.mass else ""
     lines = [f"platform{mass}", *below("platform", "  ")]
-    parts = {"platform", *(joint.name for joint in hung)}
-    loose = [(j.name, j.parent) for j in vehicle.joints if j not in hung]
+    parts = {"platform", *(joint.name for joint in connected)}
+    loose = [(j.name, j.parent) for j in vehicle.joints if j not in connected]
     loose += [(f"wheel {w.name}", w.parent) for w in vehicle.wheels if w.parent not in parts]
-    return lines + [f"not on the platform: {name}, on {parent}" for name, parent in loose]
+    return lines + [f"not connected to the platform: {name}, on {parent}" for name, parent in loose]
 
 
 def _joint(joint: Joint, kinds: dict[str, Coordinate]) -> str:
     """Return the description of a joint: motion, axis and coordinates."""
     moved = {name: _kind(kinds.get(name)) for name in sorted(joint.coordinates)}
     if not moved:
-        return "rigid" if joint.value in ("0", "0.0") else f"held at {joint.value}"
+        return "rigid" if joint.value in ("0", "0.0") else f"fixed at {joint.value}"
     vector = unit_vector(joint.axis)
     names = AXES | {f"-{n}": (-x, -y, -z) for n, (x, y, z) in AXES.items()}
     axis = next((name for name, each in names.items() if each == vector), None)
@@ -154,7 +156,7 @@ def _kind(c: Coordinate | None) -> str:
 
 
 def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
-    """Yield the fact about the contact forces of a vehicle with mass."""
+    """Yield the fact about the contact forces; nothing for a vehicle without mass."""
     if not vehicle.mass:
         return
     count = 3 * len(vehicle.wheels)
@@ -164,14 +166,14 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
         how = "equilibrium determines them"
     else:
         how = (
-            f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are left open by "
-            "equilibrium: the load-weighted ones are used"
+            f"{count - len(list(leaves(dae.labels.z.rates.motion)))} of them are not "
+            "determined by equilibrium: they are load-weighted"
         )
     yield "contact forces", f"{count}: {how}"
 
 
 def counts(vehicle: Vehicle, dae: Dae) -> Facts:
-    """Return the names and numbers of unknowns and equations of a motion."""
+    """Return the facts about unknowns and equations of a vehicle's motion."""
     wheels = len(vehicle.wheels)
     position, rates, _ = dae.labels.z
     free = [wheel.name for wheel in vehicle.wheels if not wheel.driven]
@@ -181,7 +183,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> Facts:
         rolls = "as many as needed: it can roll without slip (slip = 'rolling')"
     else:
         more = "too few by" if given < needed else "too many by"
-        rolls = f"{more} {abs(needed - given)}: it slips the least it can (slip = 'least')"
+        rolls = f"{more} {abs(needed - given)}: it moves with least slip (slip = 'least')"
 
     def listed(record: Any) -> str:
         names = [label.full for label in leaves(record)]
@@ -190,14 +192,17 @@ def counts(vehicle: Vehicle, dae: Dae) -> Facts:
     return [
         ("inputs", listed(dae.labels.u)),
         ("states", listed(dae.labels.x)),
-        ("decided by the ground", listed(position)),
+        ("determined by the ground", listed(position)),
         ("  equations", f"{3 * wheels}: three for each wheel that touches the ground"),
         ("suspension", f"{len(vehicle.of('suspension'))} of {wheels - 3} needed"),
         ("rates", listed((rates.motion, rates.law))),
         ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),
         ("passive joints", f"{len(passive)}: {', '.join(passive) or 'none'}"),
         ("free wheels", f"{len(free)}: {', '.join(free) or 'none'}"),
-        ("no-slip conditions", f"{needed} more than the wheels' touching; freedoms {rolls}"),
+        (
+            "no-slip conditions",
+            f"{needed} besides the contacts; passive joints and free wheels: {rolls}",
+        ),
         *_forces(vehicle, dae),
     ]
 
@@ -216,7 +221,7 @@ def _equations(dae: Dae) -> str:
 
 
 def _shares(draft: Draft) -> Facts:
-    """Return the numbers of wheels and joints of an incomplete vehicle."""
+    """Return the facts about wheels and joints of an incomplete vehicle."""
 
     def listed(names: list[str]) -> str:
         return f"{len(names)}: {', '.join(names) or 'none'}"
@@ -234,7 +239,7 @@ def _shares(draft: Draft) -> Facts:
 
 
 def conditioning(dae: Dae, start: Trajectory) -> Facts:
-    """Return the condition numbers of a start, and the weakest motions.
+    """Return the facts about condition numbers of a start and its weakest motions.
 
     The condition numbers are those of the Jacobians in metres and radians, separately for position
     and rates; the weakest motions are the large entries of the right singular vector of the

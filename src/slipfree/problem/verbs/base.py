@@ -17,7 +17,7 @@ import numpy as np
 from slipfree.files.netcdf import NOTHING
 from slipfree.outcome import Outcome
 from slipfree.problem.problem import Problem
-from slipfree.problem.schema import Asked
+from slipfree.problem.schema import CommonKeys
 from slipfree.problem.summary import Facts
 from slipfree.records import Array
 from slipfree.trajectory import Trajectory
@@ -40,7 +40,7 @@ class Quantity(NamedTuple):
 
 
 class Setup(Protocol):
-    """Set-up of a problem: start, sample times and facts, besides those of the verb."""
+    """Common attributes of the set-ups of all verbs: start, sample times and facts."""
 
     @property
     def start(self) -> Trajectory:
@@ -180,7 +180,7 @@ class Verb(ABC):
         Names of the commands that accept it; the first one solves it.
     """
 
-    schema: ClassVar[type[Asked]]
+    schema: ClassVar[type[CommonKeys]]
     commands: ClassVar[tuple[str, ...]] = ("run",)
 
     @property

@@ -34,8 +34,8 @@ from slipfree.problem.build_common import (
     build_terrain,
     build_vehicle,
     check_names,
+    heading_offset,
     samples,
-    turned,
 )
 from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.problem import Problem, S
@@ -257,7 +257,7 @@ def _points(problem: Problem[S], spec: Inverse) -> Array | None:
     ]
     if faults:
         raise problem_error(problem.source, faults)
-    points[3] += turned(problem)
+    points[3] += heading_offset(problem)
     return points
 
 

@@ -287,9 +287,9 @@ def _starts(
         return tuple(_path_guess(dae, vehicle, way, spec.driver.speed) for way in ways)
 
 
-def _path_guess(dae: Dae, vehicle: Any, way: Array, speed: float) -> tuple[Any, float]:
+def _path_guess(dae: Dae, vehicle: Vehicle, points: Array, speed: float) -> tuple[Any, float]:
     """Return the inputs of a law that follows a path, and the duration of its motion [s]."""
-    path = Path(way)
+    path = Path(points)
     return follow(dae, vehicle, path, speed=speed), path.length / abs(speed)
 
 

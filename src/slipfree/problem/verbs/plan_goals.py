@@ -9,7 +9,7 @@ import numpy as np
 
 from slipfree.errors import ModelError
 from slipfree.files.toml.errors import ProblemError
-from slipfree.problem.build_common import turned
+from slipfree.problem.build_common import heading_offset
 from slipfree.problem.build_driver import path_points
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem, S
@@ -89,7 +89,9 @@ def way_points_of(problem: Problem[S], spec: Plan) -> dict[float, Ranges]:
 def facing(problem: Problem[S], wanted: Ranges) -> Ranges:
     """Return ranges with headings converted to the frame of the model, from the y axis."""
     return {
-        name: (low + turned(problem), high + turned(problem)) if name == "heading" else (low, high)
+        name: (low + heading_offset(problem), high + heading_offset(problem))
+        if name == "heading"
+        else (low, high)
         for name, (low, high) in wanted.items()
     }
 
