@@ -33,7 +33,7 @@ from slipfree.plan.warm_start import from_arrays
 from slipfree.problem.load import load_problem
 from slipfree.problem.solve import build, run_problem
 from slipfree.show import ground_drawing, style
-from slipfree.show.plan_figures import cost_map, plan_plots, ways
+from slipfree.show.plan_figures import cost_map, initial_routes, plan_plots
 from slipfree.show.plots import draw
 from slipfree.trajectory import path_length
 
@@ -149,6 +149,6 @@ grid = field.ground.grid
 figure = style.figure(5.6, 5.6)
 ax = figure.add_subplot(aspect="equal", xlabel="east x [m]", ylabel="north y [m]")
 cost_map(field.layers, grid, ax, ground_drawing.whole(grid))
-ways(field.ways, ax)
+initial_routes(field.ways, ax)
 figure.legend(loc="outside upper center", ncols=3)
 figure

@@ -323,7 +323,7 @@ def test_slip_has_a_panel_per_direction_above_rounding(run, grid):
     slipping = changed(run, "slip_across", np.outer(np.sin(run.t), [1e-3, 2e-3, 3e-3]))
     figure = drawn(figures(slipping, grid)["slip"])
     assert [ax.get_ylabel() for ax in figure.axes] == ["slip across the wheel [mm/s]"]
-    assert "least slip" in words(figure)
+    assert "Least slip" in words(figure)
 
 
 def test_slip_is_drawn_in_millimetres_per_second(run, ax):
@@ -437,7 +437,7 @@ def test_missing_quantities_are_named(run, grid):
 
 
 def test_a_motion_on_another_ground_is_refused(run, grid):
-    with pytest.raises(sf.ModelError, match=r"not on this ground: x is .* reaches from -5 to 5 m"):
+    with pytest.raises(sf.ModelError, match=r"expected a motion on this ground, x from -5 to 5 m"):
         figures(moved(run, 100.0, 0.0), grid)
 
 
@@ -497,7 +497,7 @@ def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
     force_figures.utilisation(loaded, ax)
     drawn(ax.figure)
     wheels = ["right", "left", "front"]
-    assert labels(ax) == [*wheels, "forces distributed best", "all that friction gives"]
+    assert labels(ax) == [*wheels, "forces distributed best", "friction limit"]
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["utilisation", "right"])
     np.testing.assert_array_equal(ax.lines[3].get_ydata(), loaded["utilisation_best"])
     assert list(ax.lines[4].get_ydata()) == [1, 1]
@@ -533,7 +533,7 @@ def test_huge_utilisation_is_cut_and_said_to_be(loaded, ax, value):
     assert ax.lines[-1].get_xydata()[0] == pytest.approx([loaded.t[10], force_figures.CEILING])
     remark, worst = (text.get_text() for text in ax.texts)
     assert remark.startswith("not drawn above 3")
-    assert remark.endswith("infinite where a wheel bears nothing") == np.isinf(value)
+    assert remark.endswith("infinite where a wheel bears no load") == np.isinf(value)
     assert worst == f"left: {'infinite' if np.isinf(value) else '47'} at {loaded.t[10]:.4g} s"
     values = ax.lines[1].get_ydata()
     assert np.isfinite(values).all()
@@ -586,7 +586,7 @@ def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):
     assert labels(ax) == [
         "start, 0 s",
         f"largest, left: infinite at {loaded.t[10]:.4g} s",
-        "beyond friction",
+        "above the friction limit",
     ]
 
 
@@ -595,7 +595,7 @@ def test_the_ground_below_coloured_tracks_is_grey(loaded, grid, ax):
     (shadow,) = ax.images
     assert not shadow.get_array()[..., :3].any()
     assert ax.get_aspect() == 1.0
-    assert "beyond friction" not in labels(ax)
+    assert "above the friction limit" not in labels(ax)
 
 
 def test_energy_lost_is_what_height_does_not_hold(loaded, ax):

@@ -80,8 +80,8 @@ def test_the_legend_names_only_what_blocks_in_the_part_that_is_drawn(layers, gri
     plan_figures.cost_map(layers, grid, ax, ground_drawing.whole(grid))
     masks = blocked_by(layers)
     assert "too steep for friction" in labels(ax)
-    assert labels(ax)[:2] == ["kept out of", "edge of the map"]
-    assert "too hollow for wheels" not in labels(ax)
+    assert labels(ax)[:2] == ["keep-out region", "edge of the map"]
+    assert "too concave for wheels" not in labels(ax)
     assert not masks["hollow"].any()
     away = Figure().subplots()
     plan_figures.cost_map(layers, grid, away, (20.0, 24.0, 4.0, 8.0))
@@ -100,12 +100,12 @@ def test_a_map_that_is_blocked_everywhere_is_drawn(layers, grid, ax):
 
 
 def test_ways_have_their_lengths(ax):
-    plan_figures.ways([way()], ax)
+    plan_figures.initial_routes([way()], ax)
     length = np.hypot(8, 12) + 10
-    assert labels(ax) == [f"way to start from, {length:.4g} m"]
+    assert labels(ax) == [f"initial route, {length:.4g} m"]
     two = Figure().subplots()
-    plan_figures.ways([way(), way()], two)
-    assert [words.split(",")[0] for words in labels(two)] == ["way 1", "way 2"]
+    plan_figures.initial_routes([way(), way()], two)
+    assert [words.split(",")[0] for words in labels(two)] == ["initial route 1", "initial route 2"]
 
 
 def test_places_are_marked_by_name(run, ax):
@@ -138,7 +138,7 @@ def test_a_limited_quantity_of_one_wheel_is_drawn_with_its_limits(run, ax):
 
 
 def test_room_is_the_distance_less_what_the_wheels_reach(run, layers, ax):
-    plan_figures.room(run, layers, ax)
+    plan_figures.keep_out_distance(run, layers, ax)
     expected = np.hypot(run["x"] - 14, run["y"] - 16) - 1.5 - layers.limits.reach
     np.testing.assert_allclose(ax.lines[0].get_ydata(), expected)
     assert labels(ax)[0] == "disc at (14, 16) of 1.5 m radius"
@@ -151,7 +151,7 @@ def test_figures_of_a_plan_are_complete_and_fit(run, grid, layers):
     assert list(drawn) == ["plan", "traversability"]
     assert len(drawn["plan"].axes) == 1 + 2 + 1 + 2
     note = " ".join(text.get_text() for text in drawn["plan"].texts).replace("\n", " ")
-    assert "misses the plan by x 1.2e-04 m, heading 3.0e-05 rad." in note
+    assert "deviates from the plan by x 1.2e-04 m, heading 3.0e-05 rad." in note
     for figure in drawn.values():
         figure.draw_without_rendering()
         width, height = figure.bbox.size

@@ -177,7 +177,7 @@ def test_arrows_are_slip_and_forces(drive: Driven) -> None:
     assert_allclose(force.vectors.sum(axis=1), weight, atol=2e-3)
     longest = np.linalg.norm(force.vectors, axis=-1).max() * scene.scales["force"]
     assert 0.5 * scene.reach < longest < 1.3 * scene.reach
-    assert scale_words(scene, "force") == "an arrow of 1 m is 100 N"
+    assert scale_words(scene, "force") == "an arrow of length 1 m means 100 N"
 
 
 def test_the_ground_is_that_of_the_motion(drive: Driven) -> None:
@@ -232,15 +232,23 @@ def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
     scene = drive_scene([drive, lifted(drive, 0.01)])
     assert [actor.name for actor in scene.actors] == ["hills", "other"]
     assert scene.actors[0].color != scene.actors[1].color
-    said = "The ground is that of hills; that of other differs by up to 0.01 m where it went."
+    said = (
+        "The drawn ground is that of hills; along the motion other its own ground differs by up "
+        "to 0.01 m."
+    )
     assert scene.warnings == (said,)
     assert said in with_legend("<body></body>", scene, "title", "height", [])
     radius = drive.vehicle.wheels[0].radius
-    with pytest.raises(ModelError, match=r"on other ground than hills, up to .* m higher or lower"):
+    with pytest.raises(
+        ModelError, match=r"on the ground of hills, found a ground that differs by up to"
+    ):
         drive_scene([drive, lifted(drive, 1.01 * radius)])
     grid = drive.terrain.grid
     far = Bicubic(Grid(grid.x + 100, grid.y, grid.z))
-    with pytest.raises(ModelError, match="hills is on other ground than other, partly beside it"):
+    with pytest.raises(
+        ModelError,
+        match="hills: expected a motion on the ground of other, found one that leaves it",
+    ):
         drive_scene([drive._replace(name="other", terrain=far, run=moved(drive.run, x=100)), drive])
 
 
@@ -333,14 +341,14 @@ def test_arrows_have_colors_of_their_own(drive: Driven) -> None:
     page = with_legend("<body></body>", scene, "title", "height", [])
     for name, color in ARROWS.items():
         assert "background:rgb({},{},{})".format(*color) in page
-        assert f"</span>{name}: an arrow of 1 m is" in page
+        assert f"</span>{name}: an arrow of length 1 m means" in page
 
 
 def test_the_origin_has_no_minus_zero(drive: Driven) -> None:
     scene = drive_scene([drive])
     zero = np.array([-0.0, 0.0, -0.0])
     again = framed(scene.ground, scene.actors, zero, 1.0, scene.backdrop, [])
-    assert "The scene's origin is (0, 0, 0) m on the map." in again.notes
+    assert "The origin of the scene is (0, 0, 0) m in map coordinates." in again.notes
 
 
 def test_a_plan_is_drawn_beside_its_simulation(file: Path) -> None:
@@ -418,7 +426,7 @@ def test_a_climb_is_drawn_with_a_width(climb_file: Path) -> None:
     assert_allclose(top.max(), 0.09)
     assert volume(scene.ground.mesh) > 0
     other = replace(found.profile, solids=found.profile.solids[:1])
-    with pytest.raises(ModelError, match="other climbs another profile than step"):
+    with pytest.raises(ModelError, match="other: expected a climb over the profile of step"):
         climb_scene([found, found._replace(name="other", profile=other)])
 
 

@@ -25,12 +25,12 @@ from slipfree.show.plots import Panel, Plot, stack
 from slipfree.show.style import MM, PAGE, PLATFORM
 from slipfree.trajectory import Trajectory
 
-EVERY, POSES = 0.3, 2  # time between dots [s], and dots per drawn vehicle
+EVERY, POSES = 0.3, 2  # time between dots [s], number of dots per drawn vehicle
 TIMES = colormaps["viridis"]
 LATEST = 0.85  # used part of the colour scale: its yellow end is too light for lines
 GROUND = "0.85"
-ROOM, BELOW = 0.04, 0.03  # around and below what is drawn [m]
-HIGHEST = 100.0  # of ratios that are drawn [%]
+ROOM, BELOW = 0.04, 0.03  # margins around and below the motions [m]
+HIGHEST = 100.0  # larger ratios are cut off [%]
 
 
 def ground(profile: Profile, ax: Axes) -> Axes:
@@ -53,7 +53,7 @@ def ground(profile: Profile, ax: Axes) -> Axes:
 def strobe(
     run: Trajectory, climber: Climber, profile: Profile, ax: Axes, every: float = EVERY
 ) -> Axes:
-    """Draw the axles at equally spaced times, and the vehicle at every other of them.
+    """Draw the axles at equally spaced times, and the vehicle at every second of these times.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def _skeleton(run: Trajectory, climber: Climber, k: int) -> tuple[Array, Array]:
 
 
 def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axes:
-    """Show all of the motions, and a little of the ground below them."""
+    """Set the limits of axes to all motions and a margin of the ground below them."""
     reach = climber.radius + ROOM
     x, z = (np.concatenate([run[name].ravel() for run in runs]) for name in ("axle_x", "axle_z"))
     top = z.max() + reach + max(climber.rear_body.above, climber.front_body.above)
@@ -124,12 +124,12 @@ def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
 
 
 def slip(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the paper's slip ratio of every axle over time, its equation (20)."""
+    """Draw the slip ratio of every axle over time, equation (20) of the paper."""
     return _ratios(run, slip_ratio(run, climber), "slip (20) [%]", ax)
 
 
 def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> Axes:
-    """Draw the slip velocity on the solid with the largest load over the rim speed."""
+    """Draw slip velocity over rim speed against time, at the contact with the largest load."""
     solids = range(len(profile.solids))
     loads = np.array([run[f"load_{k}"] for k in solids])
     slips = np.array([run[f"slip_{k}"] for k in solids])
@@ -141,7 +141,7 @@ def true_slip(run: Trajectory, climber: Climber, profile: Profile, ax: Axes) -> 
 
 
 def disturbance(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the error of the wheels' rates over time, the paper's equation (21)."""
+    """Draw the error of the wheels' rates over time, equation (21) of the paper."""
     return _ratios(run, disturbance_ratio(run), "disturbance (21) [%]", ax)
 
 
@@ -163,7 +163,7 @@ def tilts(run: Trajectory, ax: Axes) -> Axes:
 
 
 def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
-    """Draw the normal forces on the axles over time, of all solids together."""
+    """Draw the sum of the normal forces on each axle over time."""
     total = np.sum([run[f"load_{k}"] for k in range(len(profile.solids))], axis=0)
     for k, axle in enumerate(AXLES):
         ax.plot(run.t, total[:, k], label=axle, **style.look(k) | {"lw": 0.9})
@@ -173,7 +173,7 @@ def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
 
 
 def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the torque of a wheel of every axle over time, and its limit if it is near."""
+    """Draw the torque of one wheel of every axle over time, and a limit that is nearly reached."""
     for k, axle in enumerate(AXLES):
         ax.plot(run.t, run["torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
     if climber.torque < 1.5 * np.abs(run["torque"]).max():
@@ -197,21 +197,26 @@ def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes
     ax : Axes
         The axes.
     """
-    come, plan_speeds = _progress(run), climber.radius * plan["wheel_rate"]
-    speeds = climber.radius * run["wheel_rate"]
+    plan_speeds, speeds = (climber.radius * each["wheel_rate"] for each in (plan, run))
     ax.set_ylabel("rim speed [m/s]")
-    return _over_way(come, speeds, plan, plan_speeds, ax)
+    return _over_progress(_progress(run), speeds, plan, plan_speeds, ax)
 
 
 def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Axes) -> Axes:
-    """Draw the used friction over the progress, on the solid with the largest load, and the plan.
+    """Draw the friction that is used, over the progress: planned, and actual as thin lines.
+
+    The actual friction is that of the contact with the largest load.
 
     Parameters
     ----------
-    run, plan, ax
-        As for `planned_speeds`.
+    run : Trajectory
+        The motion that tracks a plan.
+    plan : Trajectory
+        The plan, with its ``progress``.
     profile : Profile
         The ground.
+    ax : Axes
+        The axes.
     """
     normal = np.array([run[f"load_{k}"] for k in range(len(profile.solids))])
     along = np.array([run[f"friction_{k}"] for k in range(len(profile.solids))])
@@ -221,18 +226,21 @@ def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Ax
     wanted = np.abs(plan["friction"]) / np.maximum(plan["load"], MIN_LOAD)
     ax.axhline(plan.statistics["mu"], color="0.4", lw=0.8, ls="--")
     ax.set_ylabel("friction used [1]")
-    return _over_way(_progress(run), used, plan, wanted, ax)
+    return _over_progress(_progress(run), used, plan, wanted, ax)
 
 
 def _progress(run: Trajectory) -> Array:
+    """Return the progress of a motion: the mean of x + z over the axles, shape (n,) [m]."""
     return np.asarray((run["axle_x"] + run["axle_z"]).mean(axis=1))
 
 
-def _over_way(come: Array, driven: Array, plan: Trajectory, planned: Array, ax: Axes) -> Axes:
+def _over_progress(
+    progress: Array, driven: Array, plan: Trajectory, planned: Array, ax: Axes
+) -> Axes:
     """Draw planned values over the progress, and actual values as thin lines."""
     for k, axle in enumerate(AXLES):
         look = style.look(k)
-        ax.plot(come, driven[:, k], **look | {"lw": 0.6, "alpha": 0.6})
+        ax.plot(progress, driven[:, k], **look | {"lw": 0.6, "alpha": 0.6})
         ax.plot(plan["progress"], planned[:, k], label=axle, **look)
     ax.set_xlabel("progress: mean over the axles of $x + z$ [m]")
     ax.margins(x=0.02)
@@ -240,7 +248,7 @@ def _over_way(come: Array, driven: Array, plan: Trajectory, planned: Array, ax: 
 
 
 def _over_time(run: Trajectory, ax: Axes) -> Axes:
-    """Label the time axis, and shade the times outside the averages."""
+    """Label the time axis, and shade the times that averages do not include."""
     counts = run.statistics
     if "climb_from" in counts:
         for left, right in ((run.t[0], counts["climb_from"]), (counts["climb_to"], run.t[-1])):
@@ -268,7 +276,7 @@ def climb_plots(
         ``strobe, references, slip, forces``, 180 mm wide; ``plan`` after the first one if there is
         a plan.
     """
-    left_out = "Shaded: not averaged."
+    left_out = "Shaded: not included in averages."
     strobed = Plot(
         "strobe", "The vehicle at several times.", lambda: _strobe(run, climber, profile)
     )
@@ -276,7 +284,7 @@ def climb_plots(
         "references": (
             "Rates of the wheels: references and motion.",
             [Panel(partial(references, run, climber)), Panel(partial(tilts, run))],
-            f"Thin: speed of the rim. {left_out}",
+            f"Thin lines: actual rim speed. {left_out}",
         ),
         "slip": (
             "Slip and disturbance of every axle.",
@@ -285,8 +293,8 @@ def climb_plots(
                 Panel(partial(true_slip, run, climber, profile), has_legend=False),
                 Panel(partial(disturbance, run), has_legend=False),
             ],
-            f"Drawn up to {HIGHEST:g} %. Equation (20) takes the middle axle's speed for all "
-            f"wheels. {left_out}",
+            f"Values are cut off at {HIGHEST:g} %. Equation (20) uses the speed of the middle axle "
+            f"for all wheels. {left_out}",
         ),
         "forces": (
             "Normal forces and torques of every axle.",
@@ -302,7 +310,7 @@ def climb_plots(
             Panel(partial(planned_speeds, run, plan, climber)),
             Panel(partial(planned_friction, run, plan, profile), has_legend=False),
         ]
-        note = "Thin: driven. Dashed: the friction that the plan uses."
+        note = "Thin lines: actual motion. Dashed: friction coefficient of the plan."
         stacks = {"plan": ("Planned speeds and friction.", panels, note), **stacks}
     return strobed, *(
         Plot(name, caption, partial(stack, run, panels, note))
@@ -328,6 +336,8 @@ def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
 
 
 def _outcome(run: Trajectory) -> str:
-    """Return a sentence on the end of a climb."""
+    """Return a sentence on the end of a climb; empty if the result does not describe it."""
     words = run.attributes.get("climb", "")
-    return f" It {words}." if words.startswith(("climbs", "stalls", "slides", "tips")) else ""
+    return (
+        f" The vehicle {words}." if words.startswith(("climbs", "stalls", "slides", "tips")) else ""
+    )

@@ -46,7 +46,7 @@ class Climbed(NamedTuple):
     climber, profile : Climber, Profile
         The vehicle and the ground.
     plan : Trajectory or None
-        The plan that it tracks.
+        The plan that the climb tracks.
     """
 
     name: str
@@ -73,7 +73,8 @@ def climb_scene(climbs: Sequence[Climbed]) -> Scene:
     for each in climbs[1:]:
         if each.profile != first.profile:
             raise ModelError(
-                f"{each.name} climbs another profile than {first.name}: show them one by one"
+                f"{each.name}: expected a climb over the profile of {first.name}, found another "
+                "profile; show the results separately"
             )
     reach = max(_reach(each.climber) for each in climbs)
     runs = [run for each in climbs for run in (each.run, each.plan) if run is not None]
@@ -175,7 +176,7 @@ def _bodies(climber: Climber, run: Trajectory, origin: Array, color: Color) -> I
 
 
 def _body(radius: float, ends: tuple[float, float], axles: Sequence[float], body: Body) -> Mesh:
-    """Return a body in its frame, x right, y forward: a plate, its axles, its center of mass."""
+    """Return the mesh of a body in its frame, x right, y forward: plate, axles, centre of mass."""
     half, thick = TRACK * radius, ROD * radius
     meshes = [plate(NARROW * half, *ends, PLATE * radius), rod((0, 0, 0), (0, axles[0], 0), thick)]
     meshes += [rod((-half, ahead, 0), (half, ahead, 0), thick) for ahead in axles]
@@ -184,7 +185,7 @@ def _body(radius: float, ends: tuple[float, float], axles: Sequence[float], body
 
 
 def _tilt_rotations(tilt: Array) -> Array:
-    """Return rotations nose up by angles, for frames with x right, y forward, (n, 3, 3)."""
+    """Return rotation matrices, shape (n, 3, 3), of frames x right, y forward, tilted nose up."""
     cosine, sine, zero = np.cos(tilt), np.sin(tilt), np.zeros(tilt.size)
     right = np.stack([zero, zero - 1, zero], axis=1)
     forward, up = np.stack([cosine, zero, sine], axis=1), np.stack([-sine, zero, cosine], axis=1)
@@ -192,7 +193,7 @@ def _tilt_rotations(tilt: Array) -> Array:
 
 
 def _abreast(climber: Climber, k: int) -> Array:
-    """Return the lateral positions of the wheels of an axle, to the left [m]."""
+    """Return the lateral positions of the wheels of an axle, positive to the left [m]."""
     half, count = TRACK * climber.radius, climber.axles[k].wheels
     return np.linspace(-half, half, count) if count > 1 else np.zeros(1)
 
@@ -208,7 +209,7 @@ def _wheels(climber: Climber, run: Trajectory, origin: Array, color: Color) -> I
 
 
 def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tuple[Arrows, ...]]:
-    """Return the contact points of all wheels with solids, with slip and forces."""
+    """Return the contact points of all wheels, and the arrows of slip and forces there."""
     points, slips, forces = [], [], []
     for number, solid in enumerate(each.profile.solids):
         normals = solid.distance(run["axle_x"], run["axle_z"])[1]
@@ -234,5 +235,5 @@ def _contacts(each: Climbed, run: Trajectory, origin: Array) -> tuple[Array, tup
 
 
 def _to_space(vectors: Array) -> Array:
-    """Return vectors (x, z) as vectors in space."""
+    """Return plane vectors (x, z), shape (n, 2), as vectors (x, 0, z), shape (n, 3)."""
     return np.stack([vectors[:, 0], np.zeros(len(vectors)), vectors[:, 1]], axis=1)

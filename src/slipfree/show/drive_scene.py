@@ -43,14 +43,14 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Joint, Vehicle
 from slipfree.vehicle.wheel import Wheel
 
-SIDE = 161  # nodes of the drawn ground along an axis, at most: 51 200 faces
-MARGIN = 0.35  # of the ground around the paths, in parts of their extent
-NEXT = 3.0  # least margin, in parts of the vehicle's reach
-FINE = 0.125  # distance of nodes near the ways, in parts of the vehicle's reach
-SEEN = 0.1  # how far the drawn ground may be from wheels before it is said, in their radii
-AROUND = 1.6  # half of the ground seen with the vehicle of a film, in its reach
-CELLS = 24  # of the ground around the vehicle of a film, along a side
-SAME = 1e-9  # difference of grounds that is none [m]
+SIDE = 161  # largest number of nodes of the drawn ground along an axis: 51 200 faces
+MARGIN = 0.35  # margin of the drawn ground around the paths [extent of the paths]
+NEXT = 3.0  # smallest margin [reach of the vehicle]
+FINE = 0.125  # distance of nodes near the paths [reach of the vehicle]
+SEEN = 0.1  # larger distances of wheels from the drawn ground cause a warning [wheel radius]
+AROUND = 1.6  # half the width of the ground around the vehicle in a film [reach of the vehicle]
+CELLS = 24  # nodes of the ground around the vehicle in a film, per side
+SAME = 1e-9  # smaller differences of grounds are rounding [m]
 
 
 class Driven(NamedTuple):
@@ -121,7 +121,7 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
 
 
 def _backdrop(terrain: Bicubic, window: Window, origin: Array, reach: float) -> Backdrop:
-    """Return the ground of a film: shaded in plan, and as a fine surface around the vehicle."""
+    """Return the ground of a film: shaded in plan, and a surface around the vehicle."""
 
     def near(middle: Array, half: float) -> Sequence[Array]:
         west, east, south, north = terrain.domain
@@ -178,7 +178,7 @@ def _layers(drawn: Grid, drive: Driven, window: Window) -> Iterable[Layer]:
 
 
 def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
-    """Return the layer of the first vehicle's cost per metre, grey where it is blocked."""
+    """Return the layer of a vehicle's cost per metre of path, grey at blocked nodes."""
     terrain, reach = drive.terrain, extents(drive.vehicle)[2]
     wide_x, wide_y = (2 * reach + 3 * cell for cell in terrain.grid.spacing)
     wide = (window[0] - wide_x, window[1] + wide_x, window[2] - wide_y, window[3] + wide_y)
@@ -195,7 +195,7 @@ def _traversability(drawn: Grid, drive: Driven, window: Window) -> Layer:
     cost = layers.cost[nodes_at(layers, places)]
     free = np.isfinite(cost)
     top = float(np.percentile(cost[free], 99)) if free.any() else 1.0
-    legend = f"cost of a metre, 1 to {top:.3g}; gray: cannot be there"
+    legend = f"cost per metre of path, 1 to {top:.3g}; gray: blocked"
     found = layer("traversability", np.where(free, cost, 1.0), legend, 1.0, top)
     found.colors[~free] = BLOCKED
     return found
@@ -226,7 +226,7 @@ def _actor(
 def _part_bodies(
     vehicle: Vehicle, parts: FramePoses, wheels: FramePoses, color: Color
 ) -> Iterable[Body]:
-    """Yield the platform and the parts of the joints, as rods to the parts that they carry."""
+    """Yield the bodies of platform and joints: rods to the joints and wheels that they carry."""
     radius = max(wheel.radius for wheel in vehicle.wheels)
     names = ["platform", *(joint.name for joint in vehicle.joints)]
     for number, name in enumerate(names):
@@ -257,7 +257,7 @@ def _wheels(vehicle: Vehicle, wheels: FramePoses, color: Color) -> Iterable[Body
 
 
 def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) -> list[Arrows]:
-    """Return slip and forces, from their components along, across and normal."""
+    """Return the arrows of slip and forces from their components along, across and normal."""
     normals = ground_normals(terrain, contacts)
     along = np.cross(normals, axles)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
@@ -271,7 +271,7 @@ def _arrows(run: Trajectory, terrain: Bicubic, contacts: Array, axles: Array) ->
 
 
 def ground_normals(terrain: Bicubic, points: Array) -> Array:
-    """Return upward unit normals of a ground at points, shape (..., 3)."""
+    """Return the upward unit normals of a ground at map points of shape (..., 3), same shape."""
     slopes = []
     for axis, cell in enumerate(terrain.grid.spacing):
         step = 1e-3 * cell
@@ -288,10 +288,10 @@ def ground_normals(terrain: Bicubic, points: Array) -> Array:
 def _cropped(grid: Grid, fine: Refined) -> str:
     (h_x, h_y), (d_x, d_y) = grid.spacing, fine.grid.spacing
     sizes = [f"{np.ptp(each.x):.4g} x {np.ptp(each.y):.4g} m" for each in (fine.grid, grid)]
-    near = f", near the ways every {fine.spacing:.3g} m" if fine.parts > 1 else ""
+    near = f", near the paths every {fine.spacing:.3g} m" if fine.parts > 1 else ""
     return (
         f"Ground drawn: {sizes[0]} of {sizes[1]}, a node every {d_x:.3g} x {d_y:.3g} m{near}; "
-        f"the map has one every {h_x:.3g} x {h_y:.3g} m."
+        f"the map has a node every {h_x:.3g} x {h_y:.3g} m."
     )
 
 
@@ -307,7 +307,7 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
     )
     radius = min(wheel.radius for drive in drives for wheel in drive.vehicle.wheels)
     if off >= least * radius:
-        sunk = ": wheels may look sunk in, or floating" if off >= SEEN * radius else ""
+        sunk = ": wheels may appear below or above the ground" if off >= SEEN * radius else ""
         yield f"Drawn ground and contact points are {off:.2g} m apart at most{sunk}."
 
 
@@ -325,17 +325,17 @@ def _others(drives: Sequence[Driven]) -> Iterable[str]:
         x, y = drive.run["contact_x"], drive.run["contact_y"]
         if x.min() < west or x.max() > east or y.min() < south or y.max() > north:
             raise ModelError(
-                f"{drive.name} is on other ground than {first.name}, partly beside it: show them "
-                "one by one, or the one on the larger ground first"
+                f"{drive.name}: expected a motion on the ground of {first.name}, found one that "
+                "leaves it; show the results separately, or the result on the larger ground first"
             )
         apart = np.abs(first.terrain.elevation(x, y) - drive.terrain.elevation(x, y)).max()
         if apart > min(wheel.radius for wheel in drive.vehicle.wheels):
             raise ModelError(
-                f"{drive.name} is on other ground than {first.name}, up to {apart:.3g} m higher or "
-                "lower where it went: show them one by one"
+                f"{drive.name}: expected a motion on the ground of {first.name}, found a ground "
+                f"that differs by up to {apart:.3g} m along the motion; show the results separately"
             )
         if apart > SAME:
             yield (
-                f"The ground is that of {first.name}; that of {drive.name} differs by up to "
-                f"{apart:.3g} m where it went."
+                f"The drawn ground is that of {first.name}; along the motion {drive.name} its own "
+                f"ground differs by up to {apart:.3g} m."
             )

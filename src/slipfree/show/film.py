@@ -1,4 +1,4 @@
-"""Films of scenes: the whole path in plan or as a section, and the first vehicle from near by."""
+"""Films of scenes: all paths in plan or as a section, and a 3D view of the first vehicle."""
 
 from __future__ import annotations
 
@@ -25,24 +25,34 @@ from slipfree.show.style import MM, PAGE, STYLE
 
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
-MOST = 400  # pictures of a film; a longer motion is sped up
+MOST = 400  # largest number of frames of a film; longer motions are accelerated
 ROWS = {"height_ratios": (2, 3)}  # of a film of a section, which is wide
 HEIGHTS = (130.0, 86.0)  # of a film of a section, and of one in plan [mm]
-HEIGHT = 0.6  # of the space around the vehicle, in its width
-WIDTH = 150  # letters in a line below
+HEIGHT = 0.6  # height of the 3D view [its width]
+WIDTH = 150  # characters in a line below the film
 T = TypeVar("T")
 
 
 def film_writer(file: Path, rate: int) -> AbstractMovieWriter:
-    """Return the writer of a film, by the ending of its file.
+    """Return the writer of a film, chosen by the ending of its file.
+
+    Parameters
+    ----------
+    file : Path
+        File to write, ending in ``.gif`` or ``.mp4``.
+    rate : int
+        Frames per second.
 
     Raises
     ------
     DataError
-        If the ending is unknown, or ffmpeg is not installed.
+        If the ending is unknown, or if the file ends in ``.mp4`` and ffmpeg is not installed.
     """
     if file.suffix not in ENDINGS:
-        raise DataError(f"{file}: expected a name that ends in {' or '.join(ENDINGS)} for a film")
+        raise DataError(
+            f"{file}: expected a name that ends in {' or '.join(ENDINGS)} for a film, found "
+            f"{repr(file.suffix) if file.suffix else 'no ending'}; choose another name"
+        )
     if file.suffix == ".gif":
         return PillowWriter(fps=rate)
     if not FFMpegWriter.isAvailable():
@@ -60,7 +70,20 @@ def write_film(
     show: Callable[[T], None],
     steps: Iterable[T],
 ) -> None:
-    """Write a film of a figure after each step, with atomic replacement of the file.
+    """Write a film with one frame per step; an existing file is replaced when it is complete.
+
+    Parameters
+    ----------
+    writer : AbstractMovieWriter
+        Writer from `film_writer`.
+    figure : Figure
+        The figure.
+    file : Path
+        File to write.
+    show : callable
+        ``show(step)`` updates the figure.
+    steps : iterable
+        Argument of ``show`` for each frame.
 
     Raises
     ------
@@ -77,10 +100,10 @@ def write_film(
     try:
         replace_file(file, fill)
     except CalledProcessError as error:
-        if isinstance(error.__context__, KeyboardInterrupt):  # which ended ffmpeg as well
+        if isinstance(error.__context__, KeyboardInterrupt):  # Ctrl-C ended ffmpeg as well
             raise error.__context__ from None
         raise DataError(
-            f"{file}: cannot be written (ffmpeg: {error}); choose another place"
+            f"{file}: cannot be written (ffmpeg: {error}); choose another name or folder"
         ) from error
 
 
@@ -90,11 +113,11 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
     Parameters
     ----------
     scene : Scene
-        One or more motions; the first one is seen from near by.
+        Scene of one or more motions; the 3D view follows the first one.
     file : str or Path
-        Its name ends in ``.gif`` or ``.mp4``.
+        File to write, ending in ``.gif`` or ``.mp4``.
     title : str
-        Words above the film.
+        Title above the film.
 
     Returns
     -------
@@ -104,7 +127,7 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
     Raises
     ------
     DataError
-        If the ending is unknown, or ffmpeg is missing.
+        If the ending is unknown, ffmpeg is missing, or the file cannot be written.
     """
     writer, (first, last) = film_writer(Path(file), FRAMES), scene.span
     count = int(np.clip(np.ceil(FRAMES * (last - first)) + 1, 2, MOST))
@@ -114,10 +137,10 @@ def animate(scene: Scene, file: str | Path, title: str = "") -> str:
         FigureCanvasAgg(figure)
         film = Film(figure, scene, title, speed)
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # nothing moves from one picture to the next
+        figure.set_layout_engine("none")  # axes must not move between frames
         times = np.linspace(first, last, count).tolist()
         write_film(writer, figure, Path(file), film.show, times)
-    return f"{speed:.3g} times as fast as it happened"
+    return f"{speed:.3g} times the real speed"
 
 
 class Film:
@@ -132,7 +155,7 @@ class Film:
         self.title = title
         self.head = figure.suptitle("", x=0.98, ha="right", fontsize=8, parse_math=False)
         told = [f"{name}: {words}" for name in scene.scales if (words := scale_words(scene, name))]
-        told += [f"{speed:.3g} times as fast"] if speed > 1 else []
+        told += [f"{speed:.3g} times the real speed"] if speed > 1 else []
         lines = ["; ".join(told), *scene.warnings]
         lines += [f"{actor.name} {actor.stop}" for actor in scene.actors if actor.stop]
         words = "\n".join(textwrap.fill(line, WIDTH) for line in lines)
@@ -144,7 +167,7 @@ class Film:
         self.drawn: list[Any] = []
 
     def show(self, t: float) -> None:
-        """Move all artists to a time."""
+        """Show the scene at a time [s]."""
         right, up = self.scene.backdrop.axes
         for actor, place in zip(self.scene.actors, self.places, strict=True):
             at = actor.bodies[0].origins[_sample(actor, t)] + self.scene.origin
@@ -169,7 +192,7 @@ class Film:
         return self.space.add_collection3d(shape)
 
     def _vehicle(self, actor: Actor, k: int) -> list[Any]:
-        """Draw the faces of the vehicle's parts, the nearest last."""
+        """Draw the faces of the vehicle's parts at sample ``k``; return the artists."""
         faces, colors = [], []
         for body in actor.bodies:
             for mesh, color in body.meshes:
@@ -180,7 +203,7 @@ class Film:
         return [self.space.add_collection3d(shape)]
 
     def _arrows(self, actor: Actor, k: int) -> list[Any]:
-        """Draw slip and forces as lines that begin at the contact points."""
+        """Draw slip and forces at sample ``k`` as lines from the contact points; return them."""
         found = []
         for each in actor.arrows:
             if scale := self.scene.scales[each.name]:
@@ -198,7 +221,7 @@ def _sample(actor: Actor, t: float) -> int:
 
 
 def _draw_paths(ax: Axes, scene: Scene) -> list[Any]:
-    """Draw the ground and the paths of all motions; return the marks of their places."""
+    """Draw the ground and the paths of all motions; return the markers of current positions."""
     scene.backdrop.draw(ax)
     right, up = scene.backdrop.axes
     places = []

@@ -1,4 +1,4 @@
-"""Figures of the loads of a vehicle with mass on the ground and on its drives.
+"""Figures of the forces between a vehicle with mass and the ground, and of its drives.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
 axes; legends are the caller's. Functions that end in ``_plot`` compose figures.
@@ -80,14 +80,14 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
     if "utilisation_best" in run:
         best = _finite(run["utilisation_best"])
         ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="forces distributed best")
-    words = "all that friction gives" if _has_friction(run) else "a friction coefficient of 1"
+    words = "friction limit" if _has_friction(run) else "a friction coefficient of 1"
     ax.axhline(1, color="0.4", lw=0.8, ls="--", label=words)
     largest = float(values.max())
     ax.set_ylim(0, CEILING if largest > CEILING else HEADROOM * max(1.0, largest))
     ax.set_ylabel(f"{_quantity(run)} [1]")
     style.time_axis(run, ax)
     if largest > CEILING:
-        words = "" if np.isfinite(largest) else "; infinite where a wheel bears nothing"
+        words = "" if np.isfinite(largest) else "; infinite where a wheel bears no load"
         style.remark(ax, f"not drawn above {CEILING:g}{words}", above=True)
     _mark_worst(run, ax)
     return ax
@@ -139,7 +139,7 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     at = x[k, wheel], y[k, wheel]
     ax.plot(*at, "D", mfc="none", ms=8, label=f"largest, {_worst_words(run)}", **marks)
     if values[k, wheel] > 1:
-        words = "beyond friction" if _has_friction(run) else "above 1"
+        words = "above the friction limit" if _has_friction(run) else "above 1"
         ax.plot([], [], color=OVER, lw=2, label=words)
     return ax
 
@@ -241,7 +241,7 @@ def _with_zero(ax: Axes) -> Axes:
 
 
 def _finite(values: Array) -> Array:
-    """Return finite values: infinite ones become large, so that their line leaves the axes."""
+    """Return values limited to a large number, so that lines with infinite values are drawn."""
     return np.minimum(values, 1e3 * CEILING)
 
 
@@ -274,7 +274,7 @@ def _worst_words(run: Trajectory) -> str:
 
 
 def _mark_worst(run: Trajectory, ax: Axes) -> None:
-    """Mark the largest utilisation, at the upper edge of the axes if it is above."""
+    """Mark the largest utilisation; at the upper edge of the axes if its value is above."""
     k, wheel = _worst(run)
     value, top = run["utilisation"][k, wheel], ax.get_ylim()[1]
     above = value > top

@@ -25,7 +25,7 @@ Window = tuple[float, float, float, float]
 
 
 def extent(x: Array, y: Array) -> dict[str, Any]:
-    """Return the keyword ``extent`` of an image of values at nodes."""
+    """Return keywords of ``imshow`` for an image of values at nodes with coordinates x, y [m]."""
     dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
     return {
         "extent": (x[0] - dx / 2, x[-1] + dx / 2, y[0] - dy / 2, y[-1] + dy / 2),
@@ -35,7 +35,7 @@ def extent(x: Array, y: Array) -> dict[str, Any]:
 
 
 def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
-    """Draw a transparent hillshade, on axes of equal scale."""
+    """Draw a transparent hillshade of heights z, shape (n_x, n_y), with equal aspect."""
     dx, dy = (x[-1] - x[0]) / (x.size - 1), (y[-1] - y[0]) / (y.size - 1)
     light = LightSource(azdeg=315, altdeg=45).hillshade(z.T, dx=dx, dy=dy)
     shadow = np.zeros((*light.shape, 4))
@@ -87,8 +87,8 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
     for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):
         if at.max() < low or at.min() > high:
             raise ModelError(
-                f"the motion is not on this ground: {name} is {at.min():.6g} to {at.max():.6g} m, "
-                f"the ground reaches from {low:.6g} to {high:.6g} m"
+                f"expected a motion on this ground, {name} from {low:.6g} to {high:.6g} m, found "
+                f"{name} from {at.min():.6g} to {at.max():.6g} m; use the ground of the motion"
             )
         sides.append((float(at.min() + at.max()) / 2, float(np.ptp(at)) * (1 + 2 * pad), low, high))
     ratio = float(np.clip((east - west) / (north - south), 0.5, 2.0))
@@ -102,9 +102,16 @@ def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
 
 
 def patch(grid: Grid, window: Window, count: int) -> tuple[Array, Array, Array]:
-    """Return a part of the ground on ``count`` nodes per side, by bicubic interpolation.
+    """Return coordinates x, y and heights of a part of the ground, interpolated by bicubic splines.
 
-    Of a larger number of nodes, only a subset is used.
+    Parameters
+    ----------
+    grid : Grid
+        The ground.
+    window : tuple of 4 floats
+        Part to return: ``x_min, x_max, y_min, y_max``. [m]
+    count : int
+        Number of nodes per side, in the result and, at most, in the interpolation.
     """
     kept, fine = [], []
     for axis, low, high in ((grid.x, *window[:2]), (grid.y, *window[2:])):

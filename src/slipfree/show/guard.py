@@ -1,8 +1,8 @@
 """Checks of the requests and values that reach the viewer.
 
-viser answers every request to its port and stores every value that it receives. A page of another
-site can send both from the user's browser: directly, or under a name of its own that resolves to
-this machine (DNS rebinding).
+viser answers every request to its port and stores every value that it receives. A malicious page in
+the user's browser could send such requests and values, directly or by a domain name that resolves
+to this machine (DNS rebinding).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LONGEST = 60  # largest number of characters of a value in a warning
 
 
 class Guard:
-    """Starter of a viser server that accepts only requests and values of its own page.
+    """Factory of viser servers that accept only requests and values from their own page.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Guard:
 
         web.serve = guarded  # type: ignore[assignment, misc]  # viser has no option for it
         try:
-            with redirect_stdout(io.StringIO()):  # it prints a banner, whatever it is asked
+            with redirect_stdout(io.StringIO()):  # viser prints a banner despite verbose=False
                 server = viser.ViserServer(host=HOST, port=port, verbose=False)
         finally:
             web.serve = serve  # type: ignore[misc]
@@ -81,7 +81,7 @@ class Guard:
         return server
 
     def warn(self, words: str) -> None:
-        """Report a new warning, up to a largest number."""
+        """Report a warning that was not reported before; ignore it after 20 warnings."""
         if words not in self._told and len(self._told) < MOST:
             self._told.add(words)
             more = "; further warnings are not shown" if len(self._told) == MOST else ""
@@ -104,7 +104,7 @@ class Guard:
         return connection.respond(403, f"refused: {expected}; open that address in the browser\n")
 
     def _check_values(self, server: viser.ViserServer) -> None:
-        """Let only valid values reach the controls of the page."""
+        """Install a handler that passes only valid values to the controls of the page."""
         from viser._messages import GuiUpdateMessage, ShareUrlRequest
 
         gui, socket = server.gui, server._websock_server
@@ -120,7 +120,7 @@ class Guard:
 
         socket.unregister_handler(GuiUpdateMessage)
         socket.register_handler(GuiUpdateMessage, update)
-        socket.unregister_handler(ShareUrlRequest)  # which publishes the page by another host
+        socket.unregister_handler(ShareUrlRequest)  # it would publish the page on another host
 
     def _report(self, _loop: object, context: Mapping[str, Any]) -> None:
         """Report an error in a task of the server, which continues."""
@@ -149,7 +149,7 @@ def stop(server: viser.ViserServer) -> None:
 
 
 def _misfit(control: Any, updates: object) -> str | None:
-    """Return the error of an update of a control; None for a valid one."""
+    """Return the error message for an update of a control; None for a valid update."""
     if not isinstance(updates, Mapping) or set(updates) != {"value"}:
         return f"expected a value, found {_short(updates)}"
     value = updates["value"]

@@ -32,17 +32,17 @@ def swatch(color: Color, words: str = "", *, ghost: bool = False) -> str:
 
 
 def warned(scene: Scene) -> str:
-    """Return the HTML of the warnings."""
+    """Return the HTML of the warnings of a scene."""
     return "".join(f'<p style="{WARNING}">{escape(each)}</p>' for each in scene.warnings)
 
 
 def with_legend(html: str, scene: Scene, title: str, color: str, words: Iterable[str]) -> str:
-    """Return a page that plays a scene, with a legend.
+    """Return a page that plays a scene with title and legend added.
 
     Parameters
     ----------
     html : str
-        The page.
+        HTML of the page, as exported by viser.
     scene : Scene
         The scene.
     title : str

@@ -1,7 +1,7 @@
-"""Report of a result as one HTML page, without other files and scripts.
+"""Report of a result as one self-contained HTML page without scripts.
 
-Figures are vector graphics, unless these would be large. The policy of the page forbids any
-requests.
+Figures are vector graphics; large ones become raster graphics. The content security policy of the
+page forbids all requests.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class Report(NamedTuple):
     Attributes
     ----------
     title, lead : str
-        Title, and a sentence on the end of the motion.
+        Title, and a sentence on the outcome of the motion.
     good : bool
         Whether the motion is complete.
     tables : mapping of str to sequence of (str, ...)
-        Rows by heading; the first cell of a row is its name, indented if it belongs to the row
-        above.
+        Rows by heading; the first cell of a row is its name, indented if it is subordinate to the
+        row above.
     figures : sequence of Plot
-        Figures.
+        Figures to draw.
     note : str
         Reason why there are no figures; empty if there are figures.
     texts : mapping of str to str
@@ -121,7 +121,7 @@ def _figure(plot: Plot) -> str:
 
 
 def image(figure: Figure) -> str:
-    """Return a figure as a data URI: a vector graphic, or a raster graphic if that is smaller."""
+    """Return a figure as a data URI: SVG, or PNG if the SVG exceeds 400 000 bytes."""
     drawn = _written(figure, "svg")
     kind = "svg+xml"
     if len(drawn) > MOST:

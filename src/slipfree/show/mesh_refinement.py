@@ -30,7 +30,7 @@ class Refined(NamedTuple):
     parts : int
         Number of parts of a divided cell per side.
     terrain : Terrain
-        Ground with the heights in these cells.
+        Ground that gives the heights inside divided cells.
     """
 
     grid: Grid
@@ -40,7 +40,7 @@ class Refined(NamedTuple):
 
     @property
     def spacing(self) -> float:
-        """The larger distance between nodes in divided cells [m]."""
+        """Distance between nodes in divided cells, the larger of x and y [m]."""
         return float(max(self.grid.spacing)) / self.parts
 
     def mesh(self, origin: Array) -> Mesh:
@@ -56,7 +56,18 @@ class Refined(NamedTuple):
         return joined(Mesh(whole.vertices, whole.faces[kept]), *map(sheet, tiles))
 
     def spread(self, colors: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Return the colors of all nodes from those of the grid, shape (n_x n_y, 3)."""
+        """Return colours of all nodes of the mesh, interpolated from those of the grid.
+
+        Parameters
+        ----------
+        colors : ndarray of uint8, shape (n_x n_y, 3)
+            Red, green and blue of the nodes of the grid.
+
+        Returns
+        -------
+        ndarray of uint8, shape (n, 3)
+            Colours of the nodes of the grid, followed by those of divided cells.
+        """
         whole = colors.reshape(*self.grid.z.shape, 3).astype(float)
         i, j = np.nonzero(self.near)
         a, b = self._shares()
@@ -117,9 +128,9 @@ class Refined(NamedTuple):
 
 
 def refined(
-    grid: Grid, terrain: Terrain, ways: Iterable[Array], margin: float, wanted: float
+    grid: Grid, terrain: Terrain, paths: Iterable[Array], margin: float, wanted: float
 ) -> Refined:
-    """Return a grid with divided cells near paths, up to the largest number of nodes.
+    """Return a grid with divided cells near paths, with at most about 60 000 added nodes.
 
     Parameters
     ----------
@@ -127,12 +138,12 @@ def refined(
         Heights to draw.
     terrain : Terrain
         The ground itself.
-    ways : iterable of ndarray, shape (n, 2)
-        Paths on the ground. [m]
+    paths : iterable of ndarray, shape (n, 2)
+        Paths of vehicles in map coordinates. [m]
     margin : float
         Distance from the paths within which cells are divided. [m]
     wanted : float
-        Distance of nodes in divided cells. [m]
+        Desired distance between nodes in divided cells. [m]
     """
     whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
     cell = float(max(grid.spacing))
@@ -140,16 +151,16 @@ def refined(
         return whole
     near = whole.near.copy()
     aside = np.linspace(-margin, margin, 2 * ceil(margin / min(grid.spacing)) + 1)
-    for way in ways:
-        points = _dense(way, min(cell, margin) / 2)
+    for path in paths:
+        points = _dense(path, min(cell, margin) / 2)
         for dx, dy in product(aside, repeat=2):
             near[whole._cells(points[:, 0] + dx, points[:, 1] + dy)] = True
     parts = min(ceil(cell / wanted), int(np.sqrt(MOST / near.sum())) - 1)
     return whole._replace(near=near, parts=parts) if parts > 1 else whole
 
 
-def _dense(way: Array, step: float) -> Array:
-    """Return points along a path with distances of at most a step."""
-    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+def _dense(path: Array, step: float) -> Array:
+    """Return points along a path, shape (m, 2), at most ``step`` metres apart."""
+    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
     at = np.linspace(0, lengths[-1], max(2, ceil(lengths[-1] / step) + 1))
-    return np.stack([np.interp(at, lengths, each) for each in way.T], axis=1)
+    return np.stack([np.interp(at, lengths, each) for each in path.T], axis=1)

@@ -22,7 +22,7 @@ def joined(*meshes: Mesh) -> Mesh:
 
 
 def spokes(radius: float) -> Mesh:
-    """Return the spokes of a wheel about the x axis, one of them thicker [m]."""
+    """Return the mesh of four spokes about the x axis, one of them thicker, for a radius [m]."""
     angles = 2 * np.pi * np.arange(SPOKES) / SPOKES
     ends = [(0.0, float(radius * np.cos(a)), float(radius * np.sin(a))) for a in angles]
     sizes = [2 * SPOKE, *[SPOKE] * (SPOKES - 1)]
@@ -32,7 +32,7 @@ def spokes(radius: float) -> Mesh:
 
 
 def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: float) -> Mesh:
-    """Return a prism of eight sides from one point to another [m]."""
+    """Return the mesh of an eight-sided prism between two points [m]."""
     ends = np.array([start, end], dtype=float)
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
@@ -45,12 +45,12 @@ def rod(start: Sequence[float] | Array, end: Sequence[float] | Array, radius: fl
 
 
 def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
-    """Return a convex outline extruded along a vector, with both ends.
+    """Return the mesh of a convex outline extruded along a vector, with closed ends.
 
     Parameters
     ----------
     outline : ndarray, shape (n, 3)
-        Corners in order, counter-clockwise as seen against the vector.
+        Corners, counter-clockwise when viewed from the end of the vector. [m]
     along : array_like, shape (3,)
         Direction and length of the extrusion. [m]
     """
@@ -67,7 +67,7 @@ def extruded(outline: Array, along: Sequence[float] | Array) -> Mesh:
 
 
 def plate(half_width: float, rear: float, front: float, thickness: float) -> Mesh:
-    """Return a flat body around the origin, x right, y forward, pointed at the front [m]."""
+    """Return the mesh of a flat plate, x right, y forward, pointed at the front; lengths in m."""
     shoulder = front - 0.25 * (front - rear)
     corners = (
         (-half_width, rear),
@@ -83,9 +83,9 @@ def plate(half_width: float, rear: float, front: float, thickness: float) -> Mes
 def clipped(
     points: Sequence[tuple[float, float]], low: tuple[float, float], high: tuple[float, float]
 ) -> Array:
-    """Return the part of a convex polygon in a box between two corners, shape (n, 2).
+    """Return the corners of the part of a convex polygon inside a box, shape (n, 2).
 
-    The result is empty for a polygon outside.
+    The result has no rows for a polygon outside the box.
     """
     found = np.array(points, dtype=float)
     for axis in (0, 1):

@@ -42,9 +42,9 @@ MESH = 72  # nodes of a drawn surface along an axis
 ROUNDING = 1e-9  # smaller slip is rounding [m/s]
 TINY = 1e-16  # floor of logarithmic axes, in the quantity's unit
 STILL = 1e-9  # a joint that moves less counts as fixed [rad]
-BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # seen under what follows it
-DISTINCT = 0.01  # distance of lines that can be told apart [width of the axes]
-NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [map]
+BELOW: dict[str, Any] = {"color": "0.75", "lw": 2.6, "zorder": 1}  # visible below other lines
+DISTINCT = 0.01  # smallest distance of distinguishable lines [width of the axes]
+NEAR = 0.6  # a path with a smaller extent is drawn again, enlarged [extent of the map]
 RELIEF = (0.22, 0.6)  # smallest and largest height of a drawn surface [width]
 POSE = ("heading", "roll", "pitch", "yaw", "tip_over_margin", "tip_over")  # not joints
 CHECKS = {
@@ -131,8 +131,8 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
     grid : Grid
         The ground.
     ax : Axes3D
-        From ``figure.add_subplot(projection="3d")``. The heights are enlarged where the relief is
-        low; the label of the axis says by how much.
+        Axes from ``figure.add_subplot(projection="3d")``. Heights of low relief are drawn enlarged;
+        the label of the height axis contains the factor.
     """
     window = ground_drawing.around(run, grid, pad=0.4)
     x, y, z = ground_drawing.patch(grid, window, MESH)
@@ -261,9 +261,9 @@ def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
     run : Trajectory
         The motion.
     direction : {"along", "across"}
-        Of the wheel.
+        Component of the slip velocity: along the rolling direction of the wheel or across it.
     ax : Axes
-        Where to draw, in mm/s.
+        The axes; velocities are drawn in mm/s.
     """
     values = run[f"slip_{direction}"]
     for k, wheel in enumerate(run.wheels):
@@ -275,8 +275,8 @@ def slip(run: Trajectory, direction: str, ax: Axes) -> Axes:
 def check(run: Trajectory, name: str, ax: Axes) -> Axes:
     """Draw a residual or margin of the solution over time.
 
-    Residuals and steps are drawn on a logarithmic axis with the tolerance of the integrator,
-    margins with a line at zero, which they must not reach.
+    Residuals and Newton steps are drawn on a logarithmic axis, with the tolerance of the
+    integrator. Margins are drawn with a line at zero; they must stay positive.
     """
     history(run, name, ax)
     ax.set_ylabel(textwrap.fill(ax.get_ylabel(), 22))
@@ -308,7 +308,7 @@ def motion_plots(run: Trajectory, grid: Grid, surface: Terrain | None = None) ->
     Returns
     -------
     tuple of Plot
-        Those of `FIGURES` that have content, 120 or 180 mm wide.
+        Figures of `FIGURES` that have content, 120 or 180 mm wide; not drawn yet.
     """
     drive = Drive(run, grid, surface or Bicubic(grid))
     return tuple(plot for compose in FIGURES if (plot := compose(drive)) is not None)
@@ -326,7 +326,7 @@ def elevation_plot(drive: Drive) -> Plot:
 
 
 def slip_plot(drive: Drive) -> Plot | None:
-    """Return the figure of the slip; None if there is none."""
+    """Return the figure of the slip; None if the wheels do not slip."""
     run = drive.run
     panels = [Panel(partial(slip, run, direction)) for direction in slipping_directions(run)]
     caption = "Slip of every wheel over time."
@@ -359,7 +359,7 @@ def rates_plot(drive: Drive) -> Plot:
 
 
 def loci_plot(drive: Drive) -> Plot | None:
-    """Return the figure of the paths of all parts; None if they cannot be told apart."""
+    """Return the figure of the paths of platform, wheels and contacts; None if they coincide."""
     run = drive.run
     if not _tracks_differ(run, float(max(np.ptp(run["x"]), np.ptp(run["y"])))):
         return None
@@ -413,7 +413,7 @@ def _map(run: Trajectory, grid: Grid) -> Figure:
 
 
 def _tracks_differ(run: Trajectory, width: float) -> bool:
-    """Return whether tracks can be told from the path on a map of this width in metres."""
+    """Return whether tracks and path are distinguishable on a map with a width in metres."""
     away = [run[f"contact_{axis}"] - run[axis][:, None] for axis in "xy"]
     return bool(np.hypot(*away).max() > DISTINCT * width)
 
@@ -486,10 +486,10 @@ def slipping_directions(run: Trajectory) -> tuple[str, ...]:
 
 
 def _law(run: Trajectory) -> str:
-    """Return the meaning of the slip in a note."""
+    """Return a note on the law that determines the slip."""
     if run.attributes.get("model") == "quasi-static":
-        return "The slip of quasi-static equilibrium under friction; inertia is left out."
-    return "The least slip that kinematics allows: a lower bound. On real ground friction decides."
+        return "Slip of quasi-static equilibrium under friction, without inertia."
+    return "Least slip that the kinematics allows, a lower bound; real slip depends on friction."
 
 
 def _checks(run: Trajectory) -> Figure:
@@ -522,13 +522,13 @@ def _joints(run: Trajectory) -> list[str]:
 
 
 def _distance(run: Trajectory) -> Array:
-    """Return the length of the platform's path up to every sample, in metres."""
+    """Return the length of the platform's path up to each sample, shape (n,) [m]."""
     steps = [np.diff(run[name]) for name in ("x", "y", "z")]
     return np.concatenate([[0.0], np.cumsum(np.sqrt(sum(step**2 for step in steps)))])
 
 
 def _directions(x: Array, y: Array, width: float) -> list[tuple[tuple[float, float], float]]:
-    """Return positions of arrows on a path in a map, and their angles from north in degrees."""
+    """Return positions [m] of arrows along a path, and their angles from the y axis [deg]."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     if s[-1] < 0.1 * width:
         return []

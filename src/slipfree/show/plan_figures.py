@@ -30,15 +30,15 @@ from slipfree.trajectory import Trajectory
 
 # A scale of light blues leaves warm colours to what is blocked; all differ in lightness too.
 COSTS = ListedColormap(colormaps["Blues"](np.linspace(0.08, 0.85, 256)), name="costs")
-DEAREST = 99.0  # percentile of the costs at the end of the scale, without extreme nodes
-LEAST = 1.1  # end of the scale for uniform costs
+MAX_PERCENTILE = 99.0  # percentile of the costs at the end of the scale, without extreme nodes
+MIN_SCALE_END = 1.1  # smallest end of the scale, for uniform costs [1]
 BLOCKED = {  # colour and description of blocked nodes by reason, in order of priority
-    "keep_out": ("0.4", "kept out of"),
+    "keep_out": ("0.4", "keep-out region"),
     "edge": ("0.8", "edge of the map"),
     "friction": ("#D55E00", "too steep for friction"),
     "slope": ("#CC79A7", "too steep"),
     "roughness": ("#F0E442", "too rough"),
-    "hollow": ("#E69F00", "too hollow for wheels"),
+    "hollow": ("#E69F00", "too concave for wheels"),
 }
 FAR = 0.6  # for a motion with a smaller extent only a part of the map is drawn [map]
 WRAP = 20  # characters of a line of labels and legends beside axes
@@ -49,7 +49,7 @@ Place = tuple[str, float, float]
 
 
 def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Axes:
-    """Draw the cost per metre on a part of the map, and the reasons of blocked nodes.
+    """Draw the cost per metre of path on a part of the map, and the reasons of blocked nodes.
 
     Parameters
     ----------
@@ -67,7 +67,9 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     part = shown[:, None] & (layers.y >= window[2]) & (layers.y <= window[3])
     free = np.isfinite(layers.cost)
     inside = layers.cost[free & part]
-    top = max(float(np.percentile(inside, DEAREST)), LEAST) if inside.size else LEAST
+    top = MIN_SCALE_END
+    if inside.size:
+        top = max(float(np.percentile(inside, MAX_PERCENTILE)), MIN_SCALE_END)
     costs = ax.imshow(
         np.where(free, layers.cost, np.nan).T, cmap=COSTS, norm=Normalize(1, top), **where
     )
@@ -79,15 +81,15 @@ def cost_map(layers: Traversability, grid: Grid, ax: Axes, window: Window) -> Ax
     bar = ax.figure.colorbar(
         costs, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), extend="max" if dearer else "neither"
     )
-    bar.set_label("cost of a metre of way [1]")
+    bar.set_label("cost per metre of path [1]")
     return ax
 
 
-def ways(found: Sequence[Array], ax: Axes) -> Axes:
-    """Draw the routes of the initial guesses, shape (n, 2) each, with their lengths."""
+def initial_routes(found: Sequence[Array], ax: Axes) -> Axes:
+    """Draw the routes of the initial guesses, shape (n, 2) each [m], with their lengths."""
     for k, points in enumerate(found):
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        name = f"way {k + 1}" if len(found) > 1 else "way to start from"
+        name = f"initial route {k + 1}" if len(found) > 1 else "initial route"
         ax.plot(
             *points.T,
             color=PLATFORM,
@@ -101,7 +103,17 @@ def ways(found: Sequence[Array], ax: Axes) -> Axes:
 
 
 def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
-    """Draw the planned motion of the platform's centre with start, way-points and goal."""
+    """Draw the planned motion of the platform's centre in plan, with start, way-points and goal.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    places : sequence of (str, float, float)
+        Name, x and y in map coordinates of start, way-points and goal. [m]
+    ax : Axes
+        The axes.
+    """
     ax.plot(
         run["x"],
         run["y"],
@@ -138,7 +150,7 @@ def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
         for value in filter(np.isfinite, pair):
             ends.setdefault(value, []).append(style.look(k)["color"])
     for value, colors in ends.items():
-        # A bound of several inputs has the colour of none of them.
+        # a bound of several inputs is grey
         _bound(value, ax, colors[0] if len(colors) == 1 else "0.4", "bound")
     units = dict.fromkeys(style.unit(run.columns[name].label.unit) for name in bounds)
     ax.set_ylabel(f"inputs [{', '.join(units)}]")
@@ -146,7 +158,19 @@ def inputs(run: Trajectory, bounds: Mapping[str, Range], ax: Axes) -> Axes:
 
 
 def limited(run: Trajectory, name: str, pair: Range, ax: Axes) -> Axes:
-    """Draw a quantity over time with its limits; its name may end in a wheel's, ``[left]``."""
+    """Draw a quantity over time with its limits.
+
+    Parameters
+    ----------
+    run : Trajectory
+        The motion.
+    name : str
+        Name of the quantity, or of quantity and wheel as in ``slip_along[left]``.
+    pair : (float, float)
+        Lower and upper limit in the unit of the quantity; infinite without a limit.
+    ax : Axes
+        The axes.
+    """
     quantity, _, wheel = name.removesuffix("]").partition("[")
     motion_figures.history(run, quantity, ax)
     for line in list(ax.lines) if wheel else []:
@@ -157,13 +181,13 @@ def limited(run: Trajectory, name: str, pair: Range, ax: Axes) -> Axes:
     return ax
 
 
-def room(run: Trajectory, layers: Traversability, ax: Axes) -> Axes:
-    """Draw the distance of the circle around the wheels from keep-out regions."""
+def keep_out_distance(run: Trajectory, layers: Traversability, ax: Axes) -> Axes:
+    """Draw the distance between the circle around the wheels and each keep-out region over time."""
     for k, region in enumerate(layers.limits.keep_out):
         away = region.distance(run["x"], run["y"]) - layers.limits.reach
         ax.plot(run.t, away, label=region.words, **style.look(k))
     _bound(0.0, ax)
-    ax.set_ylabel("room to keep-outs [m]")
+    ax.set_ylabel("distance to keep-out regions [m]")
     return style.time_axis(run, ax)
 
 
@@ -177,7 +201,7 @@ def plan_plots(
     bounds: Mapping[str, Range] | None = None,
     limits: Mapping[str, Range] | None = None,
 ) -> tuple[Plot, ...]:
-    """Return the figures of a plan: ``plan``, if there is anything to draw, and ``traversability``.
+    """Return the figures of a plan, without drawing them: inputs and limits, and the map.
 
     Parameters
     ----------
@@ -190,17 +214,21 @@ def plan_plots(
     places : sequence of (str, float, float)
         Name, x and y in map coordinates of start, way-points and goal. [m]
     found : sequence of ndarray, shape (n, 2)
-        Routes from which the search started. [m]
+        Routes of the initial guesses. [m]
     bounds : mapping of str to (float, float)
-        Lower and upper bound of every input by name; infinite without a bound. Inputs
-        that are not named here are not drawn.
+        Lower and upper bound of each input to draw, by name; infinite without a bound.
     limits : mapping of str to (float, float)
         Limits of quantities by name, or by name and wheel as in ``slip_along[front]``.
+
+    Returns
+    -------
+    tuple of Plot
+        ``plan``, unless it would have no panels, and ``traversability``.
     """
     panels = _panels(run, layers, bounds or {}, limits or {})
     caption = "Planned inputs, and quantities with their limits."
-    planned = Plot("plan", caption, lambda: stack(run, panels, _promise(run)))
-    caption = "Cost of the ground, routes from which the search started, and the motion."
+    planned = Plot("plan", caption, lambda: stack(run, panels, _deviation_note(run)))
+    caption = "Cost per metre of path, routes of the initial guesses, and the planned motion."
     ground = Plot(
         "traversability", caption, lambda: _traversability(run, grid, layers, places, found)
     )
@@ -224,7 +252,7 @@ def _traversability(
     panel = min(92 * MM / ratio, 120 * MM)
     figure = style.figure(COLUMN, panel + 32 * MM)
     ax = cost_map(layers, grid, figure.subplots(), window)
-    motion(run, places, ways(found, ax))
+    motion(run, places, initial_routes(found, ax))
     style.finished(figure, run, [ax])
     figure.draw_without_rendering()  # the first layout sees the colour bar of wider axes
     return figure
@@ -236,14 +264,14 @@ def _panels(
     bounds: Mapping[str, Range],
     limits: Mapping[str, Range],
 ) -> list[Panel]:
-    """Return the panels of the figure of a plan."""
+    """Return the panels for inputs, limited quantities, keep-out distances and slip of a plan."""
     found: list[tuple[float, Callable[[Axes], Any]]] = []
     if bounds:
         entries = sum(len(textwrap.wrap(style.words(name), WRAP)) for name in bounds)
         found.append((max(1.0, (entries + 1) / ENTRIES), partial(inputs, run, bounds)))
     found += [(1.0, partial(limited, run, name, pair)) for name, pair in limits.items()]
     if layers.limits.keep_out:
-        found.append((1.0, partial(room, run, layers)))
+        found.append((1.0, partial(keep_out_distance, run, layers)))
     found += [
         (1.0, partial(motion_figures.slip, run, direction))
         for direction in motion_figures.slipping_directions(run)
@@ -252,7 +280,10 @@ def _panels(
 
 
 def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
-    """Return a panel with its own legend beside it, since colours differ between panels."""
+    """Return a drawing function that adds a legend beside the panel.
+
+    Panels need separate legends since the meaning of the colours differs.
+    """
 
     def drawn(ax: Axes) -> None:
         draw(ax)
@@ -265,8 +296,8 @@ def _beside(draw: Callable[[Axes], Any]) -> Callable[[Axes], None]:
     return drawn
 
 
-def _promise(run: Trajectory) -> str:
-    """Return a note on the deviation of the simulation from the plan."""
+def _deviation_note(run: Trajectory) -> str:
+    """Return a note on the deviation of the simulation from the plan; empty if it is unknown."""
     start = "plan_difference_"
     missed = [
         f"{style.words(name.removeprefix(start))} {value:.1e} {unit}"
@@ -275,19 +306,22 @@ def _promise(run: Trajectory) -> str:
         and (unit := style.unit(run.columns[name.removeprefix(start)].label.unit))
     ]
     return (
-        f"Simulated with the planned inputs; misses the plan by {', '.join(missed)}."
+        f"Simulated with the planned inputs; deviates from the plan by {', '.join(missed)}."
         if missed
         else ""
     )
 
 
 def _bound(value: float, ax: Axes, color: str = "0.4", words: str = "limit") -> None:
-    """Draw a bound as a line."""
+    """Draw a bound as a horizontal line."""
     ax.axhline(value, color=color, lw=0.8, ls=(0, (6, 2)), zorder=1, label=words)
 
 
 def _blocked(layers: Traversability, part: Mask, ax: Axes) -> Array:
-    """Return the colours of blocked nodes, shape (n_x, n_y, 4), and name those in the part."""
+    """Return the colours of blocked nodes, shape (n_x, n_y, 4).
+
+    Reasons that occur in the drawn part, a mask of shape (n_x, n_y), get a legend entry.
+    """
     colors, masks = np.zeros((*layers.cost.shape, 4)), blocked_by(layers)
     left = np.isinf(layers.cost)
     for name, (color, words) in BLOCKED.items():

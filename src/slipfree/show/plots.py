@@ -23,20 +23,20 @@ from slipfree.show.style import DPI, MM, PAGE, STYLE
 from slipfree.terrain.base import Grid, Terrain
 from slipfree.trajectory import Trajectory
 
-MAIN_COUNT = 4  # of figures that are drawn unless all are requested
+MAIN_COUNT = 4  # number of figures that are drawn unless all are requested
 PANEL = 38.0  # height of a panel [mm]
-MARGIN = 24.0  # of a figure, for legend, axis and note [mm]
+MARGIN = 24.0  # height of legend, axis and note of a figure [mm]
 
 
 class Panel(NamedTuple):
-    """Axes of a figure.
+    """One of the axes in a figure.
 
     Attributes
     ----------
     draw : callable
-        Draws on the axes.
+        ``draw(ax)`` draws on the axes.
     height : float
-        Height. [mm]
+        Height of the axes. [mm]
     has_legend : bool
         Whether its artists appear in the legend of the figure.
     """
@@ -52,11 +52,11 @@ class Plot(NamedTuple):
     Attributes
     ----------
     name : str
-        Name of its file, without ending.
+        Name of the figure and of its file, without ending.
     caption : str
-        Sentence about its content.
+        Caption of the figure.
     make : callable
-        Draws it.
+        ``make()`` draws and returns the figure.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Plot(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Motion over terrain, as its figures take it.
+    """Data for the figures of a motion over terrain.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Drive(NamedTuple):
     grid : Grid
         The ground.
     surface : Terrain
-        Surface of the ground in the model.
+        Surface of the ground as used by the model.
     """
 
     run: Trajectory
@@ -88,9 +88,9 @@ def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float
     Parameters
     ----------
     run : Trajectory
-        The motion; the figure says why it ended early.
+        The motion; a note gives the reason of an early end.
     panels : sequence of Panel
-        From top to bottom.
+        Panels from top to bottom.
     note : str
         Text below the figure.
     width : float
@@ -108,12 +108,12 @@ def stack(run: Trajectory, panels: Sequence[Panel], note: str = "", width: float
 
 
 def main_plots(plots: Iterable[Plot]) -> tuple[Plot, ...]:
-    """Return the figures that matter most: the first ones."""
+    """Return the first four figures, which are the most important ones."""
     return tuple(plots)[:MAIN_COUNT]
 
 
 def draw(plots: Iterable[Plot]) -> dict[str, Figure]:
-    """Return figures by name."""
+    """Draw figures and return them by name."""
     with rc_context(STYLE):  # type: ignore[arg-type]  # its keys are a literal type
         return {plot.name: plot.make() for plot in plots}
 
@@ -121,23 +121,23 @@ def draw(plots: Iterable[Plot]) -> dict[str, Figure]:
 def save(
     plots: Iterable[Plot], folder: str | Path, formats: Sequence[str] = ("png",)
 ) -> list[Path]:
-    """Write figures to a folder, which is made if needed, and return their files.
+    """Draw figures, write them to a folder, and return the paths of the files.
 
     Parameters
     ----------
     plots : iterable of Plot
         The figures, for files such as ``map.png``.
     folder : str or Path
-        The folder.
+        Folder for the files; it is created if it does not exist.
     formats : sequence of str
-        Endings: ``"png"`` (200 dpi), ``"pdf"``, ``"svg"``.
+        Endings such as ``"png"`` (200 dpi), ``"pdf"`` or ``"svg"``.
 
     Raises
     ------
     ModelError
         If a format is unknown.
     DataError
-        If the folder cannot be made.
+        If the folder or a file cannot be written.
     """
     known = FigureCanvasBase.get_supported_filetypes()
     for name in formats:

@@ -1,7 +1,7 @@
-"""Scene in space: ground, vehicles with their poses, arrows and colours.
+"""Scene in 3D: ground, vehicles with their poses, arrows and colours.
 
-Everything is numbers in scene coordinates: map coordinates less ``Scene.origin``, z up. What draws
-them is elsewhere: a web page in `slipfree.show.viewer`, a film in `slipfree.show.film`.
+Positions are in scene coordinates: map coordinates minus ``Scene.origin``, z up. Scenes are drawn
+as a web page by `slipfree.show.viewer` and as a film by `slipfree.show.film`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ NARROW = 0.55  # width of the platform [width of the vehicle]
 TYRE = (90, 90, 90)
 BLOCKED = (120, 120, 120)  # colour of blocked nodes
 LONGEST = 1.2  # length of the longest arrows [reach of the vehicle]
-LEAST = {"slip": 1e-6, "force": 1e-3}  # smaller vectors are not drawn [m/s, N]
+LEAST = {"slip": 1e-6, "force": 1e-3}  # arrows of smaller vectors are omitted [m/s, N]
 UNITS = {"slip": "m/s", "force": "N"}
 MAPS = {"height": "viridis", "slope": "cividis", "traversability": "YlGnBu_r"}
 ARROWS = {"slip": (0, 0, 0), "force": (255, 0, 255)}  # different from the colours of runs
 FAR = 20.0  # the camera follows vehicles on longer paths [reach of the vehicle]
-PLAN, SECTION = (0, 1), (0, 2)  # coordinates to the right and up
+PLAN, SECTION = (0, 1), (0, 2)  # indices of the coordinates drawn to the right and up
 Color = tuple[int, int, int]
 Colors = npt.NDArray[np.uint8]
 
@@ -43,13 +43,13 @@ class Layer(NamedTuple):
     Attributes
     ----------
     name : str
-        Coloured quantity.
+        Name of the quantity that determines the colour.
     legend : str
-        The ends of the scale, with units.
+        Description of the range of values, with unit.
     scale : tuple of 3-tuples
-        Colors of the scale from its low end to its high one.
+        Colours of the scale from its lowest to its highest value.
     colors : ndarray of uint8, shape (n, 3)
-        Colours of the vertices.
+        Red, green and blue of the vertices.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Layer(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """The ground: a surface and its colourings."""
+    """Ground of a scene: its surface, and the colourings to choose from."""
 
     mesh: Mesh
     layers: tuple[Layer, ...]
@@ -73,11 +73,11 @@ class Body(NamedTuple):
     name : str
         Name of the part or the wheel.
     meshes : tuple of (Mesh, color)
-        Its meshes, in its own frame.
+        Meshes in the frame of the body, with their colours.
     origins : ndarray, shape (n, 3)
-        Origins of its frame. [m]
+        Origin of the body's frame at each time, in scene coordinates. [m]
     rotations : ndarray, shape (n, 3, 3)
-        Columns are its axes.
+        Rotation matrix from the body's frame to the scene at each time.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Arrows(NamedTuple):
     starts : ndarray, shape (n, k, 3)
         Starting points; NaN without contact. [m]
     vectors : ndarray, shape (n, k, 3)
-        In fixed axes. [m/s or N]
+        Components in scene axes. [m/s or N]
     """
 
     name: str
@@ -117,17 +117,17 @@ class Actor(NamedTuple):
     name : str
         Displayed name.
     color : tuple of 3 ints
-        Red, green, blue of its platform, from 0 to 255.
+        Red, green and blue of the platform, from 0 to 255.
     t : ndarray, shape (n,)
-        Times of all that follows. [s]
+        Times of the samples of bodies, contacts and arrows. [s]
     bodies : tuple of Body
-        Its parts, the platform first, and its wheels.
+        Parts of the vehicle, the platform first, and wheels.
     contacts : ndarray, shape (n, k, 3)
-        Contact points; NaN where there is none. [m]
+        Contact points; NaN without contact. [m]
     arrows : tuple of Arrows
-        Slip and forces, as far as the motion has them.
+        Slip and forces, if the motion has them.
     ghost : bool
-        Whether it is a plan, which is drawn only as edges.
+        Whether the motion is a plan, which is drawn as wireframe.
     stop : str
         Time and reason of an early stop; empty without one.
     """
@@ -143,21 +143,21 @@ class Actor(NamedTuple):
 
 
 class Backdrop(NamedTuple):
-    """The ground of a film.
+    """Ground of a film: a plan or section with all paths, and the surroundings of a vehicle.
 
     Attributes
     ----------
     draw : callable
-        Draws the ground on axes, in map coordinates: in plan or as a section.
+        ``draw(ax)`` draws the ground on axes in map coordinates, in plan or as a section.
     axes : tuple of 2 ints
-        Coordinates that these axes show, `PLAN` or `SECTION`.
+        Indices of the coordinates on these axes: `PLAN` or `SECTION`.
     near : callable
-        Returns the faces of the ground near a point, each of shape (n, 3), for the point and half
-        the width of the surroundings, both in scene coordinates. [m]
+        ``near(point, half)`` returns the faces of the ground around a point, each of shape (n, 3),
+        in scene coordinates; ``half`` is half the width of the surroundings. [m]
     half : float
-        Half the width of the surroundings that are seen with the vehicle. [m]
+        Half the width of the surroundings in the view of the vehicle. [m]
     camera : tuple of 2 floats
-        Elevation and azimuth from which the vehicle is seen. [deg]
+        Elevation and azimuth of the camera. [deg]
     """
 
     draw: Callable[[Axes], Any]
@@ -179,15 +179,15 @@ class Scene(NamedTuple):
     origin : ndarray, shape (3,)
         Map coordinates of the scene's origin. [m]
     reach : float
-        Radius of a circle that holds the largest vehicle. [m]
+        Radius of a circle around the largest vehicle. [m]
     backdrop : Backdrop
-        The ground of a film.
+        The ground in films.
     scales : dict of str to float
-        Length of the arrows by name, for one unit of what they show. [m s/m, m/N]
+        Length of an arrow per unit of its quantity, by name; zero without arrows. [m s/m, m/N]
     notes : tuple of str
         Notes on the drawing.
     warnings : tuple of str
-        Important notes.
+        Notes that are always shown.
     """
 
     ground: Ground
@@ -200,14 +200,14 @@ class Scene(NamedTuple):
     warnings: tuple[str, ...] = ()
 
     @property
-    def ways(self) -> Array:
-        """Places of all platforms at all times, shape (n, 3) [m]."""
+    def paths(self) -> Array:
+        """Positions of all platforms at all times, shape (n, 3) [m]."""
         return np.concatenate([actor.bodies[0].origins for actor in self.actors])
 
     @property
     def is_far(self) -> bool:
-        """Whether the paths are so long that vehicles would be too small in a view of them."""
-        return float(np.linalg.norm(np.ptp(self.ways, axis=0))) > FAR * self.reach
+        """Whether the paths are so long that vehicles would be too small in a view of all paths."""
+        return float(np.linalg.norm(np.ptp(self.paths, axis=0))) > FAR * self.reach
 
     @property
     def span(self) -> tuple[float, float]:
@@ -227,35 +227,47 @@ def framed(
     notes: Iterable[str],
     warnings: Iterable[str] = (),
 ) -> Scene:
-    """Return a scene with the scales of its arrows."""
+    """Return a scene of the given contents with the scales of its arrows; see `Scene`."""
     actors = tuple(actors)
     scales = {name: _scale(name, actors, LONGEST * reach) for name in LEAST}
     place = ", ".join(f"{value + 0.0:.10g}" for value in origin)  # no minus zero
-    told = [*notes, f"The scene's origin is ({place}) m on the map."]
+    found = [*notes, f"The origin of the scene is ({place}) m in map coordinates."]
     for name, scale in scales.items():
         if not scale:
-            told.append(f"No {name} is drawn: {_why_none(name, actors)}.")
-    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(told), tuple(warnings))
+            found.append(f"No {name} is drawn: {_reason_without_arrows(name, actors)}.")
+    return Scene(ground, actors, origin, reach, backdrop, scales, tuple(found), tuple(warnings))
 
 
 def stopped(run: Trajectory) -> str:
-    """Return time and reason of an early stop; empty without one."""
+    """Return time and reason of an early stop in words; empty without a stop."""
     return f"stopped at t = {run.stop.t:.4g} s: {run.stop.words}" if run.stop else ""
 
 
 def color_of(k: int) -> Color:
-    """Return the color of the k-th run, one of a palette for the color-blind."""
+    """Return the colour of the k-th run (red, green, blue), from a palette for the colour-blind."""
     return rgb(style.PALETTE[k % len(style.PALETTE)])
 
 
 def rgb(name: str) -> Color:
-    """Return red, green and blue from 0 to 255 of a color's name."""
+    """Return red, green and blue, from 0 to 255, of a colour name of Matplotlib."""
     red, green, blue = (round(255 * part) for part in to_rgb(name))
     return red, green, blue
 
 
 def layer(name: str, values: Array, legend: str, low: float, high: float) -> Layer:
-    """Return a colouring of vertices by values of shape (n,), on a scale between two values."""
+    """Return the colouring of n vertices by a quantity.
+
+    Parameters
+    ----------
+    name : {"height", "slope", "traversability"}
+        The quantity.
+    values : ndarray, shape (n,)
+        Values at the vertices.
+    legend : str
+        Description of the range of values, with unit.
+    low, high : float
+        Values at the ends of the colour scale.
+    """
     scale = colormaps[MAPS[name]]
     parts = np.clip((values - low) / max(high - low, style.FLAT), 0, 1)
     ends = tuple(rgb(scale(part)) for part in np.linspace(0, 1, 9))
@@ -268,9 +280,9 @@ def chassis(places: Array, radius: float) -> Mesh:
     Parameters
     ----------
     places : ndarray, shape (k, 3)
-        In the platform's frame, x right, y forward. [m]
+        Positions of the wheels' centres in the platform's frame, x right, y forward. [m]
     radius : float
-        Of the wheels. [m]
+        Radius of the wheels. [m]
     """
     half = NARROW * float(np.abs(places[:, 0]).max())
     rear, front = float(places[:, 1].min()), float(places[:, 1].max())
@@ -299,14 +311,15 @@ def _scale(name: str, actors: Iterable[Actor], longest: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= wanted * 1.001))
 
 
-def _why_none(name: str, actors: Iterable[Actor]) -> str:
+def _reason_without_arrows(name: str, actors: Iterable[Actor]) -> str:
+    """Return the reason why a scene has no arrows of a quantity."""
     sizes = _vector_lengths(name, actors)
     if not sizes.size:
-        return "the results hold none"
-    return f"it is {sizes.max():.1e} {UNITS[name]} at most"
+        return f"the results contain no {name}"
+    return f"it is at most {sizes.max():.1e} {UNITS[name]}"
 
 
 def scale_words(scene: Scene, name: str) -> str:
-    """Return the description of an arrow of one metre; empty without arrows."""
+    """Return the scale of the arrows of a quantity in words; empty without arrows."""
     scale = scene.scales[name]
-    return f"an arrow of 1 m is {1 / scale:.4g} {UNITS[name]}" if scale else ""
+    return f"an arrow of length 1 m means {1 / scale:.4g} {UNITS[name]}" if scale else ""

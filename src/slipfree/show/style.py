@@ -46,7 +46,7 @@ def figure(width: float, height: float) -> Figure:
 
 
 def stacked(figure: Figure, panels: Sequence[Axes]) -> Figure:
-    """Label the common axis only at the lowest panel, and align the other labels."""
+    """Remove the x labels of all panels but the lowest one, and align the y labels."""
     for ax in panels[:-1]:
         ax.set_xlabel("")
     figure.align_ylabels(panels)
@@ -54,7 +54,7 @@ def stacked(figure: Figure, panels: Sequence[Axes]) -> Figure:
 
 
 def finished(figure: Figure, run: Trajectory, legends: Sequence[Axes], note: str = "") -> Figure:
-    """Add a legend at the top, and below the reason of an early stop."""
+    """Add a legend at the top of a figure, and a note with the reason of a stop below."""
     entries: dict[str, Any] = {}
     for ax in legends:
         handles, labels = ax.get_legend_handles_labels()
@@ -82,13 +82,13 @@ def _columns(labels: list[str], room: int) -> int:
 
 
 def look(k: int) -> dict[str, Any]:
-    """Return colour and dashes of the k-th line."""
+    """Return keywords of ``plot`` for the k-th line: colour and dashes."""
     dashes = DASHES[k // len(PALETTE) % len(DASHES)]
     return {"color": PALETTE[k % len(PALETTE)], "ls": dashes}
 
 
 def halo(width: float) -> list[AbstractPathEffect]:
-    """Return a white edge of a line, which makes it visible on any background."""
+    """Return the path effect of a white edge, for lines on any background; width in points."""
     return [withStroke(linewidth=width, foreground="white")]
 
 
@@ -114,7 +114,17 @@ def remark(ax: Axes, words: str, above: bool = False) -> None:
 
 
 def place_axis(axis: Any, name: str, low: float) -> None:
-    """Label an axis of positions; large map coordinates are relative to a round number."""
+    """Label an axis of positions; large coordinates are drawn relative to a round number.
+
+    Parameters
+    ----------
+    axis : Axis
+        Axis of Matplotlib.
+    name : {"x", "y", "z"}
+        Coordinate on the axis.
+    low : float
+        Smallest value on the axis. [m]
+    """
     start = 1000 * np.floor(low / 1000) if abs(low) >= LARGE else 0.0
     words = {"x": "east $x$", "y": "north $y$", "z": "height $z$"}[name]
     axis.set_label_text(f"{words} - {start:.0f} [m]" if start else f"{words} [m]")
@@ -138,7 +148,7 @@ def time_axis(run: Trajectory, ax: Axes) -> Axes:
 
 
 def degrees(ax: Axes) -> Axes:
-    """Add a second axis in degrees on the right, with a smallest range of angles."""
+    """Add an axis in degrees on the right; the range of angles becomes at least 0.001 rad."""
     low, high = ax.get_ylim()
     room = max(FLAT - (high - low), 0.0) / 2
     ax.set_ylim(low - room, high + room)

@@ -1,8 +1,8 @@
 """Figures of a sweep: a metric over the varied keys.
 
 Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``save_sweep_figures`` writes one figure a quantity: without a
-varied key the distribution over the runs, with one a curve, with two a heat map.
+axes; legends are the caller's. ``save_sweep_figures`` writes one figure per metric: the
+distribution over the runs without varied keys, a curve for one key, a heat map for two keys.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def distribution(swept: Swept, ax: Axes) -> Axes:
 
 
 def curve(swept: Swept, ax: Axes) -> Axes:
-    """Draw mean and range over repetitions, and every run.
+    """Draw mean and range over repetitions, and the value of every run, over one varied key.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def heat_map(swept: Swept, ax: Axes) -> Axes:
 
 
 def figure(swept: Swept) -> Figure:
-    """Return the figure of a quantity over none, one or two keys.
+    """Return the figure of a metric over at most two varied keys.
 
     Raises
     ------
@@ -121,12 +121,23 @@ def figure(swept: Swept) -> Figure:
 def save_sweep_figures(
     quantities: Sequence[Swept], folder: str | Path, formats: Sequence[str] = ("png", "pdf")
 ) -> list[Path]:
-    """Write a figure a quantity to a folder, which is made if needed, and return the files.
+    """Write one figure per metric to a folder, and return the paths of the files.
+
+    Parameters
+    ----------
+    quantities : sequence of Swept
+        Metrics.
+    folder : str or Path
+        Folder for the files; it is created if it does not exist.
+    formats : sequence of str
+        Endings such as ``"png"``, ``"pdf"`` or ``"svg"``.
 
     Raises
     ------
     ModelError
-        As for `figure`, or if a format is not known.
+        If more than two keys were varied, no run has a value, or a format is unknown.
+    DataError
+        If the folder or a file cannot be written.
     """
     return save(
         [Plot(each.name, "", partial(figure, each)) for each in quantities], folder, formats
@@ -140,7 +151,7 @@ def _axes(swept: Swept, count: int) -> tuple[Varied, ...]:
 
 
 def _over(reduce: Any, values: Array) -> Array:
-    """Return the reduction of repetitions that have a value; not a number where none has."""
+    """Return a reduction such as the mean over repetitions; NaN where no repetition has a value."""
     there = np.isfinite(values).any(axis=-1)
     found = np.full(there.shape, np.nan)
     found[there] = reduce(values[there], axis=-1)
@@ -159,7 +170,7 @@ def _name_axis(axis: Any, varied: Varied) -> None:
 
 
 def _ticks(axis: Any, values: Sequence[str]) -> None:
-    """Label positions 0, 1, ... of an axis, as far as there is space."""
+    """Label the positions 0, 1, ... of an axis by values; omit some if there are many."""
     every = -(-len(values) // (2 * ROOM))
     words = [value.strip('"') for value in values[::every]]
     crowded = axis.axis_name == "x" and sum(map(len, words)) > 6 * ROOM

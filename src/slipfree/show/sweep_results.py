@@ -13,11 +13,11 @@ class Varied(NamedTuple):
     Attributes
     ----------
     name : str
-        The key.
+        Dotted name of the key.
     unit : str
-        Its unit, as in ``m s-1``; empty if unknown.
+        Unit of the values, as in ``m s-1``; empty if unknown.
     values : tuple of str
-        Its values as given.
+        Values in the spelling of the sweep.
     numbers : tuple of float or None
         The values as numbers; None if they are not numbers.
     """
@@ -34,9 +34,9 @@ class Swept(NamedTuple):
     Attributes
     ----------
     name : str
-        Its name.
+        Name of the metric.
     unit : str
-        Its unit; empty if not known.
+        Unit of the metric, as in ``m s-1``; empty if unknown.
     axes : tuple of Varied
         Varied keys.
     values : ndarray, shape (n_1, ..., n_repeat)

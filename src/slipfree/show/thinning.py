@@ -1,4 +1,4 @@
-"""Fewer samples of long motions, for figures."""
+"""Reduction of the samples of long motions, for figures and films."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 from slipfree.records import Array
 from slipfree.trajectory import Column, Trajectory
 
-FIGURE_SAMPLES = 4000  # of figures, a few per pixel
-SCENE_SAMPLES = 20_000  # of scenes and films
+FIGURE_SAMPLES = 4000  # number of samples in figures, a few per pixel
+SCENE_SAMPLES = 20_000  # number of samples in scenes and films
 
 
 def thin(run: Trajectory, count: int) -> Trajectory:
-    """Return a motion of fewer samples: about ``count`` at equal distances, and all extremes.
+    """Return a motion with about ``count`` equally spaced samples, and all extremes.
 
-    Of each quantity, and of each wheel, the samples with the least and the largest value are kept.
-    A motion of no more samples is returned as it is. Quantities are read one after the other.
+    The samples with the smallest and the largest value of each quantity and wheel are kept. A
+    motion with at most ``count`` samples is returned unchanged.
     """
     if run.t.size <= count:
         return run

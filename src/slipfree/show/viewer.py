@@ -1,6 +1,6 @@
-"""Motions in a web page: served to a browser on this machine, or saved as one file.
+"""Scenes as web pages: served to a browser on this machine, or saved as one file.
 
-viser draws; only this module needs it, and imports it late.
+The package viser draws the scenes; it is imported only when a page is made.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CONTACT = (255, 255, 255)
 SKY = 0.5  # ambient light, in addition to viser's two lamps
 FAR = 1000.0  # far plane of the camera, unless the ground is larger [m]
 CLOSE, NEAREST = 3.5, 0.05  # distance of the following camera, and near plane [reach]
-WORLD = "/world"  # node that moves below the following camera
+WORLD = "/world"  # node with the scene; it moves when the camera follows a vehicle
 
 
 def serve(
@@ -62,7 +62,7 @@ def serve(
     Raises
     ------
     DataError
-        If viser is not installed, or the port is taken.
+        If viser is not installed or has an unsupported version, or if the port is in use.
     """
     server = _server(port, warn)
     try:
@@ -81,12 +81,19 @@ def serve(
 def page(scene: Scene, title: str, color: str) -> str:
     """Return a self-contained HTML page that plays a scene.
 
-    Parameters are those of `serve`.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    title : str
+        Title of the page.
+    color : str
+        Name of the layer of the ground.
 
     Raises
     ------
     DataError
-        If viser is not installed.
+        If viser is not installed or has an unsupported version.
     """
     server = _server(0)
     try:
@@ -101,24 +108,27 @@ def page(scene: Scene, title: str, color: str) -> str:
         html = recording.as_html()
     finally:
         stop(server)
-    words = [f"Played {speed:.3g} times as fast as it happened."] if speed > 1 else []
+    words = [f"Played at {speed:.3g} times the real speed."] if speed > 1 else []
     words += [f"The view follows {scene.actors[0].name}."] if scene.is_far else []
     return with_legend(html, scene, title, color, words)
 
 
 def _server(port: int, warn: Callable[[str], None] = lambda _: None) -> viser.ViserServer:
+    """Return a guarded viser server on a port; raise DataError if that is impossible."""
     try:
         server = Guard(warn).start(port)
     except ImportError as error:
         raise DataError(f"show: {missing_package('viser', 'view')}") from error
     if port and server.get_port() != port:
         stop(server)
-        raise DataError(f"--port: expected a free port, found {port} taken; leave it out for any")
+        raise DataError(
+            f"--port: expected a free port, found {port} in use; omit --port to choose a free port"
+        )
     return server
 
 
 class Stage:
-    """The nodes of a scene in viser, moved in time.
+    """Nodes of a scene in viser, with methods to show them at a time.
 
     Parameters
     ----------
@@ -137,7 +147,7 @@ class Stage:
     ) -> None:
         self.server, self.color, self._lock = server, color, threading.Lock()
         server.scene.set_up_direction("+z")
-        # A picture of surroundings as light would fade a saved page in again at every turn.
+        # with an environment map a saved page would fade in again at each repetition
         server.scene.configure_environment_map(None)
         server.scene.configure_default_lights(cast_shadow=False)  # slow where there is no GPU
         server.scene.add_light_hemisphere("/sky", intensity=SKY)
@@ -161,23 +171,34 @@ class Stage:
             self._hold()
 
     def follow(self, wanted: bool) -> None:
-        """Keep the first vehicle in view and move the world, or stop doing so."""
+        """Let the camera follow the first vehicle, or end this."""
         with self._lock, self.server.atomic():
             self.anchor = self.actors[0].place + self.world.position if wanted else None
             self._hold()
 
     def _hold(self) -> None:
+        """Move the world so that the followed vehicle stays at its position in view."""
         anchor = self.anchor
         self.world.position = np.zeros(3) if anchor is None else anchor - self.actors[0].place
 
     def paint(self, color: str) -> None:
-        """Color the ground by another layer."""
+        """Show the layer of the ground with a name."""
         for name, node in self.grounds.items():
             node.visible = name == color
 
 
 class _Drawn:
-    """The nodes of one motion."""
+    """Nodes of one motion in viser.
+
+    Parameters
+    ----------
+    server : ViserServer
+        The server.
+    scene : Scene
+        The scene.
+    k : int
+        Index of the motion in the scene.
+    """
 
     def __init__(self, server: viser.ViserServer, scene: Scene, k: int) -> None:
         actor, self.scales = scene.actors[k], scene.scales
@@ -185,7 +206,7 @@ class _Drawn:
         self.root = server.scene.add_frame(root, show_axes=False)
         self.frames = []
         for count, body in enumerate(actor.bodies, 1):
-            name = f"{root}/body {count}"  # parts may be called like any other node
+            name = f"{root}/body {count}"  # not the part's name, which another node may have
             self.frames.append(
                 (server.scene.add_frame(name, show_axes=False), body.origins, body.quaternions)
             )
@@ -202,7 +223,7 @@ class _Drawn:
         self.label = server.scene.add_label(f"{root}/name", actor.name, anchor="bottom-center")
         self.above = np.array([0.0, 0.0, (0.6 + 0.25 * k) * scene.reach])  # names side by side
         size = SIZES["contact"] * scene.reach
-        # A browser takes what it draws to be where it was at first: so all of it moves along.
+        # The browser culls clouds by their initial position, so this node moves with the vehicle.
         self.here = server.scene.add_frame(f"{root}/here", show_axes=False)
         self.contacts = server.scene.add_point_cloud(
             f"{root}/here/contacts",
@@ -222,11 +243,11 @@ class _Drawn:
 
     @property
     def place(self) -> Array:
-        """Position of its platform [m]."""
+        """Position of the platform at the shown sample, in scene coordinates, shape (3,) [m]."""
         return np.asarray(self.actor.bodies[0].origins[self.last])
 
     def show(self, t: float) -> None:
-        """Move the motion to a time; it rests before its first and after its last time."""
+        """Show the sample nearest to a time [s]; the first or last one for times outside."""
         actor = self.actor
         k = int(np.clip(np.searchsorted(actor.t, t), 0, actor.t.size - 1))
         if k > 0 and t - actor.t[k - 1] < actor.t[k] - t:
@@ -248,7 +269,7 @@ class _Drawn:
         self.point(k)
 
     def point(self, k: int) -> None:
-        """Set the arrows to a sample."""
+        """Update the arrows to sample ``k``."""
         for node, each in self.arrows:
             lines = _lines(each, k, self.scales[each.name], self.place)
             node.visible = self.shown[each.name] and len(lines) > 0
@@ -257,9 +278,9 @@ class _Drawn:
 
 
 def _lines(arrows: Arrows, k: int, scale: float, place: Array) -> Array:
-    """Return starts and ends of the arrows at a sample, shape (n, 2, 3), without missing ones.
+    """Return starts and ends of the arrows at a sample relative to a position, shape (n, 2, 3) [m].
 
-    They count from a place.
+    Arrows without contact or of zero length are omitted.
     """
     starts, vectors = arrows.starts[k] - place, arrows.vectors[k] * scale
     kept = np.isfinite(starts).all(axis=-1) & (np.linalg.norm(vectors, axis=-1) > 0)
@@ -269,7 +290,7 @@ def _lines(arrows: Arrows, k: int, scale: float, place: Array) -> Array:
 def _add_ground(server: viser.ViserServer, ground: Ground, layer: Layer, visible: bool) -> Any:
     import trimesh
 
-    # glTF takes colors in linear light, where those of a screen follow the curve of sRGB.
+    # glTF expects colours in linear light, not in sRGB
     light = linear(layer.colors)
     mesh = trimesh.Trimesh(
         ground.mesh.vertices, ground.mesh.faces, vertex_colors=light, process=False
@@ -279,7 +300,7 @@ def _add_ground(server: viser.ViserServer, ground: Ground, layer: Layer, visible
 
 
 def _matt(tree: dict[str, Any]) -> None:
-    """Set a matt surface for all meshes of a glTF tree; the default is metallic and dark."""
+    """Set a matt material for all meshes of a glTF tree; the default is metallic and dark."""
     tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}]
     for mesh in tree["meshes"]:
         for each in mesh["primitives"]:
@@ -287,7 +308,7 @@ def _matt(tree: dict[str, Any]) -> None:
 
 
 def linear(colors: Colors) -> Colors:
-    """Return colors of the standard sRGB in linear light, IEC 61966-2-1."""
+    """Return sRGB colours converted to linear light (IEC 61966-2-1), shape (n, 3)."""
     parts = colors / 255
     found = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
     return np.asarray(np.rint(255 * found), dtype=np.uint8)
@@ -307,7 +328,7 @@ def _add_arrows(server: viser.ViserServer, scene: Scene, root: str, arrows: Arro
 
 
 def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:
-    """Draw the tracks of all contact points."""
+    """Add the tracks of all contact points of a motion."""
     every = max(1, actor.t.size // MOST)
     points = actor.contacts[::every]
     lines = np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3)
@@ -324,7 +345,7 @@ def _add_tracks(server: viser.ViserServer, root: str, actor: Actor) -> None:
 
 def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
     """Set the camera to a view of all paths, or to a close view of the first vehicle."""
-    low, high = scene.ways.min(axis=0), scene.ways.max(axis=0)
+    low, high = scene.paths.min(axis=0), scene.paths.max(axis=0)
     middle, away = (low + high) / 2, max(0.7 * float(np.linalg.norm(high - low)), 2.5 * scene.reach)
     if scene.is_far:
         middle, away = scene.actors[0].bodies[0].origins[0], CLOSE * scene.reach
@@ -336,11 +357,13 @@ def _set_camera(server: viser.ViserServer, scene: Scene) -> None:
 
 
 class _Panel:
-    """Controls of the page."""
+    """Controls of the page: time, speed, ground, arrows and runs."""
 
     def __init__(self, server: viser.ViserServer, stage: Stage, scene: Scene, title: str) -> None:
         gui, (first, last) = server.gui, scene.span
-        gui.configure_theme(show_logo=False, show_share_button=False)  # which asks another host
+        gui.configure_theme(
+            show_logo=False, show_share_button=False
+        )  # it would contact another host
         gui.main_panel.dock_right()
         gui.set_panel_label(title)
         self.stage, self.ends = stage, (first, last)
@@ -362,7 +385,7 @@ class _Panel:
             gui.add_html("".join(f"<p>{escape(note)}</p>" for note in scene.notes))
 
     def advance(self, seconds: float) -> None:
-        """Advance the time while playing, from the end back to the start."""
+        """Advance the time by real seconds if playing; continue at the start after the end."""
         if self.playing.value:
             first, last = self.ends
             t = max(first, self.time.value)  # a page may send any number
