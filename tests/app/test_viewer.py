@@ -429,7 +429,7 @@ def test_a_port_that_is_taken_is_refused(files: list[Path]) -> None:
         words = ["show", str(files[0]), "--no-browser", "--port", str(port)]
         done = CliRunner().invoke(app, words)
     assert done.exit_code == 2
-    assert f"--port: expected a free port, found {port} taken" in done.stderr
+    assert f"--port: expected a free port, found {port} in use" in done.stderr
 
 
 def test_play_goes_on_from_the_end_to_the_start(files: list[Path], server: Any) -> None:
