@@ -117,7 +117,7 @@ def test_a_path_on_a_map_in_degrees(tmp_path: Path) -> None:
     step = 1 / 3600 / 64  # half a metre
     transform = Affine(step, 0, 15, 0, -step, 47)
     found = _solved(tmp_path, "EPSG:4326", transform, terrain='geographic = "local"', x=5.0, y=10.0)
-    assert "taken for a sphere" in found.attributes["ground_degrees"]
+    assert "treated as a sphere" in found.attributes["ground_degrees"]
     export_path(tmp_path / "out.nc", tmp_path / "path.csv")
     head, rows = _rows(tmp_path / "path.csv")
     assert head[1:4] == ["longitude", "latitude", "z"]

@@ -223,7 +223,9 @@ def test_files_beside_a_raster_do_not_change_it(tmp_path):
     assert (found.crs, found.told) == (alone.crs, alone.told)
     path = plain(tmp_path / "bare.tif")
     (tmp_path / "bare.tfw").write_text("0.5\n0\n0\n-0.5\n1000\n2000\n")
-    with pytest.raises(DataError, match=r"expected cell and registration .* world file .*not read"):
+    with pytest.raises(
+        DataError, match=r"expected cell and registration .* world files .*not read"
+    ):
         read_grid(path)
 
 
@@ -326,7 +328,9 @@ def test_tiles_in_degrees(tmp_path):
     whole = heights[240:361, 600:721][::-1].T
     assert_array_equal(found.grid.z[~hole], whole[~hole])
     path.with_name("site.hgt").write_bytes(heights.tobytes())
-    with pytest.raises(DataError, match=r"SRTM tile, .*named after its place, such as N45E006"):
+    with pytest.raises(
+        DataError, match=r"SRTM tile, .*name the file after its position, as in N45E006"
+    ):
         read_grid(path.with_name("site.hgt"))
     half = 1 / 240
     tile = heights[:121, :121].astype("int16")
@@ -360,7 +364,7 @@ def test_tiles_in_degrees(tmp_path):
             {"crs": "+proj=longlat +a=1737400 +b=1737400 +no_defs"},
             "degrees on the earth, found a body of radius 1737400 m .*gdalwarp",
         ),
-        ({"transform": from_origin(1e9, 1e9, 0.5)}, "one metre is nan m along x"),
+        ({"transform": from_origin(1e9, 1e9, 0.5)}, "1 m of the map is nan m along x"),
         ({"transform": Affine(0.2, 0.1, 5, 0.1, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"transform": Affine(-0.2, 0, 5, 0, -0.2, 7)}, "rotated, sheared or mir.*gdalwarp"),
         ({"crs": None, "transform": from_origin(15, 47, 1e-4)}, "seems to be in degrees"),
@@ -379,7 +383,7 @@ def test_a_metre_of_the_map_is_one_on_the_ground(tmp_path):
     north = 6378137 * np.arctanh(np.sin(np.pi / 3))  # of 60 degrees
     path = geotiff(tmp_path / "map.tif", crs="EPSG:3857", transform=from_origin(0, north, 0.25))
     east = 0.5 / np.sqrt(1 - 6.69437999e-3 * 0.75)  # N cos(60 degrees) / a on the ellipsoid
-    with pytest.raises(DataError, match=rf"one metre is {east:.4g} m along x and .*EPSG:3857"):
+    with pytest.raises(DataError, match=rf"1 m of the map is {east:.4g} m along x and .*EPSG:3857"):
         read_grid(path)
 
 
@@ -416,7 +420,7 @@ def test_more_geotiffs_refused(tmp_path):
         file.write(ROWS.astype("float32"), 1)
     with pytest.raises(DataError, match="3 ground control points; resample it: gdalwarp"):
         read_grid(path)
-    with pytest.raises(DataError, match=r"expected no cell for a file that says it itself, found"):
+    with pytest.raises(DataError, match=r"expected no cell for a file that contains it, found"):
         read_map(geotiff(tmp_path / "map.tif"), cell=0.25)
     with pytest.raises(DataError, match="expected a map in degrees, found EPSG:32633"):
         read_map(geotiff(tmp_path / "map.tif"), geographic="local")
@@ -447,9 +451,7 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
         ({"cell": 2.0}, "registration"),
         ({"registration": "area"}, "cell"),
     ):
-        with pytest.raises(
-            DataError, match=f"map.png: expected {lacking} for a raster .*give cell"
-        ):
+        with pytest.raises(DataError, match=f"map.png: expected {lacking} for a raster .*set cell"):
             read_map(path, **keys)
     area, point = (read_map(path, cell=2.0, registration=each).grid for each in ("area", "point"))
     assert_array_equal(area.x, [1, 3, 5, 7, 9])

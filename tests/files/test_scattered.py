@@ -74,7 +74,8 @@ def test_repeated_points_are_averaged_and_told(tmp_path):
     found = read_map(written(tmp_path / "p.xyz", points), spacing=1.0)
     assert "404, a median" in dict(found.told)["ground points"]
     assert (
-        "5 in the same places averaged, at most 0.04 m apart" in dict(found.told)["ground points"]
+        "5 at repeated positions averaged, with height differences of at most 0.04 m"
+        in dict(found.told)["ground points"]
     )
 
 
@@ -95,17 +96,17 @@ def test_outside_the_hull_are_holes_and_the_message_names_a_window(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "found no line; is the file empty"),
-        ("# nothing\n\n", "found no line"),
+        ("", "found none; check the file"),
+        ("# nothing\n\n", "found none; check the file"),
         ("x y z\n", "line 2: expected three numbers x y z, found 'no points'"),
         ("0 0 1\n1 0 x\n0 1 1\n", "line 2: expected three numbers x y z, found '1 0 x'; "),
         ("# x\n\n0 0 1\n1 0\n0 1 1\n", "line 4: expected three numbers x y z, found '1 0'; "),
         ("0 0 1 5\n1 0 1 5\n", "line 1: expected three numbers x y z, found '0 0 1 5'; .*awk"),
         ("x y z\n0 0 1\n1 0 nan\n", "line 3: expected three numbers x y z, found '1 0 nan'; "),
-        ("0 0 1\n1 0 1\n", "at least 3 points in different places, found 2"),
-        ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points in different places, found 2"),
+        ("0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
+        ("0 0 1\n0 0 1\n1 0 1\n", "at least 3 points with different x, y, found 2"),
         ("\n".join(f"{k} {k} 1" for k in range(9)), "found that they lie on a line"),
-        ("0 0 1\n1 0 1\n0 1 1\n", "at least 4 nodes each way, found 2 by 2 at spacing = 1 m"),
+        ("0 0 1\n1 0 1\n0 1 1\n", "at least 4 by 4 nodes, found 2 by 2 at spacing = 1 m"),
     ],
 )
 def test_files_refused(tmp_path, text, words):
@@ -123,7 +124,7 @@ def test_binary_files_refused(tmp_path):
 
 def test_a_missing_spacing_is_suggested(tmp_path):
     with pytest.raises(
-        DataError, match=r"expected spacing, .* neighbours is 0.2\d+ m: give spacing"
+        DataError, match=r"expected spacing, .* neighbours is 0.2\d+ m: set spacing"
     ):
         read_grid(written(tmp_path / "p.xyz", scattered()))
 

@@ -97,7 +97,7 @@ def test_degrees_taken_for_metres_are_refused(tmp_path):
         read_grid(tmp_path / "map.npz")
     found = read_map(tmp_path / "map.npz", geographic="local")
     assert_allclose(found.grid.x, geographic_to_metric(x, y, z).x)
-    assert "wrong by up to" in dict(found.told)["ground degrees"]
+    assert "errors of distances are up to" in dict(found.told)["ground degrees"]
     np.savez(tmp_path / "map.npz", x=1e3 * x, y=1e3 * y, z=z)
     with pytest.raises(DataError, match="expected a map in degrees, found one in metres"):
         read_map(tmp_path / "map.npz", geographic="local")
@@ -112,13 +112,15 @@ def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
     lengths = np.array(found.grid.spacing) * 3600
     wrong = np.abs(lengths / [78847, 111132] - 1).max()
     assert 0.002 < wrong < 0.0028
-    assert "all by up to 0.28 %" in dict(found.told)["ground degrees"]
+    assert "up to 0.28 % everywhere" in dict(found.told)["ground degrees"]
 
 
 def test_keys_that_a_file_has_no_use_for(tmp_path):
     path = written(tmp_path, HEADER + ROWS)
     for key, value in (("cell", 1.0), ("registration", "area")):
-        with pytest.raises(DataError, match=f"map.asc: expected no {key} for a file that says it"):
+        with pytest.raises(
+            DataError, match=f"map.asc: expected no {key} for a file that contains it"
+        ):
             read_map(path, **{key: value})
     with pytest.raises(DataError, match=r"map.asc: expected no spacing for a \.asc file"):
         read_map(path, spacing=1.0)
@@ -127,13 +129,16 @@ def test_keys_that_a_file_has_no_use_for(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "map.asc: expected a readable ESRI ASCII grid, found .*Copy or download it again"),
+        ("", "map.asc: expected a readable ESRI ASCII grid, found .*copy or download it again"),
         (HEADER.replace("cellsize 10\n", "") + ROWS, "expected a readable ESRI ASCII grid"),
         (HEADER.replace("xllcorner", "x") + ROWS, "expected xllcenter or xllcorner in the header"),
         (HEADER.replace("ncols 5", "ncols") + ROWS, "expected a readable ESRI ASCII grid"),
         (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "expected rows that run along x"),
-        (HEADER, "Couldn't find data values in ASCII Grid file; is the file cut off"),
-        (HEADER + ROWS[:-15], "expected 20 heights, ncols times nrows, found 15; is the file cut"),
+        (HEADER, "Couldn't find data values in ASCII Grid file; copy or download"),
+        (
+            HEADER + ROWS[:-15],
+            "expected 20 heights, ncols times nrows, found 15; correct the header",
+        ),
         (HEADER + ROWS[:-3], "expected 20 heights, ncols times nrows, found 19"),
         (HEADER + ROWS + "\n1 2 3 4 5", "expected 20 heights, ncols times nrows, found 25"),
         (HEADER + ROWS.replace("12", "1,2"), "expected numbers in line 8, found '1,2'"),
@@ -182,11 +187,15 @@ def test_npz_refuses(tmp_path):
     with pytest.raises(DataError, match="expected numbers in z, found <U1"):
         read_grid(path)
     np.savez(path, x=x, y=x, z=np.full((5, 5), None))
-    with pytest.raises(DataError, match="expected a numpy archive, found none that can be read"):
+    with pytest.raises(
+        DataError, match="expected a numpy archive, found a file that cannot be read"
+    ):
         read_grid(path)
     for content in (b"", b"no archive", path.read_bytes()[:200]):
         path.write_bytes(content)
-        with pytest.raises(DataError, match="expected a numpy archive, found none that can be"):
+        with pytest.raises(
+            DataError, match="expected a numpy archive, found a file that cannot be"
+        ):
             read_grid(path)
     with path.open("wb") as file:
         np.save(file, x)

@@ -31,9 +31,10 @@ from slipfree.terrain.grid_ops import (
 )
 
 EARTH_RADIUS = 6371008.8  # mean radius (2 a + b) / 3 of the WGS84 ellipsoid [m]
-HEADER = 1e4  # largest header of a numpy array [bytes]
+HEADER = 1e4  # size of the largest header of a numpy array [bytes]
 MAX_STRETCH = 0.01  # largest relative error of distances along x of a map in degrees
-SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3  # of that ellipsoid [m], [1]
+# semi-major axis [m] and squared eccentricity [1] of the WGS84 ellipsoid
+SEMI_MAJOR, ECCENTRICITY_2 = 6378137.0, 6.69437999014e-3
 MAX_MEDIAN_SLOPE = 50.0  # a steeper map is taken to be in degrees [1]
 UNREADABLE = (  # exceptions of numpy for a damaged archive
     ValueError,
@@ -66,14 +67,14 @@ Facts = tuple[tuple[str, str], ...]
 
 
 class Frame(NamedTuple):
-    """Relation between coordinates of a ground and of its file, ``x0 + kx x, y0 + ky y``.
+    """Coordinates of a map file, ``x0 + kx x`` and ``y0 + ky y``, from those of the ground.
 
     Attributes
     ----------
     x0, y0 : float
-        Coordinates in the file of the ground's origin. [m] or [deg]
+        Origin of the ground in coordinates of the file. [m] or [deg]
     kx, ky : float
-        Units of the file per metre of the ground.
+        Units of the file per metre of the ground. [1] or [deg/m]
     """
 
     x0: float = 0.0
@@ -88,15 +89,15 @@ class Map(NamedTuple):
     Attributes
     ----------
     grid : Grid
-        The heights. [m]
+        Heights of the ground. [m]
     frame : Frame
-        Relation between its coordinates and those of the file.
+        Relation between the coordinates of the grid and of the file.
     crs : str
         Coordinate reference system of the file such as ``"EPSG:32633"``; empty if unknown.
     geographic : bool
-        Whether the coordinates of the file are degrees.
+        Whether the coordinates of the file are longitude and latitude in degrees.
     told : tuple of (str, str)
-        Names and values of facts for users.
+        Facts about the file for summaries: names and texts.
     """
 
     grid: Grid
@@ -110,12 +111,12 @@ class Map(NamedTuple):
 
 
 def read_grid(path: str | Path) -> Grid:
-    """Return the height grid in a file that needs no further information; see `read_map`.
+    """Return the height grid in a map file, read by `read_map` with default arguments.
 
     Raises
     ------
     DataError
-        If the file cannot be read, or does not hold a complete uniform grid.
+        If the file cannot be read, or does not contain a complete uniform grid.
     """
     return read_map(path).grid
 
@@ -130,7 +131,7 @@ def read_map(
     geographic: Literal["local"] | Frame | None = None,
     fill: Literal["linear"] | None = None,
 ) -> Map:
-    """Return the map of heights in a file.
+    """Return the height map in a file.
 
     Parameters
     ----------
@@ -140,22 +141,25 @@ def read_map(
         ASCII grid), ``.hgt`` (SRTM), ``.dt0`` to ``.dt2`` (DTED), ``.img`` (ERDAS) and ``.png``
         (grey values): see `read_raster`. ``.xyz``, ``.txt``, ``.csv``: see `read_points`.
     window : tuple of 4 floats, optional
-        The part to read, x_min, x_max, y_min, y_max in the coordinates of the file; for a large
-        raster only this part is kept in memory. [m] or [deg]
-    cell, registration : float and {"area", "point"}, optional
-        Required for pictures without coordinates, an error for other files: see `Reading`.
+        Part to read, x_min, x_max, y_min, y_max in the coordinates of the file; by default the
+        whole map. Only this part of a raster is kept in memory. [m] or [deg]
+    cell : float, optional
+        Width of a cell; required for rasters without coordinates, not allowed for other files. [m]
+    registration : {"area", "point"}, optional
+        Position of the values in their cells, required together with ``cell``: see `Reading`.
     spacing : float, optional
-        Node spacing; required for scattered points, an error for other files. [m]
+        Node spacing; required for scattered points, not allowed for other files. [m]
     geographic : {"local"} or Frame, optional
-        Conversion of degrees, which are an error without it. ``"local"`` converts them to metres by
-        `geographic_to_metric`, a frame to the coordinates of another map.
+        Conversion of degrees to metres, required for maps in degrees: ``"local"`` by
+        `geographic_to_metric`, or a frame for the coordinates of another map.
     fill : {"linear"}, optional
-        Filling of holes, which are an error without it; see `fill_holes`.
+        Method of filling holes, required for maps with holes; see `fill_holes`.
 
     Raises
     ------
     DataError
-        If the file cannot be read, or does not hold a uniform grid that is complete.
+        If the file cannot be read, or does not contain a complete uniform grid, or if an argument
+        is missing or not allowed for this file.
     """
     path = Path(path)
     ending = path.suffix.lower()
@@ -180,12 +184,13 @@ def read_map(
 
 
 def takes_key(ending: str, key: str) -> bool:
-    """Return whether files of an ending take a key; keys that no format lists are for all."""
+    """Return whether a key applies to map files with an ending; most keys apply to all."""
     endings = _endings_with(key)
     return not endings or ending in endings
 
 
 def _endings_with(key: str) -> tuple[str, ...]:
+    """Return the endings of the formats that list a key."""
     return tuple(each for reader in READERS if key in reader.keys for each in reader.endings)
 
 
@@ -210,7 +215,7 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
     if local and not (found.geographic or (found.placed and fits and not found.crs)):
         raise DataError(
             f"geographic: expected a map in degrees, found {found.crs or 'one in metres'} with "
-            f"{reach}; take geographic out"
+            f"{reach}; remove geographic"
         )
     remedy = (
         '; set geographic = "local", or reproject it to metres: gdalwarp -t_srs '
@@ -226,7 +231,8 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
     if steep > MAX_MEDIAN_SLOPE:
         raise DataError(
             f"expected a map in metres, found one that seems to be in degrees: {reach}, with "
-            f"slopes of {steep:.2g} along y (median){remedy}; if it is in metres, are its heights?"
+            f"slopes of {steep:.2g} along y (median){remedy}; if x and y are in metres, check the "
+            "unit of the heights"
         )
 
 
@@ -269,19 +275,26 @@ def _degrees_words(latitude: Array, frame: Frame) -> str:
     radii = SEMI_MAJOR * (1 - ECCENTRICITY_2) / w**3, SEMI_MAJOR / w
     shape = max(abs(radius / EARTH_RADIUS - 1) for radius in radii)
     return (
-        f"made local metres about longitude {frame.x0:.9g}, latitude {frame.y0:.9g} deg (the "
-        f"origin): distances along x are wrong by up to {100 * edge:.2g} % at the northern and "
-        f"southern border, all by up to {100 * shape:.2g} % since the earth is taken for a sphere"
+        f"converted to metres from longitude {frame.x0:.9g}, latitude {frame.y0:.9g} deg (the "
+        f"origin): errors of distances are up to {100 * edge:.2g} % along x at the northern and "
+        f"southern border, and up to {100 * shape:.2g} % everywhere, since the earth is treated as "
+        "a sphere"
     )
 
 
 def _stretch(latitude: Array, frame: Frame) -> float:
-    """Return the relative error of distances along x at the border."""
+    """Return the largest relative error of distances along x, which is that at a border."""
     return float(max(abs(np.cos(np.deg2rad(latitude[[0, -1]])) * frame.kx / frame.ky - 1)))
 
 
 def local_frame(longitude: Array, latitude: Array) -> Frame:
-    """Return the frame of `geographic_to_metric`, with its origin at the first node [deg]."""
+    """Return the frame of `geographic_to_metric`, with its origin at the first node.
+
+    Parameters
+    ----------
+    longitude, latitude : ndarray, shapes (n_x,) and (n_y,)
+        Ascending coordinates of the nodes. [deg]
+    """
     middle = np.deg2rad(0.5 * (latitude[0] + latitude[-1]))
     degree = EARTH_RADIUS * np.deg2rad(1.0)
     return Frame(
@@ -293,7 +306,7 @@ def local_frame(longitude: Array, latitude: Array) -> Frame:
 
 
 def geographic_to_metric(longitude: Array, latitude: Array, z: Array) -> Grid:
-    """Return a grid in metres from one in degrees; its south-western node is at (0, 0).
+    """Return a grid converted from degrees to metres; its south-western node is at (0, 0).
 
     Parameters
     ----------
@@ -320,12 +333,12 @@ def jacksboro(scale: float = 1.0) -> Grid:
     """Return the elevation model of the Jacksboro fault, Tennessee, that matplotlib ships.
 
     It has 403 by 344 nodes with spacings of 74.4 m and 92.7 m, and heights from 236 m to 1076 m;
-    x is to the east, y to the north, the origin is the south-western node.
+    x points to the east, y to the north; the origin is the south-western node.
 
     Parameters
     ----------
     scale : float
-        Factor on all three directions, which does not change slopes. [1]
+        Factor on x, y and z, which does not change slopes. [1]
 
     Notes
     -----
@@ -349,13 +362,14 @@ def jacksboro(scale: float = 1.0) -> Grid:
 def _read_npz(path: Path, ask: Reading) -> Heights:
     """Return the map in a numpy archive."""
     x, y, z = _arrays(path)
-    grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks the axes and that all fits
+    grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
     i, j = parts(*axes_of(x, y), ask.window)
     told = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
     return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), told)
 
 
 def _read_points(path: Path, ask: Reading) -> Heights:
+    """Return the map through scattered points in a file."""
     return read_points(path, ask.spacing, ask.window)
 
 
@@ -369,7 +383,7 @@ class MapReader(NamedTuple):
     read : callable
         ``read(path, reading)`` returns the heights in a file.
     keys : tuple of str
-        Fields of `Reading` besides ``window`` that it uses.
+        Fields of `Reading`, besides ``window``, that the format uses.
     """
 
     endings: tuple[str, ...]
@@ -385,10 +399,10 @@ READERS: tuple[MapReader, ...] = (
 
 
 def _arrays(path: Path) -> tuple[Array, Array, Array]:
-    """Return x, y, z of a numpy archive."""
+    """Return the arrays x, y, z of a numpy archive; raise DataError if it is not usable."""
     try:
         with path.open("rb") as stream, warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of headers by Python 2
+            warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2
             file = np.load(stream, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
                 raise DataError(f"{path}: expected an archive, found one array; use np.savez")
@@ -396,7 +410,7 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             if largest > 8 * MAX_NODES + HEADER:
                 raise DataError(
                     f"{path}: expected at most {MAX_NODES:g} nodes, found an array of "
-                    f"{largest / 1e9:.3g} GB; cut it, or make it a GeoTIFF and name a window"
+                    f"{largest / 1e9:.3g} GB; cut it, or convert it to GeoTIFF and set a window"
                 )
             missing = sorted({"x", "y", "z"} - set(file.files))
             if missing:
@@ -409,7 +423,7 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
         if isinstance(error, DataError):
             raise
         raise DataError(
-            f"{path}: expected a numpy archive, found none that can be read "
+            f"{path}: expected a numpy archive, found a file that cannot be read "
             f"({str(error).split(': ')[0]}); write it with np.savez(path, x=x, y=y, z=z)"
         ) from error
     for name, array in arrays.items():

@@ -1,4 +1,4 @@
-"""Maps from scattered points: text files with x y z, one point per line."""
+"""Maps from scattered points: text files with x, y and z of one point per line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slipfree.records import Array
 from slipfree.terrain.grid_ops import MAX_COORDINATE, WINDOW_TOLERANCE, Axis, Heights, Window, parts
 
 NAMES = ("x", "y", "z")
-BLOCK = 2**20  # nodes interpolated at once; limits the memory
+BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
 
 
 def read_points(path: Path, spacing: float | None, window: Window | None) -> Heights:
@@ -36,26 +36,30 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     Raises
     ------
     DataError
-        If there is no spacing, or the points do not span a plane.
+        If the file is not such a table, if ``spacing`` is None or too large, or if the points lie
+        on a line or in fewer than three positions.
     """
     columns = _columns(path)
     if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
-        raise DataError(f"expected places up to {MAX_COORDINATE:g}, found {farthest:g}; correct it")
+        raise DataError(
+            f"expected coordinates of at most {MAX_COORDINATE:g} m, found {farthest:g}; "
+            "correct them"
+        )
     points, repeated, apart = _distinct(columns)
     distance = _distance(points[:, :2])
     if spacing is None:
         raise DataError(
-            "expected spacing, the distance between nodes in metres, to put points on a grid; "
-            f"found none. The median distance of {len(points)} points from their nearest "
-            f"neighbours is {distance:.3g} m: give spacing = {distance:.2g}"
+            "expected spacing, the distance between grid nodes in metres, found none; "
+            f"the median distance of {len(points)} points from their nearest "
+            f"neighbours is {distance:.3g} m: set spacing = {distance:.2g}"
         )
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     counts = np.floor((high - low) / spacing + WINDOW_TOLERANCE).astype(int) + 1
     x, y = (Axis(float(a), spacing, int(n)) for a, n in zip(low, counts, strict=True))
     if counts.min() < 4:
         raise DataError(
-            f"expected points that span at least 4 nodes each way, found {counts[0]} by "
-            f"{counts[1]} at spacing = {spacing:g} m; give a smaller one"
+            f"expected points that span at least 4 by 4 nodes, found {counts[0]} by "
+            f"{counts[1]} at spacing = {spacing:g} m; set a smaller spacing"
         )
     i, j = parts(x, y, window)
     z = _interpolated(points, low, spacing, (i, j))
@@ -63,7 +67,10 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
         f"{len(points)}, a median of {distance:.3g} m apart, for {z.size} nodes {spacing:g} m apart"
     )
     if repeated:
-        told += f"; {repeated} in the same places averaged, at most {apart:.3g} m apart in height"
+        told += (
+            f"; {repeated} at repeated positions averaged, with height differences of at most "
+            f"{apart:.3g} m"
+        )
     return Heights(
         x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"), ("ground points", told))
     )
@@ -117,7 +124,7 @@ def _layout(path: Path) -> tuple[int, list[int], str | None]:
                     delimiter,
                 )
             return number, [0, 1, 2], delimiter
-    raise DataError("expected points x y z, one a line, found no line; is the file empty?")
+    raise DataError("expected lines with x y z of a point, found none; check the file")
 
 
 def _is_number(word: str) -> bool:
@@ -129,7 +136,17 @@ def _is_number(word: str) -> bool:
 
 
 def _distinct(points: Array) -> tuple[Array, int, float]:
-    """Return the distinct points, the number of repeated ones, and their largest height range."""
+    """Return points with distinct x and y, from points of shape (n, 3) [m].
+
+    Returns
+    -------
+    points : ndarray, shape (m, 3)
+        Distinct points; heights of points with equal x and y are averaged.
+    repeated : int
+        Number of removed points.
+    apart : float
+        Largest difference of heights at the same x and y. [m]
+    """
     places, which = np.unique(points[:, :2], axis=0, return_inverse=True)
     which = which.reshape(-1)
     z = np.bincount(which, points[:, 2]) / np.bincount(which)
@@ -137,7 +154,7 @@ def _distinct(points: Array) -> tuple[Array, int, float]:
     high, low = np.full(len(places), -np.inf), np.full(len(places), np.inf)
     np.maximum.at(high, which, points[:, 2])
     np.minimum.at(low, which, points[:, 2])
-    single = high == low  # averaging would round
+    single = high == low  # not averaged, which would round
     z[single] = high[single]
     return np.column_stack([places, z]), repeated, float((high - low).max())
 
@@ -147,18 +164,36 @@ def _distance(places: Array) -> float:
     from scipy.spatial import cKDTree  # imported here: the import takes 0.2 s
 
     if len(places) < 3:
-        raise DataError(f"expected at least 3 points in different places, found {len(places)}")
+        raise DataError(
+            f"expected at least 3 points with different x, y, found {len(places)}; add points"
+        )
     return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
 
 
 def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, slice]) -> Array:
-    """Return heights at nodes, NaN outside the hull of the points."""
+    """Return heights at nodes, NaN outside the convex hull of the points.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Distinct points. [m]
+    low : ndarray, shape (2,)
+        Position of the first node. [m]
+    spacing : float
+        Distance between nodes. [m]
+    part : tuple of 2 slices
+        Indices of the nodes along x and y.
+
+    Returns
+    -------
+    ndarray, shape (n_x, n_y)
+    """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError
 
-    cells = (points[:, :2] - low) / spacing  # relative to the first node: avoids loss of digits
+    cells = (points[:, :2] - low) / spacing  # relative to the first node: less rounding
     nodes = np.rint(cells)
-    # move points to nodes within rounding, or nodes on a straight border would lie outside
+    # points within rounding of nodes are moved there: nodes on the border must be in the hull
     cells = np.where(np.abs(cells - nodes) < WINDOW_TOLERANCE, nodes, cells)
     try:
         surface = LinearNDInterpolator(cells, points[:, 2])

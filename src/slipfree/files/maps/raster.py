@@ -34,7 +34,7 @@ FORMATS = {
     "HFA": "ERDAS IMG",
     "PNG": "PNG",
 }
-NAMED = {"SRTMHGT": "is it named after its place, such as N45E006.hgt? If so, "}
+NAMED = {"SRTMHGT": "name the file after its position, as in N45E006.hgt; if it has such a name, "}
 OPTIONS = {"AAIGrid": {"DATATYPE": "Float64"}}  # the default loses digits
 CACHE = 64  # GDAL's cache of blocks [MB]
 TO_GRAY = "keep the heights alone: gdal_translate -b 1 in.tif out.tif"
@@ -53,19 +53,20 @@ WORDS = {
 
 
 class Reading(NamedTuple):
-    """Information of the user about a map file.
+    """Information that the user gives about a map file.
 
     Attributes
     ----------
     window : tuple of 4 floats or None
-        The part to read: x_min, x_max, y_min, y_max in coordinates of the file. [m] or [deg]
+        Part to read: x_min, x_max, y_min, y_max in coordinates of the file. [m] or [deg]
     cell : float or None
-        Width of a cell, for a raster without coordinates. [m]
+        Width of a cell of a raster without coordinates. [m]
     registration : {"area", "point"} or None
-        Position of the values, for such a raster: at the centres of the cells, with the border half
-        a cell outside the first node, or at nodes, with the border through the first node.
+        Position of the values of a raster without coordinates. ``"area"``: at the centres of cells,
+        so that the border is half a cell outside the first node. ``"point"``: at nodes, so that the
+        border passes through the first node.
     spacing : float or None
-        Distance of nodes, for scattered points. [m]
+        Distance between nodes for scattered points. [m]
     """
 
     window: Window | None = None
@@ -75,7 +76,23 @@ class Reading(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Positions of the nodes of a raster, and whether its first row is the southernmost."""
+    """Positions of the nodes of a raster.
+
+    Attributes
+    ----------
+    x, y : Axis
+        Coordinates of the nodes. [m] or [deg]
+    upward : bool
+        Whether the first row is the southernmost.
+    registration : {"area", "point"}
+        Position of the values, as in `Reading`.
+    crs : str
+        Name of the coordinate reference system; empty if unknown.
+    geographic : bool
+        Whether the coordinates are degrees.
+    placed : bool
+        Whether the file contains the coordinates.
+    """
 
     x: Axis
     y: Axis
@@ -87,7 +104,7 @@ class _Place(NamedTuple):
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the map in a raster file; only the blocks inside the window are read.
+    """Return the heights in a raster file, inside the window if there is one.
 
     Raises
     ------
@@ -102,9 +119,9 @@ def read_raster(path: Path, ask: Reading) -> Heights:
     # the name of an SRTM tile gives its position; others may have characters that GDAL rejects
     name = path.name if driver == "SRTMHGT" else f"raster{path.suffix.lower()}"
     with path.open("rb") as file:
-        file.read(1)  # GDAL would hide an I/O error
+        file.read(1)  # raises I/O errors, which GDAL would hide
     try:
-        # GDAL does not close the streams of a file that it cannot read
+        # the stack closes the streams of files that GDAL cannot read
         with (
             ExitStack() as opened,
             warnings.catch_warnings(),
@@ -120,12 +137,12 @@ def read_raster(path: Path, ask: Reading) -> Heights:
         words = re.sub(r"/vsi\w+/", "", str(error.__cause__ or error)).replace(name, path.name)
         raise DataError(
             f"expected a readable {FORMATS[driver]}, found {words.rstrip('.')}; "
-            f"{NAMED.get(driver, '')}is the file cut off or damaged? Copy or download it again"
+            f"{NAMED.get(driver, '')}copy or download it again: it may be cut off or damaged"
         ) from error
 
 
 def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str = "rb") -> BinaryIO:
-    """Open the raster for GDAL under one name, without access to any other file.
+    """Open the raster for GDAL; raise FileNotFoundError for any other file.
 
     GDAL looks for masks, world files, ``.aux.xml`` and other files beside a raster, which can
     change heights and coordinates, or refer to network addresses.
@@ -136,10 +153,12 @@ def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str =
 
 
 def _refuse(expected: str, found: str, remedy: str) -> NoReturn:
+    """Raise DataError with the expected and found contents and a remedy."""
     raise DataError(f"expected {expected}, found {found}; {remedy}")
 
 
 def _from_dataset(file: Any, path: Path, ask: Reading) -> Heights:
+    """Return the heights in an open raster."""
     _check_band(file)
     place = _place(file, ask)
     part = i, j = parts(place.x, place.y, ask.window)
@@ -196,7 +215,7 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
         _refuse(
             f"{math.prod(shape)} heights, ncols times nrows",
             f"{found}",
-            "is the file cut off, or its header wrong?",
+            "correct the header, or copy the file again",
         )
 
 
@@ -251,9 +270,9 @@ def _place(file: Any, ask: Reading) -> _Place:
     for name in ("cell", "registration"):
         if (value := getattr(ask, name)) is not None:
             _refuse(
-                f"no {name} for a file that says it itself",
+                f"no {name} for a file that contains it",
                 f"{name} = {value!r}",
-                f"take {name} out, or correct the file by gdal_edit",
+                f"remove {name}, or correct the file by gdal_edit",
             )
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
@@ -266,11 +285,11 @@ def _place_by_user(width: int, height: int, ask: Reading) -> _Place:
         given = {"cell": ask.cell, "registration": ask.registration}
         _refuse(
             f"{' and '.join(name for name, value in given.items() if value is None)} for a raster "
-            "that does not say where it lies",
+            "without coordinates",
             "none",
-            'give cell, the width of a cell in metres, and registration: "area" if the values '
-            'belong to the middles of cells, "point" if the outermost ones lie on the border; a '
-            "world file (such as .tfw) is not read: write its content into the raster by "
+            'set cell, the width of a cell in metres, and registration: "area" if the values '
+            'belong to the centres of cells, "point" if the outermost values are on the border; '
+            "world files (such as .tfw) are not read: write their contents into the raster by "
             "gdal_translate in.tif out.tif",
         )
     first = ask.cell / 2 if ask.registration == "area" else 0.0
@@ -321,7 +340,7 @@ def _crs(crs: Any) -> tuple[str, bool]:
 
 
 def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[str, str], ...]:
-    """Return the scale of a projected map as facts; raise DataError if it is far from one.
+    """Return the scale of a projected map as facts; raise DataError if it differs from 1 by 1 %.
 
     In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
     """
@@ -334,9 +353,9 @@ def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[
     found = _metres(crs, x, y)
     if not np.allclose(found, 1.0, rtol=0, atol=STRETCH):  # NaN outside the projection's domain
         _refuse(
-            f"a map whose metres are metres on the ground, to {100 * STRETCH:g} %",
-            f"that one metre is {found[0]:.4g} m along x and {found[1]:.4g} m along y at "
-            f"x = {x:.9g}, y = {y:.9g} ({place.crs})",
+            f"a map with a scale error of at most {100 * STRETCH:g} %",
+            f"that 1 m of the map is {found[0]:.4g} m along x and {found[1]:.4g} m along y on the "
+            f"ground at x = {x:.9g}, y = {y:.9g} ({place.crs})",
             TO_METRES,
         )
     return (
