@@ -283,7 +283,7 @@ class Dae:
         )
 
     def size_of(self, label: Label) -> float:
-        """Return the scale of a quantity in the solvers: ``size`` to the power of metres in it."""
+        """Return the scale of a quantity: ``size`` raised to the exponent of metres in its unit."""
         return float(self.size ** power_of_length(label.unit))
 
     @property

@@ -62,7 +62,7 @@ def climb_scene(climbs: Sequence[Climbed]) -> Scene:
     Parameters
     ----------
     climbs : sequence of Climbed
-        One or more.
+        Climbs to draw, at least one.
 
     Raises
     ------

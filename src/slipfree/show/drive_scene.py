@@ -86,12 +86,13 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
     Parameters
     ----------
     drives : sequence of Driven
-        One or more.
+        Motions to draw, at least one.
 
     Raises
     ------
     ModelError
-        If a motion lacks its poses or is not on the ground of the first one.
+        If a motion leaves the ground of the first one, or its ground differs by more than a wheel
+        radius.
     """
     first, grid = drives[0], drives[0].terrain.grid
     reach = max(extents(drive.vehicle)[2] for drive in drives)

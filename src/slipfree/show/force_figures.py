@@ -103,6 +103,9 @@ def tip_over(run: Trajectory, ax: Axes) -> Axes:
 def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     """Draw the tracks of the contact points in plan, coloured by utilisation, on grey ground.
 
+    The colour between two samples is that of the larger value. Where tracks cross, the track with
+    the larger value is on top.
+
     Parameters
     ----------
     run : Trajectory
@@ -110,8 +113,7 @@ def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
     grid : Grid
         The ground.
     ax : Axes
-        The axes; their aspect becomes equal. Between two samples the larger value counts, and
-        where tracks cross the largest lies on top.
+        The axes; their aspect becomes equal.
     """
     ground_drawing.muted(grid, ax, ground_drawing.around(run, grid, pad=0.15))
     x, y, values = run["contact_x"], run["contact_y"], run["utilisation"]

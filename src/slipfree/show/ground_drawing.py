@@ -75,13 +75,16 @@ def whole(grid: Grid) -> Window:
 
 
 def around(run: Trajectory, grid: Grid, pad: float) -> Window:
-    """Return the window around the contacts, with the proportions of the map if possible."""
+    """Return the window around path and contacts of a motion, with a margin as in `about` [m]."""
     x, y = (np.concatenate([run[name], run[f"contact_{name}"].ravel()]) for name in "xy")
     return about(x, y, grid, pad)
 
 
 def about(x: Array, y: Array, grid: Grid, pad: float) -> Window:
-    """Return the window around positions, with the proportions of the map if possible."""
+    """Return the window around positions, with the proportions of the map if possible [m].
+
+    The margin on each side is at least ``pad`` times the extent of the positions, within the map.
+    """
     west, east, south, north = whole(grid)
     sides = []
     for name, at, low, high in (("x", x, west, east), ("y", y, south, north)):

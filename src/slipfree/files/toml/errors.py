@@ -134,7 +134,7 @@ def similar_hint(name: str, known: Sequence[str]) -> str:
 
 
 def listed(known: Sequence[str]) -> str:
-    """Return names separated by commas; of more than 60 names, the first 60."""
+    """Return names separated by commas; at most 60 names, then the number of further ones."""
     more = len(known) - MAX_LISTED
     return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
