@@ -186,6 +186,9 @@ class Dae:
         stabilisation terms.
     continuation : Continuation or None
         Continuation for starts at which Newton's method alone does not converge.
+    rest : SX, shape (k, 1)
+        Initial guess of the last ``k`` states from the others. These states relax to an equilibrium
+        while the others are held, and `slipfree.settle` finds it. Empty if there are none.
     lookups : tuple of Lookup
         Coefficients of the ground that the expressions contain as symbols; `function` evaluates
         them.
@@ -230,6 +233,7 @@ class Dae:
     size: float = 1.0
     suppress_algebraic: bool = False
     continuation: Continuation | None = None
+    rest: ca.SX = ca.SX(0, 1)  # noqa: RUF009 - never changed
     lookups: tuple[Lookup, ...] = ()
 
     def __post_init__(self) -> None:

@@ -30,7 +30,7 @@ def test_a_vehicle_file_by_itself():
         "  wheel right_drive: driven, torus r1 0.02, r2 0.13 m, 1.5 kg",
     ]
     assert facts(found)["inputs"] == "2: left_drive_rate, right_drive_rate"
-    assert facts(found)["suspension"] == "0 of 0 needed"
+    assert facts(found)["suspension"] == "0 of 0 for exact contact of all wheels"
     assert facts(found)["condition of rates"].endswith("at the start, weakest in caster_rate")
     notes = [words for name, words in found.facts if name == "vehicle file"]
     assert notes[0] == "omitted, since they carry no wheel and no mass: lidar_mount"
@@ -90,10 +90,9 @@ def test_what_can_be_said_of_what_is_no_vehicle(tmp_path):
     assert "  p: turns about -x by a (suspension)" in result.stdout
     assert "not connected to the platform: q, on r" in result.stdout
     assert "not connected to the platform: wheel four, on hub" in result.stdout
-    assert "1: a; 2 needed" in result.stdout
+    assert "1: a; at most 2" in result.stdout
     faults = [line.partition("v.toml:")[2] for line in result.stderr.splitlines()]
     assert [fault.partition(": expected")[0] for fault in faults] == [
-        "3: coordinates",
         "6: joints[1].parent (joint 'q')",
         "13: wheels[3].parent (wheel 'four')",
     ]

@@ -31,6 +31,7 @@ from slipfree.laws.protocols import (
     wheel_labels,
 )
 from slipfree.laws.registry import GROUND_LAWS, SLIP_LAWS
+from slipfree.records import Label
 from slipfree.terrain.base import Terrain
 from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
@@ -48,9 +49,9 @@ class WeightedSlip:
     def check(self, vehicle: Vehicle) -> None:
         """Accept every vehicle."""
 
-    def unknowns(self, vehicle: Vehicle) -> Multipliers:
+    def unknowns(self, vehicle: Vehicle, constraints: tuple[Label, ...]) -> Multipliers:
         """Return the labels of the multipliers."""
-        return LeastSlip().unknowns(vehicle)
+        return LeastSlip().unknowns(vehicle, constraints)
 
     def equations(self, motion: Motion, unknowns: Multipliers) -> Equations:
         """Return the stationarity conditions."""
@@ -58,7 +59,7 @@ class WeightedSlip:
         for contact, slip in zip(motion.contacts, motion.slips, strict=True):
             cost += ca.dot(contact.along, slip) ** 2 / 2
             cost += self.across * ca.dot(contact.across, slip) ** 2 / 2
-        return stationarity(cost, motion, unknowns, self.unknowns(motion.vehicle))
+        return stationarity(cost, motion, unknowns)
 
 
 class Loads(NamedTuple):

@@ -20,6 +20,7 @@ from slipfree import (
     simulate,
 )
 from slipfree.catalog import three_wheeler
+from slipfree.contact.closure import has_exact_closure
 from slipfree.geometry.frame import Pose, platform, quaternion, translation, turn
 from slipfree.models.montana import montana_kinematics
 from slipfree.vehicle.sections.disc import Disc
@@ -116,9 +117,9 @@ def test_a_sliding_joint_moves_its_part_along_its_axis():
     assert vehicle.unit("steer") == "rad"
 
 
-def test_too_few_suspension_coordinates_are_counted():
-    with pytest.raises(ModelError, match="4 wheels need 1 suspension coordinates, found 0"):
-        four_wheels(rock=False)
+def test_wheels_beyond_exact_contact_need_no_suspension():
+    assert not has_exact_closure(four_wheels(rock=False))
+    assert has_exact_closure(four_wheels(rock=True))
 
 
 def changed(**parts):

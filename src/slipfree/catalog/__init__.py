@@ -1,6 +1,12 @@
 """Vehicles that come with the package, by function."""
 
-from slipfree.catalog.carts import ackermann, articulated, differential_drive, skid_steer
+from slipfree.catalog.carts import (
+    ackermann,
+    articulated,
+    differential_drive,
+    rigid_skid_steer,
+    skid_steer,
+)
 from slipfree.catalog.rovers import open_source_rover, rocky7
 from slipfree.catalog.step_climber import seven_wheels
 from slipfree.catalog.three_wheelers import three_wheeler
@@ -10,6 +16,7 @@ __all__ = [
     "articulated",
     "differential_drive",
     "open_source_rover",
+    "rigid_skid_steer",
     "rocky7",
     "seven_wheels",
     "skid_steer",

@@ -16,6 +16,7 @@ from slipfree.vehicle.tree import Body, Coordinate, Joint, Vehicle
 from slipfree.vehicle.wheel import ORIGIN, Wheel
 
 SIDES = {"right": 1.0, "left": -1.0}
+AXLE_NAMES = {2: ("front", "rear"), 3: ("front", "middle", "rear")}
 
 
 def differential_drive(
@@ -202,6 +203,60 @@ def skid_steer(
         wheels,
         Body(mass, center_of_mass),
     )
+
+
+def rigid_skid_steer(
+    *,
+    axles: int = 2,
+    half_track: float = 0.285,
+    wheelbase: float = 0.51,
+    r1: float = 0.05,
+    r2: float = 0.115,
+    mass: float = 38.0,
+    center_of_mass: Vector = (0.0, 0.0, 0.05),
+    wheel_mass: float = 2.0,
+    grip: float = 1.0,
+) -> Vehicle:
+    """Return a rigid robot with two driven wheels on each of its axles, and no suspension.
+
+    It cannot stand on all wheels at once on uneven ground: its wheels are pressed into the ground,
+    and it rocks from one set of three wheels to another. The platform's centre is in the middle of
+    the axles, whose size is typical of outdoor research robots.
+
+    Parameters
+    ----------
+    axles : int
+        Number of axles: two for a four-wheeler, three for a six-wheeler.
+    half_track, wheelbase : float
+        From the middle to a wheel, and between the first and the last axle. [m]
+    r1, r2 : float
+        Of the wheels. [m]
+    mass, center_of_mass, wheel_mass, grip
+        As in `three_wheeler`.
+
+    Raises
+    ------
+    ModelError
+        If a length that must be positive is not, or the number of axles is not 2 or 3.
+    """
+    _positive("rigid_skid_steer", half_track=half_track, wheelbase=wheelbase)
+    if axles not in AXLE_NAMES:
+        raise ModelError(f"rigid_skid_steer: expected axles = 2 or 3, found {axles}")
+    names, section = AXLE_NAMES[axles], section_of_radii(r1, r2)
+    wheels = [
+        wheel
+        for k, name in enumerate(names)
+        for wheel in _pair(
+            f"{name}_",
+            "platform",
+            half_track,
+            wheelbase / 2 - k * wheelbase / (axles - 1),
+            section,
+            mass=wheel_mass,
+            grip=grip,
+        )
+    ]
+    return Vehicle("rigid_skid_steer", (), (), tuple(wheels), Body(mass, center_of_mass))
 
 
 def articulated(

@@ -12,9 +12,11 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from slipfree.errors import ModelError
 from slipfree.geometry.frame import Pose
 from slipfree.lookups import LookupTable
 from slipfree.terrain.base import Terrain
+from slipfree.vehicle.tree import Vehicle
 from slipfree.vehicle.wheel import Wheel
 
 
@@ -44,6 +46,27 @@ class ContactFrame(NamedTuple):
     axle: ca.SX
     uprightness: ca.SX
     hessian: ca.SX
+
+
+def has_exact_closure(vehicle: Vehicle) -> bool:
+    """Return whether all wheels of a vehicle can touch a rigid ground in every configuration.
+
+    Every wheel adds one constraint. Three of them determine the pose of the platform, and each
+    further one needs a suspension coordinate.
+    """
+    return len(vehicle.of("suspension")) == len(vehicle.wheels) - 3
+
+
+def check_exact_closure(vehicle: Vehicle, model: str) -> None:
+    """Raise ModelError if a model needs exact closure and the vehicle does not have it."""
+    if not has_exact_closure(vehicle):
+        wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
+        raise ModelError(
+            f"{model}: expected a vehicle whose wheels can all touch a rigid ground, that is, "
+            f"{wheels - 3} suspension coordinates for {wheels} wheels, found {given} in "
+            f"{vehicle.name!r}; direct_kinematics and inverse_kinematics take other vehicles, with "
+            "wheels that are pressed into the ground"
+        )
 
 
 def contact_frame(

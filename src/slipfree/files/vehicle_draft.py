@@ -67,7 +67,7 @@ class UnfitError(DataError):
 
 
 def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
-    """Yield an error if the numbers of wheels and suspension coordinates do not match.
+    """Yield an error if there are too few wheels or too many suspension coordinates.
 
     Yields
     ------
@@ -78,29 +78,12 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     if count < 3:
         yield "at least three wheels, so that the vehicle can stand", f"{count}; add wheels"
         return
-    needed = count - 3
-    expected = f"{needed} suspension coordinates for {count} wheels, one for each beyond three"
-    have = ", ".join(given) or "none"
-    if len(given) > needed:
-        more = len(given) - needed
+    most = count - 3
+    if (more := len(given) - most) > 0:
         yield (
-            expected,
-            (
-                f"{len(given)}, {more} too many: {have}; remove {more}, or set the kind of {more} "
-                "of them to 'passive' or 'commanded', or add wheels"
-            ),
-        )
-    elif len(given) < needed:
-        fewer = needed - len(given)
-        others = [c.name for c in draft.coordinates if c.kind != "suspension"]
-        among = f" ({', '.join(others)})" if others else ""
-        yield (
-            expected,
-            (
-                f"{len(given)}, {fewer} too few: {have}; not all wheels could touch the ground: "
-                "add a joint with a suspension coordinate, or set the kind of another coordinate "
-                f"to 'suspension'{among}"
-            ),
+            f"at most {most} suspension coordinates for {count} wheels, one for each beyond three",
+            f"{len(given)}, {more} too many: {', '.join(given)}; remove {more}, or set the kind of "
+            f"{more} of them to 'passive' or 'commanded', or add wheels",
         )
 
 

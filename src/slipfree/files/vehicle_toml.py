@@ -177,6 +177,7 @@ class AnyWheelTable(Record):
     axle: Axis | None = None
     grip: Positive = 1.0
     mass: NonNegative = 0.0
+    static_depth: Annotated[Positive, AfterValidator(meters)] | None = None
 
 
 class WheelTable(AnyWheelTable):
@@ -514,9 +515,9 @@ def _joint(table: JointTable) -> Joint:
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
     """Return the wheel of a table; its axle is ``sideways`` by default."""
-    given = table.model_dump(include={"name", "parent", "at", "driven", "grip", "mass"})
+    names = {"name", "parent", "at", "driven", "grip", "mass", "static_depth"}
     axle = sideways if table.axle is None else table.axle
-    return Wheel(**given, section=_section_of(table), axle=axle)
+    return Wheel(**table.model_dump(include=names), section=_section_of(table), axle=axle)
 
 
 def _section_of(table: AnyWheelTable) -> Section:

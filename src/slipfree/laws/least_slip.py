@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from slipfree.laws.protocols import Equations, Motion, wheel_labels
+from slipfree.laws.protocols import Equations, Motion
 from slipfree.records import Label, pack
 from slipfree.vehicle.tree import Vehicle
 
 
 class Multipliers(NamedTuple):
-    """Lagrange multipliers of the contact conditions, one per wheel [m/s]."""
+    """Lagrange multipliers of the constraints on the rates."""
 
     multipliers: tuple[Any, ...]
 
@@ -24,52 +24,64 @@ class LeastSlip:
 
     The rates are the stationary point of ``L = 1/2 sum s.s + sum lambda n.s``: they minimise the
     sum of squares of the slip velocities ``s`` while no wheel leaves or enters the ground. Since
-    ``n.s`` vanishes, only the tangential slip counts. On real ground the motion also depends on
-    friction: this law gives a lower bound of the slip, not a prediction.
+    ``n.s`` vanishes, only the tangential slip counts. Pressed wheels relax instead, and a wheel in
+    the air does not count. On real ground the motion also depends on friction: this law gives a
+    lower bound of the slip, not a prediction.
     """
 
     def check(self, vehicle: Vehicle) -> None:
         """Accept every vehicle."""
 
-    def unknowns(self, vehicle: Vehicle) -> Multipliers:
-        """Return the labels of the multipliers."""
-        words = "multiplier of the contact in the least-slip condition"
-        return Multipliers(wheel_labels(vehicle, "multiplier", "m s-1", words))
+    def unknowns(self, vehicle: Vehicle, constraints: tuple[Label, ...]) -> Multipliers:  # noqa: ARG002
+        """Return the labels of the multipliers, one for each constraint."""
+        return Multipliers(tuple(_multiplier(each) for each in constraints))
 
     def equations(self, motion: Motion, unknowns: Multipliers) -> Equations:
         """Return the stationarity conditions with respect to rates and multipliers."""
-        cost = ca.SX(sum(0.5 * ca.sumsqr(slip) for slip in motion.slips))
-        return stationarity(cost, motion, unknowns, self.unknowns(motion.vehicle))
+        pairs = zip(motion.weights, motion.slips, strict=True)
+        return stationarity(ca.SX(sum(0.5 * w * ca.sumsqr(s) for w, s in pairs)), motion, unknowns)
 
 
-def stationarity(
-    cost: ca.SX, motion: Motion, unknowns: Multipliers, labels: Multipliers
-) -> Equations:
-    """Return the conditions for the rates of least cost at which all wheels keep contact.
+def stationarity(cost: ca.SX, motion: Motion, unknowns: Multipliers) -> Equations:
+    """Return the conditions for the rates of least cost that meet the constraints.
 
     Parameters
     ----------
     cost : SX, shape (1, 1)
         Function of the slip velocities. [m^2/s^2]
     motion : Motion
-        Rates and slip velocities.
-    unknowns, labels : Multipliers
-        Multipliers of the contacts and their labels.
+        Rates, slip velocities and constraints.
+    unknowns : Multipliers
+        Multipliers of the constraints.
     """
-    lagrangian = cost
-    for slip, contact, multiplier in zip(
-        motion.slips, motion.contacts, unknowns.multipliers, strict=True
-    ):
-        lagrangian += multiplier * ca.dot(contact.normal, slip)
+    names, rows = motion.constraints
+    lagrangian = cost + sum(
+        multiplier * row
+        for multiplier, row in zip(unknowns.multipliers, ca.vertsplit(rows), strict=True)
+    )
+    units = [slip_unit(label.unit) for label in motion.labels] + [label.unit for label in names]
     return Equations(
         tuple(
-            Label("least_slip", slip_unit(label.unit), f"least-slip condition for {label.full}")
-            for label in (*motion.labels, *labels.multipliers)
+            Label("least_slip", unit, f"least-slip condition for {label.full}")
+            for unit, label in zip(units, (*motion.labels, *names), strict=True)
         ),
         ca.gradient(lagrangian, ca.vertcat(motion.rates, pack(unknowns))),
     )
 
 
+def _multiplier(constraint: Label) -> Label:
+    """Return the label of the multiplier of a constraint."""
+    name = "multiplier" if constraint.wheel else f"multiplier_{constraint.name}"
+    unit = {"m s-1": "m s-1", "1": "m2 s-2", "m": "m s-2"}[constraint.unit]
+    return Label(name, unit, f"multiplier of the {constraint.words}", constraint.wheel)
+
+
 def slip_unit(unit: str) -> str:
     """Return the unit of the derivative of a squared slip velocity with respect to a rate."""
-    return {"m s-1": "m s-1", "rad s-1": "m2 s-1", "m2 s-1": "rad s-1"}[unit]
+    return {
+        "m s-1": "m s-1",
+        "rad s-1": "m2 s-1",
+        "m2 s-1": "rad s-1",
+        "m2 s-2": "1",
+        "m s-2": "m",
+    }[unit]

@@ -58,6 +58,11 @@ class Motion(NamedTuple):
         Rates that are not commanded. [m/s, rad/s]
     labels : tuple of Label
         Labels of these rates.
+    constraints : Equations
+        Conditions on the rates that every law keeps, linear in them: no wheel moves along the
+        ground's normal, or pressed wheels relax.
+    weights : tuple of SX or float
+        Weight of each wheel's slip: one on the ground, zero in the air. [1]
     """
 
     vehicle: Vehicle
@@ -65,6 +70,8 @@ class Motion(NamedTuple):
     slips: tuple[ca.SX, ...]
     rates: ca.SX
     labels: tuple[Label, ...]
+    constraints: Equations
+    weights: tuple[Any, ...]
 
 
 @runtime_checkable
@@ -78,7 +85,7 @@ class SlipLaw(Protocol):
     def check(self, vehicle: Vehicle) -> None:
         """Raise ModelError if the law does not suit the vehicle."""
 
-    def unknowns(self, vehicle: Vehicle) -> Any:
+    def unknowns(self, vehicle: Vehicle, constraints: tuple[Label, ...]) -> Any:
         """Return the labels of the unknowns that the law adds to the rates."""
 
     def equations(self, motion: Motion, unknowns: Any) -> Equations:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from slipfree.contact.closure import check_exact_closure
 from slipfree.errors import ModelError
 from slipfree.laws.protocols import Equations, Motion, component_labels
+from slipfree.records import Label
 from slipfree.vehicle.tree import Vehicle
 
 
@@ -26,6 +28,7 @@ class Rolling:
                 f"{vehicle.name} has wheels with rollers, which cannot roll without slip; use "
                 "least slip: LeastSlip(), slip = 'least'"
             )
+        check_exact_closure(vehicle, "Rolling()")
         found, needed = rolling_counts(vehicle)
         if found != needed:
             raise ModelError(
@@ -34,7 +37,11 @@ class Rolling:
                 "slip: LeastSlip(), slip = 'least'"
             )
 
-    def unknowns(self, vehicle: Vehicle) -> tuple[()]:  # noqa: ARG002 - of the protocol
+    def unknowns(
+        self,
+        vehicle: Vehicle,  # noqa: ARG002 - of the protocol
+        constraints: tuple[Label, ...],  # noqa: ARG002
+    ) -> tuple[()]:
         """Return no labels: the rates are the only unknowns."""
         return ()
 

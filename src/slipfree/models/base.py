@@ -39,6 +39,27 @@ def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[s
     return dict(zip(names, (*x.joints, *position.suspension), strict=True))
 
 
+def level_heights(
+    vehicle: Vehicle, terrain: Terrain, x: Configuration, lookups: LookupTable
+) -> tuple[ca.SX, list[ca.SX]]:
+    """Return the heights of a level platform at which each wheel touches the ground below it.
+
+    Returns
+    -------
+    heights : SX, shape (n_wheels, 1)
+        Heights of the platform's centre, with all suspension coordinates zero. [m]
+    centers : list of SX, shape (3, 1)
+        Centres of the wheels relative to the height of the platform's centre. [m]
+    """
+    level = Dependent(0, 0, 0, tuple(0 for _ in vehicle.of("suspension")), ())
+    centers = [carrier.origin for carrier in carriers(vehicle, x, level)]
+    heights = [
+        terrain.height(c[0], c[1], lookups) + wheel.radius - c[2]
+        for c, wheel in zip(centers, vehicle.wheels, strict=True)
+    ]
+    return ca.vertcat(*heights), centers
+
+
 def spins(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
     """Return the rates of all wheels, driven or free [rad/s]."""
     driven, free = iter(u.wheels), iter(rates.free)

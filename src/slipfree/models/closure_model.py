@@ -20,6 +20,7 @@ from slipfree.models.base import (
     carriers,
     extent,
     joint_rates,
+    level_heights,
     outputs,
     sizes,
     spins,
@@ -27,7 +28,7 @@ from slipfree.models.base import (
 )
 from slipfree.models.limits import limits_of
 from slipfree.models.quantities import Quantities
-from slipfree.models.records import Algebraic, Dependent
+from slipfree.models.records import Algebraic
 from slipfree.models.slip import slip_velocities
 from slipfree.models.statics import force_outputs, mechanics
 from slipfree.models.tip_over import tip_over_margin
@@ -141,13 +142,7 @@ def _closures(q: Quantities) -> ca.SX:
 
 def _guess(q: Quantities, labels: Labels) -> ca.SX:
     """Return the initial guess: a level platform, contacts below the wheels' centres."""
-    level = Dependent(0, 0, 0, tuple(0 for _ in q.position.suspension), ())
-    centers = [carrier.origin for carrier in carriers(q.vehicle, q.x, level)]
-    lifts = [
-        q.terrain.height(c[0], c[1], q.lookups) + wheel.radius - c[2]
-        for c, wheel in zip(centers, q.vehicle.wheels, strict=True)
-    ]
-    places = [c[:2] for c in centers]
-    rest = ca.SX.zeros(len(level.suspension) + 2)
+    heights, centers = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
+    pose = ca.vertcat(ca.sum1(heights) / len(centers), ca.SX.zeros(2 + len(q.position.suspension)))
     others = at_rest(q.vehicle, labels.z[1:])
-    return ca.densify(ca.vertcat(sum(lifts) / len(lifts), rest, *places, others))
+    return ca.densify(ca.vertcat(pose, *(center[:2] for center in centers), others))

@@ -95,7 +95,7 @@ def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
     names = [label.full for label in leaves((labels[6:], direct.labels.u))]
     slides = {f"{c.name}_rate" for c in vehicle.coordinates if vehicle.unit(c.name) == "m"}
     a = ca.jacobian(law, ca.vertcat(*platform, *others))
-    turning = ca.inv(omega(direct.x.heading, direct.z.position.roll))
+    turning = ca.inv(omega(direct.x.heading, direct.named("roll")[0]))
     sizes = [1.0] * 3 + [size] * 6 + [1.0 if name in slides else radius for name in names]
     columns = ca.horzcat(a[:, :3], a[:, 3:6] @ turning, a[:, 3:]) @ ca.diag(1 / ca.DM(sizes))
     speed = ca.sqrt(rates.x**2 + rates.y**2)

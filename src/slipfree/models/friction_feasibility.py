@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import contact_frame
+from slipfree.contact.closure import check_exact_closure, contact_frame
 from slipfree.errors import ModelError
 from slipfree.geometry.frame import platform
 from slipfree.lookups import LookupTable, lookup_function
@@ -58,6 +58,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
             f"best_utilisation: expected a vehicle with mass, found none in {vehicle.name}; give "
             "its platform or its wheels a mass"
         )
+    check_exact_closure(vehicle, "best_utilisation")
     labels = labels_of(vehicle)
     sought = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)

@@ -77,7 +77,7 @@ def derived_rates(direct: Dae) -> dict[str, Derived]:
     """
     rates, c, s = direct.z.rates, ca.cos(direct.x.heading), ca.sin(direct.x.heading)
     euler = ca.vertcat(rates.heading, rates.roll, rates.pitch)
-    turning = omega(direct.x.heading, direct.z.position.roll) @ euler
+    turning = omega(direct.x.heading, direct.named("roll")[0]) @ euler
     words = "angular velocity of the platform about"
     labels = {name: Label(name, "rad s-1", f"{words} {name[-1]}") for name in OMEGA}
     planar = [c * rates.y - s * rates.x, c * rates.x + s * rates.y, rates.heading]

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import casadi as ca
+
+from slipfree.contact.closure import has_exact_closure
 from slipfree.dae import Dae, Labels
 from slipfree.forks import computing
 from slipfree.laws.least_slip import LeastSlip
-from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law
+from slipfree.laws.protocols import Equations, Motion, SlipLaw, check_law, wheel_labels
 from slipfree.models.closure_model import closure_dae, closure_quantities
 from slipfree.models.labels import labels_of
+from slipfree.models.pressed_model import SMOOTHING, pressed_dae
 from slipfree.models.quantities import Quantities
 from slipfree.models.statics import following_forces
-from slipfree.records import leaves, pack
+from slipfree.records import Label, leaves, pack
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import Vehicle
 
@@ -21,6 +25,7 @@ def direct_kinematics(
     terrain: Terrain,
     *,
     slip: SlipLaw = LeastSlip(),  # noqa: B008 - a frozen record
+    smoothing: float = SMOOTHING,
 ) -> Dae:
     """Return the kinematic model of a vehicle on a ground for given rates.
 
@@ -35,6 +40,9 @@ def direct_kinematics(
         The ground; contacts keep to its domain.
     slip : SlipLaw
         `LeastSlip`, for every vehicle; or `Rolling`, for vehicles that can roll without slip.
+    smoothing : float
+        Width, in static depths, over which the load of a pressed wheel that leaves the ground
+        fades; only for vehicles that exact closure cannot place.
 
     Returns
     -------
@@ -67,7 +75,9 @@ def direct_kinematics(
       outputs: wheel_angle, work, contact_z, center_x, center_y, center_z, slip_along, ...
     """
     check_slip_law(vehicle, slip)
-    labels = labels_of(vehicle, slip.unknowns(vehicle))
+    if not has_exact_closure(vehicle):
+        return pressed_dae(vehicle, terrain, slip, smoothing)
+    labels = labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle)))
     z, q = closure_quantities(vehicle, terrain, labels)
     return closure_dae(labels, z, q, slip_equations(slip, labels, q), following_forces(q))
 
@@ -79,7 +89,23 @@ def check_slip_law(vehicle: Vehicle, slip: SlipLaw) -> None:
 
 
 def slip_equations(slip: SlipLaw, labels: Labels, q: Quantities) -> Equations:
-    """Return the equations of the rates by a slip law."""
-    names = tuple(leaves(labels.z.rates.motion))
-    motion = Motion(q.vehicle, q.contacts, q.slips, pack(q.rates.motion), names)
+    """Return the equations of the rates by a slip law, for wheels in exact contact."""
+    normal = [
+        ca.dot(contact.normal, velocity)
+        for contact, velocity in zip(q.contacts, q.slips, strict=True)
+    ]
+    motion = Motion(
+        q.vehicle,
+        q.contacts,
+        q.slips,
+        pack(q.rates.motion),
+        tuple(leaves(labels.z.rates.motion)),
+        Equations(contact_labels(q.vehicle), ca.vertcat(*normal)),
+        (1.0,) * len(q.slips),
+    )
     return slip.equations(motion, q.rates.law)
+
+
+def contact_labels(vehicle: Vehicle) -> tuple[Label, ...]:
+    """Return the labels of the normal velocities of the wheels, which vanish in exact contact."""
+    return wheel_labels(vehicle, "contact", "m s-1", "contact in the least-slip condition")

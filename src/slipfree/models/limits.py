@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import casadi as ca
 import numpy as np
 
-from slipfree.contact.closure import ContactFrame
+from slipfree.contact.closure import ContactFrame, has_exact_closure
 from slipfree.contact.closure import relative_curvature as curvature_of
 from slipfree.dae import Limit
 from slipfree.models.base import values_of
@@ -102,10 +102,10 @@ def tip_over(q: Quantities) -> Iterator[Limit]:
 
 
 def lift_off(q: Quantities) -> Iterator[Limit]:
-    """Yield the normal force of each wheel."""
-    for wheel, force in zip(
-        q.vehicle.wheels if q.vehicle.mass else (), q.forces.normal, strict=True
-    ):
+    """Yield the normal force of each wheel; wheels without exact closure may lift off."""
+    if not (q.vehicle.mass and has_exact_closure(q.vehicle)):
+        return
+    for wheel, force in zip(q.vehicle.wheels, q.forces.normal, strict=True):
         words = (
             f"wheel {wheel.name} lifts off: equilibrium would need a negative normal force "
             "(normal force)"

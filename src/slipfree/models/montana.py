@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from slipfree.contact.certify import SecondContact
-from slipfree.contact.closure import ContactFrame, contact_frame
+from slipfree.contact.closure import ContactFrame, check_exact_closure, contact_frame
 from slipfree.contact.montana import ContactCoordinates, contact_rates, pair
 from slipfree.dae import Dae, Labels, Limit
 from slipfree.errors import ModelError
@@ -40,7 +40,7 @@ from slipfree.models.base import (
     spins,
     touch_function,
 )
-from slipfree.models.kinematics import check_slip_law, slip_equations
+from slipfree.models.kinematics import check_slip_law, contact_labels, slip_equations
 from slipfree.models.labels import labels_of
 from slipfree.models.limits import limits_of
 from slipfree.models.quantities import Quantities
@@ -182,7 +182,9 @@ def montana_kinematics(
     """
     check_slip_law(vehicle, slip)
     _check(vehicle, kappa)
-    labels = _assembly_labels(labels_of(vehicle, slip.unknowns(vehicle)), vehicle)
+    labels = _assembly_labels(
+        labels_of(vehicle, slip.unknowns(vehicle, contact_labels(vehicle))), vehicle
+    )
     x, z = symbols(labels.x), symbols(labels.z)
     q, rolls, q_dot = _quantities(vehicle, terrain, x, z, symbols(labels.u), kappa)
     law = slip_equations(slip, labels, q)
@@ -222,6 +224,7 @@ def montana_kinematics(
 
 
 def _check(vehicle: Vehicle, kappa: float) -> None:
+    check_exact_closure(vehicle, "montana_kinematics")
     if any(wheel.rollers for wheel in vehicle.wheels):
         raise ModelError("Montana's form takes wheels without rollers; use the closure")
     if not (np.isfinite(kappa) and kappa >= 0):

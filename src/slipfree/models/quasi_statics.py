@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from slipfree.contact.closure import check_exact_closure
 from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
@@ -72,6 +73,7 @@ def quasi_statics(
             f"quasi-statics: expected a vehicle with mass, found none in {vehicle.name!r}; give "
             "its platform or its wheels a mass"
         )
+    check_exact_closure(vehicle, "quasi_statics")
     law.check(vehicle, terrain)
     labels = labels_of(vehicle, law.unknowns(vehicle), follow=False)
     z, q = closure_quantities(vehicle, terrain, labels)

@@ -23,6 +23,25 @@ class Configuration(NamedTuple):
     joints: tuple[Any, ...]
 
 
+class RelaxedState(NamedTuple):
+    """Differential states of a vehicle with pressed wheels: all coordinates. [m, rad]."""
+
+    x: Any
+    y: Any
+    heading: Any
+    joints: tuple[Any, ...]
+    z: Any
+    roll: Any
+    pitch: Any
+    suspension: tuple[Any, ...]
+
+
+class PressedContacts(NamedTuple):
+    """Contact points of pressed wheels, the only unknowns of position. [m]."""
+
+    contacts: tuple[ContactPoint, ...]
+
+
 class ContactPoint(NamedTuple):
     """Ground coordinates of a contact point, ``u_g`` and ``v_g`` [m]."""
 
@@ -86,7 +105,7 @@ class Forces(NamedTuple):
 class Algebraic(NamedTuple):
     """Algebraic unknowns in the blocks that determine them."""
 
-    position: Dependent
+    position: Any  # Dependent in exact contact, else PressedContacts
     rates: Rates
     forces: Forces
 
@@ -145,6 +164,9 @@ class Outputs(NamedTuple):
     yaw: Any
     quaternion: tuple[Any, ...]
     forces: ForceOutputs | tuple[()]
+    depth: tuple[Any, ...] = ()
+    load_share: tuple[Any, ...] = ()
+    force_normal: tuple[Any, ...] = ()
 
 
 def state_coordinates(vehicle: Vehicle) -> tuple[str, ...]:

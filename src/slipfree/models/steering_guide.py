@@ -21,7 +21,6 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.geometry.frame import Pose
 from slipfree.laws.least_slip import slip_unit
-from slipfree.models.base import values_of
 from slipfree.models.given_rates import COMMANDS, Minimum, derived_rates, minimum
 from slipfree.rearrange import Variable, new_variable
 from slipfree.records import Label, pack
@@ -54,7 +53,7 @@ def steering_effects(
     Directions are angles about the platform's up axis, left positive. Coordinates without effect
     are omitted. [rad/rad, rad/m]
     """
-    values = values_of(vehicle, direct.x, direct.z.position)
+    values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     poses = vehicle.carriers(Pose(ca.SX.eye(3), ca.SX.zeros(3)), values)
     angles = ca.vertcat(*(ca.atan2(pose.rotation[1, 0], pose.rotation[0, 0]) for pose in poses))
     column, found = ca.vertcat(*values.values()), dict[str, dict[int, ca.SX]]()
@@ -82,7 +81,7 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) ->
         new_variable(direct, replace(label, name=f"guide_{label.name}"))
         for label in _pose_rates(names)
     )
-    multipliers = [replace(label, name="guide_multiplier") for label in names.law.multipliers]
+    multipliers = [replace(label, name=f"guide_{label.name}") for label in names.law.multipliers]
     multipliers += [
         Label(f"guide_multiplier_{name}", slip_unit(COMMANDS[name].unit), COMMANDS[name].words)
         for name in given
@@ -128,7 +127,7 @@ def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -
     them, all wheels turn in the same direction.
     """
     errors = {}
-    values = values_of(vehicle, direct.x, direct.z.position)
+    values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
     coordinates = {c.name: c for c in vehicle.coordinates}
     for name, effects in steering_effects(vehicle, direct).items():
         wheels = [(direct.y.slip_along[k], direct.y.slip_across[k]) for k in effects]

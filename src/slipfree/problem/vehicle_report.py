@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from slipfree.contact.closure import has_exact_closure
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.files.vehicle_draft import Draft
@@ -160,7 +161,9 @@ def _forces(vehicle: Vehicle, dae: Dae) -> Iterator[tuple[str, str]]:
     if not vehicle.mass:
         return
     count = 3 * len(vehicle.wheels)
-    if _has_ground_law(dae):
+    if not has_exact_closure(vehicle):
+        how = "the depths of the wheels give the loads, and friction follows them"
+    elif _has_ground_law(dae):
         how = "the wheel-ground law determines them, together with the rates"
     elif is_determinate(vehicle):
         how = "equilibrium determines them"
@@ -192,9 +195,7 @@ def counts(vehicle: Vehicle, dae: Dae) -> Facts:
     return [
         ("inputs", listed(dae.labels.u)),
         ("states", listed(dae.labels.x)),
-        ("determined by the ground", listed(position)),
-        ("  equations", f"{3 * wheels}: three for each wheel that touches the ground"),
-        ("suspension", f"{len(vehicle.of('suspension'))} of {wheels - 3} needed"),
+        *_contact_facts(vehicle, dae, listed(position)),
         ("rates", listed((rates.motion, rates.law))),
         ("  equations", f"{len(dae.labels.alg[1])}: {_equations(dae)}"),
         ("passive joints", f"{len(passive)}: {', '.join(passive) or 'none'}"),
@@ -207,10 +208,24 @@ def counts(vehicle: Vehicle, dae: Dae) -> Facts:
     ]
 
 
+def _contact_facts(vehicle: Vehicle, dae: Dae, unknowns: str) -> Iterator[tuple[str, str]]:
+    """Yield the unknowns and equations of contact, and the number of suspension coordinates."""
+    wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
+    count = f"{given} of {wheels - 3} for exact contact of all wheels"
+    if has_exact_closure(vehicle):
+        yield "determined by the ground", unknowns
+        yield "  equations", f"{3 * wheels}: three for each wheel that touches the ground"
+        yield "suspension", count
+        return
+    yield "contact unknowns", unknowns
+    yield "  equations", f"{len(dae.labels.alg[0])}: two for each contact point"
+    yield "suspension", f"{count}: the wheels are pressed into the ground, and may lift off it"
+
+
 def _has_ground_law(dae: Dae) -> bool:
     """Return whether tangential forces are outputs of a wheel-ground law, not unknowns."""
     forces = dae.labels.y.forces
-    return bool(forces and forces.along)
+    return bool(forces and forces.along and not dae.rest.numel())
 
 
 def _equations(dae: Dae) -> str:
@@ -233,7 +248,7 @@ def _shares(draft: Draft) -> Facts:
         ("driven wheels", listed([wheel.name for wheel in draft.wheels if wheel.driven])),
         ("commanded", listed([c.name for c in draft.of("commanded")])),
         ("passive joints", listed([c.name for c in draft.of("passive")])),
-        ("suspension", f"{listed(suspension)}; {needed} needed"),
+        ("suspension", f"{listed(suspension)}; at most {needed}"),
         *_notes(draft),
     ]
 

@@ -25,9 +25,9 @@ from slipfree.records import Array, Mask, leaves
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
-from slipfree.solve.settle import first_violation
 from slipfree.solve.simulate import check_times
 from slipfree.solve.system import System, with_inputs
+from slipfree.solve.violations import first_violation
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
 TRIED_DEGREES = (8, 10, 12, 14)  # of an element, tried in this order

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
-from slipfree.dae import Dae, Limit
+from slipfree.dae import Dae
 from slipfree.errors import ModelError
 from slipfree.forks import computing
-from slipfree.outcome import Outcome
-from slipfree.records import Array, Mask, leaves, unpack
-from slipfree.solve.initial_conditions import limit_message, solve_initial_conditions
+from slipfree.records import Array, leaves, unpack
+from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
-from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
-from slipfree.solve.system import System, with_inputs
-from slipfree.trajectory import Stop, Trajectory
+from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
+from slipfree.solve.simulate import simulate
+from slipfree.solve.system import with_inputs
+from slipfree.solve.violations import first_violation
+from slipfree.trajectory import SolverError, Trajectory
+
+RELAXATION_TIME = 20.0  # of the states that relax to an equilibrium at a start [s]
+RELAXATION_TOLERANCE = 1e-4  # of their integration
+REST_RATE = 1e-5  # largest rate of these states at rest [size/s]
 
 
 @computing
@@ -35,7 +42,7 @@ def settle(
         The model.
     guess : mapping of str to float, optional
         Initial guesses of unknowns, by name, such as ``{"z": 2.0}``; the model has its own for the
-        others. [m, rad]
+        others. For pressed wheels, the first pose from which the vehicle relaxes. [m, rad]
     options : SolverOptions
         Options of the solvers.
     **start : float
@@ -60,9 +67,76 @@ def settle(
     >>> print(f"z = {start['z'][0]:.3f} m, pitch = {start['pitch'][0]:.3f} rad")
     z = 0.706 m, pitch = 0.197 rad
     """
-    x = dae.start(**start)
+    x, guess = dae.start(**start), dict(guess or {})
+    if not dae.rest.numel():
+        return _one_sample(dae, x, first_guess(dae, x, guess), options)
+    return _relaxed(dae, x, start, guess, options)
+
+
+def _relaxed(
+    dae: Dae,
+    x: Array,
+    start: dict[str, float],
+    guess: dict[str, float],
+    options: SolverOptions,
+) -> Trajectory:
+    """Return the vehicle at the equilibrium to which it relaxes at rest.
+
+    It starts from the guessed pose, completed by the model's first pose. If that fails or the
+    vehicle overturns, it starts from the model's first pose.
+    """
+    states, model = [label.full for label in leaves(dae.labels.x)], _held(dae)
+    level = np.array(dae.function("rest", [dae.columns()[0]], [dae.rest])(x)).ravel()
+    still, shift = x.size - level.size, dae.shift[0][x.size - level.size :]
+    given = [(start | guess).get(name, np.nan) for name in states[still:]] - shift
+    others = {name: value for name, value in guess.items() if name not in states[still:]}
+    failure = ModelError("")
+    for first in (np.where(np.isnan(given), level, given), level):
+        at = np.concatenate([x[:still], first])
+        try:
+            begin = _one_sample(model, at, first_guess(model, at, others), options)
+            run = _relax(model, begin, options)
+            at[still:] = model.rows("x", run, -1)[still:]
+            return _one_sample(dae, at, model.rows("z", run, -1), options)
+        except SolverError as error:
+            failure = ModelError(f"the vehicle finds no equilibrium at the start: {error}")
+        except ModelError as error:
+            failure = error
+    raise failure
+
+
+@lru_cache(maxsize=8)
+def _held(dae: Dae) -> Dae:
+    """Return a model whose states are constant except those that relax, without limits."""
+    moving = dae.rest.numel()
+    still = ca.SX.zeros(dae.ode.numel() - moving)
+    ode = ca.vertcat(still, dae.ode[still.numel() :])
+    return replace(dae, ode=ode, limits=(), checks=(), rest=ca.SX(0, 1))
+
+
+def _relax(held: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
+    """Return the relaxation of a vehicle at rest from a first pose to its equilibrium."""
+    rest = unpack(held.u, [0.0] * len(list(leaves(held.u))))
+    # The equilibrium is a fixed point, which does not depend on the accuracy of the path to it.
+    rough = replace(options, tolerance=RELAXATION_TOLERANCE)
+    run = simulate(held, first, rest, np.array([0.0, RELAXATION_TIME]), options=rough)
+    system = with_inputs(held, rest, 0, options)
+    x, z = (held.rows(record, run, -1) for record in "xz")
+    rates = np.array(system.core(0.0, x, z[: system.motion_size], system.u[:, 0])[0]).ravel()
+    rates /= system.dae.sizes.x
+    if not np.abs(rates).max() < REST_RATE:
+        name = list(leaves(held.labels.x))[int(np.abs(rates).argmax())].full
+        raise ModelError(
+            f"the vehicle finds no equilibrium at the start: after {RELAXATION_TIME:g} s, {name} "
+            f"still moves by {np.abs(rates).max():.1e} of its scale per second"
+        )
+    return run
+
+
+def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Trajectory:
+    """Return a state at rest as a trajectory; ``first`` is an initial guess of the unknowns."""
     system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0, options)
-    z = solve_initial_conditions(system, 0.0, x, first_guess(dae, x, guess or {}), system.u[:, 0])
+    z = solve_initial_conditions(system, 0.0, x, first, system.u[:, 0])
     samples = Samples(
         np.zeros(1), x[:, None], z[:, None], np.zeros((dae.quad.numel(), 1)), system.u
     )
@@ -84,66 +158,3 @@ def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
         index = names.index(name)
         z[index] = value - dae.shift[1][index]
     return z
-
-
-def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
-    if limit.describe is not None and (words := limit.describe(x, z)):
-        return words
-    label = limit.label
-    return limit_message(label.words, value, limit.lower, limit.upper, label.unit)
-
-
-def first_violation(
-    system: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED_RESIDUAL
-) -> tuple[int, Stop] | None:
-    """Return the first sample that violates a limit or a check, and the stop.
-
-    ``unsolved`` is the residual, without unit, above which the motion's equations count as not
-    solved.
-    """
-    found: tuple[int, Stop] | None = None
-
-    def consider(bad: Mask, name: str, words: Any, outcome: Outcome = Outcome.LIMIT) -> None:
-        nonlocal found
-        if bad.any() and (found is None or int(bad.argmax()) < found[0]):
-            k = int(bad.argmax())
-            found = k, Stop(name, float(run.t[k]), words(k), outcome)
-
-    for limit in system.dae.limits:
-        label, lower, upper = limit.label, limit.lower, limit.upper
-        values = run.of(label)
-        consider(
-            ~((values >= lower) & (values <= upper)),
-            label.full,
-            lambda k, v=values, of=limit: _limit_message(
-                of, float(v[k]), samples.x[:, k], samples.z[:, k]
-            ),
-            limit.outcome,
-        )
-    for block in (*system.blocks, *system.dependent_blocks):
-        if not block.linear or block in system.dependent_blocks:
-            label = run.columns[f"{block.labels[0].name}_residual"].label
-            most = UNSOLVED_RESIDUAL if block in system.dependent_blocks else unsolved
-            values, most = run.of(label), most * system.dae.size_of(block.labels[0])
-            consider(
-                ~(values <= most),
-                label.name,
-                lambda k, v=values, lb=label, most=most: (
-                    f"the equations have no exact solution here: {lb.name} {v[k]:.1e} {lb.unit}, "
-                    f"allowed at most {most:g}; a smaller tolerance may help"
-                ),
-                Outcome.SOLVER_FAILURE,
-            )
-    for check in system.dae.checks:
-        label = check.label
-        values = run.of(label)
-        consider(
-            ~(values >= 0),
-            label.full,
-            lambda k, c=check, v=values: (
-                f"{c.label.full}: no value could be computed"
-                if np.isnan(v[k])
-                else c.describe(samples.x[:, k], samples.z[:, k])
-            ),
-        )
-    return found

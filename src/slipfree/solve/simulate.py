@@ -24,9 +24,9 @@ from slipfree.solve.events import Event, WatchedEvent, crossing_indices, event_v
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import Method, SolverOptions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
-from slipfree.solve.settle import first_violation
 from slipfree.solve.stop_diagnosis import diagnose_stop
 from slipfree.solve.system import System, with_inputs
+from slipfree.solve.violations import first_violation
 from slipfree.solver_codes import NO_START, sundials_words
 from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 

@@ -14,8 +14,8 @@ from slipfree.records import Array, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
-from slipfree.solve.settle import first_violation
 from slipfree.solve.system import Block, System, with_inputs
+from slipfree.solve.violations import first_violation
 from slipfree.trajectory import Trajectory
 
 MAX_EVALUATIONS = 50  # per sought state

@@ -17,7 +17,6 @@ from slipfree.outcome import Outcome
 from slipfree.records import Array, leaves, unpack
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, to_trajectory
-from slipfree.solve.settle import first_violation
 from slipfree.solve.simulate import (
     COUNTS,
     MAX_STEPS,
@@ -25,6 +24,7 @@ from slipfree.solve.simulate import (
     suppress_messages,
 )
 from slipfree.solve.system import System, with_inputs
+from slipfree.solve.violations import first_violation
 from slipfree.solver_codes import sundials_words
 from slipfree.trajectory import SolverError, Stop, Trajectory
 

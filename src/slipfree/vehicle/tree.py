@@ -215,9 +215,8 @@ class Vehicle:
     Raises
     ------
     ModelError
-        If a name is used twice or is unknown, or if the numbers of wheels and suspension
-        coordinates do not match: each wheel adds one constraint; three constraints determine the
-        pose of the platform, and each further one needs a suspension coordinate.
+        If a name is used twice or is unknown, or if there are more suspension coordinates than
+        wheels beyond three, so that the contacts do not determine them.
     """
 
     name: str
@@ -267,11 +266,11 @@ class Vehicle:
                 f"expected a vehicle with 3 to {MAX_WHEELS} wheels, found {len(self.wheels)}"
             )
         given, needed = len(self.of("suspension")), len(self.wheels) - 3
-        if given != needed:
-            have = ", ".join(c.name for c in self.of("suspension")) or "none"
+        if given > needed:
+            have = ", ".join(c.name for c in self.of("suspension"))
             raise ModelError(
-                f"{len(self.wheels)} wheels need {needed} suspension coordinates, found {given} "
-                f"({have}): " + ("lock one" if given > needed else "a wheel would hang in the air")
+                f"{len(self.wheels)} wheels need at most {needed} suspension coordinates, found "
+                f"{given} ({have}): lock one"
             )
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:

@@ -39,6 +39,9 @@ class Wheel:
         Mass, concentrated at the centre. [kg]
     axle : {"x", "y", "z"} or tuple of 3 floats
         Direction of its axle in the parent's frame, to the right of its forward direction.
+    static_depth : float or None
+        Depth to which an even share of the weight presses it, for vehicles whose wheels cannot all
+        touch a rigid ground; a fiftieth of the rolling radius by default. [m]
     """
 
     name: str
@@ -49,6 +52,7 @@ class Wheel:
     grip: float = 1.0
     mass: float = 0.0
     axle: Axis = "x"
+    static_depth: float | None = None
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -62,6 +66,10 @@ class Wheel:
         check_vector(f"wheel {self.name}: at", self.at)
         if not 0 < self.grip < math.inf:
             raise ModelError(f"wheel {self.name}: grip must be positive, found {self.grip}")
+        if self.static_depth is not None and not 0 < self.static_depth < math.inf:
+            raise ModelError(
+                f"wheel {self.name}: static_depth must be positive, found {self.static_depth} m"
+            )
         if not 0 <= self.mass < math.inf:
             raise ModelError(
                 f"wheel {self.name}: mass must be zero or positive, found {self.mass} kg"
@@ -84,6 +92,11 @@ class Wheel:
             return translation(*self.at)
         shortest = (0.0, -z, y) if across > 0 else (0.0, 0.0, 1.0)
         return translation(*self.at) @ turn(shortest, math.atan2(across, x))
+
+    @property
+    def depth(self) -> float:
+        """Static depth, given or by default. [m]."""
+        return self.radius / 50 if self.static_depth is None else self.static_depth
 
     @cached_property
     def radius(self) -> float:

@@ -6,11 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from slipfree.models.rocking import has_pressed_wheels, lightest_wheel, rocks
 from slipfree.problem.summary import duration_fact
 from slipfree.trajectory import Trajectory, path_length
 
 FORMULATION = "formulation"  # attribute of results of direct problems
 UNIQUE = ("clearance", "relative_curvature")  # not negative if every wheel has one contact point
+MAX_ROCKS = 5  # changes of the lightest wheel that a summary lists
 CHECKS = (
     "closure residual",
     "Newton step",
@@ -42,6 +44,42 @@ def path_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
 def is_quasi_static(run: Trajectory) -> bool:
     """Return whether a motion is of the quasi-static model."""
     return run.attributes.get("model") == "quasi-static"
+
+
+def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield depths, wheels in the air and rocks of a motion with pressed wheels."""
+    if not has_pressed_wheels(run):
+        return
+    depth = run["depth"]
+    yield (
+        "pressed wheels",
+        f"too many for exact contact; depth {depth.max():.3g} m at most, load up to "
+        f"{run['load_share'].max():.3g} times an equal share of the weight",
+    )
+    lifted = (depth < 0).mean(axis=0)
+    words = [
+        f"{name} at {share:.0%} of the samples, up to {-gap:.2g} m high"
+        for name, share, gap in zip(run.wheels, lifted, depth.min(axis=0), strict=True)
+        if share
+    ]
+    yield "wheels in the air", "; ".join(words) or "none"
+    found = rocks(run)
+    listed = [f"{r.before} to {r.after} at {r.t:.4g} s" for r in found[:MAX_ROCKS]]
+    more = ["..."] if len(found) > MAX_ROCKS else []
+    yield (
+        "lightest wheel",
+        f"changes {len(found)} times: {', '.join(listed + more)}"
+        if found
+        else f"{lightest_wheel(run, 0)[0]} all the time",
+    )
+
+
+def start_facts(start: Trajectory) -> Iterator[tuple[str, str]]:
+    """Yield the lightest wheel of a start with pressed wheels."""
+    if has_pressed_wheels(start):
+        name, share, depth = lightest_wheel(start, 0)
+        where = f"{-depth:.2g} m above the ground" if depth < 0 else f"{depth:.2g} m deep"
+        yield "lightest wheel", f"{name}, {share:.2g} of an equal share of the weight, {where}"
 
 
 def slip_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -130,7 +168,9 @@ def trust_facts(run: Trajectory, tolerance: float | None) -> Iterator[tuple[str,
     else:
         yield "closure residual", f"{run['closure_residual'].max():.2e} m at most"
         step = run["newton_step"].max()
-        of_it = f", {step / tolerance:.3g} x the tolerance" if tolerance else ""
+        # The integrator's error test ignores the unknowns of pressed wheels.
+        tested = tolerance and not has_pressed_wheels(run)
+        of_it = f", {step / tolerance:.3g} x the tolerance" if tested else ""
         yield "Newton step", f"{step:.2e} m at most{of_it}"
     yield "singular value", f"{np.fmin.reduce(run['singular_value']):.4g} at least"
     yield "contact certificate", certificate(run)

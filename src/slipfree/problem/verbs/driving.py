@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from slipfree.contact.closure import has_exact_closure
 from slipfree.errors import DataError
 from slipfree.files.export import MAP_TRANSFORM, encode_map_coordinates
 from slipfree.frames import STORED, WANTED, to_problem_frame
 from slipfree.models.friction_feasibility import BEST, best_utilisation
 from slipfree.models.poses import wheel_poses
 from slipfree.models.records import is_determinate
+from slipfree.models.rocking import has_pressed_wheels
 from slipfree.problem.build_common import Setup, build_terrain, build_vehicle
 from slipfree.problem.build_ground import Ground, at, build_ground, filled_words
 from slipfree.problem.build_model import law_name
@@ -36,9 +38,11 @@ from slipfree.problem.verbs.drive_facts import (
     CHECKS,
     angle_facts,
     certificate,
+    contact_facts,
     force_facts,
     path_facts,
     slip_facts,
+    start_facts,
     trust_facts,
 )
 from slipfree.records import Array, leaves
@@ -100,6 +104,7 @@ class DriveVerb(MotionVerb):
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
         return start, [
             ("start", f"{pose} (m, rad)"),
+            *start_facts(start),
             ("contact certificate", certificate(start)),
             ("samples", self.describe_samples(problem, setup)),
         ]
@@ -114,6 +119,7 @@ class DriveVerb(MotionVerb):
         return [
             *path_facts(run),
             *self.own_facts(run),
+            *contact_facts(run),
             *slip_facts(run),
             *angle_facts(run),
             *force_facts(run),
@@ -210,7 +216,11 @@ def _with_diagnostics(setup: Setup, run: Trajectory) -> Trajectory:
     diagnostics: dict[str, Callable[[Trajectory], Trajectory]] = {
         "filled_ground": partial(_with_filled, setup.ground.grid),
     }
-    if setup.vehicle.mass and not is_determinate(setup.vehicle):
+    if (
+        setup.vehicle.mass
+        and has_exact_closure(setup.vehicle)
+        and not is_determinate(setup.vehicle)
+    ):
         diagnostics[BEST.name] = partial(best_utilisation, setup.vehicle, setup.terrain)
     failures = []
     for name, diagnose in diagnostics.items():
@@ -246,7 +256,8 @@ def _check_vehicle(run: Trajectory, vehicle: Vehicle, problem: Problem[Motion]) 
     columns = zip(vehicle.wheels, run["wheel_u"].T, strict=True)
     x, rho = np.stack([wheel.section.outline(u) for wheel, u in columns], axis=-1)
     off = max(away.max(), np.hypot(along - x, out - rho).max())
-    if not off <= SAME * min(wheel.radius for wheel in vehicle.wheels):
+    pressed = np.abs(run["depth"]).max() if has_pressed_wheels(run) else 0.0
+    if not off <= pressed + SAME * min(wheel.radius for wheel in vehicle.wheels):
         raise _changed("vehicle", named, f"its wheels are {off:.2g} m from those of the result")
 
 

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slipfree.contact.closure import has_exact_closure
 from slipfree.control.path_following import follow
 from slipfree.dae import Dae, Limit
 from slipfree.errors import SlipfreeError
 from slipfree.files.toml.errors import ProblemError
 from slipfree.geometry.path import Path
+from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.outcome import Outcome
 from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
@@ -76,6 +78,8 @@ if TYPE_CHECKING:
 
 MAX_SAMPLES = 401  # largest number of samples of a plan in the viewer
 ROUNDING = 1e-6  # largest violation that counts as rounding, in the unit of the limit
+SMOOTHINGS = (1.0, 0.3)  # widths of the load law of the first plans [static depths]
+STIFFER = 10.0  # factor of stiffness of another simulation of pressed wheels
 SLIDING = 0.95  # utilisation above which a wheel counts as sliding
 ROUGH = 1e-5  # tolerance of initial guesses [m, rad]
 FRICTION_TOLERANCE = 1e-6  # smallest one for quasi-statics, which may not settle below it
@@ -181,27 +185,7 @@ class PlanVerb(DriveVerb):
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
-        with at(problem, ("plan",)):
-            found = plan(
-                setup.dae,
-                setup.start,
-                guesses,
-                **_plan_arguments(
-                    problem,
-                    spec,
-                    setup.keep_out,
-                    (setup.dae, setup.vehicle, setup.terrain),
-                    setup.between,
-                ),
-                duration=spec.plan.duration or (length, length),
-                intervals=spec.plan.intervals,
-                degree=spec.plan.degree,
-                accuracy=spec.plan.accuracy,
-                options=spec.solver.options,
-                step=spec.time.step,
-                resume=resume,
-                progress=_iterate_reporter(watch.line),
-            )
+        found = _find(problem, setup, guesses, resume, _iterate_reporter(watch.line), length)
         run, stop = found.replay, found.run.stop
         if stop is not None and not found.success:
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
@@ -211,6 +195,7 @@ class PlanVerb(DriveVerb):
             **run.attributes,
             **_violations(found, spec.plan.accuracy),
             **_by_friction(setup, found),
+            **_by_stiffness(setup, found),
         }
         statistics = {**run.statistics, **_statistics(found)}
         return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
@@ -416,9 +401,72 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
     return progress
 
 
+def _find(
+    problem: Problem[plan_schema.Plan],
+    setup: Planning,
+    guesses: list[Trajectory],
+    resume: SavedPlan | None,
+    progress: Callable[[str, Iterate], bool],
+    length: float,
+) -> Plan:
+    """Return the plan of a problem; pressed wheels start from smoother load laws.
+
+    Each plan starts from the one before. If a sharper law fails, the plan before it is returned.
+    """
+    spec, found, saved = problem.spec, None, resume
+    for dae in (*([] if resume else _smoother(setup)), setup.dae):
+        start = setup.start if dae is setup.dae else _settled_at(dae, setup)
+        with at(problem, ("plan",)):
+            now = plan(
+                dae,
+                start,
+                [] if saved else guesses,
+                **_plan_arguments(
+                    problem,
+                    spec,
+                    setup.keep_out,
+                    (dae, setup.vehicle, setup.terrain),
+                    setup.between,
+                ),
+                duration=spec.plan.duration or (length, length),
+                intervals=spec.plan.intervals,
+                degree=spec.plan.degree,
+                accuracy=spec.plan.accuracy,
+                options=spec.solver.options,
+                step=spec.time.step,
+                resume=saved,
+                progress=progress,
+            )
+        if found is not None:
+            if not now.success and now.run.stop is None:
+                return found
+            now = replace(now, stages=(*found.stages, *now.stages))
+        if not now.success or dae is setup.dae:
+            break
+        found, saved = now, now.saved
+    return now
+
+
+def _smoother(setup: Planning) -> list[Dae]:
+    """Return models of pressed wheels with smoother load laws than the vehicle's."""
+    if has_exact_closure(setup.vehicle):
+        return []
+    return [
+        direct_kinematics(setup.vehicle, setup.terrain, smoothing=width) for width in SMOOTHINGS
+    ]
+
+
+def _settled_at(dae: Dae, setup: Planning) -> Trajectory:
+    """Return the start of a plan, settled for another model of the vehicle."""
+    values: dict[str, Any] = {
+        label.full: float(setup.start.of(label)[-1]) for label in leaves(dae.labels.x)
+    }
+    return settle(dae, options=setup.spec.solver.options, **values)
+
+
 def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     """Return the description of the quasi-static motion under the plan's inputs, if possible."""
-    able = setup.vehicle.mass and setup.terrain.has_friction
+    able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.model != "quasi-static"):
         return {}
     model: Dae = quasi_statics(setup.vehicle, setup.terrain)
@@ -450,6 +498,24 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
         f"utilisation at most {used:.3g}{slides}"
     )
     return {"by_friction": words}
+
+
+def _by_stiffness(setup: Planning, found: Plan) -> dict[str, str]:
+    """Return how far the motion with stiffer wheels ends from a plan with pressed wheels."""
+    if has_exact_closure(setup.vehicle) or not found.success:
+        return {}
+    wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
+    model: Dae = direct_kinematics(replace(setup.vehicle, wheels=wheels), setup.terrain)
+    step, options = setup.spec.time.step, setup.spec.solver.options
+    try:
+        start = _settled_at(model, setup)
+        run = simulate_plan(model, start, found.motion, step=step, options=options)
+    except SlipfreeError as error:  # the plan is valid without it
+        return {"by_stiffness": f"not simulated: {error}"}
+    if run.stop is not None:
+        return {"by_stiffness": outcome_words(run)}
+    apart = np.hypot(*(run[name][-1] - found.replay[name][-1] for name in "xy"))
+    return {"by_stiffness": f"ends {apart:.3g} m from the plan"}
 
 
 def _statistics(found: Plan) -> dict[str, float]:

@@ -8,7 +8,11 @@ import numpy as np
 
 from slipfree.trajectory import PLAN, Trajectory, path_length
 
-CHECKS = ("simulated", "simulated with friction")  # facts about accuracy and validity
+CHECKS = (
+    "simulated",
+    "simulated with friction",
+    "with wheels ten times stiffer",
+)  # facts about accuracy and validity
 
 
 def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
@@ -51,3 +55,5 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     )
     if "by_friction" in run.attributes:
         yield "simulated with friction", run.attributes["by_friction"]
+    if "by_stiffness" in run.attributes:
+        yield "with wheels ten times stiffer", run.attributes["by_stiffness"]

@@ -1,0 +1,222 @@
+"""Vehicles with pressed wheels: settling, limits, steps per metre, and plans over hills.
+
+``python benchmarks/rigid.py [settle|limit|drive|plan]`` prints all tables or those named.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+from reference import heading
+
+from slipfree import (
+    Analytic,
+    Bicubic,
+    Grid,
+    LeastSlip,
+    Path,
+    catalog,
+    direct_kinematics,
+    follow,
+    plan,
+    settle,
+    simulate,
+)
+from slipfree.errors import ModelError
+from slipfree.models.pressed_model import SMOOTHING, pressed_dae
+from slipfree.records import leaves
+from slipfree.solve.options import SolverOptions
+
+ROBOTS = {
+    "rigid four wheels": catalog.rigid_skid_steer(),
+    "rigid six wheels": catalog.rigid_skid_steer(axles=3),
+    "four wheels, rocker": catalog.skid_steer(),
+    "three-wheeler": catalog.three_wheeler(axle="fixed"),
+}
+STARTS, LENGTH = 200, 100.0
+GOAL = {"x": 0.5, "y": 4.8}
+
+
+def hills(rms: float, sine=np.sin, seed: int = 3, count: int = 14):
+    """Return a height function: waves of 1 to 4 m with a root mean square [m]."""
+    rng = np.random.default_rng(seed)
+    lengths, ways = rng.uniform(1, 4, count), rng.uniform(0, 2 * np.pi, count)
+    phases, size = rng.uniform(0, 2 * np.pi, count), rms * np.sqrt(2 / count)
+    k = 2 * np.pi / lengths
+
+    def height(x, y):
+        waves = zip(k * np.cos(ways), k * np.sin(ways), phases, strict=True)
+        return sum(size * sine(a * x + b * y + phase) for a, b, phase in waves)
+
+    return height
+
+
+def hills_map(rms: float, across: float, along: float) -> Bicubic:
+    """Return hills as a map with nodes 0.1 m apart."""
+    x, y = np.arange(-across, across, 0.1), np.arange(-3.0, along, 0.1)
+    return Bicubic(Grid(x, y, hills(rms)(*np.meshgrid(x, y, indexing="ij"))))
+
+
+def pressed(vehicle, terrain, share=1 / 50, smoothing=SMOOTHING):
+    """Return the model of pressed wheels with a static depth in rolling radii."""
+    wheels = tuple(replace(w, static_depth=share * w.radius) for w in vehicle.wheels)
+    return pressed_dae(replace(vehicle, wheels=wheels), terrain, LeastSlip(), smoothing)
+
+
+def forward(model, vehicle, speed: float, weave: float = 0.0):
+    """Return inputs that drive forward at a speed, with a swinging difference of the sides."""
+    swing = weave * ca.cos(0.5 * model.t)
+    rates = {
+        f"{w.name}_rate": speed / w.radius * (1 - swing * np.sign(w.at[0]))
+        for w in vehicle.wheels
+        if w.driven
+    }
+    others = [label.full for label in model.labels.u.joints]
+    return model.inputs(**rates, **dict.fromkeys(others, 0.0))
+
+
+def settled() -> None:
+    """Print how many poor starts settle."""
+    print(f"\n{STARTS} poor starts: z -0.2 to 0.4 m, roll and pitch +-0.5 rad off")
+    for rms, share in ((0.05, 1 / 250), (0.05, 1 / 50)):
+        ground = hills_map(rms, 8.0, 10.0)
+        for name, vehicle in ROBOTS.items():
+            rng, good, clock = np.random.default_rng(1), 0, time.perf_counter()
+            model = pressed(vehicle, ground, share)
+            joints = {label.full: 0.3 for label in leaves(model.labels.x.suspension)}
+            for _ in range(STARTS):
+                x, y, turn, up, *angles = rng.uniform(
+                    [-5, 0, -3, -0.2, -0.5, -0.5], [5, 7, 3, 0.4, 0.5, 0.5]
+                )
+                guess = {"z": vehicle.wheels[0].radius + up, "roll": angles[0], "pitch": angles[1]}
+                guess |= {n: rng.uniform(-most, most) for n, most in joints.items()}
+                try:
+                    settle(model, x=x, y=y, heading=turn, guess=guess)
+                    good += 1
+                except ModelError as error:
+                    print("   ", error)
+            each = 1e3 * (time.perf_counter() - clock) / STARTS
+            print(f"{name:22} rms {rms:g}, R/{1 / share:.0f}: {good}, {each:.0f} ms each")
+
+
+def limits() -> None:
+    """Print the distance from exact contact, by static depth."""
+    print("\ndistance from exact contact after 10 s at 1 m/s, and its largest angles [mm, mrad]")
+    vehicles = {
+        "three-wheeler": catalog.three_wheeler(),
+        "four wheels, rocker": catalog.skid_steer(),
+        "Rocky 7": catalog.rocky7(),
+    }
+    ground, t = hills_map(0.02, 8.0, 14.0), np.linspace(0, 10, 11)
+    options = SolverOptions(tolerance=1e-9)
+    for name, vehicle in vehicles.items():
+        exact = direct_kinematics(vehicle, ground)
+        motion = simulate(
+            exact, settle(exact), forward(exact, vehicle, 1.0, 0.1), t, options=options
+        )
+        for share in (1 / 25, 1 / 250, 1 / 2500):
+            model = pressed(vehicle, ground, share)
+            run = simulate(
+                model, settle(model), forward(model, vehicle, 1.0, 0.1), t, options=options
+            )
+            apart = np.hypot(run["x"] - motion["x"], run["y"] - motion["y"]).max()
+            angle = max(np.abs(run[n] - motion[n]).max() for n in ("roll", "pitch"))
+            print(f"{name:20} R/{1 / share:<5.0f} {1e3 * apart:8.4f} {1e3 * angle:8.4f}")
+
+
+def drives() -> None:
+    """Print steps and times per metre over rough ground."""
+    print(f"\n{LENGTH:g} m at 1 m/s, weaving; tolerance 1e-8 | 1e-6: steps/m, ms/m integrated")
+    for rms in (0.02, 0.05):
+        ground = hills_map(rms, 25.0, LENGTH + 5)
+        for name, vehicle in ROBOTS.items():
+            model, words = pressed(vehicle, ground), []
+            start = settle(model)
+            for tolerance in (1e-8, 1e-6):
+                clock = time.perf_counter()
+                run = simulate(
+                    model,
+                    start,
+                    forward(model, vehicle, 1.0, 0.2),
+                    np.linspace(0, LENGTH, 3),
+                    options=SolverOptions(tolerance=tolerance),
+                )
+                spent = 1e3 * (time.perf_counter() - clock)
+                steps = run.statistics["steps"] / LENGTH
+                end = "" if run.stop is None else f" ended: {run.stop.words}"
+                words.append(f"{steps:.0f}, {spent / LENGTH:.1f}{end}")
+            print(f"rms {rms:g} {name:22} {' | '.join(words)}")
+
+
+def plans() -> None:
+    """Print plans of a rigid four-wheeler: cold, on flat ground, and `follow`."""
+    vehicle = ROBOTS["rigid four wheels"]
+    names = [f"{w.name}_rate" for w in vehicle.wheels]
+    print("\nplan over 5 m: iterations, s; slip; end missed at the sharp law, ten times stiffer")
+    for rms in (0.02, 0.05):
+        ground = Analytic(hills(rms, ca.sin), mu=0.8)
+        flat = Analytic(lambda x, y: 0 * x + 0 * y, mu=0.8)
+        found = {}
+        for name, under, cells in (("plan", ground, 40), ("plan", ground, 80), ("flat", flat, 40)):
+            model = direct_kinematics(vehicle, under, smoothing=1.0)
+            start = settle(model)
+            guess = simulate(model, start, forward(model, vehicle, 1.0), np.linspace(0, 5, 51))
+            clock = time.perf_counter()
+            made = plan(
+                model,
+                start,
+                guess,
+                goal=GOAL,
+                costs={"slip": 100.0, "effort": 0.001},
+                duration=8.0,
+                inputs=dict.fromkeys(names, (-12.0, 12.0)),
+                intervals=cells,
+                accuracy=5e-3,
+                smooth=1e-4,
+            )
+            spent = time.perf_counter() - clock
+            found[f"{name} {cells}"] = made
+            print(
+                f"rms {rms:g} {name} {cells} intervals: {sum(s.iterations for s in made.stages)} "
+                f"iterations, {spent:.1f} s, accurate: {made.accurate}"
+            )
+        for name, made in found.items():
+            print(f"  {name:8}", *(_replayed(vehicle, ground, made, k) for k in (1, 10)))
+        print("  follow  ", _followed(vehicle, ground))
+
+
+def _replayed(vehicle, ground, made, factor: float) -> str:
+    """Return slip and missed distance of a plan's inputs with stiffer wheels."""
+    model = pressed(vehicle, ground, 1 / 50 / factor)
+    run = simulate(model, settle(model), made.inputs, made.motion.ends)
+    missed = np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"])
+    return f"{_slip(run)}, missed {1e3 * missed:.1f} mm;"
+
+
+def _followed(vehicle, ground) -> str:
+    """Return the slip of the driving law along a straight path to the goal."""
+    model = pressed(vehicle, ground)
+    start = settle(model)
+    path = Path(np.array([[0.0, 0.0], [0.2, 2.4], [GOAL["x"], GOAL["y"]]]))
+    law = follow(model, vehicle, path, speed=np.hypot(*GOAL.values()) / 8.0)
+    run = simulate(model, start, law, np.linspace(0, 8, 81))
+    missed = np.hypot(run["x"][-1] - GOAL["x"], run["y"][-1] - GOAL["y"])
+    return f"{_slip(run)}, missed {1e3 * missed:.1f} mm"
+
+
+def _slip(run) -> str:
+    slip = np.hypot(run["slip_along"], run["slip_across"])
+    squares = np.trapezoid(slip**2, run.t, axis=0).mean() / run.t[-1]
+    return f"rms slip {1e3 * np.sqrt(squares):.2f} mm/s"
+
+
+TABLES = {"settle": settled, "limit": limits, "drive": drives, "plan": plans}
+
+if __name__ == "__main__":
+    heading()
+    for name in sys.argv[1:] or TABLES:
+        TABLES[name]()

@@ -1,0 +1,66 @@
+"""Rocking of vehicles with pressed wheels: wheels in the air, and changes of the lightest wheel."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.trajectory import Trajectory
+
+
+class Rock(NamedTuple):
+    """A change of the wheel that carries the least load.
+
+    Attributes
+    ----------
+    t : float
+        Time, interpolated between samples. [s]
+    before, after : str
+        Names of the lightest wheel before and after it.
+    """
+
+    t: float
+    before: str
+    after: str
+
+
+def has_pressed_wheels(run: Trajectory) -> bool:
+    """Return whether the wheels of a motion were pressed into the ground."""
+    return "depth" in run.columns
+
+
+def rocks(run: Trajectory) -> list[Rock]:
+    """Return the changes of the lightest wheel in a motion with pressed wheels.
+
+    The vehicle tips from one set of supporting wheels to another; a fast rock takes a few
+    hundredths of a second.
+
+    Parameters
+    ----------
+    run : Trajectory
+        A motion of a vehicle whose wheels cannot all touch a rigid ground.
+    """
+    loads, found = run["load_share"], list[Rock]()
+    lightest = loads.argmin(axis=1)
+    for k in np.flatnonzero(np.diff(lightest)).tolist():
+        before, after = lightest[k : k + 2]
+        more, less = loads[k : k + 2, before] - loads[k : k + 2, after]
+        t = (
+            run.t[k] + more / (more - less) * (run.t[k + 1] - run.t[k])
+            if more != less
+            else run.t[k]
+        )
+        found.append(Rock(float(t), run.wheels[before], run.wheels[after]))
+    return found
+
+
+def lightest_wheel(run: Trajectory, sample: int) -> tuple[str, float, float]:
+    """Return the name, share and depth of the wheel with the least load at a sample.
+
+    The share is its load over an equal share of the weight [1]. The depth is negative in the air.
+    [m]
+    """
+    loads = run["load_share"][sample]
+    k = int(loads.argmin())
+    return run.wheels[k], float(loads[k]), float(run["depth"][sample, k])

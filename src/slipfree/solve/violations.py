@@ -1,0 +1,78 @@
+"""Find the first sample of a motion that violates a limit, a check or an equation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from slipfree.dae import Limit
+from slipfree.outcome import Outcome
+from slipfree.records import Array, Mask
+from slipfree.solve.initial_conditions import limit_message
+from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples
+from slipfree.solve.system import System
+from slipfree.trajectory import Stop, Trajectory
+
+
+def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
+    if limit.describe is not None and (words := limit.describe(x, z)):
+        return words
+    label = limit.label
+    return limit_message(label.words, value, limit.lower, limit.upper, label.unit)
+
+
+def first_violation(
+    system: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED_RESIDUAL
+) -> tuple[int, Stop] | None:
+    """Return the first sample that violates a limit or a check, and the stop.
+
+    ``unsolved`` is the residual, without unit, above which the motion's equations count as not
+    solved.
+    """
+    found: tuple[int, Stop] | None = None
+
+    def consider(bad: Mask, name: str, words: Any, outcome: Outcome = Outcome.LIMIT) -> None:
+        nonlocal found
+        if bad.any() and (found is None or int(bad.argmax()) < found[0]):
+            k = int(bad.argmax())
+            found = k, Stop(name, float(run.t[k]), words(k), outcome)
+
+    for limit in system.dae.limits:
+        label, lower, upper = limit.label, limit.lower, limit.upper
+        values = run.of(label)
+        consider(
+            ~((values >= lower) & (values <= upper)),
+            label.full,
+            lambda k, v=values, of=limit: _limit_message(
+                of, float(v[k]), samples.x[:, k], samples.z[:, k]
+            ),
+            limit.outcome,
+        )
+    for block in (*system.blocks, *system.dependent_blocks):
+        if not block.linear or block in system.dependent_blocks:
+            label = run.columns[f"{block.labels[0].name}_residual"].label
+            most = UNSOLVED_RESIDUAL if block in system.dependent_blocks else unsolved
+            values, most = run.of(label), most * system.dae.size_of(block.labels[0])
+            consider(
+                ~(values <= most),
+                label.name,
+                lambda k, v=values, lb=label, most=most: (
+                    f"the equations have no exact solution here: {lb.name} {v[k]:.1e} {lb.unit}, "
+                    f"allowed at most {most:g}; a smaller tolerance may help"
+                ),
+                Outcome.SOLVER_FAILURE,
+            )
+    for check in system.dae.checks:
+        label = check.label
+        values = run.of(label)
+        consider(
+            ~(values >= 0),
+            label.full,
+            lambda k, c=check, v=values: (
+                f"{c.label.full}: no value could be computed"
+                if np.isnan(v[k])
+                else c.describe(samples.x[:, k], samples.z[:, k])
+            ),
+        )
+    return found
