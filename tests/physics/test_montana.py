@@ -419,5 +419,5 @@ def test_cross_check_finds_the_farthest_sample():
 
 def test_cross_check_needs_the_same_times():
     run = drive(GROUNDS["hills"], T[:5])
-    with pytest.raises(ModelError, match="must be sampled at the same times"):
+    with pytest.raises(ModelError, match="expected two motions with the same sample times"):
         cross_check(run, replace(run, t=run.t + 0.1))

@@ -452,7 +452,9 @@ def test_the_uphill_wheel_is_free_of_load_where_the_vehicle_tips_over(side):
     run = stand(three_wheeler(**TALL), slope(almost), heading=heading)
     assert 0 <= run["force_normal"][0, side] < 1e-9 * WEIGHT
     assert 0 <= run["tip_over_margin"][0] < 1e-9
-    with pytest.raises(ModelError, match=r"start is not valid: the vehicle tips over: gravity"):
+    with pytest.raises(
+        ModelError, match=r"start is not valid: the vehicle tips over: the line of gravity"
+    ):
         stand(three_wheeler(**TALL), slope(np.degrees(TIPPING + 1e-6)), heading=heading)
 
 
@@ -497,7 +499,10 @@ def test_a_vehicle_that_drives_into_tipping_stops_there():
     run = drive(ground, t, vehicle=vehicle, rates=rates, tolerance=1e-9)
     assert run.stop is not None
     assert run.stop.name == "tip_over"
-    words = "the vehicle tips over: gravity passes an edge of its support (angle to it)"
+    words = (
+        "the vehicle tips over: the line of gravity leaves the support polygon (angle to its "
+        "nearest edge)"
+    )
     assert run.stop.words.startswith(words)
     light = drive(ground, t, vehicle=massless(vehicle), rates=rates, tolerance=1e-9)
     angles = [lean(vehicle, light, k) for k in range(light.t.size)]

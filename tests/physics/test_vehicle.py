@@ -332,7 +332,7 @@ def test_rollers_are_refused_where_they_are_not_modelled():
     flat = Analytic(lambda x, _: 0 * x)
     with pytest.raises(ModelError, match="omni_cart has wheels with rollers"):
         direct_kinematics(omni_cart(rollers=True), flat, slip=Rolling())
-    with pytest.raises(ModelError, match="Montana's form takes wheels without rollers"):
+    with pytest.raises(ModelError, match="Montana's equations: expected wheels without rollers"):
         montana_kinematics(omni_cart(rollers=True), flat)
 
 

@@ -54,10 +54,10 @@ class Coulomb:
     Attributes
     ----------
     creep : float
-        Slip at which a wheel transmits 71 % of the friction limit, ``eps``. [m/s]
+        Slip velocity ``eps`` at which a wheel transmits 71 % of the friction limit. [m/s]
     reserve : float
-        Viscous friction per newton of normal force, ``c``: beyond the friction limit it keeps an
-        equilibrium, at the cost of slip. [s/m]
+        Coefficient ``c`` of viscous friction per newton of normal force. If it is positive, there
+        is an equilibrium with slip beyond the friction limit. [s/m]
 
     Raises
     ------
@@ -105,7 +105,7 @@ class Coulomb:
         return FrictionUnknowns(wheel_labels(vehicle, *NORMAL), *used)
 
     def reaction(self, contacts: SlidingContacts, unknowns: FrictionUnknowns) -> Reaction:
-        """Return the friction forces and the equations of contact and friction."""
+        """Return the contact forces and the equations of contact and friction."""
         normal, *used = unknowns
         slips = contacts.along, contacts.across
         along, across = (

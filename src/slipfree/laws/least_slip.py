@@ -20,13 +20,14 @@ class Multipliers(NamedTuple):
 
 @dataclass(frozen=True)
 class LeastSlip:
-    """Least slip that the contacts allow; suits every vehicle.
+    """Law of least slip under the contact constraints, for every vehicle.
 
     The rates are the stationary point of ``L = 1/2 sum s.s + sum lambda n.s``: they minimise the
     sum of squares of the slip velocities ``s`` while no wheel leaves or enters the ground. Since
-    ``n.s`` vanishes, only the tangential slip counts. Pressed wheels relax instead, and a wheel in
-    the air does not count. On real ground the motion also depends on friction: this law gives a
-    lower bound of the slip, not a prediction.
+    ``n.s`` vanishes, only the tangential slip matters. For pressed wheels, the equations of
+    relaxation replace ``n.s = 0``, and the slip of wheels in the air has almost no weight. On real
+    ground the motion also depends on friction: this law gives a lower bound of the slip, not a
+    prediction.
     """
 
     def check(self, vehicle: Vehicle) -> None:
@@ -43,7 +44,7 @@ class LeastSlip:
 
 
 def stationarity(cost: ca.SX, motion: Motion, unknowns: Multipliers) -> Equations:
-    """Return the conditions for the rates of least cost that meet the constraints.
+    """Return the stationarity conditions of rates of least cost under the constraints.
 
     Parameters
     ----------

@@ -59,10 +59,10 @@ class Motion(NamedTuple):
     labels : tuple of Label
         Labels of these rates.
     constraints : Equations
-        Conditions on the rates that every law keeps, linear in them: no wheel moves along the
-        ground's normal, or pressed wheels relax.
+        Constraints of every law, linear in the rates: no wheel moves along the ground's normal, or
+        pressed wheels relax.
     weights : tuple of SX or float
-        Weight of each wheel's slip: one on the ground, zero in the air. [1]
+        Weight of each wheel's slip: about one on the ground, about zero in the air. [1]
     """
 
     vehicle: Vehicle
@@ -131,7 +131,7 @@ class Reaction(NamedTuple):
     limits : tuple of Limit
         Limits of the law's validity.
     continuation : Continuation or None
-        Parameter of a continuation from a simpler law to this one, for the start.
+        Continuation from a simpler law to this law, for the initial conditions.
     """
 
     along: tuple[ca.SX, ...]

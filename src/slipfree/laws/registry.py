@@ -1,8 +1,8 @@
 """Names of the slip laws and wheel-ground laws in problem files.
 
-A slip law determines the rates of a kinematic model where closure leaves them open; a wheel-ground
-law gives the forces of the ground on the wheels of a quasi-static model. Each law is a frozen
-dataclass in a file of its own, and one line here.
+A slip law determines the rates of a kinematic model that the contact constraints do not determine;
+a wheel-ground law gives the forces of the ground on the wheels of a quasi-static model. Each law is
+a frozen dataclass in its own file, with one line in this file.
 """
 
 from slipfree.laws.coulomb import Coulomb

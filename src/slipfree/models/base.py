@@ -34,7 +34,7 @@ def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[P
 
 
 def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[str, ca.SX]:
-    """Return the values of all coordinates by name [rad, m]."""
+    """Return the values of all coordinates of a vehicle, by name [rad, m]."""
     names = (*state_coordinates(vehicle), *(c.name for c in vehicle.of("suspension")))
     return dict(zip(names, (*x.joints, *position.suspension), strict=True))
 
@@ -74,7 +74,7 @@ def joint_rates(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
 
 
 def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
-    """Return the sampled outputs of a model, in map coordinates."""
+    """Return the outputs of a model, with positions in map coordinates."""
     o_x, o_y, o_z = q.terrain.origin
     x, position, poses, contacts = q.x, q.position, q.poses, q.contacts
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch).rotation
@@ -107,7 +107,7 @@ def touch_function(
     contacts: Sequence[ContactFrame],
     lookups: LookupTable,
 ) -> list[ca.Function]:
-    """Return centre, rotation and ground normal of every wheel as functions of the states."""
+    """Return a function of ``x`` and ``z`` for each wheel: its centre, rotation, ground normal."""
     inputs, found = [pack(x), pack(z)], lookups.lookups
     return [
         lookup_function(
@@ -118,7 +118,7 @@ def touch_function(
 
 
 def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tuple[Array, Array]]:
-    """Return typical sizes of ``z``, and the shifts of ``x`` and ``z`` to map coordinates."""
+    """Return typical sizes of ``z``, and offsets of ``x`` and ``z`` to map coordinates."""
     radius = min(wheel.radius for wheel in vehicle.wheels)
     typical = {"m": radius, "m s-1": radius, "N": vehicle.weight}
     scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
@@ -144,6 +144,6 @@ def extent(vehicle: Vehicle) -> float:
 
 
 def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
-    """Return the initial guess of rates and forces: zero, with equal normal forces."""
+    """Return the initial guess of rates and forces: equal normal forces, all else zero."""
     share = vehicle.weight / len(vehicle.wheels)
     return ca.SX([share if each.name == "force_normal" else 0.0 for each in leaves(labels)])

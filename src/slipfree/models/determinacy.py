@@ -11,7 +11,8 @@ wheels and joints by the rolling radius, and a steering angle by the speed of th
 0.3 rad.
 
 Under commands, vehicles slip, and the rates of the driven wheels act through the direct model of
-least slip. The matrix is then their effect on the given rates, scaled to velocities.
+least slip. The matrix is then the effect of the wheel rates on the given rates, scaled to
+velocities.
 """
 
 from __future__ import annotations
@@ -75,7 +76,10 @@ class SlipColumns:
     angles: dict[str, ca.SX]
 
     def matrix(self, given: Sequence[str], solve_for: str) -> tuple[ca.SX, tuple[str, ...]]:
-        """Return the columns of the unknowns, and their names."""
+        """Return the matrix of the columns of the unknowns, and the names of the unknowns.
+
+        Parameters are those of `inverse_kinematics`.
+        """
         known = (*given, *(EULER if set(given) & set(OMEGA) else OMEGA))
         columns = {name: column for name, column in self.rates.items() if name not in known}
         if solve_for == "angles":
@@ -126,7 +130,7 @@ class Determinacy:
     remedy : str
         Advice for messages; ``{}`` stands for the given rate.
     matrices : casadi Function
-        ``(x, z) -> (matrix, columns)``.
+        Function from states and unknowns ``(x, z)`` to ``(matrix, columns)``.
     """
 
     least: float
@@ -215,7 +219,7 @@ def rolling_determinacy(
         )
         u = ca.vertcat(*(each for each in leaves(model.u) if ca.depends_on(law, each)))
         effect, rest = ca.jacobian(law, u), ca.substitute(law, u, ca.SX.zeros(u.shape))
-        rates = -ca.solve(effect.T @ effect, effect.T @ rest)  # it rolls, so that all rows hold
+        rates = -ca.solve(effect.T @ effect, effect.T @ rest)  # exact, since the vehicle rolls
         expressions = ca.substitute(expressions, [u], [rates])
     function = direct.function("matrices", [x, z], expressions)
     remedy = "Give other rates"
@@ -262,8 +266,8 @@ def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
     """
     law, rates, u = direct.alg[1], pack(direct.z.rates), pack(direct.u)
     slip, derived = ca.vertcat(*direct.y.slip_along, *direct.y.slip_across), derived_rates(direct)
-    asked = ca.vertcat(*(derived[name].expression for name in given))
-    pairs = [(law, rates), (law, u), (asked, rates), (slip, rates), (slip, u)]
+    requested = ca.vertcat(*(derived[name].expression for name in given))
+    pairs = [(law, rates), (law, u), (requested, rates), (slip, rates), (slip, u)]
     parts = [ca.densify(ca.jacobian(rows, by)) for rows, by in pairs]
     function = direct.function("parts", list(model.columns()[:2]), parts)
     at = [ca.MX.sym(name, function.size1_in(k)) for k, name in enumerate("xz")]
@@ -320,7 +324,8 @@ def conditions(
     vehicle, terrain : Vehicle, Terrain
         A vehicle that rolls without slip, and its ground.
     run : Trajectory
-        A motion of the vehicle there, direct or inverse; it must move if ``solve_for="angles"``.
+        A motion of the vehicle on this ground, by a direct or inverse model. With
+        ``solve_for="angles"`` its speed must not be zero.
     solve_for : {"rates", "angles"}
         See `inverse_kinematics`.
 

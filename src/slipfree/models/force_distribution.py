@@ -58,7 +58,7 @@ class _Contacts(NamedTuple):
     normal_slope: Array
 
     def pick(self, index: Index | Mask) -> _Contacts:
-        """Return a selection of the samples."""
+        """Return the contact forces of selected samples."""
         return _Contacts(*(item[index] for item in self))
 
 
@@ -78,7 +78,11 @@ class _Goal(NamedTuple):
 
 
 class _Newton(NamedTuple):
-    """Newton step at a fixed level, tangent of the central path, and gap to the least level."""
+    """Newton step at a fixed level for n samples.
+
+    ``step`` and ``tangent``, of the central path, have shape (n, k); ``decrement`` and ``gap``, the
+    distance to the least level, have shape (n,).
+    """
 
     step: Array
     tangent: Array

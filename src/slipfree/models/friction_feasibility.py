@@ -1,4 +1,4 @@
-"""Friction feasibility: the least friction that can hold a vehicle, for any contact forces."""
+"""Friction feasibility: the smallest friction with which some contact forces hold a vehicle."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ BEST = Label("utilisation_best", "1", "smallest possible utilisation of the most
 def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Trajectory:
     """Return a motion with the column ``utilisation_best``.
 
-    If equilibrium does not determine the contact forces, ``utilisation`` is that of one
-    distribution, the load-weighted one. ``utilisation_best`` is the smallest utilisation of the
-    most used wheel over all distributions; above one, friction cannot hold the vehicle. It is
+    If equilibrium does not determine the contact forces, ``utilisation`` is computed for one
+    distribution, the load-weighted one. ``utilisation_best`` is the minimum over all distributions
+    of the largest utilisation of a wheel; above one, friction cannot hold the vehicle. It is
     infinite where no contact forces balance the vehicle: it tips over, or a wheel or joint is free
     to move. It is NaN where the optimisation does not converge.
 
@@ -60,7 +60,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
         )
     check_exact_closure(vehicle, "best_utilisation")
     labels = labels_of(vehicle)
-    sought = labels.x, labels.z.position, labels.z.rates.motion, labels.u
+    required = labels.x, labels.z.position, labels.z.rates.motion, labels.u
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
     lookups = LookupTable()
     contacts = [
@@ -72,7 +72,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
     f = lookup_function(lookups.lookups, "hold", given, _equilibrium_terms(parts))
     origin = dict(zip(("x", "y", "z"), terrain.origin, strict=True))
     origin |= {f"contact_{axis}": origin[axis] for axis in ("x", "y")}
-    rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(sought)])
+    rows = np.array([run.of(label) - origin.get(label.name, 0.0) for label in leaves(required)])
     columns, loads, friction = (np.array(out) for out in f.map(run.t.size)(rows))
     matrix = columns.reshape(len(columns), run.t.size, -1).transpose(1, 0, 2)
     known = np.isfinite(matrix).all(axis=(1, 2)) & (friction > 0).all(axis=0)
@@ -88,9 +88,9 @@ def _equilibrium_terms(parts: Mechanics) -> list[ca.SX]:
 
 
 def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
-    """Return a function of a state that reports the friction needed to hold the vehicle there.
+    """Return a function ``describe(x, z)`` that reports the friction needed for equilibrium.
 
-    Its text also gives the lean of a wheel; it is empty where friction holds the vehicle.
+    The text includes the lean of a wheel. It is empty if friction holds the vehicle.
     """
     x, contacts = q.x, q.contacts
     normal = sum((each.normal for each in contacts), ca.SX.zeros(3))

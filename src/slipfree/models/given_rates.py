@@ -88,7 +88,7 @@ def derived_rates(direct: Dae) -> dict[str, Derived]:
 def omega(heading: ca.SX, roll: ca.SX) -> ca.SX:
     """Return the matrix from ``heading', roll', pitch'`` to the angular velocity in fixed axes.
 
-    Chakraborty and Ghosal, eq. 4; shape (3, 3).
+    The matrix has shape (3, 3); see Chakraborty and Ghosal, eq. 4.
     """
     return ca.vertcat(
         ca.horzcat(0, -ca.sin(heading), ca.cos(roll) * ca.cos(heading)),

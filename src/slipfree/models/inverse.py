@@ -7,8 +7,8 @@ direct model become unknowns.
 given [1]_. As in that paper, the rate of the steering may be the unknown, but this is delicate: the
 steering acts on the ground only through the lever of the contact about the steering axis. Where the
 contact lies on the axis, as on flat ground, the rate is not determined. Where the contact trails
-the axis, the steering follows the platform; where it leads the axis, the steering is unstable. The
-steering angle as unknown, in contrast, is well determined as long as the vehicle moves.
+the axis, the steering follows the platform; where it leads the axis, the steering is unstable. If
+the steering angle is the unknown instead, it is well determined as long as the vehicle moves.
 
 **All other vehicles** cannot roll without slip, or have more inputs than the platform has degrees
 of freedom. They take commands: some of the platform's rates in its heading frame. Commands are met
@@ -18,9 +18,9 @@ steering follows a guiding motion (`slipfree.models.steering_guide`).
 Exact commands: the rates of the driven wheels are those of least slip among all rates with which
 the direct model has the given motion. The equations of the direct model (least slip under its
 inputs) are constraints. Therefore the direct model with these rates reproduces the commands
-exactly, for any steering: the lag of the steering costs slip, not accuracy. Without the
-constraints it would not, since the least slip of a given motion is in general not the motion of
-least slip under given inputs.
+exactly, for any steering: the lag of the steering causes slip, not errors of the given rates. The
+constraints are necessary: the wheel rates of least slip for a given motion do not in general
+produce this motion in the direct model.
 
 Nearest commands: the rates of the driven wheels minimise the squared slip along the wheels in the
 guiding motion plus `ERROR_WEIGHT` times the squared errors of the given rates, subject to the same
@@ -117,7 +117,7 @@ def inverse_kinematics(
     solve_for : {"angles", "rates"}
         Unknowns of the steering. Under commands these are angles: commanded coordinates that turn
         wheels about the platform's up axis are steered towards angles of little slip, within their
-        stops and rates; other coordinates are held. Under three rates, ``"angles"`` lets the
+        stops and rates; other coordinates are fixed. Under three rates, ``"angles"`` lets the
         contact of a steered wheel slip by its lever times the rate of the steering: see
         `steering_slip`. The start then comes from the direct model, since the steering angles of
         a vehicle at rest are arbitrary. With ``"rates"`` the vehicle rolls exactly, but the model
@@ -125,11 +125,12 @@ def inverse_kinematics(
         `steering_note`.
     exact : bool
         Whether commands are met exactly. Otherwise their errors, given minus actual, are the
-        outputs ``forward_error`` and so on; wheel rates near those of rolling make them small.
-        Vehicles without steering and rollers meet all commands exactly except ``right``.
+        outputs ``forward_error`` and so on; the wheel rates minimise them together with the slip
+        along the wheels. Vehicles without steering and rollers meet all commands exactly except
+        ``right``.
     least_margin : float
-        Smallest singular value at which three rates determine the unknowns; zero to allow a motion
-        through singular configurations, as collocation can compute.
+        Smallest singular value at which three rates determine the unknowns. Zero allows motions
+        through singular configurations, which collocation can compute.
 
     Returns
     -------

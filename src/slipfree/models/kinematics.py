@@ -41,8 +41,8 @@ def direct_kinematics(
     slip : SlipLaw
         `LeastSlip`, for every vehicle; or `Rolling`, for vehicles that can roll without slip.
     smoothing : float
-        Width, in static depths, over which the load of a pressed wheel that leaves the ground
-        fades; only for vehicles that exact closure cannot place.
+        Width of the transition in which the load of a pressed wheel vanishes as it leaves the
+        ground; only for vehicles whose wheels cannot all touch a rigid ground. [static depths]
 
     Returns
     -------
@@ -89,7 +89,7 @@ def check_slip_law(vehicle: Vehicle, slip: SlipLaw) -> None:
 
 
 def slip_equations(slip: SlipLaw, labels: Labels, q: Quantities) -> Equations:
-    """Return the equations of the rates by a slip law, for wheels in exact contact."""
+    """Return the equations that a slip law gives for the rates, for wheels in exact contact."""
     normal = [
         ca.dot(contact.normal, velocity)
         for contact, velocity in zip(q.contacts, q.slips, strict=True)

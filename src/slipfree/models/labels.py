@@ -147,14 +147,14 @@ def _output_labels(vehicle: Vehicle, *, follow: bool) -> Outputs:
         each("center_x", "m", "easting of the wheel's centre"),
         each("center_y", "m", "northing of the wheel's centre"),
         each("center_z", "m", "height of the wheel's centre"),
-        each("slip_along", "m s-1", "slip along the wheel, negative when it spins"),
+        each("slip_along", "m s-1", "slip along the wheel, negative if it turns too fast"),
         each("slip_across", "m s-1", "slip across the wheel, to the right positive"),
         each("wheel_rate", "rad s-1", "rate of the wheel, forward positive"),
         each(
             "wheel_u", "rad", "contact coordinate u of the wheel, pi/2 at the middle of the tread"
         ),
         each("wheel_v", "rad", "contact coordinate v of the wheel in its carrier"),
-        each("psi", "rad", "angle that takes the wheel's Gauss x axis to the ground's"),
+        each("psi", "rad", "angle from the wheel's Gauss x axis to the ground's Gauss x axis"),
         Label("yaw", "rad", "angle of the forward axis from the x axis, counter-clockwise"),
         tuple(
             Label(f"quaternion_{axis}", "1", f"{axis} of the platform's quaternion (x forward)")
@@ -173,7 +173,7 @@ def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
     return ForceOutputs(
         () if follow else wheel_labels(vehicle, *ALONG),
         () if follow else wheel_labels(vehicle, *ACROSS),
-        wheel_labels(vehicle, "friction_needed", "1", "tangential over normal force"),
+        wheel_labels(vehicle, "friction_needed", "1", "ratio of tangential to normal force"),
         wheel_labels(
             vehicle, "utilisation", "1", "friction needed over the ground's friction coefficient"
         ),
@@ -184,7 +184,9 @@ def _force_output_labels(vehicle: Vehicle, *, follow: bool) -> ForceOutputs:
         Label("power", "W", "power of the drives and actuators"),
         Label("dissipation", "W", "power dissipated in contacts and dampers"),
         Label(
-            "potential_energy", "J", "energy of gravity, from the ground's origin, and of springs"
+            "potential_energy",
+            "J",
+            "energy of gravity, relative to the ground's origin, and of springs",
         ),
         Label(
             "tip_over_margin", "rad", "angle by which gravity may tilt before the vehicle tips over"

@@ -1,7 +1,7 @@
 """Limits of a vehicle's motion, and their registry.
 
-A limit function takes the quantities of a model and yields its limits, none where it does not
-apply.
+A limit function takes the quantities of a model and yields its limits. It yields none if it does
+not apply to the vehicle or the ground.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MIN_FRICTION = 1e-6  # smaller values of a friction formula count as zero
 
 
 def joint_stops(q: Quantities) -> Iterator[Limit]:
-    """Yield the rigid stops of all joints."""
+    """Yield the limits of all joints with rigid stops."""
     values = values_of(q.vehicle, q.x, q.position)
     for c in q.vehicle.coordinates:
         if not c.bump and (np.isfinite(c.lower) or np.isfinite(c.upper)):
@@ -36,14 +36,14 @@ def joint_stops(q: Quantities) -> Iterator[Limit]:
 
 
 def upright(q: Quantities) -> Iterator[Limit]:
-    """Yield the largest inclination of the platform."""
+    """Yield the limit of the platform's inclination."""
     words = "the platform overturns (cosine of its inclination)"
     cosine = ca.cos(q.position.roll) * ca.cos(q.position.pitch)
     yield Limit(Label("upright", "1", words), cosine, MIN_INCLINATION_COSINE, np.inf)
 
 
 def map_margin(q: Quantities) -> Iterator[Limit]:
-    """Yield the distance of each wheel to the edge of the map."""
+    """Yield the limits that keep each wheel on the map."""
     domain = q.terrain.domain
     if not np.isfinite(domain).all():
         return
@@ -54,15 +54,15 @@ def map_margin(q: Quantities) -> Iterator[Limit]:
 
 
 def lies_flat(q: Quantities) -> Iterator[Limit]:
-    """Yield the smallest angle of each axle to the ground's normal."""
+    """Yield the limits of the angle between each axle and the ground's normal."""
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
-        words = f"wheel {wheel.name} lies flat on the ground (sine of axle to normal)"
+        words = f"wheel {wheel.name} lies flat on the ground (sine of angle from axle to normal)"
         label = Label("uprightness", "1", words, wheel.name)
         yield Limit(label, contact.uprightness, MIN_AXLE_SINE, np.inf)
 
 
 def relative_curvature(q: Quantities) -> Iterator[Limit]:
-    """Yield the curvature of the ground relative to each wheel's."""
+    """Yield the limits of the ground's curvature relative to that of each wheel."""
     for wheel, contact in zip(q.vehicle.wheels, q.contacts, strict=True):
         words = (
             f"the ground under wheel {wheel.name} is more concave than the wheel, so that its "
@@ -74,7 +74,7 @@ def relative_curvature(q: Quantities) -> Iterator[Limit]:
 
 
 def friction_map_margin(q: Quantities) -> Iterator[Limit]:
-    """Yield the distance of each wheel to the edge of the friction map."""
+    """Yield the limits that keep each wheel on the friction map."""
     domain = q.terrain.friction_domain
     if not q.vehicle.mass or domain is None:
         return
@@ -85,7 +85,7 @@ def friction_map_margin(q: Quantities) -> Iterator[Limit]:
 
 
 def positive_friction(q: Quantities) -> Iterator[Limit]:
-    """Yield the friction coefficient at each wheel, if a formula gives it."""
+    """Yield the limits of the friction coefficient at each wheel, if a formula gives it."""
     if not q.vehicle.mass or q.terrain.friction_domain is not None:
         return
     for wheel, mu in zip(q.vehicle.wheels, q.mechanics.friction, strict=True):
@@ -95,14 +95,17 @@ def positive_friction(q: Quantities) -> Iterator[Limit]:
 
 
 def tip_over(q: Quantities) -> Iterator[Limit]:
-    """Yield the angle between gravity and the nearest edge of the support polygon."""
+    """Yield the limit of the tip-over margin of a vehicle with mass."""
     if q.vehicle.mass:
-        words = "the vehicle tips over: gravity passes an edge of its support (angle to it)"
+        words = (
+            "the vehicle tips over: the line of gravity leaves the support polygon (angle to its "
+            "nearest edge)"
+        )
         yield Limit(Label("tip_over", "rad", words), q.tip_over_margin, 0.0, np.inf)
 
 
 def lift_off(q: Quantities) -> Iterator[Limit]:
-    """Yield the normal force of each wheel; wheels without exact closure may lift off."""
+    """Yield the limits of the normal forces; wheels without exact closure may lift off."""
     if not (q.vehicle.mass and has_exact_closure(q.vehicle)):
         return
     for wheel, force in zip(q.vehicle.wheels, q.forces.normal, strict=True):

@@ -82,7 +82,7 @@ class Assembly(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Algebraic unknowns in the blocks that determine them."""
+    """Algebraic unknowns, grouped by the equations that determine them."""
 
     rates: Rates
     forces: Forces
@@ -123,8 +123,9 @@ class RollingWheel(NamedTuple):
     rates : ContactCoordinates
         Rates of the contact coordinates.
     displacement, rotation : SX, shape (3, 1)
-        Vector from the wheel's centre by the chain of joints to the centre by the contact, and
-        rotation from the orientation by the contact to that by the chain, to first order. [m, rad]
+        Drift: the wheel's centre from the contact coordinates minus its centre from the chain of
+        joints [m], and the rotation vector from the first orientation to the second, to first
+        order [rad].
     """
 
     contact: ContactFrame
@@ -151,7 +152,7 @@ def montana_kinematics(
     Parameters
     ----------
     vehicle : Vehicle
-        The vehicle; no wheel has an edge (``Disc``) or rollers.
+        The vehicle, without wheels that have an edge (``Disc``) or rollers.
     terrain : Terrain
         The ground; contacts keep to its domain. Its third derivatives enter IDAS's Jacobian.
     slip : SlipLaw
@@ -225,8 +226,12 @@ def montana_kinematics(
 
 def _check(vehicle: Vehicle, kappa: float) -> None:
     check_exact_closure(vehicle, "montana_kinematics")
-    if any(wheel.rollers for wheel in vehicle.wheels):
-        raise ModelError("Montana's form takes wheels without rollers; use the closure")
+    rollers = [wheel.name for wheel in vehicle.wheels if wheel.rollers]
+    if rollers:
+        raise ModelError(
+            "Montana's equations: expected wheels without rollers, found rollers on "
+            f"{', '.join(rollers)}; use the closure model (direct_kinematics)"
+        )
     if not (np.isfinite(kappa) and kappa >= 0):
         raise ModelError(f"kappa: expected zero or a positive rate, found {kappa} 1/s")
     for wheel in vehicle.wheels:
@@ -286,7 +291,7 @@ def _rolling(
     kappa: float,
     lookups: LookupTable,
 ) -> RollingWheel:
-    """Return the rolling of a wheel whose hub follows its chain of joints, with stabilisation."""
+    """Return contact, rates and drift of a wheel whose hub follows its chain of joints."""
     both = pair(wheel, terrain, at, lookups)
     pose, frame = both.pose, both.frame
     contact = contact_frame(terrain, at.x, at.y, pose.rotation[:, 0], lookups)
@@ -383,7 +388,7 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
     Parameters
     ----------
     first, second : Trajectory
-        Sampled at the same times; if one ends early, the common part counts.
+        Motions with the same sample times; if one ends earlier, the rest of the other is ignored.
 
     Returns
     -------
@@ -412,7 +417,10 @@ def cross_check(first: Trajectory, second: Trajectory) -> tuple[Difference, ...]
     """
     n = min(first.t.size, second.t.size)
     if not np.array_equal(first.t[:n], second.t[:n]):
-        raise ModelError("cross_check: the motions must be sampled at the same times")
+        raise ModelError(
+            "cross_check: expected two motions with the same sample times, found different times; "
+            "simulate both with the same times"
+        )
     shared = [name for name in first if name in second.columns and _describes_motion(name)]
     return tuple(_difference(first, second, name, n) for name in shared)
 

@@ -9,14 +9,16 @@ that of `slipfree.models.closure_model`.
 With the depth ``delta_i`` of a wheel, its static depth ``d0``, the weight ``W`` and ``n`` wheels:
 
 - Load: ``N_i = W / (2 n d0) (delta_i + sqrt(delta_i^2 + w^2))``, with a small width ``w``.
-- Friction follows the loads: ``f_t = -N_i S y``, with virtual rates ``y`` of place, heading,
-  passive joints and free wheels that bring these into equilibrium.
-- The imbalance ``F`` of height, inclination and suspension moves them against viscous contacts:
-  ``J' diag(c) s_n = F``, with the normal velocities ``s_n`` of the wheels. A wheel under a load
-  ``W / n`` that is not balanced moves at `CONTACT_SPEED`, one in the air at `AIR_SPEED`.
+- Friction is proportional to the loads: ``f_t = -N_i s_t``, with the tangential slip velocity
+  ``s_t`` for virtual rates of position, heading, passive joints and free wheels. The virtual rates
+  follow from the equilibrium of these coordinates.
+- The unbalanced force ``F`` on height, inclination and suspension moves them against viscous
+  contacts: ``J' diag(c) s_n = F``, with the normal velocities ``s_n = J r`` of the wheels for
+  relaxing rates ``r``, and the viscosities ``c``. Under an unbalanced force ``W / n``, a wheel on
+  the ground moves at `CONTACT_SPEED` and a wheel in the air at `AIR_SPEED`.
 
-The model forgets its past only slowly where a vehicle rocks, that is, where the wheel that carries
-least changes: there the equilibrium has folds, and the relaxed pose crosses them in finite time.
+A vehicle rocks where the wheel with the least load changes. There the equilibrium has folds, and
+the relaxation from one equilibrium to the next takes a finite time.
 """
 
 from __future__ import annotations
@@ -62,10 +64,10 @@ from slipfree.records import Label, leaves, pack, symbols
 from slipfree.terrain.base import Terrain
 from slipfree.vehicle.tree import GRAVITY, Body, Vehicle
 
-CONTACT_SPEED = 1.0  # of a wheel under a load W / n that is not balanced [m/s]
-AIR_SPEED = 3.0  # the same, of a wheel in the air [m/s]
+CONTACT_SPEED = 1.0  # speed of a wheel on the ground under an unbalanced force W / n [m/s]
+AIR_SPEED = 3.0  # speed of a wheel in the air under an unbalanced force W / n [m/s]
 SMOOTHING = 0.1  # width of the load law [static depths]
-AIR_WEIGHT = 1e-6  # of the slip of a wheel in the air, so that its rate is determined
+AIR_WEIGHT = 1e-6  # weight of the slip of a wheel in the air, so that its rate is determined [1]
 
 
 class Press(NamedTuple):
@@ -90,12 +92,12 @@ class Press(NamedTuple):
 
 
 class Balance(NamedTuple):
-    """Friction that follows the loads, and the imbalance that it leaves, over the weight.
+    """Friction forces under given loads, and the remaining unbalanced force, over the weight.
 
     Attributes
     ----------
     imbalance : SX, shape (3 + n_suspension, 1)
-        Force on height, inclination and suspension. [1, m]
+        Unbalanced force on height, inclination and suspension. [1, m]
     along, across : SX, shape (n_wheels, 1)
         Tangential forces. [1]
     """
@@ -125,7 +127,7 @@ def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
 
 
 def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]]) -> Balance:
-    """Return the equilibrium of the loads and of friction that follows them.
+    """Return the friction forces under given loads and the remaining unbalanced force.
 
     Parameters
     ----------
@@ -134,7 +136,7 @@ def balance(parts: Mechanics, press: Press, groups: tuple[list[int], list[int]])
     press : Press
         Loads of the wheels.
     groups : tuple of two lists of int
-        Indices of the rates that friction balances, and of those that relax.
+        Indices of the rates that friction balances, and of the rates that relax.
     """
     sliding, relaxing = groups
     along, across, normal = (parts.free[k::3, :] for k in range(3))
@@ -163,7 +165,7 @@ def relaxation(
 
 
 def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: float) -> Dae:
-    """Return the kinematics of a vehicle with pressed wheels.
+    """Return the kinematic model of a vehicle with pressed wheels.
 
     Parameters
     ----------
@@ -207,7 +209,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
 
 
 def loaded(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle, or one of unit weight at the centroid of the wheels if it has no mass."""
+    """Return the vehicle; if it has no mass, with unit weight at the centroid of the wheels."""
     if vehicle.mass:
         return vehicle
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
@@ -224,7 +226,7 @@ def _place(x: RelaxedState, contacts: tuple[Any, ...]) -> tuple[Configuration, D
 
 
 def _at_surface(contact: ContactFrame, miss: ca.SX) -> ContactFrame:
-    """Return a contact frame at the point of the wheel instead of the ground's."""
+    """Return a contact frame with its origin at the wheel's point instead of the ground point."""
     return contact._replace(point=contact.point - miss)
 
 
@@ -237,7 +239,7 @@ def _at_rest(
     u: Inputs,
     lookups: LookupTable,
 ) -> Mechanics:
-    """Return the terms of the equilibrium without dampers, which are the only ones with rates."""
+    """Return the terms of the equilibrium at rest, that is, without dampers."""
     parts = mechanics(vehicle, terrain, *place, contacts, rates, u, lookups)
     moving = ca.vertcat(pack(rates.motion), pack(u))
     still = ca.substitute([parts.load, parts.held], [moving], [ca.SX.zeros(moving.shape)])
@@ -245,7 +247,7 @@ def _at_rest(
 
 
 def _groups(labels: Labels) -> tuple[list[int], list[int]]:
-    """Return the indices of the rates that friction balances, and of those that relax."""
+    """Return the indices of the rates that friction balances, and of the rates that relax."""
     rates = labels.z.rates
     relaxing = {rates.z, rates.roll, rates.pitch, *rates.suspension}
     sliding, rest = list[int](), list[int]()
@@ -255,7 +257,10 @@ def _groups(labels: Labels) -> tuple[list[int], list[int]]:
 
 
 def _alignment(contacts: tuple[ContactFrame, ...], misses: list[ca.SX]) -> ca.SX:
-    """Return the offset of ground point and wheel point along the ground, zero at contacts."""
+    """Return the tangential offsets between ground points and wheel points, zero at contacts [m].
+
+    The shape is (2 n_wheels, 1): along and across, wheel by wheel.
+    """
     pairs = zip(contacts, misses, strict=True)
     return ca.vertcat(*(ca.dot(axis, miss) for c, miss in pairs for axis in (c.along, c.across)))
 
@@ -288,7 +293,7 @@ def _dae(
     pressed: Press,
     equations: tuple[ca.SX, Equations],
 ) -> Dae:
-    """Return the model."""
+    """Return the kinematic model with the given labels, symbols and equations."""
     vehicle, terrain, rates = q.vehicle, q.terrain, q.rates
     alignment, law = equations
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
@@ -297,7 +302,7 @@ def _dae(
     touching = tuple(
         pose._replace(origin=pose.origin + depth * contact.normal)
         for pose, depth, contact in zip(q.poses, depths, q.contacts, strict=True)
-    )  # so that the certificate finds other contacts, not the depth of this one
+    )  # wheels raised to touch the ground, so that the certificate finds second contacts only
     wheels = touch_function(x, z, touching, q.contacts, q.lookups)
     level = [*rates[:2], rates.heading, *joint_rates(vehicle, rates, q.u)]
     return Dae(
@@ -353,7 +358,7 @@ def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
     y = labels.y._replace(
         depth=wheel_labels(vehicle, "depth", "m", "depth below the ground; negative in the air"),
         load_share=wheel_labels(
-            vehicle, "load_share", "1", "normal force over an equal share of the weight"
+            vehicle, "load_share", "1", "normal force times number of wheels over the weight"
         ),
         force_normal=wheel_labels(vehicle, *NORMAL) if vehicle.mass else (),
     )

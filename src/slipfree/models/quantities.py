@@ -17,8 +17,7 @@ from slipfree.vehicle.tree import Vehicle
 class Mechanics(NamedTuple):
     """Terms of the quasi-static equilibrium of a vehicle, in the symbols of a model.
 
-    Rows and columns that belong to rates are in the order of ``Rates.motion``, those that belong
-    to inputs in the order of ``Inputs``.
+    Rates are in the order of ``Rates.motion``, inputs in the order of ``Inputs``.
 
     Attributes
     ----------
@@ -28,7 +27,7 @@ class Mechanics(NamedTuple):
     load : SX, shape (n_rates, 1)
         Generalised force of gravity, springs and dampers for each rate. [N, N m]
     held : SX, shape (n_inputs, 1)
-        The same force for each input. [N, N m]
+        Generalised force of gravity, springs and dampers for each input. [N, N m]
     friction : tuple of SX
         Coefficient of friction at every wheel. [1]
     weight : float
@@ -77,7 +76,7 @@ class Quantities(NamedTuple):
     mechanics : Mechanics
         Terms of the equilibrium.
     tip_over_margin : SX, shape (1, 1)
-        From `slipfree.models.tip_over.tip_over_margin`; infinite if the vehicle has no mass. [rad]
+        Tip-over margin (`slipfree.models.tip_over`); infinite if the vehicle has no mass. [rad]
     lookups : LookupTable
         Lookups of the ground in these expressions.
     """

@@ -24,7 +24,7 @@ class Configuration(NamedTuple):
 
 
 class RelaxedState(NamedTuple):
-    """Differential states of a vehicle with pressed wheels: all coordinates. [m, rad]."""
+    """Differential states of a vehicle with pressed wheels: all coordinates [m, rad]."""
 
     x: Any
     y: Any
@@ -37,7 +37,7 @@ class RelaxedState(NamedTuple):
 
 
 class PressedContacts(NamedTuple):
-    """Contact points of pressed wheels, the only unknowns of position. [m]."""
+    """Contact points of pressed wheels, the only unknowns of position [m]."""
 
     contacts: tuple[ContactPoint, ...]
 
@@ -62,8 +62,8 @@ class Dependent(NamedTuple):
 class Rates(NamedTuple):
     """Rates that are not commanded, and the unknowns of the slip law or wheel-ground law.
 
-    ``passive`` are the rates of the passive coordinates, ``free`` those of the wheels without
-    drive. ``law`` is the law's own record, empty if it has no unknowns. [m/s, rad/s]
+    ``passive`` are the rates of the passive coordinates, ``free`` the rates of the wheels without
+    drive. ``law`` is the record of the law's unknowns, empty if it has none. [m/s, rad/s]
     """
 
     x: Any
@@ -84,10 +84,10 @@ class Rates(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """Forces of the ground on the wheels, where they follow from the motion [N].
+    """Forces of the ground on the wheels, one per wheel; empty without mass [N].
 
-    ``virtual`` are virtual rates that determine the forces if equilibrium alone does not: the
-    contact forces are then friction forces for these rates. [1, 1/m]
+    If equilibrium alone does not determine the forces, ``virtual`` are the virtual rates for which
+    they are friction forces. [1, 1/m]
     """
 
     along: tuple[Any, ...] = ()
@@ -103,7 +103,7 @@ class Forces(NamedTuple):
 
 
 class Algebraic(NamedTuple):
-    """Algebraic unknowns in the blocks that determine them."""
+    """Algebraic unknowns, grouped by the equations that determine them."""
 
     position: Any  # Dependent in exact contact, else PressedContacts
     rates: Rates
@@ -111,14 +111,14 @@ class Algebraic(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """Rates of the driven wheels and of the commanded coordinates, in their order [rad/s]."""
+    """Rates of the driven wheels and commanded coordinates, in vehicle order [rad/s, m/s]."""
 
     wheels: tuple[Any, ...]
     joints: tuple[Any, ...]
 
 
 class Totals(NamedTuple):
-    """Quadratures: angles through which the wheels have turned, work of the drives [rad, J].
+    """Quadratures: rotation angles of the wheels, work of the drives [rad, J].
 
     ``work`` is empty if the vehicle has no mass.
     """
@@ -130,7 +130,8 @@ class Totals(NamedTuple):
 class ForceOutputs(NamedTuple):
     """Forces, powers and stability margin of a vehicle with mass.
 
-    ``along`` and ``across`` are the tangential forces, where they are not unknowns.
+    ``along`` and ``across`` are the tangential forces, empty if these are unknowns of the model.
+    Units are those of the labels (`slipfree.models.labels`).
     """
 
     along: tuple[Any, ...]
@@ -146,9 +147,10 @@ class ForceOutputs(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """Further quantities along a motion; positions in map coordinates.
+    """Outputs of a model along a motion; positions in map coordinates.
 
-    ``quaternion`` (x, y, z, w) and ``yaw`` are those of the platform with x forward, y left, z up.
+    ``quaternion`` (x, y, z, w) and ``yaw`` describe the platform by axes x forward, y left, z up.
+    Units are those of the labels (`slipfree.models.labels`).
     """
 
     contact_z: tuple[Any, ...]
@@ -177,7 +179,7 @@ def state_coordinates(vehicle: Vehicle) -> tuple[str, ...]:
 def is_determinate(vehicle: Vehicle) -> bool:
     """Return whether equilibrium alone determines the contact forces, three per wheel.
 
-    It does not for wheels with rollers, since they bear no force across.
+    It does not for vehicles with rollers, since such wheels bear no force along their axles.
     """
     if any(wheel.rollers for wheel in vehicle.wheels):
         return False

@@ -1,4 +1,4 @@
-"""Rocking of vehicles with pressed wheels: wheels in the air, and changes of the lightest wheel."""
+"""Rocking of vehicles with pressed wheels: changes of the wheel with the least load."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Rock(NamedTuple):
     t : float
         Time, interpolated between samples. [s]
     before, after : str
-        Names of the lightest wheel before and after it.
+        Names of the wheel with the least load, before and after the change.
     """
 
     t: float
@@ -26,12 +26,12 @@ class Rock(NamedTuple):
 
 
 def has_pressed_wheels(run: Trajectory) -> bool:
-    """Return whether the wheels of a motion were pressed into the ground."""
+    """Return whether a motion was computed with pressed wheels."""
     return "depth" in run.columns
 
 
 def rocks(run: Trajectory) -> list[Rock]:
-    """Return the changes of the lightest wheel in a motion with pressed wheels.
+    """Return the changes of the wheel with the least load in a motion with pressed wheels.
 
     The vehicle tips from one set of supporting wheels to another; a fast rock takes a few
     hundredths of a second.
@@ -56,10 +56,10 @@ def rocks(run: Trajectory) -> list[Rock]:
 
 
 def lightest_wheel(run: Trajectory, sample: int) -> tuple[str, float, float]:
-    """Return the name, share and depth of the wheel with the least load at a sample.
+    """Return the name, load share and depth of the wheel with the least load at a sample.
 
-    The share is its load over an equal share of the weight [1]. The depth is negative in the air.
-    [m]
+    The load share is the load times the number of wheels over the weight [1]. The depth is negative
+    in the air [m].
     """
     loads = run["load_share"][sample]
     k = int(loads.argmin())

@@ -72,7 +72,7 @@ def slip_velocities(
     Returns
     -------
     tuple of SX, shape (3, 1)
-        In fixed axes, one for each wheel.
+        Slip velocities in fixed axes, one for each wheel. [m/s]
     """
     q = pack((*x, *position[:4]))
     joints = joint_rates(vehicle, rates, u)
@@ -90,7 +90,7 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
 
     The material point that touches the ground at a sample moves with the wheel through the
     neighbouring samples; its velocity is a difference quotient over five samples. The result is
-    independent of the model's rates. The motion of rollers counts as slip here.
+    independent of the model's rates. It includes the motion that rollers permit.
 
     Parameters
     ----------
@@ -111,7 +111,11 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
     """
     steps = np.diff(run.t)
     if steps.size < 4 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0):
-        raise ModelError("measured slip: expected at least five equally spaced samples")
+        raise ModelError(
+            "measured slip: expected at least five equally spaced samples, found "
+            f"{run.t.size} samples, steps {steps.min(initial=np.inf):.4g} to "
+            f"{steps.max(initial=0):.4g} s; sample the motion at constant steps"
+        )
     centers, rotations = wheel_poses(vehicle, run)
     contacts = np.stack([run[f"contact_{axis}"] for axis in "xyz"], -1)
     places = np.einsum("nwji,nwj->nwi", rotations, contacts - centers)[2:-2]

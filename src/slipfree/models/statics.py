@@ -91,17 +91,19 @@ def _damping(vehicle: Vehicle, rates: Rates) -> ca.SX:
 
 
 def equilibrium(parts: Mechanics, forces: ca.SX) -> ca.SX:
-    """Return the residual ``A' lambda + Q`` over the weight, shape (n_rates, 1) [1, m]."""
+    """Return the residual of the equilibrium over the weight, shape (n_rates, 1) [1, m]."""
     return (parts.free.T @ forces + parts.load) / parts.weight
 
 
 def following_forces(q: Quantities) -> ca.SX:
-    """Return the equations of the forces that a given motion needs; none without mass.
+    """Return the residuals that determine the contact forces of a motion; empty without mass.
 
-    Where equilibrium does not determine the forces, they minimise ``sum |f_t|^2 / (mu N)`` with the
-    friction limits ``mu N`` as fixed weights: ``f_t = -mu N S y``, ``n . A y = 0`` with virtual
-    rates ``y``. This is the limit of regularised Coulomb friction for small slip. Forces of least
-    norm would not be plausible, since a wheel with a small load cannot bear a large force.
+    Where equilibrium does not determine the forces, the tangential forces ``f_t`` minimise ``sum
+    |f_t|^2 / (mu N)``, with the friction limits ``mu N`` of the wheels as fixed weights. The
+    conditions are ``f_t = -mu N s_t`` and ``s_n = 0``, where ``s_t`` and ``s_n`` are the tangential
+    and normal velocities of a contact for the virtual rates. This is the limit of regularised
+    Coulomb friction for small slip. Forces of least norm would not be plausible, since a wheel with
+    a small load cannot bear a large force.
     """
     if not q.vehicle.mass:
         return ca.SX(0, 1)
@@ -159,7 +161,7 @@ def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutpu
 
 
 def _used(along: ca.SX, across: ca.SX, offered: ca.SX) -> ca.SX:
-    """Return a tangential force over the available one; infinite if the wheel has no load.
+    """Return the ratio of tangential force to available force; infinite without load.
 
     The square root is the last operation: limits use the square, since the root has no derivative
     at zero force.

@@ -2,8 +2,8 @@
 
 Of all motions of the platform with the given rates that the ground permits, the guiding motion is
 the one with the least sideways slip of the wheels that are not steered. Each steered wheel is
-turned until its contact point moves along it; on level ground this is the rule of the instantaneous
-centre of rotation. The inputs are steering rates, which follow the target angles with a lag
+turned until its contact point has no velocity across the wheel; on level ground this is the rule of
+the instantaneous centre of rotation. Steering rates follow the target angles with a lag
 (`GAIN`, `MAX_STEERING_RATE`): the exact rates of the targets would need third derivatives of the
 ground. Targets and rates respect the joints' stops and `max_rate`. Where all three rates are given
 and some wheels are not steered, other angles may have less slip.
@@ -38,7 +38,7 @@ MIN_EFFECT = 1e-9  # a joint with a smaller effect on a wheel's direction does n
 class Guide(NamedTuple):
     """Guiding motion: its conditions, and the unknown rates of pose and suspension.
 
-    Passive joints are held, and wheels that they swivel are ignored.
+    Passive joints are fixed; wheels that swivel on passive joints are ignored.
     """
 
     conditions: Minimum
@@ -109,7 +109,7 @@ def _pose_rates(rates: Any) -> tuple[Any, ...]:
 
 
 def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]) -> list[ca.SX]:
-    """Return expressions of the guiding motion, with wheels and joints at rest."""
+    """Return expressions evaluated for the guiding motion, with wheels and joints at rest."""
     rates = direct.z.rates
     still = pack((direct.u, rates.free, rates.passive))
     found = ca.substitute([*expressions], [still], [ca.SX.zeros(still.shape)])
@@ -122,9 +122,9 @@ def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -
 
     The carriers move with velocities ``along`` and ``across`` the wheels at the contacts. Small
     errors are Gauss-Newton steps that minimise ``across``. Angles are doubled, since forward and
-    backward are equivalent; so wheels that disagree by more than a right angle do not cancel.
-    Errors are at most about a right angle, shifted by `BRANCH_SHIFT`: for a motion straight across
-    them, all wheels turn in the same direction.
+    backward are equivalent; wheels that disagree by more than a right angle therefore do not
+    cancel. Errors are within a right angle, shifted by `BRANCH_SHIFT`: all wheels turn in the same
+    direction if the required motion is perpendicular to them.
     """
     errors = {}
     values = {c.name: direct.named(c.name)[0] for c in vehicle.coordinates}
@@ -143,10 +143,10 @@ def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -
 
 
 def _within_stops(c: Coordinate, value: ca.SX, error: ca.SX) -> ca.SX:
-    """Return the error of a steered coordinate with its target moved between the stops.
+    """Return the error of a steered coordinate, with its target moved between the stops.
 
-    A wheel may also point backward, half a turn away; if this is beyond the stops too, the target
-    is the nearer stop.
+    If the target is beyond a stop, the wheel turns to the opposite direction, half a turn away. If
+    that is beyond a stop too, the target is the nearer stop.
     """
     if not (np.isfinite(c.lower) or np.isfinite(c.upper)):
         return error

@@ -19,11 +19,11 @@ DISTANCE_ROUNDING = 1e-9  # smaller distances count as zero [distance of two whe
 def tip_over_margin(
     vehicle: Vehicle, x: Configuration, position: Dependent, contacts: Sequence[ContactFrame]
 ) -> ca.SX:
-    """Return the smallest angle between gravity and an edge of the support polygon.
+    """Return the smallest angle between gravity and an edge of the support polygon [rad].
 
-    For the line through two neighbouring contact points it is the angle between the vertical and
-    the perpendicular from the common centre of mass to the line (the force-angle measure of
-    Papadopoulos and Rey for gravity alone). It is infinite for a vehicle without mass.
+    For an edge, the line through two neighbouring contact points, it is the angle between the
+    vertical and the perpendicular from the vehicle's centre of mass to the line (the force-angle
+    measure of Papadopoulos and Rey for gravity alone). It is infinite for a vehicle without mass.
     """
     if not vehicle.mass:
         return ca.SX.inf()
@@ -35,23 +35,23 @@ def tip_over_margin(
         edge = contacts[j].point - contacts[i].point
         outer = _is_outer(contacts, i, j)
         edge /= ca.norm_2(edge)
-        way = contacts[i].point - center
-        way -= ca.dot(way, edge) * edge
-        lean = ca.atan2(ca.dot(edge, ca.cross(way, down)), ca.dot(way, down))
+        arm = contacts[i].point - center
+        arm -= ca.dot(arm, edge) * edge
+        lean = ca.atan2(ca.dot(edge, ca.cross(arm, down)), ca.dot(arm, down))
         least = ca.fmin(least, ca.if_else(outer, lean, ca.SX.inf()))
-    return ca.if_else(least > ca.pi, -ca.pi, least)  # contacts on one line are no support
+    return ca.if_else(least > ca.pi, -ca.pi, least)  # contacts on one line: no support polygon
 
 
 def _is_outer(contacts: Sequence[ContactFrame], i: int, j: int) -> ca.SX:
     """Return whether all other contacts lie left of a line in plan view, or between its ends."""
     here = contacts[i].point[:2]
-    way = contacts[j].point[:2] - here
-    length, outer, aside = ca.sumsqr(way), ca.SX(1), ca.SX(0)
+    edge = contacts[j].point[:2] - here
+    length, outer, aside = ca.sumsqr(edge), ca.SX(1), ca.SX(0)
     for k, other in enumerate(contacts):
         if k in (i, j):
             continue
-        off = (way[0] * (other.point[1] - here[1]) - way[1] * (other.point[0] - here[0])) / length
-        ahead = ca.dot(other.point[:2] - here, way) / length
+        off = (edge[0] * (other.point[1] - here[1]) - edge[1] * (other.point[0] - here[0])) / length
+        ahead = ca.dot(other.point[:2] - here, edge) / length
         left = off > DISTANCE_ROUNDING
         between = ca.logic_and(
             ca.fabs(off) <= DISTANCE_ROUNDING, ca.logic_and(ahead > 0, ahead < 1)

@@ -23,7 +23,7 @@ from slipfree.trajectory import Trajectory
 from slipfree.vehicle.tree import Vehicle
 
 MIN_RELATIVE_SINGULAR_VALUE = 1e-9  # smaller values: the wheels do not affect the given rate
-MAX_MISSED_SHARE = 1e-9  # tolerance of the given rates
+MAX_MISSED_SHARE = 1e-9  # tolerance of the given rates [largest given rate]
 
 
 def check_authority(vehicle: Vehicle, direct: Dae, stand: Trajectory, given: Sequence[str]) -> None:
@@ -60,7 +60,7 @@ def wheel_rates(
     vehicle, direct : Vehicle, Dae
         The vehicle, and its direct model of least slip.
     stand : Trajectory
-        Its last sample is the configuration.
+        Motion whose last sample is the configuration.
     joints : mapping of str to float, optional
         Rates of commanded coordinates, by the names of the inputs; others are zero. [rad/s]
     **given : float
@@ -69,12 +69,12 @@ def wheel_rates(
     Returns
     -------
     dict of str to float
-        For ``direct.inputs(**...)``. [rad/s, m/s]
+        Inputs by name, as arguments of ``direct.inputs``. [rad/s, m/s]
 
     Raises
     ------
     ModelError
-        If a rate cannot be reached; it is named.
+        If a given rate is unknown, repeated or cannot be imposed; the message names it.
     """
     check_commands(vehicle, tuple(given))
     at = direct.rows("x", stand, -1), direct.rows("z", stand, -1)
@@ -82,14 +82,14 @@ def wheel_rates(
     names = [label.full for label in leaves(direct.labels.u)]
     count, moving = len(direct.u.wheels), joints or {}
     turning = np.array([moving.get(name, 0.0) for name in names[count:]])
-    asked = np.array(list(given.values())) - effect[:, count:] @ turning
+    requested = np.array(list(given.values())) - effect[:, count:] @ turning
     wheels = _least_slip_inputs(
-        effect[:, :count], slip[:, :count], asked, slip[:, count:] @ turning
+        effect[:, :count], slip[:, :count], requested, slip[:, count:] @ turning
     )
     sizes = np.array(command_sizes(vehicle, tuple(given)))
-    miss = sizes * (asked - effect[:, :count] @ wheels)
+    miss = sizes * (requested - effect[:, :count] @ wheels)
     worst = int(np.abs(miss).argmax())
-    if not abs(miss[worst]) <= MAX_MISSED_SHARE * float(np.abs(sizes * asked).max()):
+    if not abs(miss[worst]) <= MAX_MISSED_SHARE * float(np.abs(sizes * requested).max()):
         name = [*given][worst]
         raise ModelError(
             f"{vehicle.name}: platform rate {name!r} cannot be imposed here together with the "
@@ -99,16 +99,19 @@ def wheel_rates(
     return dict(zip(names, (float(each) for each in (*wheels, *turning)), strict=True))
 
 
-def _least_slip_inputs(effect: Array, slip: Array, asked: Array, rest: Array) -> Array:
-    """Return inputs with ``effect @ inputs = asked`` that minimise ``rest + slip @ inputs``."""
+def _least_slip_inputs(effect: Array, slip: Array, requested: Array, rest: Array) -> Array:
+    """Return the inputs with ``effect @ inputs = requested`` and least slip.
+
+    The slip is ``rest + slip @ inputs``.
+    """
     left, values, right = np.linalg.svd(effect)
     rank = int((values > MIN_RELATIVE_SINGULAR_VALUE * max(values[0], np.finfo(float).tiny)).sum())
     inverse = right[:rank].T @ np.diag(1 / values[:rank]) @ left[:, :rank].T
     free = right[rank:].T
-    base = inverse @ asked
+    base = inverse @ requested
     rates = (
         base
         + free
         @ np.linalg.lstsq(slip @ free, -(rest + slip @ base), rcond=MIN_RELATIVE_SINGULAR_VALUE)[0]
     )
-    return np.asarray(rates + inverse @ (asked - effect @ rates))
+    return np.asarray(rates + inverse @ (requested - effect @ rates))

@@ -62,7 +62,7 @@ def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
 
 @cache
 def names_in(text: str) -> frozenset[str]:
-    """Return the names in a formula; raise ModelError if the text is not a formula."""
+    """Return the names of the coordinates in a formula; raise ModelError for invalid text."""
     tree = _parse(text)
     found = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
     names = frozenset(found - set(CONSTANTS) - set(FUNCTIONS))

@@ -51,14 +51,14 @@ class Coordinate:
     Attributes
     ----------
     name : str
-        Unique in the vehicle.
+        Name, unique among the coordinates.
     kind : {"commanded", "passive", "suspension"}
-        ``"commanded"``: its rate is an input; ``"passive"``: its rate follows from rolling;
-        ``"suspension"``: its value follows from the contact of the wheels with the ground.
+        ``"commanded"``: the rate is an input; ``"passive"``: the rate follows from the slip law or
+        friction; ``"suspension"``: the value follows from the contacts of the wheels.
     words : str
         Description in one line.
     lower, upper : float
-        Stops. [rad or m]
+        Lower and upper stop. [rad or m]
     stiffness, rest : float
         Stiffness of a spring, and the value without spring force. [N m/rad or N/m; rad or m]
     damping : float
@@ -119,7 +119,7 @@ class Coordinate:
         return any((self.stiffness, self.damping, self.bump))
 
     def potential(self, value: ca.SX) -> ca.SX:
-        """Return the potential energy of its spring and its stops at a value [J]."""
+        """Return the potential energy of spring and stops at a value of the coordinate [J]."""
         energy = ca.SX(0.5 * self.stiffness * (value - self.rest) ** 2)
         for stop, outward in ((self.upper, 1), (self.lower, -1)):
             if math.isfinite(stop):
@@ -134,18 +134,19 @@ class Joint:
     Attributes
     ----------
     name : str
-        Unique in the vehicle.
+        Name, unique among the joints.
     parent : str
-        An earlier joint, or ``"platform"``.
+        Name of an earlier joint, or ``"platform"``.
     axis : {"x", "y", "z"} or tuple of 3 floats
-        Axis in the part's frame: right, forward, up, or any direction.
+        Axis of the joint in the part's frame: x (right), y (forward), z (up), or a vector.
     at : tuple of 3 floats
         Origin of the part in the parent's frame. [m]
     value : str
-        The right-handed angle or the length: a coordinate, or a formula of coordinates such as
-        ``"-rocker"`` (see `slipfree.vehicle.formula.evaluate`); ``"0"`` for a rigid joint.
+        Right-handed angle [rad] or displacement [m] as a formula of coordinates, such as
+        ``"rocker"`` or ``"-rocker"`` (`slipfree.vehicle.formula.evaluate`); ``"0"`` for a rigid
+        joint.
     motion : {"turn", "slide"}
-        Rotation or sliding.
+        Rotation about the axis, or translation along it.
     body : Body
         Mass of the part without its wheels.
     turned : tuple of 3 floats
@@ -204,9 +205,9 @@ class Vehicle:
     coordinates : tuple of Coordinate
         Internal degrees of freedom.
     joints : tuple of Joint
-        Parents before children.
+        Joints; parents precede their children.
     wheels : tuple of Wheel
-        3 to `MAX_WHEELS`.
+        Wheels; at least 3, at most `MAX_WHEELS`.
     body : Body
         Mass of the platform. A vehicle without mass has kinematics only, no forces.
     notes : tuple of str
@@ -215,8 +216,9 @@ class Vehicle:
     Raises
     ------
     ModelError
-        If a name is used twice or is unknown, or if there are more suspension coordinates than
-        wheels beyond three, so that the contacts do not determine them.
+        If a name is used twice or is unknown, if a coordinate moves no joint, if the number of
+        wheels is out of range, or if there are more than ``len(wheels) - 3`` suspension
+        coordinates, which the contacts cannot determine.
     """
 
     name: str
@@ -270,7 +272,7 @@ class Vehicle:
             have = ", ".join(c.name for c in self.of("suspension"))
             raise ModelError(
                 f"{len(self.wheels)} wheels need at most {needed} suspension coordinates, found "
-                f"{given} ({have}): lock one"
+                f"{given} ({have}): make one of them passive or commanded, or remove it"
             )
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:

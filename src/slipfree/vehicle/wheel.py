@@ -24,24 +24,24 @@ class Wheel:
     Attributes
     ----------
     name : str
-        Unique in the vehicle.
+        Name, unique among the wheels.
     parent : str
-        Name of the joint that carries it, or ``"platform"``.
+        Name of the joint that carries the wheel, or ``"platform"``.
     at : tuple of 3 floats
         Centre of the wheel in the parent's frame. [m]
     section : Section
         Cross-section, such as ``Torus(0.05, 0.25)``; ``Omni(...)`` for a wheel with free rollers.
     driven : bool
-        Whether its rate is an input; the rate of a free wheel follows from the motion.
+        Whether the rate is an input; the rate of a free wheel follows from the motion.
     grip : float
-        Factor of its tread on the ground's coefficient of friction. [1]
+        Factor that multiplies the ground's coefficient of friction. [1]
     mass : float
         Mass, concentrated at the centre. [kg]
     axle : {"x", "y", "z"} or tuple of 3 floats
-        Direction of its axle in the parent's frame, to the right of its forward direction.
+        Direction of the axle in the parent's frame; it points right if the wheel rolls forward.
     static_depth : float or None
-        Depth to which an even share of the weight presses it, for vehicles whose wheels cannot all
-        touch a rigid ground; a fiftieth of the rolling radius by default. [m]
+        Depth below the ground under an equal share of the weight, for vehicles whose wheels cannot
+        all touch a rigid ground; by default 1/50 of the rolling radius. [m]
     """
 
     name: str
@@ -82,9 +82,9 @@ class Wheel:
 
     @property
     def mount(self) -> Pose:
-        """Pose of its carrier in the parent's frame: origin at its centre, x axis along the axle.
+        """Pose of the carrier in the parent's frame: origin at the centre, x axis along the axle.
 
-        The smallest rotation of the parent's axes that aligns x with the axle.
+        The orientation is the smallest rotation that aligns the parent's x axis with the axle.
         """
         x, y, z = unit_vector(self.axle)
         across = math.hypot(y, z)
@@ -95,7 +95,7 @@ class Wheel:
 
     @property
     def depth(self) -> float:
-        """Static depth, given or by default. [m]."""
+        """Static depth, given or by default [m]."""
         return self.radius / 50 if self.static_depth is None else self.static_depth
 
     @cached_property
@@ -105,10 +105,10 @@ class Wheel:
 
     @cached_property
     def half_width(self) -> float:
-        """Largest distance of its surface from the plane of the wheel [m]."""
+        """Largest distance of the wheel's surface from the wheel's plane [m]."""
         return float(np.abs(self.section.outline(np.array([0, np.pi]))[0]).max())
 
     @property
     def rollers(self) -> bool:
-        """Whether free rollers let it move along its axle."""
+        """Whether free rollers let the wheel move along its axle."""
         return self.section.rollers

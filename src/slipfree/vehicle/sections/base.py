@@ -108,13 +108,14 @@ class Section(ABC):
 
         Notes
         -----
-        The point is in the wheel's axes; ``c_u x c_v`` points outward.
+        The point is in the wheel's axes. The cross product of its derivatives with respect to ``u``
+        and ``v`` points outward.
         """
         x, rho = self.profile(ca.cos(u), ca.sin(u))
         return ca.vertcat(x, ca.cos(v) * rho, ca.sin(v) * rho)
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:
-        """Return the radius of curvature of the section at a normal; zero at an edge [m].
+        """Return the radius of curvature of the section for a normal; zero at an edge [m].
 
         Parameters are those of `profile`.
         """
@@ -129,12 +130,12 @@ class Section(ABC):
 
         Parameters
         ----------
-        u : ndarray, shape (n, ...)
+        u : ndarray, any shape
             Angles from the axle to the normal, 0 to pi. [rad]
 
         Returns
         -------
-        x, rho : ndarray, shape (n, ...)
+        x, rho : ndarray, shape of ``u``
             Axial and radial coordinates. [m]
         """
         flat = np.ravel(u)[None]

@@ -12,7 +12,7 @@ from slipfree.vehicle.sections.base import AXLE, Section
 
 @dataclass(frozen=True)
 class Omni(Section):
-    """Free rollers whose envelope has the shape of a wheel.
+    """Omni wheel: free rollers with a common envelope of the shape of a wheel.
 
     Attributes
     ----------

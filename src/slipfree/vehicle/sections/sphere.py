@@ -16,7 +16,7 @@ class Sphere(Section):
     Attributes
     ----------
     radius : float
-        Its radius. [m]
+        Radius of the ball. [m]
     """
 
     radius: float
@@ -26,9 +26,9 @@ class Sphere(Section):
         return self.radius * axial, self.radius * radial
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:  # noqa: ARG002
-        """Return the normal times the radius, for every axle."""
+        """Return the point of the surface with a given outward normal, shape (3, 1) [m]."""
         return self.radius * normal
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
-        """Return the radius."""
+        """Return the radius of the sphere, the same for every normal [m]."""
         return ca.SX(self.radius)

@@ -11,7 +11,7 @@ from slipfree.vehicle.sections.base import AXLE, Section, components
 
 @dataclass(frozen=True)
 class Torus(Section):
-    """A tube around a circle of tube centres.
+    """Torus: a wheel with a circular tread section.
 
     Attributes
     ----------
@@ -29,7 +29,11 @@ class Torus(Section):
         return self.r1 * axial, self.r2 + self.r1 * radial
 
     def support(self, normal: ca.SX, axle: ca.SX = AXLE) -> ca.SX:
-        """Return ``r1 n + r2 e``, with ``e`` the radial direction of the normal."""
+        """Return the point of the surface with a given outward normal, shape (3, 1) [m].
+
+        It is ``r1 n + r2 e`` with the normal ``n`` and the unit vector ``e`` along the component of
+        ``n`` perpendicular to the axle.
+        """
         return self.r1 * normal + self.r2 * components(normal, axle)[2]
 
     def tread_radius(self, axial: ca.SX, radial: ca.SX) -> ca.SX:  # noqa: ARG002 - constant
