@@ -153,7 +153,7 @@ def test_a_dry_run_says_what_would_be_run(file: Path) -> None:
         log.append(ROW._replace(seconds=6.0))
         log.append(ROW._replace(run=2, seconds=8.0))
     result = sweep_in(file.parent, *words, "--dry-run")
-    assert "about 2.3 min: 7 s a run on 1 processes" in result.stdout
+    assert "about 2.3 min: 7 s per run on 1 processes" in result.stdout
 
 
 def test_a_seed_that_the_file_leaves_out_is_found() -> None:
@@ -394,7 +394,7 @@ def test_results_that_were_not_kept_are_told(file: Path) -> None:
     assert sweep_in(file.parent, *words).exit_code == 0
     result = sweep_in(file.parent, *words, "--keep")
     assert result.exit_code == 0
-    assert "--keep: 1 runs were finished without it and have no result file" in result.stderr
+    assert "--keep: 1 runs finished without --keep and have no result file" in result.stderr
     command = result.stderr[result.stderr.index("slipfree run") :].split()
     assert CliRunner().invoke(app, [*command[1:], "--no-draw"]).exit_code == 0
     assert "no result file" not in sweep_in(file.parent, *words, "--keep").stderr

@@ -385,7 +385,7 @@ def test_what_is_wrong_is_named(old, new, words, tmp_path):
         ),
         (
             'urdf = "cart.urdf"\njoints = { caster = "passive" }\nwheels = { caster = {} }',
-            "cart.toml:2: joints.caster: expected a joint that is no wheel, found the same name in",
+            "cart.toml:2: joints.caster: expected a joint that is not a wheel, found the same",
         ),
     ],
 )

@@ -276,7 +276,7 @@ def test_friction_lies_where_the_ground_does(tmp_path: Path) -> None:
     _, facts = _grounds(
         tmp_path, "terrain.geographic=local", "terrain.friction=mu.npz", x=x, y=y, z=np.ones((9, 9))
     )
-    assert facts["ground friction"].startswith("mu.npz, 0.5 to 0.5; degrees made local")
+    assert facts["ground friction"].startswith("mu.npz, 0.5 to 0.5; degrees converted to metres")
     ground = build_ground(
         _read(tmp_path, FILE, "terrain.geographic=local", "terrain.friction=mu.npz")
     )

@@ -350,7 +350,7 @@ def test_a_given_steering_angle_is_kept_rates_jump_and_a_replay_may_fail(
         ),
         ([*CAR, "given.yaw_rate=q*t"], "given.yaw_rate: formula 'q*t': 'q' is not known; known: t"),
         (["given.yaw_rate=true"], "expected a number, an array of [time, value] pairs, or a form"),
-        (["steering=rate"], "expected 'angle', which the steering follows"),
+        (["steering=rate"], "expected 'angle' with given rates forward"),
         ([*CAR, "start.steer=0.8"], "left positive) reaches its stop"),
         (
             [

@@ -393,7 +393,7 @@ def test_a_ground_changed_for_the_wheels_keeps_its_friction(folder):
 
 @pytest.mark.parametrize("bad", ["0", "-1", "true", "[1, 2]", '""', "inf", "{ file = 1 }"])
 def test_problem_refuses(folder, bad):
-    words = r"p\.toml:4: terrain\.friction: expected a number greater than 0, or a file's name"
+    words = r"p\.toml:4: terrain\.friction: expected a number greater than 0, or the name of a file"
     (folder / "p.toml").write_text(PROBLEM.replace("0.6", bad))
     with pytest.raises(ProblemError, match=words):
         load_problem(folder / "p.toml")
