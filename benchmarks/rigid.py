@@ -142,7 +142,7 @@ def drives() -> None:
                     model,
                     start,
                     forward(model, vehicle, 1.0, 0.2),
-                    np.linspace(0, LENGTH, 3),
+                    np.linspace(0, LENGTH, 101),
                     options=SolverOptions(tolerance=tolerance),
                 )
                 spent = 1e3 * (time.perf_counter() - clock)
@@ -155,38 +155,46 @@ def drives() -> None:
 def plans() -> None:
     """Print plans of a rigid four-wheeler: cold, on flat ground, and `follow`."""
     vehicle = ROBOTS["rigid four wheels"]
-    names = [f"{w.name}_rate" for w in vehicle.wheels]
     print("\nplan over 5 m: iterations, s; slip; end missed at the sharp law, ten times stiffer")
     for rms in (0.02, 0.05):
         ground = Analytic(hills(rms, ca.sin), mu=0.8)
         flat = Analytic(lambda x, y: 0 * x + 0 * y, mu=0.8)
-        found = {}
-        for name, under, cells in (("plan", ground, 40), ("plan", ground, 80), ("flat", flat, 40)):
-            model = direct_kinematics(vehicle, under, smoothing=1.0)
-            start = settle(model)
-            guess = simulate(model, start, forward(model, vehicle, 1.0), np.linspace(0, 5, 51))
-            clock = time.perf_counter()
-            made = plan(
-                model,
-                start,
-                guess,
-                goal=GOAL,
-                costs={"slip": 100.0, "effort": 0.001},
-                duration=8.0,
-                inputs=dict.fromkeys(names, (-12.0, 12.0)),
-                intervals=cells,
-                accuracy=5e-3,
-                smooth=1e-4,
-            )
-            spent = time.perf_counter() - clock
-            found[f"{name} {cells}"] = made
-            print(
-                f"rms {rms:g} {name} {cells} intervals: {sum(s.iterations for s in made.stages)} "
-                f"iterations, {spent:.1f} s, accurate: {made.accurate}"
-            )
+        found = {
+            name: _planned(vehicle, under) for name, under in (("plan", ground), ("flat", flat))
+        }
         for name, made in found.items():
-            print(f"  {name:8}", *(_replayed(vehicle, ground, made, k) for k in (1, 10)))
-        print("  follow  ", _followed(vehicle, ground))
+            for width, each in made.items():
+                ends = [_replayed(vehicle, ground, each, k) for k in (1, 10)]
+                print(f"rms {rms:g} {name}, width {width}: {' '.join(ends)}")
+        print(f"rms {rms:g} follow: {_followed(vehicle, ground)}")
+
+
+def _planned(vehicle, ground):
+    """Return plans with sharper and sharper load laws, by width, each from the one before."""
+    names, made, saved = [f"{w.name}_rate" for w in vehicle.wheels], {}, None
+    for width in (1.0, 0.3, 0.1):
+        model = direct_kinematics(vehicle, ground, smoothing=width)
+        start = settle(model)
+        guess = simulate(model, start, forward(model, vehicle, 1.0), np.linspace(0, 5, 51))
+        clock = time.perf_counter()
+        found = plan(
+            model,
+            start,
+            guess if saved is None else [],
+            goal=GOAL,
+            costs={"slip": 100.0, "effort": 0.001},
+            duration=8.0,
+            inputs=dict.fromkeys(names, (-12.0, 12.0)),
+            intervals=40,
+            accuracy=5e-3,
+            smooth=1e-4,
+            resume=saved,
+        )
+        spent = time.perf_counter() - clock
+        count = sum(stage.iterations for stage in found.stages)
+        print(f"  width {width}: {count} iterations, {spent:.1f} s, accurate: {found.accurate}")
+        made[width], saved = found, found.saved
+    return made
 
 
 def _replayed(vehicle, ground, made, factor: float) -> str:

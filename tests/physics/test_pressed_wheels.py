@@ -29,6 +29,7 @@ from slipfree.models.pressed_model import SMOOTHING, pressed_dae
 from slipfree.models.rocking import lightest_wheel, rocks
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.replay import round_trip
+from slipfree.solve.settle import stable_poses
 
 ROBOT = catalog.rigid_skid_steer()
 RADIUS, WHEELBASE, HALF_TRACK = 0.165, 0.51, 0.285
@@ -159,6 +160,15 @@ def test_poor_starts_settle():
         still = [start[f"{name}_rate"][0] for name in ("roll", "pitch", "heading")]
         assert np.abs(still).max() < 1e-5
         assert start["load_share"][0].mean() > 0.9
+
+
+def test_a_robot_may_stand_on_different_wheels():
+    ground = Analytic(hills(0.05))
+    poses = stable_poses(direct_kinematics(ROBOT, ground), x=1.2, y=4.95)
+    assert [lightest_wheel(pose, 0)[0] for pose in poses] == ["rear_left", "front_right"]
+    assert all(pose["depth"].min() < 0 for pose in poses)  # a diagonal lies on each
+    exact = direct_kinematics(catalog.skid_steer(), ground)
+    assert len(stable_poses(exact, x=1.2, y=4.95)) == 1
 
 
 def test_a_robot_rocks_and_says_when():

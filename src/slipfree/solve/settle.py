@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,8 @@ from slipfree.trajectory import SolverError, Trajectory
 
 RELAXATION_TIME = 20.0  # of the states that relax to an equilibrium at a start [s]
 RELAXATION_TOLERANCE = 1e-4  # of their integration
+INCLINATIONS = (("roll", 0.2), ("roll", -0.2), ("pitch", 0.2), ("pitch", -0.2))  # [rad]
+DIFFERENT_ANGLE = 1e-4  # smallest difference of roll or pitch of two stable poses [rad]
 REST_RATE = 1e-5  # largest rate of these states at rest [size/s]
 
 
@@ -71,6 +74,48 @@ def settle(
     if not dae.rest.numel():
         return _one_sample(dae, x, first_guess(dae, x, guess), options)
     return _relaxed(dae, x, start, guess, options)
+
+
+@computing
+def stable_poses(
+    dae: Dae, *, options: SolverOptions = SolverOptions(), **start: float
+) -> tuple[Trajectory, ...]:
+    """Return the different poses in which a vehicle can stand at a position.
+
+    A rigid vehicle with more than three wheels may stand on different sets of wheels. It relaxes
+    from a level pose and from poses inclined to four sides, which may not find all of them.
+
+    Parameters
+    ----------
+    dae : Dae
+        The model. One with exact contact has one pose.
+    options : SolverOptions
+        Options of the solvers.
+    **start : float
+        As in `settle`.
+
+    Returns
+    -------
+    tuple of Trajectory
+        One sample each, that of `settle` first. Two poses are different if an angle differs by more
+        than `DIFFERENT_ANGLE`.
+
+    Raises
+    ------
+    ModelError
+        As `settle`, for the first pose.
+    """
+    values: dict[str, Any] = dict(start)
+    found = [settle(dae, options=options, **values)]
+    for name, angle in INCLINATIONS if dae.rest.numel() else ():
+        try:
+            other = settle(dae, options=options, **(values | {name: angle}))
+        except ModelError:  # it overturns from there
+            continue
+        apart = [max(abs(other[n][0] - run[n][0]) for n in ("roll", "pitch")) for run in found]
+        if min(apart) > DIFFERENT_ANGLE:
+            found.append(other)
+    return tuple(found)
 
 
 def _relaxed(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -74,12 +74,26 @@ def contact_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     )
 
 
-def start_facts(start: Trajectory) -> Iterator[tuple[str, str]]:
-    """Yield the lightest wheel of a start with pressed wheels."""
-    if has_pressed_wheels(start):
-        name, share, depth = lightest_wheel(start, 0)
-        where = f"{-depth:.2g} m above the ground" if depth < 0 else f"{depth:.2g} m deep"
-        yield "lightest wheel", f"{name}, {share:.2g} of an equal share of the weight, {where}"
+def start_facts(poses: Sequence[Trajectory]) -> Iterator[tuple[str, str]]:
+    """Yield the lightest wheel of a start with pressed wheels, and its other stable poses.
+
+    Parameters
+    ----------
+    poses : sequence of Trajectory
+        Stable poses at the start, that of the motion first.
+    """
+    if not has_pressed_wheels(poses[0]):
+        return
+    name, share, depth = lightest_wheel(poses[0], 0)
+    where = f"{-depth:.2g} m above the ground" if depth < 0 else f"{depth:.2g} m deep"
+    yield "lightest wheel", f"{name}, {share:.2g} of an equal share of the weight, {where}"
+    if len(poses) > 1:
+        others = [
+            f"pitch {pose['pitch'][0]:.4g}, roll {pose['roll'][0]:.4g} rad with "
+            f"{lightest_wheel(pose, 0)[0]} lightest"
+            for pose in poses[1:]
+        ]
+        yield "other stable poses", "; ".join(others)
 
 
 def slip_facts(run: Trajectory) -> Iterator[tuple[str, str]]:

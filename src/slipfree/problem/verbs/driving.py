@@ -47,6 +47,7 @@ from slipfree.problem.verbs.drive_facts import (
 )
 from slipfree.records import Array, leaves
 from slipfree.solve.options import SolverOptions
+from slipfree.solve.settle import stable_poses
 from slipfree.solve.simulate import simulate
 from slipfree.terrain.base import Grid
 from slipfree.terrain.bicubic import Bicubic
@@ -104,7 +105,7 @@ class DriveVerb(MotionVerb):
         pose = ", ".join(f"{name} {start[name][0]:.6g}" for name in names)
         return start, [
             ("start", f"{pose} (m, rad)"),
-            *start_facts(start),
+            *start_facts(_stable_poses(problem, setup)),
             ("contact certificate", certificate(start)),
             ("samples", self.describe_samples(problem, setup)),
         ]
@@ -187,6 +188,20 @@ class DriveVerb(MotionVerb):
             WANTED: problem.spec.frame,
             **({MAP_TRANSFORM: encode_map_coordinates(coordinates)} if coordinates else {}),
         }
+
+
+def _stable_poses(problem: Problem[Motion], setup: Setup) -> tuple[Trajectory, ...]:
+    """Return the stable poses at the start of a motion, in the frame of the problem."""
+    model, spec = setup.model, problem.spec
+    states = [label.full for label in leaves(model.labels.x)]
+    held: dict[str, Any] = {
+        name: float(setup.start[name][0]) for name in states[: len(states) - model.rest.numel()]
+    }
+    poses = stable_poses(model, options=spec.solver.options, **held) if model.rest.numel() else ()
+    return tuple(
+        to_problem_frame(replace(pose, attributes={WANTED: spec.frame}))
+        for pose in poses or (setup.start,)
+    )
 
 
 def model_attributes(spec: Modelled) -> dict[str, str]:
