@@ -185,6 +185,8 @@ def test_run_plans_simulates_and_tells():
     assert "effort" in told["plan"]
     assert "iterations" in told["plan"]
     assert told["simulated"].strip().startswith("differs from the plan by at most x ")
+    assert told["optimality"].strip().startswith("a strict local minimum: smallest curvature ")
+    assert "duration 20 s: 0.1 s more saves " in told["prices of limits"]
     run = netcdf.read(Path("p.nc"))
     assert run["y"][-1] == pytest.approx(2.6, abs=1e-3)
     assert run.statistics["plan_iterations"] > 0

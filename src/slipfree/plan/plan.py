@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -30,6 +31,7 @@ from slipfree.plan.ipopt import (
     largest_violation,
     solve_program,
 )
+from slipfree.plan.optimality import Optimality, check_optimality
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
     guess_unknowns,
@@ -38,6 +40,7 @@ from slipfree.plan.polynomial_motion import (
     sample_plan,
     transfer_motion,
 )
+from slipfree.plan.prices import Price, limit_prices
 from slipfree.plan.problem import Range, task_of
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
@@ -146,6 +149,18 @@ class Plan:
             violations=(f"{name} {size:.1e}" for name, size in self.violation.items() if size),
             inputs=(label.full for label in leaves(self.program.task.dae.labels.u)),
         )
+
+    @cached_property
+    def optimality(self) -> Optimality | None:
+        """Second-order conditions at the solution; None if the program was not solved."""
+        if not self.success:
+            return None
+        return check_optimality(self.program, self.solution, _cost_weights(self.program, 1.0))
+
+    @cached_property
+    def prices(self) -> tuple[Price, ...]:
+        """Prices of the active limits, the largest saving first; none if it was not solved."""
+        return limit_prices(self.program, self.solution) if self.success else ()
 
 
 class _SearchState(NamedTuple):

@@ -21,6 +21,7 @@ from slipfree.outcome import Outcome
 from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
 from slipfree.plan.messages import missed_words
 from slipfree.plan.plan import Plan, plan
+from slipfree.plan.prices import prices_words
 from slipfree.plan.problem import limits_of, task_of
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
@@ -194,6 +195,7 @@ class PlanVerb(DriveVerb):
         attributes = {
             **run.attributes,
             **_violations(found, spec.plan.accuracy),
+            **_optimality(found),
             **_by_friction(setup, found),
             **_by_stiffness(setup, found),
         }
@@ -335,6 +337,16 @@ def _violations(found: Plan, accuracy: float) -> dict[str, str]:
         return {}
     words = missed_words(sizes, found.units)
     return {"plan_violations": f"{words}; plan.accuracy allows {accuracy:g}"}
+
+
+def _optimality(found: Plan) -> dict[str, str]:
+    """Return the descriptions of second-order conditions and prices of a solved plan."""
+    if found.optimality is None:
+        return {}
+    return {
+        "plan_optimality": found.optimality.words,
+        "plan_prices": prices_words(found.prices),
+    }
 
 
 def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:

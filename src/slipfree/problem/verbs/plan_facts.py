@@ -10,6 +10,7 @@ from slipfree.trajectory import PLAN, Trajectory, path_length
 
 CHECKS = (
     "simulated",
+    "optimality",
     "simulated with friction",
     "with wheels ten times stiffer",
 )  # facts about accuracy and validity
@@ -44,6 +45,9 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
     if not solved:
         kept = ""  # the outcome names the violations
     yield "simulated", f"differs from the {plan} by at most {listed}{kept}"
+    if "plan_optimality" in run.attributes:
+        yield "optimality", run.attributes["plan_optimality"]
+        yield "prices of limits", run.attributes["plan_prices"]
     slip = np.hypot(run["slip_along"], run["slip_across"])
     duration, length = run.t[-1] - run.t[0], path_length(run)
     total = np.trapezoid(slip, run.t, axis=0)

@@ -1,0 +1,143 @@
+"""Prices of limits: how much the cost falls per unit by which a limit is widened.
+
+A multiplier is the derivative of the least cost with respect to its bound (Nocedal and Wright,
+Numerical Optimization, 2nd ed., section 12.8). A limit bounds a quantity at all points of the mesh:
+its price is the sum of their multipliers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.plan.constraints import EQUATION, INPUT, LIMIT, ConstraintGroup, constraint_groups
+from slipfree.plan.ipopt import IPOPT_TOLERANCE, Solution
+from slipfree.plan.messages import DURATION, number, subject
+from slipfree.plan.optimality import active_set
+from slipfree.plan.transcription import Index, Program
+from slipfree.records import Array, Label, field_overview
+
+STEP_FRACTION = 0.01  # change of a bound that words name [its power of ten; unit, for places]
+MAX_NAMED_PRICES = 5  # prices that words name
+MIN_SHARE = 1e-4  # of the cost that a step must save to be named
+AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
+
+
+class Price(NamedTuple):
+    """Price of a limit of a plan.
+
+    Attributes
+    ----------
+    label : Label
+        The limited quantity; of all wheels if it is one of wheels.
+    role : str
+        ``"limit"``, ``"input"``, ``"goal"``, ``"way-point at 0.5"`` or ``"duration"``.
+    side : str
+        ``"at most"``, ``"at least"``, or ``"value"`` for equal bounds.
+    bound : float
+        The bound in the label's unit and in map coordinates.
+    rate : float
+        Derivative of the least cost with respect to the bound, per unit of the label.
+    share : float
+        The same over the cost. [1/unit]
+    active : int
+        Number of points, of the mesh and wheels, at which the limit is active.
+    """
+
+    label: Label
+    role: str
+    side: str
+    bound: float
+    rate: float
+    share: float
+    active: int
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    @property
+    def step(self) -> float:
+        """Small change of the bound that `words` names, in its unit."""
+        if self.role not in (LIMIT, INPUT, DURATION) or not self.bound:
+            return STEP_FRACTION
+        return float(STEP_FRACTION * 10.0 ** np.floor(np.log10(abs(self.bound))))
+
+    @property
+    def words(self) -> str:
+        """The price as a sentence."""
+        side = "" if self.side == VALUE else f" {self.side}"
+        more = "more" if self.rate < 0 else "less"
+        return (
+            f"{subject(self.label, self.role)}{side} {number(self.label, self.bound)}: "
+            f"{number(self.label, self.step)} {more} saves "
+            f"{100 * abs(self.share) * self.step:.2g} % of the cost"
+        )
+
+
+def limit_prices(program: Program, solution: Solution) -> tuple[Price, ...]:
+    """Return the prices of the active limits of a solution, the largest saving first.
+
+    Parameters
+    ----------
+    program : Program
+        From `transcribe`.
+    solution : Solution
+        Its solution; its cost is that of the weights it was solved for.
+    """
+    multipliers = np.append(solution.row_multipliers, solution.bound_multipliers / program.scale)
+    active = np.append(*active_set(program, solution)[:2])
+    found: dict[tuple[str, ...], Price] = {}
+    for group in _limit_groups(program):
+        for side, bound, where in _sides(program, group, multipliers):
+            count = int(active[where].sum())
+            if not count:
+                continue
+            rate = -float(multipliers[where].sum())
+            label = replace(group.label, wheel=None)
+            share = rate / max(abs(solution.cost), IPOPT_TOLERANCE)
+            new = Price(label, group.role, side, bound + group.shift, rate, share, count)
+            key = group.role, label.name, side, f"{bound}"
+            old = found.get(key)
+            if old is not None:
+                new = new._replace(
+                    rate=old.rate + rate, share=old.share + share, active=old.active + count
+                )
+            found[key] = new
+    return tuple(sorted(found.values(), key=lambda price: -abs(price.share) * price.step))
+
+
+def prices_words(prices: Sequence[Price]) -> str:
+    """Return the largest prices as a text."""
+    named = [each.words for each in prices if abs(each.share) * each.step >= MIN_SHARE]
+    if not named:
+        return "no limit costs anything"
+    rest = f"; {len(named) - MAX_NAMED_PRICES} more" if len(named) > MAX_NAMED_PRICES else ""
+    return "; ".join(named[:MAX_NAMED_PRICES]) + rest
+
+
+def _limit_groups(program: Program) -> Iterator[ConstraintGroup]:
+    """Yield the constraints of a program except equations, and the bounds of its duration."""
+    for group in constraint_groups(program):
+        if group.role != EQUATION:
+            yield group
+    at = np.array([program.g_lower.size + program.layout.duration])
+    label, none = Label(DURATION, "s", "duration"), np.zeros(1, dtype=np.intp)
+    yield ConstraintGroup(label, DURATION, at, none, np.ones(1), *program.task.duration, 0.0)
+
+
+def _sides(
+    program: Program, group: ConstraintGroup, multipliers: Array
+) -> Iterator[tuple[str, float, Index]]:
+    """Yield the sides of a limit, their bounds, and where they are those of the program."""
+    lower = np.append(program.g_lower, program.lower)[group.where]
+    upper = np.append(program.g_upper, program.upper)[group.where]
+    prices = multipliers[group.where]
+    if group.lower == group.upper:
+        yield VALUE, group.lower, group.where
+        return
+    # Of two limits on one unknown the narrower one is in the program.
+    yield AT_LEAST, group.lower, group.where[(lower == group.lower) & (prices < 0)]
+    yield AT_MOST, group.upper, group.where[(upper == group.upper) & (prices > 0)]

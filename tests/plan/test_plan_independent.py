@@ -1,0 +1,98 @@
+"""Optima of plans against an independent transcription: Hermite-Simpson by ``casadi.Opti``."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from helpers.cases import hills
+from slipfree import Analytic, direct_kinematics, settle, simulate
+from slipfree.catalog import three_wheeler
+from slipfree.plan.plan import plan
+
+SLIP, EFFORT, SMOOTH = 1e3, 0.01, 0.002
+COUNT, DURATION, GOAL, STEER = 32, 10.0, (0.15, 1.3), 0.15
+
+
+def saddle(x, y):
+    return 0.06 * x * y + 0.05 * ca.sin(1.5 * y)
+
+
+def by_opti(dae, start):
+    """Return the least cost; equations at the ends and the middles, inputs linear between ends."""
+    x, z, u = dae.columns()
+    z_all = dae.rows("z", start, -1)
+    slip = ca.sumsqr(ca.vertcat(*dae.named("slip_along"), *dae.named("slip_across")))
+    kept = [k for k in range(z.numel()) if ca.depends_on(ca.vertcat(dae.ode, slip), z[k])]
+    first = dae.alg[0].numel() + dae.alg[1].numel()  # pose and rates; the forces follow from them
+    assert max(kept) < first
+    f = ca.Function(
+        "f",
+        [x, z[:first], u],
+        [dae.ode, ca.vertcat(*dae.alg[:2]), SLIP * slip + EFFORT * ca.sumsqr(u)],
+    )
+    opti, h = ca.Opti(), DURATION / COUNT
+    states, inputs = opti.variable(x.numel(), COUNT + 1), opti.variable(u.numel(), COUNT + 1)
+    middles = opti.variable(x.numel(), COUNT)
+    ends, insides = opti.variable(first, COUNT + 1), opti.variable(first, COUNT)
+    opti.subject_to(states[:, 0] == dae.rows("x", start, -1))
+    opti.subject_to(states[:2, -1] == ca.DM(GOAL))
+    opti.subject_to(opti.bounded(-STEER, states[3, 1:], STEER))
+    values = [f(states[:, k], ends[:, k], inputs[:, k]) for k in range(COUNT + 1)]
+    for _, residual, _ in values:
+        opti.subject_to(residual == 0)
+    cost = 0
+    for k in range(COUNT):
+        (left, _, paid), (right, _, paid_after) = values[k : k + 2]
+        between = (inputs[:, k] + inputs[:, k + 1]) / 2
+        slope, residual, paid_inside = f(middles[:, k], insides[:, k], between)
+        a, b = states[:, k], states[:, k + 1]
+        opti.subject_to(residual == 0)
+        opti.subject_to(middles[:, k] == (a + b) / 2 + h / 8 * (left - right))
+        opti.subject_to(b == a + h / 6 * (left + 4 * slope + right))
+        cost += h / 6 * (paid + 4 * paid_inside + paid_after)
+        cost += SMOOTH * ca.sumsqr(inputs[:, k + 1] - inputs[:, k]) / h
+    opti.minimize(cost)
+    # From a straight line, not from the plan.
+    places = np.linspace(0, 1, COUNT + 1)
+    run = dae.rows("x", start, -1)[:, None] + np.outer([*GOAL, 0, 0], places)
+    opti.set_initial(states, run)
+    opti.set_initial(middles, (run[:, 1:] + run[:, :-1]) / 2)
+    opti.set_initial(ends, np.tile(z_all[:first, None], COUNT + 1))
+    opti.set_initial(insides, np.tile(z_all[:first, None], COUNT))
+    opti.set_initial(inputs, 0.45)
+    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes", "max_iter": 500})
+    solution = opti.solve()
+    return float(solution.value(cost)), solution.value(states)
+
+
+def planned(dae, start, count):
+    rates = dae.inputs(right_rate=0.45, left_rate=0.45, steer_rate=0.0)
+    found = plan(
+        dae,
+        start,
+        simulate(dae, start, rates, np.linspace(0, DURATION, 31)),
+        goal=dict(zip("xy", GOAL, strict=True)),
+        costs={"slip": SLIP, "effort": EFFORT},
+        smooth=SMOOTH,
+        duration=DURATION,
+        limits={"steer": (-STEER, STEER)},
+        intervals=count,
+        accuracy=1.0,
+    )
+    assert found.success
+    return found
+
+
+@pytest.mark.parametrize("ground", [hills, saddle])
+def test_an_optimum_is_that_of_another_transcription(ground):
+    """The two differ by less than the mesh does: half of the intervals are another plan."""
+    dae = direct_kinematics(three_wheeler(axle="fixed"), Analytic(ground))
+    start = settle(dae)
+    coarse, fine = (planned(dae, start, count) for count in (COUNT // 2, COUNT))
+    cost, states = by_opti(dae, start)
+    assert abs(cost - fine.solution.cost) < 0.2 * abs(coarse.solution.cost - fine.solution.cost)
+    layout, unknowns = fine.program.layout, fine.solution.unknowns
+    places = np.vstack([unknowns[layout.first], unknowns[layout.states[:, -1]]])
+    assert np.abs(places.T - states).max() < 5e-3
