@@ -77,7 +77,7 @@ def test_known_nodes_are_not_touched():
 
 
 def test_holes_at_the_border_are_refused_with_a_window():
-    with pytest.raises(DataError, match="found 1 of 12 nodes that reach the border") as caught:
+    with pytest.raises(DataError, match=r"1 holes \(12 nodes\) that reach the border") as caught:
         fill_holes(holed(plane(), (slice(0, 3), slice(5, 9)), (10, 10)))
     assert str(caught.value).endswith("window = [1.5, 14.5, 7, 13]")
     with pytest.raises(DataError, match="use another map"):

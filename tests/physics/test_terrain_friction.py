@@ -284,9 +284,9 @@ def test_formulas_are_compared_with_their_friction():
         (math.nan, "friction: mu must be positive and finite, found nan"),
         (math.inf, "friction: mu must be positive and finite, found inf"),
         (True, "friction: mu must be a number, .* found bool"),
-        ("mu.npz", r"a Grid, found str; pass float\(mu\), or read_grid\(path\) for a file"),
+        ("mu.npz", r"a Grid, found str; pass float\(mu\), or read_map\(path\).grid for a file"),
         (np.full((5, 5), 0.3), "friction: mu must be a number, .* found ndarray"),
-        (lambda x, y: ca.vertcat(x, y), r"friction: .* one coefficient, found \(2, 1\)"),
+        (lambda x, y: ca.vertcat(x, y), r"friction: .* one coefficient, found shape \(2, 1\)"),
         (
             lambda x, _y: x + ca.SX.sym("wet"),
             r"friction: the coefficient .*only on x and y, found .*wet",

@@ -17,7 +17,7 @@ from slipfree.terrain.base import Terrain
 from slipfree.vehicle.sections.base import arc_lengths
 from slipfree.vehicle.wheel import Wheel
 
-RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # around the wheel, zero at the contact
+RIM_ANGLES = np.deg2rad(np.linspace(-180.0, 180.0, 121))  # about the axle, from the contact [rad]
 SPACING = np.deg2rad(3.0)  # distance of neighbouring points on the tread [rolling radii]
 CHUNK = 256  # samples evaluated together; limits the memory
 TOLERANCE = 1e-7  # penetration that counts as contact [size]
@@ -59,7 +59,7 @@ class SecondContact:
         return Label("clearance", "m", words, self.wheel.name)
 
     def margin(self, x: Array, z: Array) -> Array:
-        """Return the clearances of states in columns, shape (n,) [m]."""
+        """Return the clearances of n states, the columns of ``x`` and ``z``, shape (n,) [m]."""
         parts = range(0, x.shape[1], CHUNK)
         return np.concatenate(
             [self._nearest(x[:, k : k + CHUNK], z[:, k : k + CHUNK])[0] for k in parts]

@@ -51,8 +51,8 @@ class ContactFrame(NamedTuple):
 def has_exact_closure(vehicle: Vehicle) -> bool:
     """Return whether all wheels of a vehicle can touch a rigid ground in every configuration.
 
-    Every wheel adds one constraint. Three of them determine the pose of the platform, and each
-    further one needs a suspension coordinate.
+    Every wheel adds one constraint. Three constraints determine the pose of the platform; each
+    further constraint requires a suspension coordinate.
     """
     return len(vehicle.of("suspension")) == len(vehicle.wheels) - 3
 
@@ -64,8 +64,8 @@ def check_exact_closure(vehicle: Vehicle, model: str) -> None:
         raise ModelError(
             f"{model}: expected a vehicle whose wheels can all touch a rigid ground, that is, "
             f"{wheels - 3} suspension coordinates for {wheels} wheels, found {given} in "
-            f"{vehicle.name!r}; direct_kinematics and inverse_kinematics take other vehicles, with "
-            "wheels that are pressed into the ground"
+            f"{vehicle.name!r}; use direct_kinematics or inverse_kinematics, which press the "
+            "wheels into the ground"
         )
 
 
@@ -84,7 +84,11 @@ def contact_frame(
 
 
 def closure(wheel: Wheel, carrier: Pose, contact: ContactFrame) -> ca.SX:
-    """Return ``G - s(-n, a) - C``, zero where the wheel touches the ground, shape (3, 1) [m]."""
+    """Return the contact residual ``G - s(-n, a) - C`` of a wheel, shape (3, 1) [m].
+
+    ``G`` is the ground point with normal ``n``, ``s`` the point of the wheel with the opposite
+    normal relative to its centre ``C``, and ``a`` the axle. The residual is zero in contact.
+    """
     return contact.point - wheel.section.support(-contact.normal, contact.axle) - carrier.origin
 
 
@@ -92,9 +96,9 @@ def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.S
     """Return the contact coordinates ``u_w, v_w, psi`` of a wheel, in its carrier's frame [rad].
 
     ``u_w`` and ``v_w`` are the parameters of ``Section.point`` (for the torus those of
-    Chakraborty and Ghosal, eq. 1) where the outward normal is the ground's downward one; ``v_w``
-    is 3 pi/2 for a wheel upright on level ground. ``psi`` is the angle that takes the wheel's
-    Gauss x axis to the ground's.
+    Chakraborty and Ghosal, eq. 1) at the point with the outward normal ``-n``, where ``n`` is the
+    ground's upward normal; ``v_w`` is 3 pi/2 for a wheel upright on level ground. ``psi`` is the
+    angle from the wheel's Gauss x axis to the ground's Gauss x axis.
     """
     down = -carrier.rotation.T @ contact.normal
     u = ca.atan2(ca.norm_2(down[1:]), down[0])
@@ -106,12 +110,12 @@ def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.S
 
 
 def relative_curvature(wheel: Wheel, contact: ContactFrame) -> ca.SX:
-    """Return the margin of local uniqueness of the contact; unique where positive [1/m].
+    """Return the margin of local uniqueness of a contact, positive for a unique contact [1/m].
 
-    The contact is unique nearby if the wheel's curvature exceeds the ground's in every
-    direction, that is, if Montana's relative curvature form is positive definite. Along the wheel
-    its curvature is ``k = m / rho``, with ``m`` its uprightness and ``rho`` the distance of the
-    contact point from the axle; across it ``1 / r``. The form is positive definite if
+    The contact is locally unique if the wheel is more convex than the ground is concave in every
+    direction, that is, if Montana's relative curvature form is positive definite. The curvature of
+    the wheel is ``k = m / rho`` along it, with the uprightness ``m`` and the distance ``rho`` of
+    the contact point from the axle, and ``1 / r`` across it. The form is positive definite if
     ``1 + r K_ll`` and the Schur complement ``k + K_tt - r K_tl^2 / (1 + r K_ll)`` are positive,
     with ``K`` the ground's form for the upward normal, negative in valleys. In this form the
     condition also holds for the edge of a disc, ``r = 0``. The smaller of the two is returned, the

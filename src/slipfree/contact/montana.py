@@ -29,8 +29,8 @@ class ContactCoordinates(NamedTuple):
     """Coordinates of a contact on both surfaces, and the angle between their Gauss frames.
 
     ``x, y`` are the ground's coordinates ``u_g, v_g`` [m]; ``u, v`` those of the wheel
-    ``u_w, v_w`` (``Section.point``); ``psi`` is the angle that takes the wheel's Gauss x axis to
-    the ground's, about the ground's normal [rad].
+    ``u_w, v_w`` (``Section.point``); ``psi`` is the angle from the wheel's Gauss x axis to the
+    ground's Gauss x axis, about the ground's normal [rad].
     """
 
     x: Any
@@ -62,7 +62,7 @@ class Pair(NamedTuple):
 
     @property
     def pose(self) -> Pose:
-        """Pose of the wheel: its Gauss frame lies upside down on the ground's."""
+        """Pose of the wheel, with coincident contact points and opposite normals."""
         rotation = self.frame @ self.wheel.frame.T
         return Pose(rotation, self.ground.point - rotation @ self.wheel.point)
 
@@ -107,10 +107,10 @@ class ContactRates(NamedTuple):
 
 
 def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.SX) -> ContactRates:
-    """Return the rates of the contact coordinates (eq. 2 of the paper).
+    """Return the rates of the contact coordinates, eq. 2 of Chakraborty and Ghosal.
 
-    The forms differ from the printed ones: in the paper's ``K`` and ``T`` the factors ``1/|c_u|``
-    and ``1/|c_v|`` are missing, and a diagonal ``M`` is wrong on a height map
+    The forms differ from those in the paper: its ``K`` and ``T`` lack the factors ``1/|c_u|`` and
+    ``1/|c_v|``, and its diagonal ``M`` is wrong on a height map
     (``test_surface.py``: ``test_printed_forms_fail``).
 
     Parameters

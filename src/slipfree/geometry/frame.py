@@ -31,10 +31,10 @@ def unit_vector(axis: Axis) -> Vector:
     return x, y, z
 
 
-def check_vector(what: str, vector: Sequence[float]) -> None:
+def check_vector(name: str, vector: Sequence[float]) -> None:
     """Raise ModelError if a vector is not three finite numbers."""
     if len(vector) != 3 or not all(map(isfinite, vector)):
-        raise ModelError(f"{what} must be three finite numbers, found {vector}")
+        raise ModelError(f"{name} must be three finite numbers, found {vector}")
 
 
 class Twist(NamedTuple):
@@ -58,16 +58,16 @@ class Pose(NamedTuple):
     Attributes
     ----------
     rotation : SX, shape (3, 3)
-        Columns are the frame's axes. [1]
+        Rotation matrix; its columns are the frame's axes. [1]
     origin : SX, shape (3, 1)
-        Its origin. [m]
+        Origin of the frame. [m]
     """
 
     rotation: ca.SX
     origin: ca.SX
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Return the pose in fixed axes of ``other``, which is given in this frame."""
+        """Return a pose given in this frame in fixed axes."""
         return Pose(self.rotation @ other.rotation, self.origin + self.rotation @ other.origin)
 
     def twist(self, q: ca.SX, rates: ca.SX) -> Twist:

@@ -49,7 +49,8 @@ class Path:
     Raises
     ------
     ModelError
-        If there are fewer than two points, two consecutive points coincide, or one is not finite.
+        If there are fewer than two points, two consecutive points coincide, or a coordinate is not
+        finite or too large.
 
     Examples
     --------
@@ -72,13 +73,17 @@ class Path:
                 f"path: expected two or more points (x, y), found shape {points.shape}"
             )
         if not (np.abs(points) < MAX_COORDINATE).all():
+            k = int((~(np.abs(points) < MAX_COORDINATE).all(axis=1)).argmax())
             raise ModelError(
-                f"path: coordinates of way-points must be finite and below {MAX_COORDINATE:g} m"
+                f"path: expected coordinates between -{MAX_COORDINATE:g} and {MAX_COORDINATE:g} m, "
+                f"found {points[k]} at way-point {k + 1}; correct or remove it"
             )
         gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         if not (gaps > 0).all():
             k = int(gaps.argmin())
-            raise ModelError(f"path: way-points {k + 1} and {k + 2} coincide at {points[k]}")
+            raise ModelError(
+                f"path: way-points {k + 1} and {k + 2} coincide at {points[k]}; remove one of them"
+            )
         object.__setattr__(self, "points", points)
 
     @property
@@ -122,7 +127,10 @@ class Path:
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
-        """Equally spaced arc lengths, and x, y (from the first point), heading and curvature."""
+        """Arc lengths, shape (n,), and x, y, heading and curvature there, shape (4, n).
+
+        Arc lengths are equally spaced; x and y are relative to the first way-point.
+        """
         from scipy.interpolate import CubicSpline  # imported here, since the import takes 0.2 s
 
         chord = np.concatenate(

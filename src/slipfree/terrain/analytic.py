@@ -25,7 +25,7 @@ from slipfree.terrain.base import (
 from slipfree.terrain.bicubic import Bicubic, friction_map
 from slipfree.terrain.friction import Friction, check_friction, coefficient, map_domain
 
-CHUNK = 4096  # points per mapped call; a map for another number would be built anew
+CHUNK = 4096  # points per call of a mapped function, which has a fixed number of points
 EVERYWHERE = (-math.inf, math.inf, -math.inf, math.inf)
 
 
@@ -52,7 +52,7 @@ class Analytic:
         If the domain is empty, if a function does not return one scalar that depends only on ``x``
         and ``y``, or if the friction is not a positive number.
     DataError
-        If a friction map holds coefficients that are not positive.
+        If a friction map contains coefficients that are not positive.
 
     Notes
     -----
@@ -110,7 +110,7 @@ class Analytic:
         )
 
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
-        """Return height, gradient and Hessian at a point, two symbols."""
+        """Return height, gradient and Hessian at a point given by two symbols."""
         if self._taylor is None:
             return jet_of(ca.SX(self.function(x, y)), x, y)
         return polynomial_jet(lookups.find(self._taylor, ca.vertcat(x, y), order=4), TAYLOR, x, y)

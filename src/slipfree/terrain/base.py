@@ -30,9 +30,9 @@ class Jet(NamedTuple):
     Attributes
     ----------
     height : SX, shape (1, 1)
-        [m]
+        Local height. [m]
     gradient : SX, shape (2, 1)
-        ``h_x, h_y``. [1]
+        First derivatives ``h_x, h_y``. [1]
     hessian : SX, shape (2, 2)
         Second derivatives. [1/m]
     """
@@ -43,7 +43,7 @@ class Jet(NamedTuple):
 
 
 def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
-    """Return a height with its derivatives with respect to two symbols."""
+    """Return a height with its first and second derivatives with respect to two symbols."""
     place = ca.vertcat(x, y)
     gradient = ca.gradient(height, place)
     return Jet(height, gradient, ca.jacobian(gradient, place))
@@ -89,9 +89,9 @@ TAYLOR = tuple((m, n) for n in range(5) for m in range(5 - n))  # orders of deri
 
 
 def taylor_function(formula: Callable[[Any, Any], Any]) -> ca.Function | None:
-    """Return the lookup function of a formula; None if the formula calls no functions.
+    """Return the lookup function of a formula; None for a formula without function calls.
 
-    CasADi cannot differentiate calls in SX graphs as often as plans need.
+    CasADi cannot differentiate function calls in SX graphs as often as plans require.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Terrain(Protocol):
        computes the height from them.
     3. ``elevation(x, y)`` is the same surface, numeric and vectorised, in map coordinates.
     4. ``friction(x, y, lookups)`` is an SX expression of local coordinates, twice continuously
-       differentiable for a map. It is one if no friction was given.
+       differentiable for a map. Without a given coefficient its value is one.
     5. An instance is immutable and can be pickled.
     """
 
@@ -153,7 +153,7 @@ class Terrain(Protocol):
         """Return the local height at a local point [m]."""
 
     def jet(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> Jet:
-        """Return height, gradient and Hessian at a local point, two symbols."""
+        """Return height, gradient and Hessian at a local point given by two symbols."""
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
         """Return the coefficient of friction at a local point [1]."""
@@ -173,7 +173,7 @@ class Grid:
     z : ndarray, shape (n_x, n_y)
         Heights [m] or coefficients of friction [1], all finite.
     filled : ndarray of bool, shape (n_x, n_y), or None
-        Nodes in holes of the data, with interpolated values.
+        True at nodes in holes of the data, which have interpolated values.
 
     Raises
     ------
@@ -273,13 +273,13 @@ def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -
     Raises
     ------
     ModelError
-        If it returns another shape, or an expression of other symbols.
+        If the function returns another shape, or an expression of other symbols.
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     found = ca.SX(function(x, y))
     if found.shape != (1, 1):
         raise ModelError(
-            f"{owner}: function must return one {value}, found {found.shape}; return one scalar"
+            f"{owner}: function must return one {value}, found shape {found.shape}; return a scalar"
         )
     foreign = [s for s in ca.symvar(found) if not (ca.is_equal(s, x) or ca.is_equal(s, y))]
     if foreign:
@@ -290,7 +290,7 @@ def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -
 
 
 def _check_type(name: str, array: Array) -> None:
-    """Check that an array is a plain array of float64, without converting it."""
+    """Raise DataError unless an array is an unmasked array of float64."""
     if not isinstance(array, np.ndarray):
         found, remedy = type(array).__name__, f"np.asarray({name}, dtype=float)"
     elif np.ma.isMaskedArray(array):
@@ -357,8 +357,8 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
         )
     if np.abs(z[np.isfinite(z)]).max(initial=0.0) > MAX_HEIGHT:
         raise DataError(
-            f"grid: heights must lie between -{MAX_HEIGHT:g} and {MAX_HEIGHT:g} m, found one of "
-            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; a value that marks holes must be NaN"
+            f"grid: heights must lie between -{MAX_HEIGHT:g} and {MAX_HEIGHT:g} m, found "
+            f"{z.flat[np.nanargmax(np.abs(z))]:g} m; replace a value that marks holes by NaN"
         )
     bad = ~np.isfinite(z)
     if bad.any():

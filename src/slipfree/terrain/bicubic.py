@@ -54,7 +54,7 @@ class Bicubic:
         If the friction is not a positive number, or its function does not return one scalar that
         depends only on ``x`` and ``y``.
     DataError
-        If a friction map holds coefficients that are not positive.
+        If a friction map contains coefficients that are not positive.
 
     Notes
     -----
@@ -66,7 +66,8 @@ class Bicubic:
     lookup. Otherwise, and for a ground that was created while 64 others were in use, a CasADi
     interpolant does it.
 
-    One instance must not be evaluated by two threads at once; give each its own unpickled copy.
+    Two threads must not evaluate the same instance at the same time; give each thread an unpickled
+    copy.
 
     Examples
     --------
@@ -118,7 +119,7 @@ class Bicubic:
 
     @property
     def friction_domain(self) -> tuple[float, float, float, float] | None:
-        """``x_min, x_max, y_min, y_max`` of a friction map; None if friction holds anywhere [m]."""
+        """``x_min, x_max, y_min, y_max`` of a friction map; None without a map [m]."""
         return map_domain(self.mu)
 
     def height(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:

@@ -29,7 +29,7 @@ from slipfree.terrain.base import (
     taylor_function,
 )
 
-# number, function of two SX scalars in map coordinates, or map; None stands for one [1]
+# number, function of two SX scalars in map coordinates, or map; None means 1 [1]
 Friction = float | Callable[[Any, Any], Any] | Grid | None
 BORDER = 2  # repeated rows of nodes around a map that make it constant outside
 
@@ -54,7 +54,7 @@ def check_friction(mu: Friction) -> None:
     elif not isinstance(mu, float | int) or isinstance(mu, bool):
         raise ModelError(
             "friction: mu must be a number, a function of x and y, or a Grid, found "
-            f"{type(mu).__name__}; pass float(mu), or read_grid(path) for a file"
+            f"{type(mu).__name__}; pass float(mu), or read_map(path).grid for a file"
         )
     elif not 0 < mu < math.inf:
         raise ModelError(
@@ -108,9 +108,9 @@ def map_domain(mu: Friction) -> tuple[float, float, float, float] | None:
 def pad_border(grid: Grid) -> Grid:
     """Return a grid with the values of its border repeated around it.
 
-    Across its border cells the B-spline of the larger grid is constant and continues so. A point
-    outside, which a solver may evaluate, therefore has a value in the range of the map. (Rounding
-    grows with the third power of the distance: to 1e-9 at 200 cells.)
+    The B-spline of the larger grid is constant across the border, in the border cells and outside.
+    A point outside, which a solver may evaluate, therefore has a value in the range of the map.
+    Rounding errors grow with the third power of the distance, to 1e-9 at 200 cells.
     """
     x, y = (_extend_axis(axis, h) for axis, h in zip((grid.x, grid.y), grid.spacing, strict=True))
     return Grid(x, y, np.pad(grid.z, BORDER, mode="edge"))

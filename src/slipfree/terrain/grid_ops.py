@@ -1,6 +1,6 @@
 """Operations on height maps: cut, fill, scale, smooth, disturb.
 
-Every function is pure: it returns a new map and, where it changes heights, the size of the change.
+The functions return new maps and do not change their arguments.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from slipfree.terrain.base import Grid
 MAX_NODES = 5e7  # largest number of nodes of a ground; an array then takes 400 MB
 MAX_COORDINATE = 1e12  # largest absolute coordinate of a map [m] or [deg]
 MIN_RELATIVE_STEP = 1e-14  # smallest step of an axis [largest coordinate]
-WINDOW_TOLERANCE = 1e-6  # distance of a node outside a window that still counts as inside [cell]
+WINDOW_TOLERANCE = 1e-6  # a node outside a window by a smaller distance counts as inside [cell]
 GAUSSIAN_CUTOFF = 4.0  # half-width of a truncated Gaussian [standard deviations]
 WAVES = 1000  # number of plane waves of an elevation error
 NEIGHBOURHOOD = np.ones((3, 3), dtype=bool)  # a node and its eight neighbours
@@ -42,7 +42,7 @@ class Axis(NamedTuple):
     size: int
 
     def nodes(self, part: slice) -> Array:
-        """Return the coordinates of a slice of the nodes. [m] or [deg]."""
+        """Return the coordinates of a slice of the nodes [m or deg]."""
         first, last = (self.first + self.step * k for k in (part.start, part.stop - 1))
         return np.linspace(first, last, part.stop - part.start)
 
@@ -135,7 +135,7 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
             raise DataError(
                 f"window: expected a part of the map with at least 4 nodes along x and along y, "
                 f"found {sizes[0]} by {sizes[1]} in {_window_text(window)}; {reach}, "
-                f"a node every {x.step:.9g} and {y.step:.9g}"
+                f"its nodes are {x.step:.9g} and {y.step:.9g} apart"
             )
     nodes = math.prod(part.stop - part.start for part in found)
     if nodes > MAX_NODES:
@@ -151,7 +151,8 @@ def _check_axes(x: Axis, y: Axis) -> None:
     """Raise DataError for axes with too few nodes or with nodes that rounding would merge."""
     if min(x.size, y.size) < 4:
         raise DataError(
-            f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}"
+            f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}; "
+            "use a larger map"
         )
     for name, axis in (("x", x), ("y", y)):
         size = min(axis.size, 10**18)  # a header may contain any number
@@ -160,7 +161,8 @@ def _check_axes(x: Axis, y: Axis) -> None:
             raise DataError(
                 f"expected node coordinates up to {MAX_COORDINATE:g} with a step above "
                 f"{MIN_RELATIVE_STEP:g} of the largest, found "
-                f"{float(size):.3g} nodes from {name} = {axis.first:g} with step {axis.step:g}"
+                f"{float(size):.3g} nodes from {name} = {axis.first:g} with step {axis.step:g}; "
+                "correct the coordinates of the map"
             )
 
 
@@ -192,7 +194,7 @@ def cut(grid: Grid, window: Window) -> Grid:
     Raises
     ------
     DataError
-        If it has less than four nodes in a direction, or the window is empty.
+        If the part has fewer than four nodes along x or y, or the window is empty.
     """
     i, j = parts(*axes_of(grid.x, grid.y), window)
     filled = None if grid.filled is None else grid.filled[i, j]
@@ -202,10 +204,7 @@ def cut(grid: Grid, window: Window) -> Grid:
 def check_whole(found: Heights) -> None:
     """Raise DataError for a map with holes.
 
-    Raises
-    ------
-    DataError
-        With the number of holes, the position of the first, and how to fill them.
+    The message reports the number of holes and the position of the first one.
     """
     holes = np.isnan(found.z)
     if holes.any():
@@ -269,8 +268,8 @@ def _check_closed(found: Heights, numbers: Array) -> None:
             )
         raise DataError(
             "fill: expected holes with heights all around, found "
-            f"{open_ones.size} of {nodes} nodes that reach the border of the map, where they "
-            f"could only be extrapolated; {remedy}"
+            f"{open_ones.size} holes ({nodes} nodes) that reach the border of the map, where "
+            f"heights could only be extrapolated; {remedy}"
         )
 
 
@@ -298,14 +297,14 @@ def _window_without_border_holes(holes: Mask) -> tuple[slice, slice] | None:
 
 
 def scaled(grid: Grid, horizontal: float, vertical: float) -> Grid:
-    """Return a ground with x and y multiplied by one number and heights by another [1]."""
+    """Return a ground with scaled x and y (``horizontal``) and heights (``vertical``)."""
     if horizontal == vertical == 1:
         return grid
     return replace(grid, x=horizontal * grid.x, y=horizontal * grid.y, z=vertical * grid.z)
 
 
 def smoothed(grid: Grid, deviation: float) -> Smoothed:
-    """Return a ground averaged with Gaussian weights.
+    """Return a ground averaged with Gaussian weights, and the size of the change.
 
     Outside the grid the ground continues by point reflection about the border node, which preserves
     slopes.
@@ -361,8 +360,8 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
     grid : Grid
         The ground.
     rms : float
-        Standard deviation of the error over all seeds. That of a single map approaches it with
-        the number of correlation lengths on the map. [m]
+        Standard deviation of the error over all seeds. The standard deviation on a single map
+        approaches it if the map is many correlation lengths long. [m]
     correlation : float
         Distance d at which the correlation exp(-(d / correlation)**2) has decayed to 1/e. [m]
     seed : int

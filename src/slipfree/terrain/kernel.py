@@ -74,14 +74,14 @@ class Opened(NamedTuple):
 
 
 def register_ground(table: Array, layout: Layout) -> Opened | None:
-    """Register a ground with the compiled evaluator; return None if it is absent or full.
+    """Register a ground with the compiled evaluator; return None without a free slot.
 
     Parameters
     ----------
     table : ndarray, shape (n_x + 2, n_y + 2)
         Coefficients of the spline; kept while the ground is in use. [m]
     layout : Layout
-        Positions of its cells.
+        Positions of the cells.
     """
     compiled = library()
     if compiled is None:

@@ -28,7 +28,7 @@ class Rolled:
     grid : Grid
         The new ground, on nodes at most an eighth of the wheel's radius apart. [m]
     change : Grid
-        New height minus the old at the same nodes. [m]
+        New minus old heights at the same nodes. [m]
     """
 
     grid: Grid
@@ -62,7 +62,7 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     Raises
     ------
     ModelError
-        If the radius is not positive.
+        If the radius is not positive, or exceeds a third of the ground's extent.
 
     Notes
     -----

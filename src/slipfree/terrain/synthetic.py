@@ -46,7 +46,7 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
     Parameters
     ----------
     x_range, y_range : tuple of 2 floats
-        First and last node, a whole number of spacings apart. [m]
+        Coordinates of the first and the last node, a whole number of spacings apart. [m]
     spacing : float
         Distance between nodes. [m]
 
@@ -262,7 +262,7 @@ def ramp(
 
 
 def _bend(y: Array, length: float) -> Array:
-    """Return heights whose slope rises from zero to one over a bend of a length around zero."""
+    """Return heights whose slope rises from zero to one within a given length around y = 0."""
     if not length:
         return np.maximum(y, 0)
     t = np.clip(y / length + 0.5, 0, 1)
@@ -276,7 +276,7 @@ def _scatter(
     smallest, largest = diameters
     if not (0 < smallest <= largest and count >= 0):
         raise ModelError(
-            "scatter: expected count >= 0 and 0 < smallest <= largest diameter, found "
+            "craters or rocks: expected count >= 0 and 0 < smallest <= largest diameter, found "
             f"{count}, {smallest:g} m, {largest:g} m"
         )
     u = np.random.default_rng(seed).random((count, 3))
