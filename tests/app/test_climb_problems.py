@@ -127,7 +127,7 @@ def test_what_does_not_climb_is_told():
     settings = [word for each in (*SLIPPERY, *COARSE) for word in ("--set", each)]
     result = _invoke("run", STEP_FILE, "--no-draw", *settings)
     assert result.exit_code == 0  # the motion is whole
-    assert "stalls: from t = 0.2" in result.output
+    assert "stalls: after t = 0.2" in result.output
     assert "needs a coefficient of 0.711" in result.output
     result = _invoke(
         "run",
@@ -319,7 +319,7 @@ def test_the_least_friction_takes_no_coefficient():
             "kinetic = 0.675",
             "kinetic = 1",
             "p.toml:16: friction: contact: expected a damping of at "
-            "least 0 and a static friction not below the dynamic one",
+            "least 0 and a static friction not below the dynamic friction",
         ),
         (
             "speed = 0.25",
@@ -360,7 +360,7 @@ def test_the_least_friction_takes_no_coefficient():
             "torque = 8",
             "torque = 8\nradius = 66",
             "p.toml:9: vehicle: climber: expected a radius "
-            "below the distance of front and rear axle, 0.47 m, found 66 m; in metres?",
+            "below the distance of front and rear axle, 0.47 m, found 66 m; give lengths in metres",
         ),
         (
             "[2, 0.09], [0, 0.09]]",

@@ -13,7 +13,7 @@ from slipfree.climb.contact_path import legs
 from slipfree.climb.control import Control
 from slipfree.climb.dynamics import climbing, standing
 from slipfree.climb.metrics import Metrics, metrics
-from slipfree.climb.plan_tracking import Course, Tracking, course
+from slipfree.climb.plan_tracking import TrackedPlan, Tracking, tracked_plan
 from slipfree.climb.profile import Profile, ramp, step
 from slipfree.climb.time_scaling import climb as program
 from slipfree.climb.vehicle import Climber, seven_wheels
@@ -96,14 +96,14 @@ def climb(
 
 
 @lru_cache(maxsize=32)
-def planned(profile, mu=None, speed=SPEED, climber=CLIMBER) -> Course:
+def planned(profile, mu=None, speed=SPEED, climber=CLIMBER) -> TrackedPlan:
     """The climb of least slip within a friction, or that of least friction, all legs in one."""
     cost = "friction" if mu is None else "slip"
     ways, found = legs(climber, profile), []
     for leg in ways:
         plan = program(climber, profile, leg, cost, mu=mu, speed=speed, halt=leg is not ways[-1])
         found.append((plan, solve_nlp(plan.nlp).unknowns))
-    return course(found)
+    return tracked_plan(found)
 
 
 def tracking(profile, mu, speed=SPEED) -> Tracking:

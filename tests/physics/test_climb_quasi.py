@@ -18,7 +18,7 @@ from scipy.optimize import linprog
 from slipfree.climb import friction_demand
 from slipfree.climb.contact_path import LEVEL_SLOPE, axle_arms, legs, sample, tangents
 from slipfree.climb.friction_demand import (
-    Hold,
+    HoldingForces,
     equilibrium,
     highest_obstacle,
     least_friction,
@@ -290,7 +290,7 @@ def test_heavier_vehicles_need_the_same_friction():
         least_friction_forces(*equilibrium(each, sample(each, PROFILES["90 mm"], leg, way.s[::40])))
         for each in (light, heavy)
     ]
-    assert isinstance(holds[0], Hold)
+    assert isinstance(holds[0], HoldingForces)
     assert_allclose(holds[1].mu, holds[0].mu, rtol=1e-7)
 
 

@@ -51,7 +51,7 @@ def test_what_gets_no_farther_stalls_or_slides_back():
     stuck = ending(np.minimum(0.1 * T, 0.15))
     assert str(stuck) == "stalls"
     assert_allclose(stuck.t, 1.46)  # 5 mm before it is farthest
-    assert "the front axle at x = 0.146 m" in stuck.words
+    assert "(front axle at x = 0.146 m)" in stuck.words
     creeping = np.minimum(0.1 * T, 0.15) + 0.004 * T
     assert str(ending(creeping)) == "stalls"
     back = ending(np.minimum(0.1 * T, 0.15) - 0.05 * np.maximum(T - 3, 0))
@@ -76,7 +76,7 @@ def test_what_goes_on_is_not_finished():
     )
     assert str(found) == "unfinished"
     assert found.words == "until t = 4 s the vehicle was still advancing; the integrator stopped"
-    assert "has met only the floor" in ending(0.25 * T, touching=False).words
+    assert "touches only the floor" in ending(0.25 * T, touching=False).words
 
 
 SEEDS = {  # of a kerb, steps, stairs, ramps; 43 and 84 with noise, 57 sampled

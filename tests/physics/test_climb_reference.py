@@ -10,13 +10,13 @@ from slipfree.climb.reference import (
     Base,
     PerAxle,
     Tilts,
+    estimated_directions,
     motors,
     odometry,
     printed_inverse,
     printed_jacobian,
     ratios,
     reference,
-    seen_directions,
 )
 from slipfree.climb.vehicle import seven_wheels
 from slipfree.errors import ModelError
@@ -161,15 +161,15 @@ def test_sensors_see_the_direction_of_the_axle_that_climbs(directions):
         motion = closure(climber, tilts, directions)
         motion *= 0.25 / motion[1]
         spins = PerAxle(*(motion[:3] / climber.radius))
-        seen = numbers(seen_directions(climber, tilts, Tilts(*motion[3:]), spins))
+        seen = numbers(estimated_directions(climber, tilts, Tilts(*motion[3:]), spins))
         assert_allclose(seen, directions, atol=1e-12)
 
 
 def test_sensors_see_no_more_than_they_can():
     climber = seven_wheels()
-    fast = seen_directions(climber, Tilts(0, 0), Tilts(0, 5.0), PerAxle(1, 1, 1))
+    fast = estimated_directions(climber, Tilts(0, 0), Tilts(0, 5.0), PerAxle(1, 1, 1))
     assert_allclose(numbers(fast), [0, 0, np.arcsin(0.985)])
-    at_rest = seen_directions(climber, Tilts(0, 0), Tilts(0, 0), PerAxle(0, 0, 0))
+    at_rest = estimated_directions(climber, Tilts(0, 0), Tilts(0, 0), PerAxle(0, 0, 0))
     assert_allclose(numbers(at_rest), 0)
 
 
@@ -202,8 +202,8 @@ def test_largest_period_of_a_sampled_controller():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"law": "best"}, "law one of projective"),
-        ({"directions": "eyes"}, "directions one of"),
+        ({"law": "best"}, "law must be one of projective"),
+        ({"directions": "eyes"}, "directions must be one of"),
         ({"smoothing": 0.0}, "smoothing must be positive"),
         ({"unwinding": -1.0}, "unwinding must not be negative"),
         ({"cap": 0.9}, "a cap of at least 1"),

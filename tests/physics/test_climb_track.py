@@ -25,7 +25,7 @@ from slipfree.climb.contact_path import legs
 from slipfree.climb.dynamics import climbing
 from slipfree.climb.ending import climb_ending
 from slipfree.climb.noise import Noise, measured
-from slipfree.climb.plan_tracking import Tracking, course
+from slipfree.climb.plan_tracking import Tracking, tracked_plan
 from slipfree.climb.reference import PerAxle, Tilts
 from slipfree.climb.time_scaling import climb as program
 from slipfree.climb.time_scaling import history, in_sequence
@@ -66,7 +66,7 @@ def progress(run):
 
 
 def test_a_course_is_the_plan_over_the_progress():
-    track, told = course(plans()), in_sequence([history(*each) for each in plans()])
+    track, told = tracked_plan(plans()), in_sequence([history(*each) for each in plans()])
     heights, places = (
         np.stack(
             [
@@ -93,7 +93,7 @@ def test_a_course_is_the_plan_over_the_progress():
 
 
 def test_legs_rest_where_they_meet():
-    track = course(plans())
+    track = tracked_plan(plans())
     ends = np.cumsum([2 * plan.nodes.s.size - 1 for plan, _ in plans()])[:-1]
     assert_allclose(track.square[[*ends, *(ends - 1)]], 0, atol=1e-9)
     assert_allclose(track.p[ends] - track.p[ends - 1], 0, atol=1e-4)
@@ -104,11 +104,11 @@ def test_what_leads_down_is_refused():
     plan, unknowns = plans()[2]
     backwards = replace(plan, nodes=plan.nodes._replace(q=plan.nodes.q[::-1]))
     with pytest.raises(ModelError, match=r"mean of x . z.*decrease at -?0\.\d+ m"):
-        course([(backwards, unknowns)])
+        tracked_plan([(backwards, unknowns)])
 
 
 def test_unusable_trackings_are_refused():
-    track = course(plans())
+    track = tracked_plan(plans())
     for name in ("proportional", "spare", "lead"):
         with pytest.raises(ModelError, match=f"tracking: {name} must be positive, found 0"):
             Tracking(track, **{name: 0.0})
@@ -124,7 +124,7 @@ def test_a_tracked_plan_climbs_with_less_friction_than_references():
     assert ending(tracking(STEP, 0.725), 0.725, until=UNTIL) == "climbs"
     with pytest.raises(SolverError, match="no solution"):
         tracking(STEP, 0.70)  # 0.678 is the least of a plan
-    assert ending(Tracking(course(plans())), 0.68, until=UNTIL) == "stalls"
+    assert ending(Tracking(tracked_plan(plans())), 0.68, until=UNTIL) == "stalls"
     for control in (FIXED, SENSED):
         assert ending(control, 0.76, until=6.0) != "climbs"
 
@@ -136,9 +136,9 @@ def test_a_plan_of_least_friction_need_not_know_the_friction():
 
 
 def test_motion_and_torques_are_those_planned():
-    control = Tracking(course(plans()))
+    control = Tracking(tracked_plan(plans()))
     motion = driven(control, 1.0, part=1.0, until=UNTIL)
-    run, track = motion.run, control.course
+    run, track = motion.run, control.plan
     p = progress(run) + control.lead
     on = (p > track.p[0]) & (p < track.p[-1])
     speed = np.sqrt(np.interp(p, track.p, track.square))
@@ -158,7 +158,7 @@ def test_motion_and_torques_are_those_planned():
 
 
 def test_it_is_driven_at_the_speed_before_and_behind_the_plan():
-    run = driven(Tracking(course(plans())), 0.9, until=UNTIL).run
+    run = driven(Tracking(tracked_plan(plans())), 0.9, until=UNTIL).run
     assert_allclose(run["velocity_x"][-1], SPEED, atol=2e-3)
     at_wall = np.argmax(run["gap_1", "front"] < 0)
     assert run["velocity_x"][at_wall] < 0.08
@@ -187,7 +187,7 @@ def test_noise_is_of_its_size_and_band_and_seed():
     assert strength[:, above].sum() < 1e-4 * strength.sum()
     assert_allclose(series(noise), found)
     assert np.abs(series(replace(noise, seed=5)) - found).max() > 0.1
-    with pytest.raises(ModelError, match="noise: band must be finite and not negative, found 0"):
+    with pytest.raises(ModelError, match="noise: band must be finite and positive, found 0"):
         Noise(band=0.0)
 
 

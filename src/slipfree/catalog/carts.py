@@ -1,6 +1,6 @@
 """Carts and cars of the catalogue.
 
-The platform's axes are x right, y forward, z up. Masses are round figures; with ``mass = 0`` and
+The platform's axes are x right, y forward, z up. Masses are rounded values; with ``mass = 0`` and
 ``wheel_mass = 0`` only kinematics is available.
 """
 
@@ -39,10 +39,10 @@ def differential_drive(
     Parameters
     ----------
     half_track, caster_ahead, trail : float
-        From the centre to a driven wheel, from the axle to the caster's pivot, and from the pivot
-        back to the caster's contact. [m]
+        Distances from the centre to a driven wheel, from the axle to the caster's pivot, and from
+        the pivot back to the caster's contact. [m]
     r1, r2 : float
-        Of the driven wheels. [m]
+        Radii of the tube and of the circle of tube centres of the driven wheels. [m]
     caster_scale : float
         Size of the caster's wheel relative to the driven wheels. [1]
     mass, center_of_mass, wheel_mass, grip
@@ -51,7 +51,7 @@ def differential_drive(
     Raises
     ------
     ModelError
-        If a length that must be positive is not.
+        If ``half_track`` or ``caster_ahead`` is not positive.
     """
     _positive("differential_drive", half_track=half_track, caster_ahead=caster_ahead)
     section, drop = section_of_radii(r1, r2), -(r1 + r2) * (1 - caster_scale)
@@ -94,9 +94,9 @@ def ackermann(
     Parameters
     ----------
     half_track, wheelbase : float
-        From the middle to a wheel, and between the axles. [m]
+        Distances from the middle to a wheel, and between the axles. [m]
     r1, r2 : float
-        Of the wheels. [m]
+        Radii of the tube and of the circle of tube centres of the wheels. [m]
     steer_stop : float
         Largest steering angle, to either side. [rad]
     mass, center_of_mass, wheel_mass, grip
@@ -105,7 +105,7 @@ def ackermann(
     Raises
     ------
     ModelError
-        If a length that must be positive is not.
+        If ``half_track`` or ``wheelbase`` is not positive.
     """
     _positive("ackermann", half_track=half_track, wheelbase=wheelbase)
     turned = "atan2({0}*tan(steer), {0} {2} {1}*tan(steer))"
@@ -114,10 +114,10 @@ def ackermann(
             f"{side}_knuckle",
             "axle",
             "z",
-            (way * half_track, 0.0, 0.0),
-            turned.format(repr(wheelbase), repr(half_track), "+" if way > 0 else "-"),
+            (sign * half_track, 0.0, 0.0),
+            turned.format(repr(wheelbase), repr(half_track), "+" if sign > 0 else "-"),
         )
-        for side, way in SIDES.items()
+        for side, sign in SIDES.items()
     )
     section = section_of_radii(r1, r2)
     return Vehicle(
@@ -168,16 +168,16 @@ def skid_steer(
     Parameters
     ----------
     half_track, wheelbase : float
-        From the middle to a wheel, and between front and rear wheels. [m]
+        Distances from the middle to a wheel, and between front and rear wheels. [m]
     r1, r2 : float
-        Of the wheels. [m]
+        Radii of the tube and of the circle of tube centres of the wheels. [m]
     mass, center_of_mass, wheel_mass, grip
         As in `three_wheeler`.
 
     Raises
     ------
     ModelError
-        If a length that must be positive is not.
+        If ``half_track`` or ``wheelbase`` is not positive.
     """
     _positive("skid_steer", half_track=half_track, wheelbase=wheelbase)
     wheels = tuple(
@@ -219,25 +219,25 @@ def rigid_skid_steer(
 ) -> Vehicle:
     """Return a rigid robot with two driven wheels on each of its axles, and no suspension.
 
-    It cannot stand on all wheels at once on uneven ground: its wheels are pressed into the ground,
-    and it rocks from one set of three wheels to another. The platform's centre is in the middle of
-    the axles, whose size is typical of outdoor research robots.
+    Its wheels cannot all touch uneven ground: they are pressed into the ground, and the vehicle
+    rocks from one set of supporting wheels to another. The platform's centre is in the middle of
+    the axles. The dimensions are typical of outdoor research robots.
 
     Parameters
     ----------
     axles : int
         Number of axles: two for a four-wheeler, three for a six-wheeler.
     half_track, wheelbase : float
-        From the middle to a wheel, and between the first and the last axle. [m]
+        Distances from the middle to a wheel, and between the first and the last axle. [m]
     r1, r2 : float
-        Of the wheels. [m]
+        Radii of the tube and of the circle of tube centres of the wheels. [m]
     mass, center_of_mass, wheel_mass, grip
         As in `three_wheeler`.
 
     Raises
     ------
     ModelError
-        If a length that must be positive is not, or the number of axles is not 2 or 3.
+        If ``half_track`` or ``wheelbase`` is not positive, or the number of axles is not 2 or 3.
     """
     _positive("rigid_skid_steer", half_track=half_track, wheelbase=wheelbase)
     if axles not in AXLE_NAMES:
@@ -280,9 +280,9 @@ def articulated(
     Parameters
     ----------
     half_track, front, rear : float
-        From the middle to a wheel, and from the joint to the front and to the rear axle. [m]
+        Distances from the middle to a wheel, and from the joint to the front and the rear axle. [m]
     r1, r2 : float
-        Of the wheels. [m]
+        Radii of the tube and of the circle of tube centres of the wheels. [m]
     bend_stop : float
         Largest angle between the halves, to either side. [rad]
     mass, center_of_mass : float, tuple of 3 floats
@@ -293,7 +293,7 @@ def articulated(
     Raises
     ------
     ModelError
-        If a length that must be positive is not.
+        If ``half_track``, ``front`` or ``rear`` is not positive.
     """
     _positive("articulated", half_track=half_track, front=front, rear=rear)
     section, (x, y, z) = section_of_radii(r1, r2), center_of_mass
@@ -332,13 +332,13 @@ def _pair(
         Wheel(
             f"{prefix}{side}",
             part,
-            (way * half_track, ahead, 0.0),
+            (sign * half_track, ahead, 0.0),
             section,
             driven=True,
             mass=mass,
             grip=grip,
         )
-        for side, way in SIDES.items()
+        for side, sign in SIDES.items()
     )
 
 

@@ -1,6 +1,6 @@
 """Rovers of the catalogue, with rocker-bogie suspensions.
 
-The platform's axes are x right, y forward, z up. Masses are round figures; with ``mass = 0`` and
+The platform's axes are x right, y forward, z up. Masses are rounded values; with ``mass = 0`` and
 ``wheel_mass = 0`` only kinematics is available.
 """
 
@@ -59,8 +59,8 @@ def rocker_bogie(
     stations : dict of str to Station
         Front, middle and rear wheels.
     differential, bogie : tuple of 2 floats
-        Axes of the rockers on the platform, and of the bogies on the rockers: distances ahead of
-        and above the platform's centre, at rest on level ground. [m]
+        Positions of the axes of the rockers and of the bogies: distances ahead of and above the
+        platform's centre, at rest on level ground. [m]
     radius, r1 : float
         Rolling radius of the wheels, and radius of their tubes. [m]
     mass, center_of_mass, wheel_mass, grip
@@ -80,7 +80,7 @@ def rocker_bogie(
     ]
     joints, wheels = [], []
     side_of = stations["middle"].half_track
-    for side, way in SIDES.items():
+    for side, sign in SIDES.items():
         coordinates.append(
             Coordinate(
                 f"bogie_{side}",
@@ -93,17 +93,17 @@ def rocker_bogie(
                 f"rocker_{side}",
                 "platform",
                 "x",
-                (way * side_of, *differential),
-                "rocker" if way > 0 else "-rocker",
+                (sign * side_of, *differential),
+                "rocker" if sign > 0 else "-rocker",
             )
         )
         arm = (0.0, bogie[0] - differential[0], bogie[1] - differential[1])
         joints.append(Joint(f"bogie_{side}", f"rocker_{side}", "x", arm, f"bogie_{side}"))
     for end, place in stations.items():
-        for side, way in SIDES.items():
+        for side, sign in SIDES.items():
             carrier, (y, z) = ("bogie", bogie) if place.on_bogie else ("rocker", differential)
             part = f"{carrier}_{side}"
-            at = (way * (place.half_track - side_of), place.ahead - y, place.above - z)
+            at = (sign * (place.half_track - side_of), place.ahead - y, place.above - z)
             if place.steered:
                 steer = f"steer_{end}_{side}"
                 words = f"steering angle of the {side} {end} wheel, left positive"

@@ -23,24 +23,24 @@ def seven_wheels(
 ) -> Vehicle:
     """Return the step climber of Chugo et al. [1]_, with seven driven omni wheels.
 
-    The platform is the rear body; its centre is that of the middle wheel. A pair of wheels at the
-    rear, a pair at the front and the single middle wheel roll forward; between the wheels of each
-    pair another wheel rolls sideways. The front body pitches and rolls on two passive joints.
-    Seven contacts thus constrain five degrees of freedom: a rigid vehicle would stand only where
-    the wheels of each axle have ground of equal height, as where the height varies only in the
-    forward direction. Here springs press the sideways wheels down, and the vehicle stands anywhere.
+    The platform is the rear body; its origin is the centre of the middle wheel. A pair of wheels at
+    the rear, a pair at the front and the single middle wheel roll forward; between the wheels of
+    each pair another wheel rolls sideways. The front body pitches and rolls on two passive joints.
+    Seven contacts thus constrain five degrees of freedom: a vehicle without springs would touch the
+    ground with all wheels only where the wheels of each axle stand at equal height. In this model,
+    springs press the sideways wheels down, and the vehicle can stand on any ground.
 
-    Radii, spacings and masses are those of the paper; the masses include the wheels. Assumed, since
-    the paper does not give them: the track, from the overall width; the sideways wheels on the
-    axles of the pairs; and centres of mass 50 mm above the axles in the middle of bodies whose ends
-    are flush with the tyres.
+    Radii, spacings and masses are those of the paper; the masses include the wheels. The paper does
+    not give the following, which is assumed: the track, from the overall width; the positions of
+    the sideways wheels, on the axles of the pairs; and the centres of mass, 50 mm above the axles
+    in the middle of bodies that end at the outer edges of the wheels.
 
     Parameters
     ----------
     joint : float
         Distance of the joints ahead of the middle wheel. [m]
     half_track : float
-        From the middle to a wheel of a pair. [m]
+        Distance from the middle to a wheel of a pair. [m]
     stiffness, preload : float
         Stiffness of the springs, and their force on level ground. [N/m, N]
     grip
@@ -79,9 +79,9 @@ def seven_wheels(
         return Wheel(name, part, at, Omni(Disc(radius)), driven=True, grip=grip, axle=axle)
 
     pairs = [
-        wheel(f"{end}_{side}", part, (way * half_track, y, 0.0))
+        wheel(f"{end}_{side}", part, (sign * half_track, y, 0.0))
         for end, part, y in (("rear", "platform", -behind), ("front", "twist", ahead - joint))
-        for side, way in SIDES.items()
+        for side, sign in SIDES.items()
     ]
     return Vehicle(
         "seven_wheels",

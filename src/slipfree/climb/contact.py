@@ -22,9 +22,10 @@ class CompliantContact:
     stiffness : float
         Stiffness of a contact. [N/m]
     damping : float
-        Damping of Hunt and Crossley: the normal force is ``k s max(0, 1 + c s')`` at depth s. [s/m]
+        Damping ``c`` of Hunt and Crossley: the normal force at depth ``s`` is ``k s max(0, 1 + c
+        s')``, with the stiffness ``k``. [s/m]
     static, dynamic : float
-        Static and kinetic coefficients of friction.
+        Static and kinetic coefficients of friction. [1]
     creep : float
         Slip speed at which friction is almost fully developed. [m/s]
     stribeck : float
@@ -33,7 +34,8 @@ class CompliantContact:
     Raises
     ------
     ModelError
-        If a number is not positive, or the kinetic friction exceeds the static one.
+        If the damping is negative, another number is not positive, or the kinetic friction exceeds
+        the static friction.
     """
 
     stiffness: float = 1.5e5
@@ -50,7 +52,7 @@ class CompliantContact:
         if not (self.damping >= 0 and self.static >= self.dynamic):
             raise ModelError(
                 "contact: expected a damping of at least 0 and a static friction not below the "
-                f"dynamic one, found {self.damping} s/m, {self.static} and {self.dynamic}"
+                f"dynamic friction, found {self.damping} s/m, {self.static} and {self.dynamic}"
             )
 
 
@@ -60,15 +62,16 @@ class SolidContact(NamedTuple):
     Attributes
     ----------
     gap : SX
-        Distance of the rim from the solid. [m]
+        Distance of the rim from the solid, negative in contact. [m]
     normal : SX, shape (2, 1)
-        Unit normal, out of the solid.
+        Outward unit normal of the solid.
     tangent : SX, shape (2, 1)
         Unit tangent, forward on a floor.
     load, friction : SX
         Forces along normal and tangent. [N]
     slip : SX
-        Velocity of the rim over the solid along the tangent; negative if the wheel spins. [m/s]
+        Velocity of the rim over the solid along the tangent; negative if the wheel turns too fast.
+        [m/s]
     stored : SX
         Elastic energy. [J]
     damped : SX

@@ -23,12 +23,12 @@ FLOOR: Solids = (0, 0, 0)
 TILT_INDICES = (2, 2, 3)  # index of the tilt of the body that carries each axle
 NORMAL_TOLERANCE = 1e-12  # a normal belongs to a face if 1 minus their cosine is smaller
 LEVEL_SLOPE = 1e-3  # a wheel with a smaller slope of its path has reached the top [rad]
-MIN_TILT_COSINE = 0.05  # at the largest tilt
+MIN_TILT_COSINE = 0.05  # cosine of the largest tilt of a body
 MAX_CONTACT_GAP = 1e-6  # a wheel with a smaller gap touches [m]
 END_MARGIN = 1e-3  # a climb ends a radius and this distance behind the last corner [m]
-MAX_LEG_LENGTH = 50.0  # [m]
-TOLERANCE = 1e-8  # of the configurations along the path [m, rad]
-MIN_STEPS_PER_RADIUS = 4  # so that no solid is missed
+MAX_LEG_LENGTH = 50.0  # largest length of a leg [m]
+TOLERANCE = 1e-8  # tolerance of the configurations along the path [m, rad]
+MIN_STEPS_PER_RADIUS = 4  # smallest number of steps per wheel radius, so that no solid is missed
 
 
 class Leg(NamedTuple):
@@ -43,8 +43,8 @@ class Leg(NamedTuple):
     length : float
         Length in terms of the path parameter. [m]
     top : float
-        Path parameter at which the climbing wheels move horizontally again; the length if they do
-        not. [m]
+        Path parameter at which the climbing wheels move horizontally again; equal to ``length`` if
+        they do not. [m]
     curve : callable
         Function from path parameters, shape (n,), to configurations, shape (4, n).
     """
@@ -56,19 +56,20 @@ class Leg(NamedTuple):
     curve: Callable[[Array], Array]
 
 
-class Way(NamedTuple):
-    """Configurations on a leg.
+class PathSamples(NamedTuple):
+    """Configurations on a leg at n path parameters.
 
     Attributes
     ----------
     s : ndarray, shape (n,)
         Path parameter. [m]
     q, first, second : ndarray, shape (n, 4)
-        Configurations, and their derivatives with respect to s. [m, rad]
+        Configurations, and their first and second derivatives with respect to s. [m, rad]
     normals : ndarray, shape (n, 3, 2)
-        Ground normals at the contacts of the rear, middle and front axle.
+        Unit normals of the ground at the contacts of the rear, middle and front axle.
     speeds, slopes : ndarray, shape (n, 3)
-        Speeds of the axles along the ground per rate of s, and their derivatives. [1], [1/m]
+        Speeds of the axles along the ground divided by the rate of s [1], and their derivatives
+        with respect to s [1/m].
     """
 
     s: Array
@@ -107,7 +108,7 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
         axle, solids, q = _configuration_behind_kink(climber, profile, q, solids, met)
 
 
-def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> Way:
+def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> PathSamples:
     """Return the configurations of a leg at path parameters, shape (n,)."""
     q = _closest_configurations(climber, profile, leg.curve(s).T, leg.solids)
     arms = axle_arms(climber, q)
@@ -123,7 +124,7 @@ def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> Way:
     right = np.concatenate([bend, even[:, None]], axis=1)
     second = np.linalg.solve(matrix, right[..., None])[..., 0]
     slopes = (along_rows @ second[:, :, None])[..., 0] + (along * centripetal).sum(axis=-1)
-    return Way(s, q, first, second, normals, speeds, slopes)
+    return PathSamples(s, q, first, second, normals, speeds, slopes)
 
 
 def axle_arms(climber: Climber, q: Array) -> Array:
@@ -194,8 +195,8 @@ def _start(climber: Climber, profile: Profile, first: float) -> Array:
     gaps = _contacts(climber, profile, q[None], FLOOR)[0]
     if np.abs(gaps).max() > MAX_CONTACT_GAP:
         raise ModelError(
-            f"climb: expected a level floor for the vehicle around x = {x:.3g} m; the distance of "
-            f"its wheels from the first solid is {np.abs(gaps).max():.3g} m"
+            f"climb: expected a level floor for the vehicle around x = {x:.3g} m, found a gap of "
+            f"{np.abs(gaps).max():.3g} m between wheels and floor; extend or level the first solid"
         )
     return q
 
@@ -223,7 +224,10 @@ def _configuration_behind_kink(
 def _march(
     climber: Climber, profile: Profile, q: Array, solids: Solids, axle: str, end: float
 ) -> tuple[Callable[[Array], Array], float, float, tuple[int, int] | None]:
-    """Return a leg's curve, length and top, and the axle and solid that meet at its end."""
+    """Return a leg's curve, length and top, and the indices of axle and solid that meet at its end.
+
+    At the end of the climb there are no such indices: the last value is None.
+    """
     from scipy.integrate import solve_ivp  # imported here: the import takes 0.2 s
 
     climbing = AXLES.index(axle) if axle else None
@@ -261,7 +265,8 @@ def _march(
     met, arrived, tipped, level = run.t_events
     length = float(run.t[-1])
     if not (met.size or arrived.size):
-        why = "a body would stand upright" if tipped.size else "it does not come to an end"
+        too_long = f"a leg of the path is longer than {MAX_LEG_LENGTH:g} m"
+        why = "a body would stand upright" if tipped.size else too_long
         raise ModelError(_stuck_words(axle, run.y[:, -1], why))
     top = float(level[0]) if level.size else length
     if arrived.size:
@@ -274,7 +279,10 @@ def _march(
 def _other_gaps(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array]:
-    """Return the gaps of the axles to other solids than their own, and the derivatives by s."""
+    """Return the gaps between wheels and solids, and their derivatives by s, shape (3, n_solids).
+
+    The gap of a wheel to the solid on which it stands is infinite.
+    """
     arms = axle_arms(climber, q[None])
     x, z = (q[:2] + arms[0]).T
     distances, normals = zip(*(solid.distance(x, z) for solid in profile.solids), strict=True)

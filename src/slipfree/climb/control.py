@@ -20,7 +20,7 @@ Directions = Literal["contact", "sensors"]
 
 
 class Driver(Protocol):
-    """Protocol of the controllers of a climb: gains, from which their states follow.
+    """Protocol of the controllers of a climb: the gains, which determine the controller's states.
 
     `Control` and `slipfree.climb.plan_tracking.Tracking` implement it.
     """
@@ -35,15 +35,15 @@ class Driver(Protocol):
 
     @property
     def integral(self) -> float:
-        """Gain of their integrals, which are states unless it is zero [N m/rad]."""
+        """Gain of the integrated errors, which are states if it is not zero [N m/rad]."""
 
     @property
     def derivative(self) -> float:
-        """Gain of their derivatives, whose filters are states unless it is zero [N m s2/rad]."""
+        """Gain of the derivatives; filtered errors are states if it is not zero [N m s2/rad]."""
 
     @property
     def lag(self) -> float:
-        """Time constant of the filters [s]."""
+        """Time constant of the filters of the errors [s]."""
 
 
 @dataclass(frozen=True)
@@ -58,20 +58,21 @@ class Control:
         Source of the directions of the axles: estimates from tilt sensors, potentiometer and
         encoders, or the true directions of the contacts, known only in simulations.
     smoothing : float
-        Time constant of the low-pass filter of the sensors. [s]
+        Time constant of the low-pass filter of the estimated directions. [s]
     share : float
-        Factor on the directions of the contacts; below one the law underestimates them.
+        Factor on the true directions if ``directions="contact"``; below one, the law uses too
+        small directions.
     cap : float
         Largest reference speed of an axle, relative to the speed of the vehicle.
     proportional, integral, derivative : float
-        Gains of (17), for each wheel. [N m s/rad, N m/rad, N m s2/rad]
+        PID gains of each wheel rate, (17). [N m s/rad, N m/rad, N m s2/rad]
     lag : float
-        Time constant of the derivative's filter. [s]
+        Time constant of the filter of the derivative. [s]
     unwinding : float
-        Anti-windup: rate at which torque beyond the limit is subtracted from the integral; zero,
-        as in the paper, for none. [1/s]
+        Anti-windup gain: decay rate of the part of the integral term that exceeds the torque limit;
+        zero, as in the paper, for no anti-windup. [1/s]
     noise : Noise or None
-        Noise of the sensors of tilts and rates, from which references and torques are computed.
+        Noise of the measured tilts, tilt rates and wheel rates; None for exact measurements.
 
     Raises
     ------
@@ -95,7 +96,7 @@ class Control:
         for name, known in (("law", Law), ("directions", Directions)):
             if getattr(self, name) not in get_args(known):
                 raise ModelError(
-                    f"control: expected {name} one of {', '.join(get_args(known))}, "
+                    f"control: {name} must be one of {', '.join(get_args(known))}, "
                     f"found {getattr(self, name)!r}"
                 )
         for name in ("smoothing", "proportional", "integral", "lag"):
@@ -182,9 +183,10 @@ def limited(limit: float, wanted: PerAxle) -> Torques:
 def largest_period(control: Driver, climber: Climber) -> float:
     """Return the sample time above which a sampled controller is unstable [s].
 
-    For a freely spinning wheel of inertia J/n with the torque held between samples, error and
-    integral advance by a matrix of trace ``2 - a - b/2`` and determinant ``1 - a + b/2`` with ``a =
-    T n kp / J`` and ``b = T^2 n ki / J``: stable below ``2 J / (n kp)`` and below ``2 kp / ki``.
+    For a freely spinning wheel of inertia J/n with constant torque between samples at distance T,
+    error and integral advance by a matrix of trace ``2 - a - b/2`` and determinant ``1 - a + b/2``
+    with ``a = T n kp / J`` and ``b = T^2 n ki / J``. It is stable for T below ``2 J / (n kp)`` and
+    below ``2 kp / ki``.
     """
     gain = control.proportional + control.derivative / control.lag
     wheels = min(2 * axle.inertia / (axle.wheels * gain) for axle in climber.axles)
@@ -202,7 +204,7 @@ def check_period(period: float, control: Driver, climber: Climber) -> None:
     Raises
     ------
     ModelError
-        If it is not positive, or not below `largest_period`; the message names the axle.
+        If the sample time is not positive, or not below `largest_period`.
     """
     most = largest_period(control, climber)
     if 0 < period < most:

@@ -14,7 +14,7 @@ from slipfree.climb.noise import Noise, measured
 from slipfree.climb.plan_tracking import Tracking, tracked
 from slipfree.climb.profile import Profile
 from slipfree.climb.records import OnSolid, Outputs, State, labels_of
-from slipfree.climb.reference import PerAxle, reference, seen_directions
+from slipfree.climb.reference import PerAxle, estimated_directions, reference
 from slipfree.climb.vehicle import AXLES, Climber
 from slipfree.dae import Dae, Limit
 from slipfree.records import Array, Label, pack, symbols
@@ -24,7 +24,12 @@ MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
 
 
 class Frame(NamedTuple):
-    """Mechanism of the vehicle; q are the position of the joint and the tilts, v their rates."""
+    """Kinematics and dynamics of the two bodies.
+
+    ``q`` are the position of the joint and the tilts [m, rad], ``v`` their rates, ``axles`` the
+    positions of the axles [m], ``mass`` the mass matrix, ``energy`` the kinetic and gravitational
+    energy [J], and ``force`` the generalised forces of gravity and inertia [N, N m].
+    """
 
     q: ca.SX
     v: ca.SX
@@ -56,7 +61,7 @@ def climbing(
     profile : Profile
         The ground.
     control : Control or Tracking
-        Controller of the wheels: by reference rates relative to fixed axes, or along a plan.
+        Controller of the wheel rates by reference speeds, or controller that tracks a plan.
     contact : CompliantContact
         The contact law.
     period : float, optional
@@ -66,18 +71,18 @@ def climbing(
     Returns
     -------
     Dae
-        The model, without algebraic unknowns. It is stiff: rates of friction over the inertia of
-        a wheel reach 1e5 1/s.
+        The model, without algebraic unknowns. It is stiff: friction and the inertia of a wheel
+        cause decay rates up to 1e5 1/s.
 
     Raises
     ------
     ModelError
-        If a sampled controller would be unstable.
+        If the sample time is not positive, or too long for a stable controller.
 
     Notes
     -----
-    Neglected are contacts of the bodies, roll, play of the side wheels' rollers, and lag of the
-    tilt sensors.
+    The model neglects contacts of the bodies, roll, play of the side wheels' rollers, and lag of
+    the tilt sensors.
     """
     if period is not None:
         check_period(period, control, climber)
@@ -92,12 +97,12 @@ def climbing(
         )
     )
     seen = PerAxle(*(direction(each) for each in contacts))
-    asked = (
+    commands = (
         tracked(control, climber, x, frame.axles, velocities, u.speed)
         if isinstance(control, Tracking)
         else _commands(climber, control, _as_measured(control.noise, t, x), seen, u.speed)
     )
-    driven = _axle_torques(climber, u.torques or asked.torques.out)
+    driven = _axle_torques(climber, u.torques or commands.torques.out)
     return Dae(
         t,
         x,
@@ -107,12 +112,17 @@ def climbing(
         ode=ca.vertcat(
             frame.v,
             _accelerations(climber, frame, contacts, driven),
-            *asked.rates,
+            *commands.rates,
         ),
         alg=(),
         quad=ca.vertcat(*x.spins, *_powers(x, contacts, driven)),
         y=_outputs(
-            frame, velocities, contacts, seen, asked, frame.energy + _stored(climber, x, contacts)
+            frame,
+            velocities,
+            contacts,
+            seen,
+            commands,
+            frame.energy + _stored(climber, x, contacts),
         ),
         labels=labels,
         limits=_limits(x),
@@ -124,7 +134,7 @@ def climbing(
 
 
 def _frame(climber: Climber, x: State) -> Frame:
-    """Return positions, inertia, energy, and the forces of gravity and of rotating axes."""
+    """Return the kinematics and dynamics of the two bodies in a state."""
     q = ca.vertcat(x.x, x.z, *x.tilts)
     v = ca.vertcat(x.velocity_x, x.velocity_z, *x.rates)
     bodies = (climber.rear_body, climber.front_body)
@@ -187,23 +197,23 @@ def _commands(
     climber: Climber, control: Control, x: State, seen: PerAxle, speed: ca.SX
 ) -> Commands:
     """Return references and torques, and the rates of the controller's states."""
-    told = x.directions if control.senses else PerAxle(*(control.share * each for each in seen))
-    relative = reference(climber, x.tilts, PerAxle(*told), control.law, control.cap)
+    used = x.directions if control.senses else PerAxle(*(control.share * each for each in seen))
+    relative = reference(climber, x.tilts, PerAxle(*used), control.law, control.cap)
     wanted = PerAxle(*(speed / climber.radius * each for each in relative))
     errors = PerAxle(*(aim - spin for aim, spin in zip(wanted, x.spins, strict=True)))
     rises = [(now - late) / control.lag for now, late in zip(errors, x.lagging, strict=False)]
-    asked = torques(control, climber.torque, errors, PerAxle(*x.integrals), rises)
+    motors = torques(control, climber.torque, errors, PerAxle(*x.integrals), rises)
     unwinding = control.unwinding / control.integral
     rates = [
         error - unwinding * (torque - out)
-        for error, torque, out in zip(errors, asked.wanted, asked.out, strict=True)
+        for error, torque, out in zip(errors, motors.wanted, motors.out, strict=True)
     ]
     if control.senses:
-        raw = seen_directions(climber, x.tilts, x.rates, x.spins)
+        raw = estimated_directions(climber, x.tilts, x.rates, x.spins)
         rates += [
             (new - old) / control.smoothing for new, old in zip(raw, x.directions, strict=True)
         ]
-    return Commands(wanted, asked, (*rates, *rises))
+    return Commands(wanted, motors, (*rates, *rises))
 
 
 def _powers(x: State, contacts: PerAxle, driven: PerAxle) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -228,7 +238,7 @@ def _outputs(
     velocities: PerAxle,
     contacts: PerAxle,
     seen: PerAxle,
-    asked: Commands,
+    commands: Commands,
     energy: ca.SX,
 ) -> Outputs:
     solids = tuple(
@@ -246,9 +256,9 @@ def _outputs(
         axle_velocity_x=PerAxle(*(velocity[0] for velocity in velocities)),
         axle_velocity_z=PerAxle(*(velocity[1] for velocity in velocities)),
         directions=seen,
-        references=asked.references,
-        torques=asked.torques.out,
-        scale=asked.torques.scale,
+        references=commands.references,
+        torques=commands.torques.out,
+        scale=commands.torques.scale,
         solids=solids,
         energy=energy,
     )
@@ -269,18 +279,18 @@ def _limits(x: State) -> tuple[Limit, ...]:
 def standing(
     climber: Climber, contact: CompliantContact, front: float, speed: float = 0.0
 ) -> dict[str, float]:
-    """Return the equilibrium on a level floor at height zero, by names of the states.
+    """Return the states of a vehicle on a level floor at height zero, at rest or rolling, by name.
 
     Parameters
     ----------
     climber : Climber
         The vehicle.
     contact : CompliantContact
-        The contact law, which determines the depth of the wheels under the weight.
+        The contact law, which determines the penetration depth of the wheels.
     front : float
         Position of the front axle. [m]
     speed : float
-        Speed of rolling. [m/s]
+        Forward speed of the vehicle; its wheels roll without slip. [m/s]
     """
     rear, middle, ahead = (
         climber.radius - load / contact.stiffness for load in floor_loads(climber)

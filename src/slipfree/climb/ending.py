@@ -13,12 +13,12 @@ from slipfree.records import Array
 from slipfree.trajectory import Trajectory
 
 Ending = Literal["climbs", "stalls", "slides back", "tips over", "unfinished"]
-STALL_TIME, STALL_PROGRESS = 1.0, 5e-3  # less progress in the last second is a stall [s, m]
+STALL_TIME, STALL_PROGRESS = 1.0, 5e-3  # a smaller final progress in this time is a stall [s, m]
 SLIDE_BACK = 0.03  # a vehicle this far behind its farthest position has slid back [m]
 
 
 class ClimbEnding(NamedTuple):
-    """Ending of a climb; its text is its name.
+    """Ending of a climb; ``str`` returns its name.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class ClimbEnding(NamedTuple):
     t : float
         Time at which the rear axle reaches the top, the vehicle stalls, or the motion ends. [s]
     words : str
-        Explanation.
+        Explanation for users, with time and position.
     """
 
     name: Ending
@@ -64,27 +64,32 @@ def climb_ending(run: Trajectory, climber: Climber, profile: Profile) -> ClimbEn
     met = touches_obstacle(run, profile)
     if not met.any():
         return ClimbEnding(
-            "unfinished", end, _unfinished_words(run, "the front wheel has met only the floor")
+            "unfinished", end, _unfinished_words(run, "the front wheel touches only the floor")
         )
     up = has_reached_top(run, climber, profile) & (np.cumsum(met) > 0)
     if up.any():
         t = float(run.t[up.argmax()])
-        return ClimbEnding("climbs", t, f"at t = {t:.3g} s the rear axle is up, or past")
-    way = (run["axle_x"] + run["axle_z"]).mean(axis=1)
-    return _ending_below_top(run, way, end)
+        return ClimbEnding(
+            "climbs", t, f"at t = {t:.3g} s the rear axle is on top, or behind the obstacle"
+        )
+    progress = (run["axle_x"] + run["axle_z"]).mean(axis=1)
+    return _ending_below_top(run, progress, end)
 
 
-def _ending_below_top(run: Trajectory, way: Array, end: float) -> ClimbEnding:
+def _ending_below_top(run: Trajectory, progress: Array, end: float) -> ClimbEnding:
     """Return the ending of a vehicle that did not reach the top."""
-    k = int(np.argmax(way > way.max() - STALL_PROGRESS))
-    t, x, back = float(run.t[k]), float(run["axle_x", "front"][k]), float(way.max() - way[-1])
+    k = int(np.argmax(progress > progress.max() - STALL_PROGRESS))
+    t, x = float(run.t[k]), float(run["axle_x", "front"][k])
+    back = float(progress.max() - progress[-1])
     if t > end - STALL_TIME:
         return ClimbEnding(
             "unfinished", end, _unfinished_words(run, "the vehicle was still advancing")
         )
-    words = f"from t = {t:.3g} s on it does not advance, the front axle at x = {x:.3g} m"
+    words = f"after t = {t:.3g} s the vehicle does not advance (front axle at x = {x:.3g} m)"
     if back > SLIDE_BACK:
-        return ClimbEnding("slides back", t, f"{words}: it ends {1e3 * back:.0f} mm behind")
+        return ClimbEnding(
+            "slides back", t, f"{words}; it ends {1e3 * back:.0f} mm behind its farthest position"
+        )
     return ClimbEnding("stalls", t, words)
 
 

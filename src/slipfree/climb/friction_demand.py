@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from slipfree.climb.contact_path import Leg, Way, axle_arms, legs, sample, tangents
+from slipfree.climb.contact_path import Leg, PathSamples, axle_arms, legs, sample, tangents
 from slipfree.climb.profile import Profile, step
 from slipfree.climb.vehicle import Body, Climber
 from slipfree.errors import ModelError
@@ -33,14 +33,14 @@ MIN_NORMAL_FORCE = 1e-9  # smaller normal forces count as zero in a ratio [weigh
 MAX_NORMAL_FORCE = 1e3  # makes the optimum of jammed wheels bounded [weight]
 MIN_RESERVE = 1e-9  # smaller relative reserves of friction count as zero
 MAX_NEWTON_STEPS = 20  # 5 to 9 are usual
-BISECTIONS = 34  # after Newton steps that do not converge
-REFINEMENTS = 5  # of the sampling around the worst configuration, often at an edge
-REFINED_POINTS = 3  # between two samples
-HEIGHTS = 8  # heights tried before the first infeasible one is bracketed
-HEIGHT_TOLERANCE = 1e-4  # [m]
+BISECTIONS = 34  # bisections after Newton steps that do not converge
+REFINEMENTS = 5  # refinements of the sampling around the worst configuration, often at an edge
+REFINED_POINTS = 3  # new points between two samples
+HEIGHTS = 8  # equally spaced heights at which the first infeasible height is bracketed
+HEIGHT_TOLERANCE = 1e-4  # tolerance of the height of an obstacle [m]
 
 
-class Hold(NamedTuple):
+class HoldingForces(NamedTuple):
     """Contact forces that need the least friction, for n configurations.
 
     Attributes
@@ -48,7 +48,8 @@ class Hold(NamedTuple):
     mu : ndarray, shape (n,)
         Least coefficient of friction; ``inf`` where no forces hold the vehicle. [1]
     normal, tangential : ndarray, shape (n, 3)
-        Forces of the ground on the rear, middle and front axle; NaN where no forces hold it. [N]
+        Normal and tangential (forward positive) forces of the ground on the rear, middle and front
+        axle; NaN where no forces hold the vehicle. [N]
     """
 
     mu: Array
@@ -65,13 +66,13 @@ class Demand(NamedTuple):
         The leg.
     s : ndarray, shape (n,)
         Path parameters on the leg. [m]
-    hold : Hold
+    hold : HoldingForces
         Friction and forces at these path parameters.
     """
 
     leg: Leg
     s: Array
-    hold: Hold
+    hold: HoldingForces
 
     @property
     def mu(self) -> float:
@@ -87,7 +88,7 @@ class Friction(NamedTuple):
     mu : float
         Least coefficient of friction of the whole climb; ``inf`` if no coefficient suffices. [1]
     axle : str
-        The climbing axle of the leg with the largest demand.
+        Name of the climbing axle on the leg with the largest demand.
     s : float
         Path parameter of the largest demand on that leg. [m]
     q : ndarray, shape (4,)
@@ -103,28 +104,28 @@ class Friction(NamedTuple):
     demands: tuple[Demand, ...]
 
 
-def equilibrium(climber: Climber, way: Way) -> tuple[Array, Array]:
-    """Return the equations ``A f = b`` of equilibrium.
+def equilibrium(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
+    """Return the equilibrium equations ``A f = b`` of the contact forces ``f``.
 
     Returns
     -------
     A : ndarray, shape (n, 4, 6)
         Rows are forward force, upward force, and the nose-up moments of the rear and the front
-        body with their wheels about the joint. Columns are N of the rear, middle and front axle,
-        then T.
+        body with their wheels about the joint. Columns are the normal forces on the rear, middle
+        and front axle, and the tangential forces on them, forward positive. [1, m]
     b : ndarray, shape (n, 4)
-        Negative load of gravity. [N], [N m]
+        Negative load of gravity. [N, N m]
     """
-    points = axle_arms(climber, way.q) - climber.radius * way.normals
-    directions = np.concatenate([way.normals, tangents(way.normals)], axis=1)
+    points = axle_arms(climber, path.q) - climber.radius * path.normals
+    directions = np.concatenate([path.normals, tangents(path.normals)], axis=1)
     moments = cross(np.concatenate([points, points], axis=1), directions)
-    matrix = np.zeros((len(way.q), 4, 6))
+    matrix = np.zeros((len(path.q), 4, 6))
     matrix[:, :2] = directions.transpose(0, 2, 1)
     matrix[:, 2, [0, 1, 3, 4]] = moments[:, [0, 1, 3, 4]]
     matrix[:, 3, [2, 5]] = moments[:, [2, 5]]
     bodies = (climber.rear_body, climber.front_body)
-    levers = [body.mass * center(body, way.q[:, 2 + k])[:, 0] for k, body in enumerate(bodies)]
-    weight = np.full(len(way.q), climber.mass)
+    levers = [body.mass * center(body, path.q[:, 2 + k])[:, 0] for k, body in enumerate(bodies)]
+    weight = np.full(len(path.q), climber.mass)
     return matrix, GRAVITY * np.stack([0 * weight, weight, *levers], axis=1)
 
 
@@ -141,7 +142,7 @@ def cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def least_friction_forces(matrix: Array, load: Array) -> Hold:
+def least_friction_forces(matrix: Array, load: Array) -> HoldingForces:
     """Return the forces in equilibrium that need the least friction.
 
     Parameters
@@ -173,11 +174,15 @@ def least_friction_forces(matrix: Array, load: Array) -> Hold:
             low, high = np.where(held, low, middle), np.where(held, middle, high)
         mu[open_] = high
     mu[np.isnan(best[:, 0])] = np.inf
-    return Hold(mu, best[:, :3], best[:, 3:])
+    return HoldingForces(mu, best[:, :3], best[:, 3:])
 
 
 def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Array, Array]:
-    """Return the forces that maximise the smallest friction reserve, and that reserve."""
+    """Return the contact forces with the largest minimal friction reserve, and the reserve.
+
+    The reserve of an axle is ``(mu N - |T|) / relative``, with the normal force N and the
+    tangential force T.
+    """
     from scipy.optimize import linprog  # imported here: the import takes 0.2 s
 
     count, size = len(load), load[:, 1].mean()
@@ -212,12 +217,13 @@ def least_friction(climber: Climber, profile: Profile, samples: int = 41) -> Fri
     profile : Profile
         The ground.
     samples : int
-        Number of configurations on every leg; further ones refine the neighbourhood of the worst.
+        Number of configurations on every leg; more are added around the one with the largest
+        demand.
 
     Raises
     ------
     ModelError
-        If the vehicle gets stuck.
+        If there is no contact path over the profile, see `slipfree.climb.contact_path.legs`.
     """
     demands = _demands(climber, profile, samples)
     worst = max(demands, key=lambda each: each.mu)
@@ -246,7 +252,7 @@ def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, 
             np.append(s, new)[order] for s, new, order in zip(places, near, orders, strict=True)
         ]
         holds = [
-            Hold(*(np.concatenate(pair)[order] for pair in zip(old, new, strict=True)))
+            HoldingForces(*(np.concatenate(pair)[order] for pair in zip(old, new, strict=True)))
             for old, new, order in zip(holds, more, orders, strict=True)
         ]
     return tuple(Demand(*each) for each in zip(found, places, holds, strict=True))
@@ -262,7 +268,7 @@ def _points_around(s: Array, k: int) -> Array:
 
 def _holds(
     climber: Climber, profile: Profile, found: Sequence[Leg], places: Sequence[Array]
-) -> list[Hold]:
+) -> list[HoldingForces]:
     """Return the holds of several legs at given path parameters, from one linear program."""
     equations = [
         equilibrium(climber, sample(climber, profile, leg, s))
@@ -270,7 +276,7 @@ def _holds(
     ]
     hold = least_friction_forces(*(np.concatenate(part) for part in zip(*equations, strict=True)))
     ends = np.cumsum([0, *(s.size for s in places)]).tolist()
-    return [Hold(*(part[a:b] for part in hold)) for a, b in pairwise(ends)]
+    return [HoldingForces(*(part[a:b] for part in hold)) for a, b in pairwise(ends)]
 
 
 def highest_obstacle(
@@ -278,7 +284,8 @@ def highest_obstacle(
 ) -> float:
     """Return the height up to which all obstacles of a kind can be climbed slowly [m].
 
-    The demand may decrease with height; the result is the first height that needs more friction.
+    The friction demand may decrease with height; the result is the smallest height that requires
+    more than the given friction.
 
     Parameters
     ----------
@@ -287,7 +294,7 @@ def highest_obstacle(
     mu : float
         Coefficient of friction. [1]
     tallest : float
-        Largest height that is tried; returned if all heights below can be climbed. [m]
+        Largest height that is tested; returned if all tested heights can be climbed. [m]
     make : callable
         Function from height to profile; steps by default.
     """

@@ -16,8 +16,8 @@ from slipfree.errors import ModelError
 from slipfree.records import Array, Mask
 from slipfree.trajectory import Trajectory
 
-LEAD_TIME, TRAIL_TIME = 0.05, 0.1  # of the window, before the first contact, after the climb [s]
-EDGE_MARGIN, MAX_SINKAGE = 0.02, 0.003  # a rear axle is up behind the edge, at most so low [m]
+LEAD_TIME, TRAIL_TIME = 0.05, 0.1  # parts of the window before first contact and after climb [s]
+EDGE_MARGIN, MAX_SINKAGE = 0.02, 0.003  # distance behind the edge, depth below the top level [m]
 MIN_WHEEL_RATE = 0.4  # ratios to smaller wheel rates are not meaningful [rad/s]
 MIN_LOAD = 1.0  # contacts with a smaller normal force are ignored [N]
 
@@ -32,7 +32,7 @@ class Window(NamedTuple):
     climbed : bool
         Whether the rear axle reaches the top; otherwise the window ends with the motion.
     t : float
-        Time at which it reaches the top, or end of the motion. [s]
+        Time at which the rear axle reaches the top, or end of the motion. [s]
     """
 
     span: slice
@@ -53,7 +53,7 @@ class Metrics(NamedTuple):
     disturbance : ndarray
         Absolute value of the relative error of the wheel's rate, equation (21) of the same paper.
     true_slip : ndarray
-        Slip distance of the rim on the solid with the larger load, over the distance of the rim.
+        Slip distance of the rim on the most loaded solid, divided by the distance the rim travels.
     effort : ndarray
         Share of the axle in the absolute motor torques of all wheels.
     bearing : ndarray
@@ -150,9 +150,9 @@ def has_reached_top(run: Trajectory, climber: Climber, profile: Profile) -> Mask
 
 
 def slip_ratio(run: Trajectory, climber: Climber) -> Array:
-    """Return ``(r w - v) / (r w)`` over time, (20), shape (n, 3); nan for wheels near rest.
+    """Return the slip ratio ``(r w - v) / (r w)``, (20), shape (n, 3); NaN for wheels near rest.
 
-    ``v`` is the speed of the middle axle, for all wheels.
+    ``r`` and ``w`` are the radius and the rate of a wheel, ``v`` is the speed of the middle axle.
     """
     speed = np.hypot(run["axle_velocity_x", "middle"], run["axle_velocity_z", "middle"])
     rate = _turning_rates(run)
@@ -160,7 +160,7 @@ def slip_ratio(run: Trajectory, climber: Climber) -> Array:
 
 
 def disturbance_ratio(run: Trajectory) -> Array:
-    """Return ``(w_ref - w) / w`` over time, (21), shape (n, 3); nan for wheels near rest."""
+    """Return the relative rate error ``(w_ref - w) / w``, (21), shape (n, 3); NaN near rest."""
     return np.asarray((run["reference"] - run["wheel_rate"]) / _turning_rates(run))
 
 
@@ -170,7 +170,7 @@ def _turning_rates(run: Trajectory) -> Array:
 
 
 def _mean_size(ratios: Array) -> Array:
-    """Return the means of absolute values, each at most one, without NaN; NaN if all are NaN."""
+    """Return the means of absolute values clipped to one, without NaN; NaN if all are NaN."""
     sizes = np.minimum(np.abs(ratios), 1)
     known: Mask = ~np.isnan(sizes)
     with np.errstate(invalid="ignore"):

@@ -1,7 +1,7 @@
 """Tracking of planned climbs: feedforward of the torques and feedback of the wheel rates.
 
-The plan is a function of the progress of the vehicle, not of time: a vehicle that is late still
-gets the torques of its position. The progress is
+The plan is a function of the progress of the vehicle, not of time: a vehicle that is late receives
+the torques planned for its position. The progress is
 
     p = mean over the axles of x + z.
 
@@ -32,11 +32,11 @@ from slipfree.records import Array
 
 MIN_SPEED = 0.01  # smallest reference, so that the vehicle leaves points of rest [m/s]
 ACCELERATION = 0.3  # braking before the plan and acceleration behind it [m/s2]
-LEG_DISTANCE = 1e-7  # between legs that meet, since their torques differ [m]
+LEG_DISTANCE = 1e-7  # distance between consecutive legs, whose torques differ where they meet [m]
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class TrackedPlan:
     """A planned climb as a function of the progress p, linear between n points.
 
     Attributes
@@ -46,7 +46,7 @@ class Course:
     square : ndarray, shape (n,)
         Square of the speed along the path. [m2/s2]
     speeds : ndarray, shape (n, 3)
-        Speeds of the axles over the speed along the path.
+        Speeds of the axles divided by the speed along the path. [1]
     directions : ndarray, shape (n, 3)
         Directions of the axles' motion, upward from the horizontal. [rad]
     torques : ndarray, shape (n, 3)
@@ -79,15 +79,15 @@ class Tracking:
 
     Attributes
     ----------
-    course : Course
+    plan : TrackedPlan
         The plan.
     proportional : float
         Gain of the errors of the wheel rates. [N m s/rad]
     spare : float
-        Slip that the references allow a wheel, about that of the largest friction. [m/s]
+        Slip speed that the references allow, about the slip speed of the largest friction. [m/s]
     lead : float
-        Distance by which the plan is read ahead. It must exceed the depth of the contacts, so that
-        the plan does not hold a wheel before it presses against the next solid. [m]
+        Distance added to the progress when the plan is evaluated. It must exceed the depth of the
+        contacts; otherwise the plan stops a wheel before it touches the next solid. [m]
 
     Raises
     ------
@@ -95,7 +95,7 @@ class Tracking:
         If a number is not positive.
     """
 
-    course: Course
+    plan: TrackedPlan
     proportional: float = 20.0
     spare: float = 3e-3
     lead: float = 1e-3
@@ -111,8 +111,8 @@ class Tracking:
                 raise ModelError(f"tracking: {name} must be positive, found {getattr(self, name)}")
 
 
-def course(plans: Sequence[tuple[Climb, Array]]) -> Course:
-    """Return consecutive planned legs as a function of the progress.
+def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
+    """Return the plan of consecutive legs as a function of the progress.
 
     Parameters
     ----------
@@ -131,27 +131,27 @@ def course(plans: Sequence[tuple[Climb, Array]]) -> Course:
     if not (np.diff(p) > 0).all():
         k = int(np.argmin(np.diff(p)))
         raise ModelError(
-            "course: expected a path on which the mean of x + z over the axles increases, "
-            f"found a decrease at {p[k]:.3g} m: use a plan that does not lead steeply down"
+            "plan: expected a path on which the mean of x + z over the axles increases, found a "
+            f"decrease at {p[k]:.3g} m; use a plan that does not lead steeply down"
         )
-    return Course(p, *rest)
+    return TrackedPlan(p, *rest)
 
 
 def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
-    """Return the fields of a leg's course, at its nodes and interval midpoints."""
+    """Return the fields of a leg's plan, at its nodes and interval midpoints."""
     plan, unknowns = plan_and_unknowns
     nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns)["torque"]
     square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
     at_nodes = np.column_stack([np.interp(nodes.s, middles.s, each) for each in torque.T])
     parts = []
-    for way, squares, torques in (
+    for path, squares, torques in (
         (nodes, square, at_nodes),
         (middles, (square[1:] + square[:-1]) / 2, torque),
     ):
-        axles = way.q[:, None, :2] + axle_arms(plan.climber, way.q)
-        directions = np.arctan2(-way.normals[..., 0], way.normals[..., 1])
+        axles = path.q[:, None, :2] + axle_arms(plan.climber, path.q)
+        directions = np.arctan2(-path.normals[..., 0], path.normals[..., 1])
         progress = axles.sum(axis=2).mean(axis=1)
-        parts.append((progress, squares, way.speeds, directions, torques))
+        parts.append((progress, squares, path.speeds, directions, torques))
     order = np.argsort(np.concatenate([nodes.s, middles.s]))
     return tuple(np.concatenate(pair)[order] for pair in zip(*parts, strict=True))
 
@@ -164,10 +164,10 @@ def tracked(
     velocities: PerAxle,
     speed: ca.SX,
 ) -> Commands:
-    """Return references and torques of a planned climb.
+    """Return references and torques that track a planned climb.
 
-    Before and behind the plan, all wheels are driven at the speed of the vehicle; before it they
-    brake, since plans begin at rest.
+    Before the beginning and behind the end of the plan, all wheels have the speed of the vehicle.
+    They brake before the beginning, since plans begin at rest.
 
     Parameters
     ----------
@@ -180,28 +180,28 @@ def tracked(
     axles, velocities : PerAxle of SX, shape (2, 1)
         Positions and velocities of the axles. [m, m/s]
     speed : SX
-        Speed of the vehicle off the plan. [m/s]
+        Largest speed of the vehicle before and behind the plan. [m/s]
     """
     p = sum(place[0] + place[1] for place in axles) / 3 + control.lead
-    at = _plan_at(control.course, p)
-    pace = _reference_speed(control.course, p, at, speed)
+    at = _plan_at(control.plan, p)
+    pace = _reference_speed(control.plan, p, at, speed)
     references, wanted = [], []
     for ratio, angle, torque, velocity, spin in zip(
         at.speeds, at.directions, at.torques, velocities, x.spins, strict=True
     ):
-        gone = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
-        references.append(ca.fmin(pace * ratio, gone + control.spare) / climber.radius)
+        actual = velocity[0] * ca.cos(angle) + velocity[1] * ca.sin(angle)
+        references.append(ca.fmin(pace * ratio, actual + control.spare) / climber.radius)
         wanted.append(torque + control.proportional * (references[-1] - spin))
     return Commands(PerAxle(*references), limited(climber.torque, PerAxle(*wanted)), ())
 
 
-def _plan_at(course: Course, p: ca.SX) -> _PlanPoint:
-    columns = [course.square, course.speeds, course.directions, course.torques]
-    rows, inside = np.column_stack(columns), ca.fmin(ca.fmax(p, course.p[0]), course.p[-1])
-    table = ca.interpolant("table", "linear", [course.p.tolist()], rows.ravel().tolist())
+def _plan_at(plan: TrackedPlan, p: ca.SX) -> _PlanPoint:
+    columns = [plan.square, plan.speeds, plan.directions, plan.torques]
+    rows, inside = np.column_stack(columns), ca.fmin(ca.fmax(p, plan.p[0]), plan.p[-1])
+    table = ca.interpolant("table", "linear", [plan.p.tolist()], rows.ravel().tolist())
     at = ca.MX.sym("p")
-    row = ca.vertsplit(ca.Function("course", [at], [table(at)], {"never_inline": True})(inside))
-    before, behind = p < course.p[0], p > course.p[-1]
+    row = ca.vertsplit(ca.Function("plan", [at], [table(at)], {"never_inline": True})(inside))
+    before, behind = p < plan.p[0], p > plan.p[-1]
     off = ca.logic_or(before, behind)
     speeds, directions, torques = (
         PerAxle(*(ca.if_else(off, value, each) for each in row[k : k + 3]))
@@ -210,10 +210,10 @@ def _plan_at(course: Course, p: ca.SX) -> _PlanPoint:
     return _PlanPoint(row[0], speeds, directions, torques, before, behind)
 
 
-def _reference_speed(course: Course, p: ca.SX, at: _PlanPoint, speed: ca.SX) -> ca.SX:
-    """Return the reference speed along the path, on the plan and off it [m/s]."""
-    arriving = 2 * ACCELERATION * ca.fmax(course.p[0] - p, 0)
-    leaving = at.square + 2 * ACCELERATION * ca.fmax(p - course.p[-1], 0)
+def _reference_speed(plan: TrackedPlan, p: ca.SX, at: _PlanPoint, speed: ca.SX) -> ca.SX:
+    """Return the reference speed along the path, before, on and behind the plan [m/s]."""
+    arriving = 2 * ACCELERATION * ca.fmax(plan.p[0] - p, 0)
+    leaving = at.square + 2 * ACCELERATION * ca.fmax(p - plan.p[-1], 0)
     square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))
     pace = ca.sqrt(square + MIN_SPEED**2)
     found: ca.SX = ca.if_else(ca.logic_or(at.before, at.behind), ca.fmin(speed, pace), pace)

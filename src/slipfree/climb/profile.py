@@ -20,7 +20,7 @@ from slipfree.errors import ModelError
 from slipfree.records import Array
 
 Point = tuple[float, float]
-FLOOR_LENGTH = 100.0  # of floor and plateaus, from their beginning [m]
+FLOOR_LENGTH = 100.0  # length of the floor and of plateaus [m]
 ROOT_DEPTH = 0.5  # depth of solids below the floor, which hides their lower corners [m]
 HEIGHT_TOLERANCE = 1e-4  # smaller height differences and gaps between solids count as zero [m]
 MAX_COORDINATE = 1e4  # largest coordinate of a corner [m]
@@ -73,7 +73,7 @@ class Solid:
         return np.stack([self.edges[:, 1], -self.edges[:, 0]], axis=1)
 
     def meets(self, other: Solid) -> bool:
-        """Return whether it touches another solid, that is, no face of either separates them."""
+        """Return whether the solid touches another one: no face of either separates them."""
         for one, two in ((self, other), (other, self)):
             heights = (np.array(two.points) @ one.normals.T).min(axis=0)
             own = (np.array(one.points) * one.normals).sum(axis=1)
@@ -82,7 +82,7 @@ class Solid:
         return True
 
     def gap(self, x: ca.SX, z: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the distance of a point to the solid, negative inside, and its gradient.
+        """Return the distance of a point from the solid, negative inside, and its gradient.
 
         The distance is the largest of the distances from the lines of the faces and, within their
         normal cones, from the corners: each is a lower bound, attained by the nearest feature.
@@ -95,7 +95,7 @@ class Solid:
         Returns
         -------
         distance : SX, shape (1, 1)
-            Continuously differentiable outside. [m]
+            Distance, continuously differentiable outside the solid. [m]
         normal : SX, shape (2, 1)
             Outward unit vector.
         """
@@ -126,7 +126,7 @@ class Solid:
         Returns
         -------
         distance : ndarray, shape (...)
-            Negative inside. [m]
+            Distances, negative inside. [m]
         normal : ndarray, shape (..., 2)
             Outward unit vectors.
         """
@@ -173,14 +173,14 @@ class Profile:
 
     @property
     def summit(self) -> Point:
-        """First point of the highest level of the solids that stand on the floor, (x, z) [m]."""
+        """First highest point of the solids that stand on the floor, (x, z) [m]."""
         points = [point for solid in self.standing for point in solid.points]
         top = max(z for _, z in points)
         return min(x for x, z in points if z > top - HEIGHT_TOLERANCE), top
 
     @property
     def end(self) -> float:
-        """End of all solids that stand on the floor and rise above it [m]."""
+        """Largest x of the solids that stand on the floor; infinite without such solids [m]."""
         floor = max(z for _, z in self.solids[0].points)
         above = [x for solid in self.standing[1:] for x, z in solid.points if z > floor]
         return max(above, default=math.inf)
@@ -218,12 +218,13 @@ def ramp(angle: float, height: float) -> Profile:
     """
     _positive(height=height)
     if not 0 < angle <= math.pi / 2:
-        raise ModelError(f"ramp: expected an angle above 0 up to pi/2, found {angle}")
+        raise ModelError(f"ramp: expected an angle above 0 up to pi/2 rad, found {angle} rad")
     slope = math.cos(angle) / math.sin(angle)
     if ROOT_DEPTH * slope > FLOOR_LENGTH / 2 or height * slope > FLOOR_LENGTH / 2:
+        least = math.degrees(math.atan(2 * max(height, ROOT_DEPTH) / FLOOR_LENGTH))
         raise ModelError(
-            f"ramp: expected a ramp shorter than the floor's {FLOOR_LENGTH:g} m, found a longer "
-            f"one of {math.degrees(angle):.3g} degrees; use a steeper or a lower ramp"
+            f"ramp: expected an angle of at least {least:.3g} degrees for a height of {height:g} "
+            f"m, found {math.degrees(angle):.3g} degrees; use a steeper or a lower ramp"
         )
     edge = height * slope
     wedge = Solid(
@@ -286,7 +287,9 @@ def _counter_clockwise(points: Array) -> Sequence[Array]:
     lengths = np.linalg.norm(edges, axis=1)
     if not (lengths > 0).all():
         k = int(np.argmin(lengths))
-        raise ModelError(f"solid: points {k} and {(k + 1) % len(points)} coincide, {points[k]}")
+        raise ModelError(
+            f"solid: points {k} and {(k + 1) % len(points)} coincide at {points[k]}; remove one"
+        )
     before, after = np.roll(edges / lengths[:, None], 1, axis=0), edges / lengths[:, None]
     sines = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     cosines = (before * after).sum(axis=1)
@@ -294,9 +297,9 @@ def _counter_clockwise(points: Array) -> Sequence[Array]:
         k = int(np.argmin(np.abs(sines)))
         raise ModelError(f"solid: point {k}, {points[k]}, is not a corner: remove it")
     turns = np.arctan2(sines, cosines)
-    way = 1.0 if turns.sum() > 0 else -1.0
-    if (way * turns < 0).any():
-        k = int(np.argmin(way * turns))
+    sign = 1.0 if turns.sum() > 0 else -1.0
+    if (sign * turns < 0).any():
+        k = int(np.argmin(sign * turns))
         raise ModelError(
             f"solid: not convex at point {k}, {points[k]}: divide it into convex solids"
         )
@@ -304,4 +307,4 @@ def _counter_clockwise(points: Array) -> Sequence[Array]:
         raise ModelError(
             "solid: its faces cross; give the corners in order around the solid, each once"
         )
-    return list(points if way > 0 else points[::-1])
+    return list(points if sign > 0 else points[::-1])

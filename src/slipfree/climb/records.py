@@ -50,8 +50,8 @@ class State(NamedTuple):
 class Totals(NamedTuple):
     """Time integrals along a motion.
 
-    Angles through which the wheels have turned [rad], work of the motors, and energy dissipated by
-    friction (``rubbed``) and by damping (``damped``) [J].
+    These are the rotation angles of the wheels [rad], the work of the motors, and the energy
+    dissipated by friction (``rubbed``) and by damping (``damped``) [J].
     """
 
     wheel_angles: PerAxle
@@ -77,7 +77,7 @@ class OnSolid(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """Further quantities along a motion."""
+    """Outputs of the model along a motion; units are those of the labels."""
 
     axle_x: PerAxle
     axle_z: PerAxle
@@ -156,5 +156,7 @@ def _solid_labels(k: int) -> OnSolid:
         _each(f"gap_{k}", "m", f"gap of the wheels to {solid}, negative where they penetrate it"),
         _each(f"load_{k}", "N", f"normal force of {solid} on the axle's wheels"),
         _each(f"friction_{k}", "N", f"tangential force of {solid} on the axle's wheels, forward"),
-        _each(f"slip_{k}", "m s-1", f"slip of the wheels over {solid}, negative when they spin"),
+        _each(
+            f"slip_{k}", "m s-1", f"slip of the wheels over {solid}, negative if they turn too fast"
+        ),
     )

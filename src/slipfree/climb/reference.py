@@ -1,17 +1,19 @@
 """Reference speeds of the axles of a climbing vehicle, from its body configuration.
 
-The law of Chugo, Kawabata, Kaetsu, Asama and Mishima, "Omni-directional vehicle control based on
-body configuration", Industrial Robot 36(5), 2009, in a form that holds in every phase of a climb;
-also their laws as printed, which do not. Every axle i moves with speed v_i along its own direction
-phi_i, upward from the horizontal: 0 on a floor, pi/2 at a wall. With the tilts th_r and th_f of the
-bodies, R, M, F for the axles, and the joint d ahead of the middle axle,
+This module implements the law of Chugo, Kawabata, Kaetsu, Asama and Mishima, "Omni-directional
+vehicle control based on body configuration", Industrial Robot 36(5), 2009, in a form that is valid
+in every phase of a climb, and, for comparison, the equations as printed, which are not. Every axle
+i moves with speed v_i along its own direction phi_i, upward from the horizontal: 0 on a floor, pi/2
+at a wall. With the tilts th_r and th_f of the bodies, the indices R, M and F of the rear, middle
+and front axle, and the joint at distance d ahead of the middle axle,
 
     v_R cos(phi_R - th_r) = v_M cos(phi_M - th_r)                             rear link
     v_F cos(phi_F - th_f) = v_M cos(phi_M - th_f) + d th_r' sin(th_f - th_r)  front link
     L th_r' = s sin(phi_M - phi_R)   where   (v_R, v_M) = s (cos(phi_M - th_r), cos(phi_R - th_r))
 
-where the paper has one angle for all axles: (6) assumes the middle axle on the slope, (8) on the
-floor. All functions here take SX or numbers, and return SX or `casadi.DM`.
+where L is the distance of the rear and middle axle and s a common factor. The paper has one angle
+for all axles: (6) assumes the middle axle on the slope, (8) on the floor. All functions take SX or
+numbers, and return SX or `casadi.DM`.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ class PerAxle(NamedTuple):
 class Tilts(NamedTuple):
     """Tilts of the bodies, nose up, or their rates [rad, rad/s].
 
-    The paper's tilt sensor reads ``rear``, th_b; its potentiometer ``rear - front``, -th_a.
+    In the paper, the tilt sensor measures ``rear`` (th_b), the potentiometer ``rear - front``
+    (-th_a).
     """
 
     rear: Any
@@ -63,7 +66,7 @@ def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
     Returns
     -------
     PerAxle
-        Speeds of the axles up to a common factor; all zero if no other speeds are possible.
+        Speeds of the axles up to a common factor; all zero if the axles cannot move without slip.
     """
     to_joint = -climber.middle.ahead
     link = climber.middle.ahead - climber.rear.ahead
@@ -78,7 +81,7 @@ def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
 def capped(speeds: PerAxle, cap: float) -> PerAxle:
     """Return speeds scaled such that the middle axle has speed one and no axle exceeds ``cap``.
 
-    At a wall only the front axle has a nonzero speed.
+    If the middle axle cannot move, as with the front axle at a wall, its speed is zero.
     """
     column = ca.vertcat(*speeds)
     size = ca.fmax(ca.fabs(column[1]), ca.mmax(ca.fabs(column)) / cap)
@@ -99,12 +102,11 @@ def reference(
     directions : PerAxle
         Directions of motion of its axles. [rad]
     law : {"projective", "fixed", "printed_6_8", "printed_14", "printed_16"}
-        ``"projective"``: without slip in every phase; ``"fixed"``: speed one for all axles. The
-        others are the equations of the paper as printed, to show that they fail, with the largest
-        direction as their single angle alpha: (6) with (8), the pseudo-inverse of (14) according to
-        (15), and (16).
+        ``"projective"``: no slip in every phase; ``"fixed"``: speed one for all axles. The other
+        laws are equations of the paper as printed, for comparison: (6) with (8), the pseudo-inverse
+        (15) of (14), and (16). Their single angle alpha is the largest direction.
     cap : float
-        Largest relative speed, at least 1; (14) has its own scale.
+        Largest relative speed, at least 1; not used by ``"printed_14"``.
 
     Raises
     ------
@@ -114,7 +116,7 @@ def reference(
     if law not in get_args(Law):
         raise ModelError(f"reference: expected one of {', '.join(get_args(Law))}, found {law!r}")
     if not cap >= 1:
-        raise ModelError(f"reference: the cap must be at least 1, found {cap}")
+        raise ModelError(f"reference: cap must be at least 1, found {cap}")
     if law == "fixed":
         return PerAxle(ca.SX(1), ca.SX(1), ca.SX(1))
     if law == "projective":
@@ -123,7 +125,10 @@ def reference(
 
 
 class _Cosines(NamedTuple):
-    """Numerators and denominators of the printed ratios (6), rear, and (8), front."""
+    """Cosines in the printed speed ratios: (6) of the rear axle and (8) of the front axle.
+
+    ``over`` is the numerator and ``under`` the denominator of a ratio.
+    """
 
     rear_over: Any
     rear_under: Any
@@ -167,7 +172,7 @@ _PRINTED: dict[str, Callable[[Tilts, Any, float], PerAxle]] = {
 
 
 class Base(NamedTuple):
-    """Dimensions of the seven wheels in the plane of the floor, numbered as in the paper.
+    """Dimensions of the seven-wheeled vehicle in plan view; wheels are numbered as in the paper.
 
     Wheels 1 and 3 are on the rear axle, 4 on the middle axle, 5 and 7 on the front axle; 2 and 6
     roll sideways. The motors of a pair rotate in opposite directions when the vehicle moves
@@ -180,9 +185,9 @@ class Base(NamedTuple):
     gear : float
         Rate of a wheel over the rate of its motor, k in (1).
     along : float
-        Arm of the wheels 2 and 6 about the vertical, R1. [m]
+        Lever arm of wheels 2 and 6 about the vertical axis, R1. [m]
     aside : float
-        Arm of the wheels 1, 3, 5 and 7, R2. [m]
+        Lever arm of wheels 1, 3, 5 and 7 about the vertical axis, R2. [m]
     """
 
     radius: float
@@ -237,7 +242,7 @@ def odometry(base: Base, speeds: PerAxle) -> Any:
 
 
 def printed_jacobian(base: Base, tilts: Tilts, alpha: float) -> Any:
-    """Return the matrix of (14) as printed, gamma zero, shape (3, 7)."""
+    """Return the matrix of (14) as printed, with gamma = 0, shape (3, 7)."""
     a, b, c, d = _cosines(tilts, alpha)
     rear, front, turn, side = a / b / 5, c / d / 5, 1 / (6 * base.aside), 1 / (6 * base.along)
     rows = [
@@ -249,17 +254,18 @@ def printed_jacobian(base: Base, tilts: Tilts, alpha: float) -> Any:
 
 
 def printed_inverse(base: Base, tilts: Tilts, alpha: float) -> Any:
-    """Return the matrix of (16) as printed, times 1/(k r), shape (7, 3)."""
+    """Return the matrix of (16) as printed, divided by gear ratio and radius, shape (7, 3)."""
     a, b, c, d = _cosines(tilts, alpha)
     return motors(base, PerAxle(b / a, 1, d / c))
 
 
-def seen_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: PerAxle) -> PerAxle:
+def estimated_directions(climber: Climber, tilts: Tilts, rates: Tilts, spins: PerAxle) -> PerAxle:
     """Return estimates of the axles' directions from tilt sensors and encoders.
 
     The tilt rate of a link gives the vertical speed of its axle; divided by the rim speed it is the
     sine of the direction. The sign of the rear body's tilt rate decides which of its two axles
-    climbs. Slope and height of the obstacle are not needed. The controller smooths the estimates.
+    climbs. The estimates do not require the slope or height of the obstacle. The controller smooths
+    them.
 
     Parameters
     ----------

@@ -5,8 +5,8 @@ With s' the speed along a leg of the path, ``a = s''`` and ``b = s'^2``, acceler
 
     A f = load + G a + H b
 
-A and the load are those of equilibrium; G and H are the inertia of the bodies and of the wheels,
-which turn at the rates ``speeds s' / radius``. On every interval a is constant, so that b is linear
+with the contact forces f. A and the load are those of equilibrium; G and H are the inertia of the
+bodies and of the wheels. On every interval a is constant, so that b is linear
 in s; equations and limits hold at its midpoint. A leg begins at rest where a wheel meets a solid,
 often the point of the largest friction demand; therefore the intervals are short there. The contact
 forces satisfy Coulomb's law ``|T| <= mu N``, and the motors their torque limit.
@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from slipfree.climb.contact_path import Leg, Way, rotate_nose_up, sample
+from slipfree.climb.contact_path import Leg, PathSamples, rotate_nose_up, sample
 from slipfree.climb.friction_demand import (
     MAX_FRICTION,
     center,
@@ -42,8 +42,8 @@ from slipfree.vehicle.tree import GRAVITY
 COSTS = ("time", "friction", "slip")
 TIME_WEIGHT = 1e-4  # weight of the time in costs that do not determine the speed [1/s]
 ROOT_OFFSET = 1e-8  # in roots of squared speeds, for finite derivatives at rest [largest b]
-MIN_ACCELERATION = 1e-3  # away from points of rest: a lower bound of b without standstill [m/s2]
-MAX_LOWER_BOUND = 1e-4  # largest value of that bound [largest b]
+MIN_ACCELERATION = 1e-3  # slope of the lower bound of b near points of rest [m/s2]
+MAX_LOWER_BOUND = 1e-4  # largest lower bound of b between points of rest [largest b]
 LOAD_OFFSET = 1e-3  # added to N in the cost of slip, for finite derivatives without load [weight]
 GUESS_SQUARE = 0.01  # b of the initial guess [largest b]
 MAX_GUESS_LOAD = 3.0  # largest normal force of the initial guess [weight]
@@ -71,7 +71,7 @@ class Climb:
     ----------
     climber : Climber
         The vehicle.
-    nodes, middles : Way
+    nodes, middles : PathSamples
         Configurations at the ends and at the midpoints of the intervals.
     nlp : Nlp
         The program, with the unknowns ``b`` (n + 1,) [m2 s-2], ``normal`` and ``tangential``
@@ -79,12 +79,12 @@ class Climb:
     """
 
     climber: Climber
-    nodes: Way
-    middles: Way
+    nodes: PathSamples
+    middles: PathSamples
     nlp: Nlp
 
 
-def inertia(climber: Climber, way: Way) -> tuple[Array, Array]:
+def inertia(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
     """Return the inertia terms of the equations of `equilibrium`.
 
     Returns
@@ -92,19 +92,19 @@ def inertia(climber: Climber, way: Way) -> tuple[Array, Array]:
     G, H : ndarray, shape (n, 4)
         Coefficients of the second derivative of s, and of the square of its first derivative.
     """
-    linear, square = np.zeros((2, len(way.q), 4))
+    linear, square = np.zeros((2, len(path.q), 4))
     bodies = (climber.rear_body, climber.front_body)
     for k, body in enumerate(bodies):
-        arm, tilt = center(body, way.q[:, 2 + k]), 2 + k
-        centripetal = way.first[:, tilt, None] ** 2 * arm
-        for rows, rates in ((linear, way.first), (square, way.second)):
+        arm, tilt = center(body, path.q[:, 2 + k]), 2 + k
+        centripetal = path.first[:, tilt, None] ** 2 * arm
+        for rows, rates in ((linear, path.first), (square, path.second)):
             change = rates[:, :2] + rates[:, tilt, None] * rotate_nose_up(arm)
             if rows is square:
                 change = change - centripetal
             rows[:, :2] += body.mass * change
             rows[:, tilt] += body.mass * cross(arm, change) + body.inertia * rates[:, tilt]
     spin = spin_inertia(climber)
-    for rows, values in ((linear, way.speeds), (square, way.slopes)):
+    for rows, values in ((linear, path.speeds), (square, path.slopes)):
         rows[:, 2] -= values[:, :2] @ spin[:2]  # wheels that roll forward rotate nose-down
         rows[:, 3] -= values[:, 2] * spin[2]
     return linear, square
@@ -142,9 +142,9 @@ def climb(
     speed : float
         Largest speed of an axle. [m/s]
     s : int or array_like, shape (n + 1,)
-        Nodes on the leg, the ends of the intervals; the vehicle is at rest at the first one. Or the
-        number of nodes, up to the top of the climbing wheels or, with ``halt``, up to the end of
-        the leg. [m]
+        Nodes on the leg, the ends of the intervals [m], or the number of nodes. With a number, the
+        last node is ``leg.top`` or, with ``halt``, the end of the leg. The vehicle is at rest at
+        the first node.
     halt : bool
         Whether the vehicle is at rest at the last node, as required before another leg.
 
@@ -181,8 +181,8 @@ def _mesh(leg: Leg, count: int, *, halt: bool) -> Array:
 
 def _program(
     climber: Climber,
-    nodes: Way,
-    middles: Way,
+    nodes: PathSamples,
+    middles: PathSamples,
     cost: str,
     mu: float | None,
     speed: float,
@@ -240,8 +240,10 @@ def _cost(
     return costs[cost]
 
 
-def _slow_climb(climber: Climber, middles: Way, mu: float | None) -> tuple[Array, Array, Array]:
-    """Return forces and friction of a slow climb.
+def _slow_climb(
+    climber: Climber, middles: PathSamples, mu: float | None
+) -> tuple[Array, Array, Array]:
+    """Return the initial guess of forces and friction, those of a slow climb.
 
     The minimisation of friction is quasi-convex, not convex: from a poor initial guess IPOPT may
     stop at a point that is not a minimum.
@@ -255,7 +257,7 @@ def _slow_climb(climber: Climber, middles: Way, mu: float | None) -> tuple[Array
     return normal.ravel(), np.where(most, tangential, 0.0).ravel(), np.array([friction])
 
 
-def _speeds(nodes: Way, fastest: float, *, halt: bool) -> tuple[Array, Array]:
+def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, Array]:
     """Return bounds of b at the nodes."""
     upper = fastest / (nodes.speeds**2).max(axis=1)
     upper[[0, -1] if halt else [0]] = 0.0
@@ -267,7 +269,7 @@ def _speeds(nodes: Way, fastest: float, *, halt: bool) -> tuple[Array, Array]:
 
 
 def _constraint_rows(
-    climber: Climber, middles: Way, steps: Array, unknowns: Sequence[ca.MX]
+    climber: Climber, middles: PathSamples, steps: Array, unknowns: Sequence[ca.MX]
 ) -> tuple[list[ca.MX], list[Array], list[Array]]:
     """Return the constraints with their bounds: motion, friction cones and torques."""
     b, normal, tangential, mu = unknowns
@@ -290,7 +292,9 @@ def _constraint_rows(
     return rows, low, high
 
 
-def _torques(climber: Climber, middles: Way, steps: Array, b: ca.MX, tangential: ca.MX) -> ca.MX:
+def _torques(
+    climber: Climber, middles: PathSamples, steps: Array, b: ca.MX, tangential: ca.MX
+) -> ca.MX:
     """Return the total motor torques of the axles at the midpoints, shape (3 n, 1) [N m]."""
     spin = spin_inertia(climber)
     linear, square = (
@@ -327,7 +331,7 @@ def history(plan: Climb, unknowns: Array) -> Trajectory:
     plan : Climb
         Result of `climb`.
     unknowns : ndarray, shape (n_x,)
-        Solution of its program.
+        Solution of the nonlinear program.
 
     Returns
     -------

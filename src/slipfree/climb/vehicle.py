@@ -27,7 +27,7 @@ AXLES = ("rear", "middle", "front")
 
 
 class Body(NamedTuple):
-    """A rigid body at the joint.
+    """A rigid body connected to the joint.
 
     Attributes
     ----------
@@ -107,7 +107,8 @@ class Climber:
         if not self.radius < self.front.ahead - self.rear.ahead:
             raise ModelError(
                 "climber: expected a radius below the distance of front and rear axle, "
-                f"{self.front.ahead - self.rear.ahead:g} m, found {self.radius:g} m; in metres?"
+                f"{self.front.ahead - self.rear.ahead:g} m, found {self.radius:g} m; give lengths "
+                "in metres"
             )
         order = [self.rear.ahead, self.middle.ahead, self.front.ahead]
         if not (order[0] < order[1] < order[2] and order[2] > 0 and order[1] <= 0):
@@ -124,15 +125,16 @@ class Climber:
 
     @property
     def mass(self) -> float:
-        """Mass of the whole [kg]."""
+        """Mass of the vehicle [kg]."""
         return self.rear_body.mass + self.front_body.mass
 
 
 def seven_wheels(joint: float = 0.0, torque: float = math.inf) -> Climber:
     """Return the step climber of Chugo et al. (2009), in the plane.
 
-    It is the side view of `slipfree.catalog.seven_wheels`. Assumed, since the paper does not give
-    them, are moments of inertia of boxes 250 mm high, and those of the wheels with their rotors.
+    It is the side view of `slipfree.catalog.seven_wheels`. The paper gives no moments of inertia:
+    those of the bodies are assumed to be those of boxes 250 mm high; those of the wheels with their
+    rotors are estimates.
 
     Parameters
     ----------
@@ -191,7 +193,8 @@ def planar(
             _, y, z = _numbers(pose.origin) - hinge
             if abs(z) > LENGTH_TOLERANCE:
                 raise ModelError(
-                    f"planar: wheel {wheel.name} is {z:g} m above the joint, not at its height"
+                    "planar: expected all wheels at the height of the joint, found wheel "
+                    f"{wheel.name} {z:g} m above it"
                 )
             axles.setdefault((round(y, 9), wheel.parent in carried), []).append(wheel)
     places = sorted(axles)

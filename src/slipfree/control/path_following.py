@@ -32,13 +32,14 @@ class _PlanarWheel(NamedTuple):
     wheel : Wheel
         The wheel.
     right, forward : SX
-        Its position from the middle of the turning axis. [m]
+        Position of the wheel relative to the middle of the turning axis. [m]
     angle : SX
         Heading of the wheel in the platform's plan, left positive. [rad]
     effects : mapping of str to SX
-        Derivative of that angle with respect to each commanded coordinate. [rad/rad, rad/m]
+        Derivatives of the angle with respect to commanded coordinates, by name. [rad/rad, rad/m]
     leans : str or None
-        The passive coordinate that tilts it sideways, if the wheel is driven.
+        Name of the passive coordinate that tilts the wheel sideways; None if there is none or the
+        wheel is not driven.
     """
 
     wheel: Wheel
@@ -99,7 +100,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     dae : Dae
         The vehicle's direct kinematics.
     vehicle : Vehicle
-        It has steered wheels, or driven wheels on both sides.
+        Vehicle with steered wheels, or with driven wheels on both sides.
     path : Path
         Path of the platform's centre.
     speed : float
@@ -109,7 +110,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     -------
     record
         Inputs as expressions of the symbols of ``dae``. Commanded coordinates that steer no wheel
-        are held constant.
+        stay constant.
 
     Raises
     ------

@@ -36,7 +36,7 @@ def path_inputs(
     dae : Dae
         The inverse model, with the given rates velocity_x, velocity_y and heading_rate.
     start : Trajectory
-        The path must start at its last sample.
+        Motion of the model; the path must begin at its last sample.
     x, y, heading : SX, or ndarray of shape (n,)
         Position and heading of the platform's centre as expressions of ``dae.t``, or their values
         at the times ``t``, which a spline of degree five interpolates. [m, rad]
@@ -81,7 +81,8 @@ def path_inputs(
     ]
     if wrong:
         raise ModelError(
-            f"path: expected the position and heading of the start, found {'; '.join(wrong)}"
+            f"path: expected the position and heading of the start, found {'; '.join(wrong)}: move "
+            "the path or the start"
         )
     return dae.inputs(**dict(zip(PLANAR, ca.vertsplit(velocity), strict=True)))
 
@@ -95,8 +96,7 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     Parameters
     ----------
     dae : Dae
-        From `slipfree.models.inverse.inverse_kinematics`, given ``forward``, ``right`` and
-        ``yaw_rate``.
+        Inverse model with the given rates ``forward``, ``right`` and ``yaw_rate``.
     t : ndarray, shape (n,)
         Times of the way-points, at least six, increasing. [s]
     x, y, heading : ndarray, shape (n,)
@@ -106,8 +106,8 @@ def track_path(dae: Dae, t: Array, x: Array, y: Array, heading: Array) -> tuple[
     Returns
     -------
     Dae
-        The model with the outputs ``path_error``, distance to the point of the path at that time,
-        and ``heading_error``.
+        The model with the outputs ``path_error``, the distance from the current point of the path
+        [m], and ``heading_error`` [rad].
     record
         Inputs of the model.
 
@@ -141,12 +141,15 @@ def _checked_points(t: Any, x: Any, y: Any, heading: Any) -> tuple[Array, Array]
             f"found {t.size} times and values of shapes {', '.join(str(v.shape) for v in values)}"
         )
     if not (np.isfinite(values).all() and np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise ModelError("path: expected finite values at increasing times")
+        raise ModelError(
+            "path: expected finite values at increasing times, found NaN, infinity or a time that "
+            "does not increase; remove such points"
+        )
     return t, np.array(values)
 
 
 def _splines(t: Array, values: Array, time: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return interpolating splines of columns of values, and their rates, in terms of time."""
+    """Return interpolating splines of columns of values, and their time derivatives."""
     from scipy.interpolate import make_interp_spline  # imported here: the import takes 0.2 s
 
     spline, inside = make_interp_spline(t, values, k=DEGREE), ca.fmin(ca.fmax(time, t[0]), t[-1])

@@ -107,7 +107,7 @@ def touch_function(
     contacts: Sequence[ContactFrame],
     lookups: LookupTable,
 ) -> list[ca.Function]:
-    """Return a function of ``x`` and ``z`` for each wheel: its centre, rotation, ground normal."""
+    """Return one function per wheel from ``(x, z)`` to its centre, rotation and ground normal."""
     inputs, found = [pack(x), pack(z)], lookups.lookups
     return [
         lookup_function(

@@ -149,7 +149,10 @@ def least_utilisation(matrix: Array, load: Array, friction: Array) -> Best:
 def _check(matrix: Array, load: Array, friction: Array) -> None:
     """Raise ModelError for arrays of wrong shapes or values."""
     if friction.ndim != 2 or 0 in friction.shape:
-        raise ModelError(f"friction: expected shape (n, m), found {friction.shape}")
+        raise ModelError(
+            "friction: expected shape (samples, wheels) with at least one of each, found "
+            f"{friction.shape}"
+        )
     n, m = friction.shape
     w = matrix.shape[1] if matrix.ndim == 3 else 0
     if w == 0 or matrix.shape != (n, w, 3 * m):

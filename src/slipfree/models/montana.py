@@ -2,9 +2,9 @@
 
 The wheels' contact coordinates are states. Each wheel touches the ground and moves over it by
 Montana's equations; its pose follows from its contact coordinates. The same pose follows from the
-chain of joints that carries the wheel. The two agree at the start and are kept equal at rate level.
-Integration errors let them drift apart; terms proportional to the drift draw them together
-(Baumgarte stabilisation), and the drift is an output. Three distances between wheel centres, as in
+chain of joints that carries the wheel. Both poses agree at the start, and their rates are equal.
+Integration errors cause a drift between them; terms proportional to the drift reduce it (Baumgarte
+stabilisation), and the drift is an output. Three distances between wheel centres, as in
 [1]_, are not sufficient constraints: the orientations of the axles are needed too.
 
 References

@@ -117,7 +117,7 @@ def press(vehicle: Vehicle, depth: ca.SX, smoothing: float) -> Press:
     depth : SX, shape (n_wheels, 1)
         Depths of the wheels. [m]
     smoothing : float
-        Width ``w`` of the load law, in static depths.
+        Width of the transition of the load law at depth zero. [static depths]
     """
     count, static = len(vehicle.wheels), ca.DM([wheel.depth for wheel in vehicle.wheels])
     root = ca.sqrt(depth**2 + (smoothing * static) ** 2)

@@ -17,7 +17,7 @@ from slipfree.climb.ending import climb_ending
 from slipfree.climb.friction_demand import least_friction
 from slipfree.climb.metrics import climb_window, metrics
 from slipfree.climb.noise import Noise
-from slipfree.climb.plan_tracking import Tracking, course
+from slipfree.climb.plan_tracking import Tracking, tracked_plan
 from slipfree.climb.profile import Profile, Solid, kerb, ramp, stairs, step
 from slipfree.climb.vehicle import AXLES, Climber, seven_wheels
 from slipfree.dae import Dae
@@ -455,7 +455,7 @@ def _tracking(problem: Problem[climb_schema.Climb], setup: Climbing, plan: Plann
     """Return the set-up of a climb that tracks its plan."""
     given = problem.spec.control.model_dump(exclude_none=True, include={"proportional"})
     with at(problem, ("plan",)):
-        control = Tracking(course(plan.parts), **given)
+        control = Tracking(tracked_plan(plan.parts), **given)
     dae = climbing(setup.climber, setup.profile, control, setup.contact)
     start = _start(problem, dae, setup.climber, setup.profile, setup.contact)
     inputs = dae.inputs(speed=problem.spec.control.speed)
