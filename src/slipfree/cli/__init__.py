@@ -38,6 +38,7 @@ from slipfree.cli.report import report
 from slipfree.cli.run import run
 from slipfree.cli.show import show
 from slipfree.cli.sweep import sweep
+from slipfree.cli.track import track
 
 UsageError: Any = typer.BadParameter.__bases__[
     0
@@ -95,6 +96,7 @@ COMMANDS = (
     report,
     export,
     sweep,
+    track,
 )
 for command in COMMANDS:
     app.command()(with_output_options(command))

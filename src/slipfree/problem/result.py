@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -80,7 +81,9 @@ def shown(file: Path, name: str, folder: Path | None = None) -> Any:
     return verb_of(result.problem).shown(result, name)
 
 
-def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Problem[Any]:
+def problem_of(
+    file: Path, run: Trajectory, folder: Path | None = None, changes: Sequence[str] = ()
+) -> Problem[Any]:
     """Return the problem stored in a result.
 
     Parameters
@@ -89,6 +92,8 @@ def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Probl
         As for `open_result`.
     run : Trajectory
         The motion in the file.
+    changes : sequence of str
+        Further settings, such as ``"terrain.friction=0.4"``.
 
     Raises
     ------
@@ -103,7 +108,7 @@ def problem_of(file: Path, run: Trajectory, folder: Path | None = None) -> Probl
             f"{file}: expected a result that contains its problem, found none; use a file from "
             "slipfree run"
         )
-    settings = run.attributes.get("settings", "").splitlines()
+    settings = [*run.attributes.get("settings", "").splitlines(), *changes]
     name = Path(run.attributes.get("problem_file", "problem.toml")).name
     with tempfile.TemporaryDirectory() as scratch:
         copy = Path(scratch) / "problem.toml"  # a name from a file is not trusted

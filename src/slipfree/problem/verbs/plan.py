@@ -186,7 +186,7 @@ class PlanVerb(DriveVerb):
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
-        found = _find(problem, setup, guesses, resume, _iterate_reporter(watch.line), length)
+        found = find_plan(problem, setup, guesses, resume, _iterate_reporter(watch.line), length)
         run, stop = found.replay, found.run.stop
         if stop is not None and not found.success:
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
@@ -413,7 +413,7 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
     return progress
 
 
-def _find(
+def find_plan(
     problem: Problem[plan_schema.Plan],
     setup: Planning,
     guesses: list[Trajectory],

@@ -1,0 +1,62 @@
+"""``slipfree track``: follow a plan in a changed world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slipfree.cli.common import Settings, about, check_apart, check_place, reported, tell
+from slipfree.cli.messages import detail, put_file, say
+from slipfree.regular_files import regular_file
+
+
+def track(
+    file: Annotated[Path, typer.Argument(metavar="PLAN.nc", help="Result file of a plan.")],
+    settings: Settings = None,
+    period: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Time between two cycles.")
+    ] = None,
+    window: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Length of the window that is replanned."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="OUT.nc", help="File for the replanned motion; default: none."
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the input files of the problem."),
+    ] = None,
+) -> None:
+    """Follow a plan in a changed world, by replanning.
+
+    Print the error at the end and the slip beside those of the plan's inputs as they are and of
+    the driving law. Changes are given by --set, as in terrain.error.rms=0.02.
+    """
+    with reported(), about(file):
+        from slipfree.files.netcdf import write
+        from slipfree.problem.verbs.plan_tracking import follow_plan, tracking_rows
+
+        with regular_file(file, "a result file of slipfree"):
+            if out is not None:
+                check_place(out)
+                check_apart(out, [file])
+        test = follow_plan(
+            file,
+            settings or [],
+            period=period,
+            window=window,
+            folder=folder,
+            progress=lambda t: detail(f"replanned at {t:.4g} s"),
+        )
+        tell(list(tracking_rows(test)))
+        run = test.motions[-1].run
+        if out is not None and run is not None:
+            write(out, run)
+            put_file(out)
+            say(f"wrote {out}")

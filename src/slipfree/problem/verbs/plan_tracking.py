@@ -1,0 +1,181 @@
+"""Test of a plan in a changed world: open loop, path following and replanning compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.control.path_following import follow
+from slipfree.dae import Dae
+from slipfree.errors import DataError, ModelError
+from slipfree.files.netcdf import read, read_arrays
+from slipfree.geometry.path import Path as GroundPath
+from slipfree.plan.mpc import horizon
+from slipfree.plan.plan import Plan
+from slipfree.plan.tracking import track_plan
+from slipfree.plan.verification import simulate_plan
+from slipfree.plan.warm_start import from_arrays
+from slipfree.problem.build_common import build_start, build_terrain, build_vehicle
+from slipfree.problem.build_ground import at, build_ground
+from slipfree.problem.build_model import build_model
+from slipfree.problem.problem import Problem
+from slipfree.problem.result import problem_of
+from slipfree.problem.verbs.plan import PlanVerb, find_plan
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import SolverError, Trajectory, path_length
+from slipfree.vehicle.tree import Vehicle
+
+CYCLES_PER_WINDOW = 20  # default number of periods in a window
+WINDOWS_PER_PLAN = 5  # default duration of a plan [windows]
+PATH_SPACING = 20  # samples of a plan between two points of its path
+
+
+class Followed(NamedTuple):
+    """A motion in the changed world that was to follow a plan.
+
+    Attributes
+    ----------
+    name : str
+        How it followed the plan.
+    run : Trajectory or None
+        The motion; None if this controller does not suit the vehicle.
+    words : str
+        Reason why there is no motion, or facts about the controller.
+    """
+
+    name: str
+    run: Trajectory | None
+    words: str
+
+
+class TrackingTest(NamedTuple):
+    """A plan, and motions that followed it in a changed world."""
+
+    plan: Trajectory
+    motions: tuple[Followed, ...]
+
+
+def follow_plan(
+    file: Path,
+    changes: Sequence[str] = (),
+    *,
+    period: float | None = None,
+    window: float | None = None,
+    folder: Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> TrackingTest:
+    """Follow the plan of a result file in a changed world, in three ways.
+
+    The plan's inputs are simulated as they are; the driving law `slipfree.follow` follows its path
+    at its mean speed; and a moving window replans from the measured state at every period. The
+    controllers know the plan's ground and vehicle, not the changed ones.
+
+    Parameters
+    ----------
+    file : Path
+        Result file of a plan.
+    changes : sequence of str
+        Settings of the world that differ from the plan's problem, such as
+        ``"terrain.error.rms=0.02"``.
+    period, window : float, optional
+        Time between two cycles, and length of the window; by default a fifth of the plan's duration
+        for the window, and a twentieth of that for the period. [s]
+    folder : Path, optional
+        Folder of the input files of the problem.
+    progress : callable, optional
+        Called with the time reached by the replanned motion. [s]
+
+    Raises
+    ------
+    DataError
+        If the file does not contain a plan.
+    ModelError
+        If period or window do not suit the plan, or the vehicle cannot stand at the start.
+    """
+    run = read(file)
+    saved = from_arrays(read_arrays(file), str(file))
+    planned, real = (problem_of(file, run, folder, each) for each in ((), changes))
+    if not isinstance(planned.spec, PlanVerb.schema):
+        raise DataError(f"{file}: expected the result of a plan, found one of {planned.spec.verb}")
+    setup = PlanVerb().build(planned)
+    duration = saved.motion.duration
+    found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
+    vehicle, world, start = _world(real)
+    window = window or duration / WINDOWS_PER_PLAN
+    frame = horizon(found, span=window)
+    options = planned.spec.solver.options
+    tracked = track_plan(
+        frame,
+        world,
+        start,
+        period=period or window / CYCLES_PER_WINDOW,
+        options=options,
+        progress=progress,
+    )
+    step = planned.spec.time.step
+    return TrackingTest(
+        found.replay,
+        (
+            Followed(
+                "open loop",
+                simulate_plan(world, start, found.motion, step=step, options=options),
+                "the inputs of the plan",
+            ),
+            _followed(found, vehicle, world, start, step),
+            Followed(
+                "replanned",
+                tracked.run,
+                f"{tracked.cycles} cycles, {tracked.failures} failed, window {window:.3g} s",
+            ),
+        ),
+    )
+
+
+def _world(problem: Problem[Any]) -> tuple[Vehicle, Dae, Trajectory]:
+    """Return vehicle, model and start of the changed world."""
+    ground = build_ground(problem)
+    with at(problem, ("vehicle",)):
+        vehicle = build_vehicle(problem.spec.vehicle, problem.folder)
+    terrain = build_terrain(problem, ground)
+    dae: Dae = build_model(problem, problem.spec, vehicle, terrain)
+    return vehicle, dae, build_start(problem, dae)
+
+
+def _followed(
+    found: Plan, vehicle: Vehicle, world: Dae, start: Trajectory, step: float
+) -> Followed:
+    """Return the motion under the driving law along the plan's path at its mean speed."""
+    run, name = found.replay, "follow"
+    points = np.column_stack([run["x"], run["y"]])
+    points = np.concatenate([points[:-1:PATH_SPACING], points[-1:]])
+    duration = found.motion.duration
+    times = np.append(np.arange(0.0, duration - 0.5 * step, step), duration)
+    try:
+        path = GroundPath(points)
+        law = follow(world, vehicle, path, speed=path.length / duration)
+        return Followed(name, simulate(world, start, law, times), "along the path of the plan")
+    except SolverError as error:
+        return Followed(name, error.trajectory, str(error))
+    except ModelError as error:
+        return Followed(name, None, str(error))
+
+
+def tracking_rows(test: TrackingTest) -> Iterator[tuple[str, str]]:
+    """Yield end error, largest distance from the path, slip and outcome of each motion."""
+    for name, run, words in (Followed("plan", test.plan, "on its own ground"), *test.motions):
+        if run is None:
+            yield name, words
+            continue
+        slip = np.hypot(run["slip_along"], run["slip_across"])
+        squares = np.trapezoid(slip**2, run.t, axis=0).mean() / (run.t[-1] - run.t[0])
+        end = np.hypot(*(run[axis][-1] - test.plan[axis][-1] for axis in "xy"))
+        rms = 1e3 * np.sqrt(squares)
+        outcome = "" if run.stop is None else f"; stopped at {run.t[-1]:.4g} s: {run.stop.words}"
+        yield (
+            name,
+            f"ends {end:.3g} m from the plan, rms slip {rms:.3g} mm/s per wheel, "
+            f"path {path_length(run):.4g} m; {words}{outcome}",
+        )

@@ -1,0 +1,100 @@
+"""``slipfree track``: a plan in a changed world, at the shell."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.files.netcdf import read
+
+PROBLEM = """\
+verb = "plan"
+
+[terrain.synthetic]
+x = [-3, 3]
+y = [-3, 3]
+spacing = 0.5
+
+[terrain.synthetic.power_law]
+rms = 0.05
+hurst = 0.9
+longest = 4.0
+shortest = 2.0
+seed = 1
+
+[vehicle]
+catalog = "three_wheeler"
+axle = "fixed"
+
+[start]
+
+[inputs]
+right_rate = 0.5
+left_rate = 0.5
+steer_rate = 0.0
+
+[time]
+duration = 4.0
+step = 0.2
+"""
+PLAN = """
+[goal]
+y = 0.8
+
+[costs]
+slip = 1e3
+effort = 0.01
+
+[plan]
+intervals = 8
+smooth = 0.002
+"""
+CHANGES = [f"terrain.error.{key}" for key in ("rms=0.02", "correlation=1.0", "seed=1")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the result of a plan."""
+    where = tmp_path_factory.mktemp("track")
+    (where / "p.toml").write_text(PROBLEM + PLAN)
+    (where / "q.toml").write_text(PROBLEM.replace('"plan"', '"direct"'))
+    for name in "pq":
+        called("run", where / f"{name}.toml", "-o", where / f"{name}.nc", "--no-draw")
+    return where
+
+
+def called(*words: object, code: int = 0) -> str:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == code, result.output
+    return result.stdout if code == 0 else result.stderr
+
+
+def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
+    settings = [word for each in CHANGES for word in ("--set", each)]
+    out = folder / "t.nc"
+    found = json.loads(
+        called("track", folder / "p.nc", *settings, "--period", 0.5, "-o", out, "--json")
+    )["facts"]
+    assert list(found) == ["plan", "open loop", "follow", "replanned"]
+    ends = {name: float(words.split()[1]) for name, words in found.items()}
+    assert ends["plan"] == 0
+    assert ends["replanned"] < ends["open loop"]
+    assert "8 cycles, 0 failed" in found["replanned"]
+    assert read(out).t[-1] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["q.nc"], "expected the result of a plan"),
+        (["none.nc"], "expected a result file of slipfree"),
+        (["p.nc", "--period", "9"], "period: expected at most 4 s and above 0, found 9 s"),
+        (["p.nc", "--window", "5"], "expected a window of at most the duration of the plan"),
+        (["p.nc", "--set", "terrain.frictoin=1"], "did you mean 'friction'"),
+    ],
+)
+def test_wrong_words_are_refused(folder: Path, words: list[str], message: str) -> None:
+    file, *rest = words
+    assert message in called("track", folder / file, *rest, code=2)
