@@ -77,7 +77,7 @@ def test_grid_refuses(x, y, z, words):
 def test_non_uniform_axis_is_named_with_its_remedy():
     x = np.concatenate([np.arange(0, 8.0), np.arange(9.0, 14.0)])
     z = np.add.outer(x, Y)
-    words = r"step of 2 m before node 8 at x = 9 m where 1 m is usual; resample: (x_even = .*)"
+    words = r"before node 8 at x = 9 m, where the median step is 1 m; resample: (x_even = .*)"
     with pytest.raises(DataError, match=words) as caught:
         Grid(x, Y, z)
     # The remedy in the message is a statement that works.

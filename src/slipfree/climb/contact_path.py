@@ -93,7 +93,10 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
     corners = [x for solid in profile.solids[1:] for x, _ in solid.points]
     ends = [x for x in corners if x < max(x for x, _ in profile.solids[0].points)]
     if not ends:
-        raise ModelError("climb: expected a solid on the floor, found a profile with only a floor")
+        raise ModelError(
+            "climb: expected a solid on the floor, found a profile with only a floor; add an "
+            "obstacle, such as a step"
+        )
     end = max(ends) + climber.radius + END_MARGIN
     q, solids = _start(climber, profile, min(ends)), FLOOR
     found: list[Leg] = []

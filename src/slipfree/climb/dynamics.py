@@ -134,7 +134,7 @@ def climbing(
 
 
 def _frame(climber: Climber, x: State) -> Frame:
-    """Return the kinematics and dynamics of the two bodies in a state."""
+    """Return the positions, mass matrix, energy and forces of the two bodies in a state."""
     q = ca.vertcat(x.x, x.z, *x.tilts)
     v = ca.vertcat(x.velocity_x, x.velocity_z, *x.rates)
     bodies = (climber.rear_body, climber.front_body)

@@ -269,7 +269,7 @@ def _points_around(s: Array, k: int) -> Array:
 def _holds(
     climber: Climber, profile: Profile, found: Sequence[Leg], places: Sequence[Array]
 ) -> list[HoldingForces]:
-    """Return the holds of several legs at given path parameters, from one linear program."""
+    """Return the holding forces of several legs at given path parameters, from one program."""
     equations = [
         equilibrium(climber, sample(climber, profile, leg, s))
         for leg, s in zip(found, places, strict=True)

@@ -64,8 +64,8 @@ def check_exact_closure(vehicle: Vehicle, model: str) -> None:
         raise ModelError(
             f"{model}: expected a vehicle whose wheels can all touch a rigid ground, that is, "
             f"{wheels - 3} suspension coordinates for {wheels} wheels, found {given} in "
-            f"{vehicle.name!r}; use direct_kinematics or inverse_kinematics, which press the "
-            "wheels into the ground"
+            f"{vehicle.name!r}; use direct_kinematics or inverse_kinematics with least slip, which "
+            "press the wheels into the ground"
         )
 
 
@@ -112,13 +112,13 @@ def wheel_coordinates(carrier: Pose, contact: ContactFrame) -> tuple[ca.SX, ca.S
 def relative_curvature(wheel: Wheel, contact: ContactFrame) -> ca.SX:
     """Return the margin of local uniqueness of a contact, positive for a unique contact [1/m].
 
-    The contact is locally unique if the wheel is more convex than the ground is concave in every
-    direction, that is, if Montana's relative curvature form is positive definite. The curvature of
-    the wheel is ``k = m / rho`` along it, with the uprightness ``m`` and the distance ``rho`` of
-    the contact point from the axle, and ``1 / r`` across it. The form is positive definite if
-    ``1 + r K_ll`` and the Schur complement ``k + K_tt - r K_tl^2 / (1 + r K_ll)`` are positive,
-    with ``K`` the ground's form for the upward normal, negative in valleys. In this form the
-    condition also holds for the edge of a disc, ``r = 0``. The smaller of the two is returned, the
+    The contact is locally unique if Montana's relative curvature form, the sum of the curvatures of
+    wheel and ground, is positive definite. The curvature of the wheel is ``k = m / rho`` along the
+    wheel and ``1 / r`` across it, with the uprightness ``m``, the distance ``rho`` of the contact
+    point from the axle and the radius ``r`` of the tread. The curvature ``K`` of the ground has
+    components along (``t``) and across (``l``) the wheel and is negative in valleys. The form is
+    positive definite if ``1 + r K_ll`` and ``k + K_tt - r K_tl^2 / (1 + r K_ll)`` are positive,
+    also for the edge of a disc (``r = 0``). The margin is the smaller of these two numbers, the
     first divided by the rolling radius.
     """
     second = contact.hessian * contact.normal[2]  # second fundamental form, in (x, y)

@@ -61,7 +61,7 @@ def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]
 
 @dataclass(frozen=True, eq=False)
 class SlipColumns:
-    """Columns of the slip of a rolling vehicle, scaled to velocities, in the symbols of its model.
+    """Scaled derivatives of the slip of a rolling vehicle, in the symbols of its model.
 
     Attributes
     ----------
@@ -91,7 +91,10 @@ class SlipColumns:
 
 
 def slip_columns(vehicle: Vehicle, direct: Dae) -> SlipColumns:
-    """Return the columns of the slip, from the direct model of rolling without slip."""
+    """Return the scaled derivatives of the slip with respect to rates and steering angles.
+
+    ``direct`` is the direct model of rolling without slip.
+    """
     rates, labels, law = direct.z.rates, direct.labels.z.rates, direct.alg[1]
     size, radius = extent(vehicle), min(wheel.radius for wheel in vehicle.wheels)
     platform = tuple(rates[:6])

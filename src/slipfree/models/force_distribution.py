@@ -35,7 +35,8 @@ class Best(NamedTuple):
         Smallest possible value of the largest ratio of tangential force to friction limit; ``inf``
         where no distribution exists, NaN where the optimisation does not converge. [1]
     force : ndarray, shape (n, 3 m)
-        A distribution that attains it, not always the only one; NaN where none was found. [weight]
+        Contact forces with this utilisation (along, across, normal for each of m wheels), not
+        always unique; NaN where none were found. [weight]
     """
 
     utilisation: Array
@@ -156,7 +157,10 @@ def _check(matrix: Array, load: Array, friction: Array) -> None:
     n, m = friction.shape
     w = matrix.shape[1] if matrix.ndim == 3 else 0
     if w == 0 or matrix.shape != (n, w, 3 * m):
-        raise ModelError(f"matrix: expected shape ({n}, w, {3 * m}), found {matrix.shape}")
+        raise ModelError(
+            f"matrix: expected shape ({n}, w, {3 * m}) for w equations of equilibrium, found "
+            f"{matrix.shape}"
+        )
     if load.shape != (n, w):
         raise ModelError(f"load: expected shape ({n}, {w}), found {load.shape}")
     for name, values in (("matrix", matrix), ("load", load), ("friction", friction)):

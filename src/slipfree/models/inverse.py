@@ -117,9 +117,9 @@ def inverse_kinematics(
     solve_for : {"angles", "rates"}
         Unknowns of the steering. Under commands these are angles: commanded coordinates that turn
         wheels about the platform's up axis are steered towards angles of little slip, within their
-        stops and rates; other coordinates are fixed. Under three rates, ``"angles"`` lets the
-        contact of a steered wheel slip by its lever times the rate of the steering: see
-        `steering_slip`. The start then comes from the direct model, since the steering angles of
+        stops and rates; other coordinates are fixed. Under three rates, ``"angles"`` neglects the
+        slip that the steering rate causes at a steered wheel (`steering_slip`). The start must
+        then come from the direct model, since the steering angles of
         a vehicle at rest are arbitrary. With ``"rates"`` the vehicle rolls exactly, but the model
         is singular on flat ground and the steering may be unstable: see ``steering_growth`` and
         `steering_note`.
@@ -141,9 +141,9 @@ def inverse_kinematics(
     Raises
     ------
     ModelError
-        If a rate is unknown or given twice, if there are more exact commands than driven wheels,
-        or if three rates are given and the vehicle cannot roll without slip or does not have three
-        inputs.
+        If a rate is unknown or given twice, if there are more exact commands than driven wheels, if
+        three rates are given and the vehicle cannot roll without slip or does not have three
+        inputs, if ``solve_for`` does not suit the rates, or if ``least_margin`` is negative.
 
     Examples
     --------

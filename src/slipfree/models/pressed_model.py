@@ -82,7 +82,8 @@ class Press(NamedTuple):
     touch : SX
         Derivative of the load law: one under load, zero in the air. [1]
     viscosity : SX
-        Normal force over weight and normal velocity in the relaxation. [s/m]
+        Viscosity of the contact in the relaxation: normal force per unit of normal velocity,
+        divided by the weight. [s/m]
     """
 
     depth: ca.SX
@@ -158,7 +159,11 @@ def relaxation(
     inputs: ca.SX,
     relaxing: list[int],
 ) -> ca.SX:
-    """Return the residual of the relaxation ``J' diag(c) s_n = F``, one row per relaxing rate."""
+    """Return the residual of the relaxation equations, one row per relaxing rate [1, m].
+
+    The viscous normal forces of the contacts, projected on the relaxing rates, balance the
+    unbalanced force ``imbalance``.
+    """
     normal, driven = parts.free[2::3, :], parts.driven[2::3, :]
     velocity = normal @ rates + driven @ inputs
     return normal[:, relaxing].T @ (press.viscosity * velocity) - imbalance
@@ -209,7 +214,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
 
 
 def loaded(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle; if it has no mass, with unit weight at the centroid of the wheels."""
+    """Return a vehicle with mass: unit weight at the wheels' centroid if none is given."""
     if vehicle.mass:
         return vehicle
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))

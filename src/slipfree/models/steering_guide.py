@@ -120,10 +120,9 @@ def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]
 def steering_errors(vehicle: Vehicle, direct: Dae, motion: Sequence[Variable]) -> dict[str, ca.SX]:
     """Return the errors of steered coordinates relative to the guiding motion [rad, m].
 
-    The carriers move with velocities ``along`` and ``across`` the wheels at the contacts. Small
-    errors are Gauss-Newton steps that minimise ``across``. Angles are doubled, since forward and
-    backward are equivalent; wheels that disagree by more than a right angle therefore do not
-    cancel. Errors are within a right angle, shifted by `BRANCH_SHIFT`: all wheels turn in the same
+    Small errors are Gauss-Newton steps that minimise the velocity ``across`` the wheels. The
+    formula uses doubled angles, since a wheel may roll forward or backward. Errors lie in an
+    interval of half a turn, shifted by `BRANCH_SHIFT` from zero: all wheels then turn in the same
     direction if the required motion is perpendicular to them.
     """
     errors = {}

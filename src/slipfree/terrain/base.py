@@ -342,8 +342,8 @@ def _check_uniform(name: str, axis: Array, steps: Array) -> None:
     node = int(np.argmax(off > min(tolerance, 0.5 * off.max()))) + 1
     raise DataError(
         f"grid: axis {name} must be uniform to {UNIFORMITY:g} of its length, found a step of "
-        f"{steps[node - 1]:.12g} m before node {node} at {name} = {axis[node]:.12g} m where "
-        f"{usual:.12g} m is usual; resample: {RESAMPLE[name]}"
+        f"{steps[node - 1]:.12g} m before node {node} at {name} = {axis[node]:.12g} m, where the "
+        f"median step is {usual:.12g} m; resample: {RESAMPLE[name]}"
     )
 
 

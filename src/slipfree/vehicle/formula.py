@@ -84,7 +84,9 @@ def _parse(text: str) -> ast.expr:
 def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
     """Return the value of a node of a formula, with at most ``depth`` nested levels."""
     if depth == 0:
-        raise _formula_error(text, f"more than {MAX_DEPTH} nested levels")
+        raise ModelError(
+            f"formula {text!r}: expected at most {MAX_DEPTH} nested levels, found more; simplify it"
+        )
     match node:
         case ast.Constant(value=int() | float() as number) if _is_number(number):
             return float(number)
