@@ -74,8 +74,9 @@ class Climb:
     nodes, middles : PathSamples
         Configurations at the ends and at the midpoints of the intervals.
     nlp : Nlp
-        The program, with the unknowns ``b`` (n + 1,) [m2 s-2], ``normal`` and ``tangential``
-        (n, 3) [N] and ``mu`` (1,) for n intervals.
+        The program for n intervals. Its unknowns are the squared path speed ``b`` (n + 1,)
+        [m2 s-2], the contact forces ``normal`` and ``tangential`` (n, 3) [N] and the coefficient
+        of friction ``mu`` (1,).
     """
 
     climber: Climber
