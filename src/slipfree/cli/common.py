@@ -263,7 +263,7 @@ def interruptible() -> Iterator[Callable[[], None]]:
 
 
 def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:
-    """Return a callback that ignores calls within a time of the last one [s]."""
+    """Return a callback that calls ``show`` at most once in ``apart`` seconds."""
     last = 0.0
 
     def throttle(value: Any) -> None:

@@ -34,7 +34,7 @@ def new(
     name: Annotated[Path, typer.Argument(metavar="NAME", help="Name of the problem.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write NAME.toml, a commented problem that runs, as a template."""
+    """Write NAME.toml, a commented and complete problem, as a template."""
     with reported():
         from importlib.resources import files
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def say_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
     """Print the outcome of an incomplete motion, its file, and the command that resumes it.
 
-    With ``--quiet`` the reason is printed too, which else is the first line of the summary.
+    With ``--quiet``, which omits the summary, the reason of the outcome is printed too.
     """
     from slipfree.trajectory import outcome_title, outcome_words
 

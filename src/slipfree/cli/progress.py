@@ -1,4 +1,4 @@
-"""Progress of a computation: a bar on a terminal, else occasional lines on stderr."""
+"""Progress of a computation: a bar on a terminal, otherwise occasional lines on stderr."""
 
 from __future__ import annotations
 

@@ -206,10 +206,10 @@ def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again
 
 @contextmanager
 def _progress(words: str) -> Iterator[Callable[..., None]]:
-    """Yield a function that shows the progress: a bar on a terminal, else lines on stderr.
+    """Yield a function that shows progress: a bar on a terminal, otherwise lines on stderr.
 
     The function takes the number of completed items, their total number, and a text. The first
-    line comes after a second; the time between lines grows up to a minute.
+    line is printed after a second; the time between lines increases up to a minute.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn

@@ -35,7 +35,7 @@ class Setup:
     ground, terrain, vehicle : Ground, Bicubic, Vehicle
         Ground as heights on a grid and as a smooth surface; vehicle.
     model, dae : Dae
-        The closure model, which settles the start, and the model to integrate.
+        Model that settles the vehicle at its start, and model to integrate.
     start : Trajectory
         One sample: the vehicle at its start, at rest or with the given rates of its platform.
     inputs : record

@@ -37,7 +37,7 @@ class Ground(NamedTuple):
     source : str
         Description of its origin.
     rolled : Rolled or None
-        Ground that the key ``rolled`` changed; None without this key.
+        Ground changed by the key ``rolled``, and the change; None without this key.
     mu : float, Grid or None
         Coefficient of friction, or a map of it. [1]
     friction : str

@@ -73,8 +73,8 @@ def migrate_text(path: Path, text: str) -> Migrated:
     if parse_toml(path, changed) != upgrade_keys(data)[0]:
         wanted = ", ".join(f"{each.words[1]} by {each.words[0]}" for each in found)
         raise ProblemError(
-            f"{path}: expected a layout of keys that can be preserved, found another one; replace "
-            f"{wanted} by hand"
+            f"{path}: expected old keys that can be replaced without changing the layout of the "
+            f"file, found keys that cannot; replace {wanted} by hand"
         )
     words = (f"{source.where((c.old,))}: {c.words[1]} is now {c.words[0]}" for c in found)
     return Migrated(changed, tuple(words), note)

@@ -33,5 +33,5 @@ class Problem(Generic[A]):
 
     @property
     def folder(self) -> Path:
-        """Folder of relative names of input files."""
+        """Folder to which the names of input files are relative."""
         return self.source.path.parent

@@ -134,7 +134,7 @@ def _drawn(result: Result, count: int) -> _Drawn:
     """Return the figures of ``slipfree run``, or the reason why they cannot be drawn."""
     if "problem" not in result.trajectory.attributes:
         return _Drawn(
-            (), "None: the result holds no problem file, so that its ground is not known."
+            (), "None: the result contains no problem file, so that its ground is unknown."
         )
     try:
         shown = result.trajectory.t.size

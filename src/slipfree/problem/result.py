@@ -56,7 +56,7 @@ def open_result(
 
 
 def motion_facts(run: Trajectory) -> Facts:
-    """Return the summary of a motion as names and texts."""
+    """Return the summary of a motion as pairs of a name and a text."""
     verb = find_motion_verb(run.attributes.get(VERB_ATTRIBUTE))
     return plain_facts(run) if verb is None else verb.facts(run)
 

@@ -43,7 +43,7 @@ class Description(NamedTuple):
     facts : list of pairs of str
         Names and texts on unknowns, equations and conditioning.
     faults : tuple of str
-        Reasons why it cannot be built or cannot stand on its ground; empty if it can.
+        Reasons why the vehicle cannot be built or cannot rest on its ground; empty if it can.
     """
 
     tree: list[str]

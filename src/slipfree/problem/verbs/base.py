@@ -71,7 +71,7 @@ class Watch(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Motion that solves a problem.
+    """Solution of a problem: a motion, its set-up and further arrays.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Result:
     Attributes
     ----------
     kind : str
-        Name of the verb; empty if the result file does not contain a known one.
+        Name of the verb; empty if the result file does not name a known verb.
     trajectory : Trajectory
         The motion, complete or up to its stop.
     verification : mapping of str to Quantity

@@ -203,7 +203,8 @@ def poses_of_plan(
 ) -> Trajectory | None:
     """Return the poses of the plan stored in the result of a climb; None if no plan is stored.
 
-    Time zero of the plan is the time at which the motion reaches the plan's first progress.
+    The times of the plan are shifted so that it begins when the motion reaches the first value of
+    ``progress`` in the plan.
     """
     if "plan_time" not in arrays:
         return None

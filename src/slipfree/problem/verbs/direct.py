@@ -91,7 +91,7 @@ class DirectVerb(DriveVerb):
     def drive(
         self, problem: Problem[Direct], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion, complete or up to its stop, and no arrays."""
+        """Return the motion, complete or up to its stop, and an empty mapping."""
         return integrate(setup, problem.spec.solver.options, watch), NOTHING
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:

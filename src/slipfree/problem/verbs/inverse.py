@@ -125,7 +125,7 @@ class InverseVerb(DriveVerb):
     def drive(
         self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion, compared with its replay by the direct model, and no arrays."""
+        """Return the motion with its errors against the direct model, and an empty mapping."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
             run, inputs = _collocate(setup, options, watch)

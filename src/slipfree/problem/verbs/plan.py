@@ -369,7 +369,11 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
 
 
 def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
-    """Return the motion of a driving law up to its nearest point to the goal."""
+    """Return the motion at the inputs of an initial guess, simulated with a rough tolerance.
+
+    A motion along a path to a goal with values of x and y ends at its point nearest to the goal. If
+    the integrator fails, the motion ends at its last sample.
+    """
     law, lasts = start
     t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # not beyond the end of the path
     try:

@@ -27,9 +27,9 @@ Domain = tuple[float, float, float, float]
 def places_of(
     problem: Problem[S], spec: Plan, between: Mapping[float, Ranges], domain: Domain
 ) -> tuple[tuple[Place, ...], set[str]]:
-    """Return start, way-points and goal in map coordinates [m], and the names of the exact ones.
+    """Return start, way-points and goal in map coordinates [m], and the names of exact points.
 
-    An exact one has values for x and y, not ranges. A range is represented by the middle of its
+    An exact point has values for x and y, not ranges. A range is represented by the middle of its
     part on the map. Way-points and goals without x and y are omitted.
 
     Raises

@@ -34,12 +34,12 @@ PATH_SPACING = 20  # samples of a plan between two points of its path
 
 
 class Followed(NamedTuple):
-    """A motion in the changed world that was to follow a plan.
+    """Attempt of a controller to follow a plan in the changed world.
 
     Attributes
     ----------
     name : str
-        How it followed the plan.
+        Description of the controller.
     run : Trajectory or None
         The motion; None if this controller does not suit the vehicle.
     words : str
@@ -67,7 +67,7 @@ def follow_plan(
     folder: Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TrackingTest:
-    """Follow the plan of a result file in a changed world, in three ways.
+    """Follow the plan of a result file in a changed world, with three controllers.
 
     The plan's inputs are simulated as they are; the driving law `slipfree.follow` follows its path
     at its mean speed; and a moving window replans from the measured state at every period. The

@@ -48,7 +48,7 @@ def check_option(problem: Problem[Any], option: str) -> None:
     Raises
     ------
     ProblemError
-        If it does not; the message names the verbs that do.
+        If the verb does not support it; the message names the verbs that do.
     """
     if option in verb_of(problem).options:
         return
