@@ -1,8 +1,8 @@
 """Compilation of functions with the system's C compiler, and a cache of the libraries.
 
-Libraries are stored in a folder of the user; a digest of their source is their file name. Code is
-loaded from this folder, so only this user may have write access. Without a compiler or such a
-folder nothing is compiled: the functions are interpreted, and a warning gives the reason.
+Libraries are stored in a folder of the user; the file name consists of the cache key and a digest
+of the library. Code is loaded from this folder, so only this user may have write access. Without a
+compiler or such a folder CasADi interprets the functions, and a warning gives the reason.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def compiled_functions(
     Parameters
     ----------
     key : casadi Function
-        SX function from which the others are derived. Its operations, with the source file of
+        SX function from which the functions are derived. Its operations, with the source file of
         ``make``, identify them in the cache; with fewer than 300 operations nothing is compiled.
     names : sequence of str
         Names of the derived functions.
@@ -144,7 +144,7 @@ def _key(text: str) -> str:
 
 
 def folder() -> Path | None:
-    """Return the folder of the cache; None if ``SLIPFREE_CACHE`` is set to nothing."""
+    """Return the folder of the cache; None if ``SLIPFREE_CACHE`` is empty."""
     given = os.environ.get(FOLDER)
     if given is None:
         return platformdirs.user_cache_path("slipfree") / "compiled"
@@ -196,7 +196,7 @@ def _is_private(about: os.stat_result) -> bool:
 
 
 def compiler() -> list[str] | None:
-    """Return the command of the C compiler as words; None without a compiler."""
+    """Return the command of the C compiler, split into words; None without a compiler."""
     try:
         named = shlex.split(os.environ.get("CC", ""))
     except ValueError:  # an unbalanced quote
@@ -235,7 +235,7 @@ def digest(content: bytes) -> str:
 def _compile(
     place: Path, key: str, functions: Sequence[ca.Function], command: Sequence[str]
 ) -> None:
-    """Compile functions and store the library in the cache, named by its key and digest."""
+    """Compile functions and store the library in the cache; its key and digest name the file."""
     try:
         with tempfile.TemporaryDirectory(dir=place, prefix=SCRATCH_PREFIX) as scratch:
             text, file = Path(scratch) / "functions.c", Path(scratch) / "functions.so"

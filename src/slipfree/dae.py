@@ -77,7 +77,7 @@ class PiecewiseLinear:
 
 
 class Continuation(NamedTuple):
-    """Continuation (homotopy) parameter for the solution of the equations at a start.
+    """Continuation (homotopy) parameter for the solution of the equations at the initial state.
 
     Attributes
     ----------
@@ -149,10 +149,10 @@ class Dae:
     Without ``z`` and ``alg`` the model is an ordinary differential equation. The algebraic
     equations are ordered in blocks, one for each field of ``z``; a block determines its field for
     given values of the fields before it. The last blocks are solved only at the samples if neither
-    the rates of the states nor other blocks depend on them; an example are the forces that a given
-    motion needs. Quadratures may depend on such blocks. States and unknowns are in local
-    coordinates. Starts, outputs and trajectories are in map coordinates: local values plus
-    ``shift``.
+    the rates of the states nor other blocks depend on them; an example is the block of the forces
+    that a given motion needs. Quadratures may depend on such blocks. States and unknowns are in
+    local coordinates. Initial states, outputs and trajectories are in map coordinates: local values
+    plus ``shift``.
 
     Attributes
     ----------
@@ -185,10 +185,10 @@ class Dae:
         Whether the integrator's error test ignores ``z``, as for models whose ``z`` contains
         stabilisation terms.
     continuation : Continuation or None
-        Continuation for starts at which Newton's method alone does not converge.
+        Continuation for initial states at which Newton's method alone does not converge.
     rest : SX, shape (k, 1)
         Initial guess of the last ``k`` states from the others. These states relax to an equilibrium
-        while the others are held, and `slipfree.settle` finds it. Empty if there are none.
+        while the other states are fixed; `slipfree.settle` finds it. Empty without such states.
     lookups : tuple of Lookup
         Coefficients of the ground that the expressions contain as symbols; `function` evaluates
         them.

@@ -98,7 +98,7 @@ def computing(function: Callable[P, R]) -> Callable[P, R]:
     Raises
     ------
     SlipfreeError
-        When the function is called in a process that was forked while another thread computed.
+        If the function is called in a process that was forked while another thread computed.
     """
 
     @wraps(function)

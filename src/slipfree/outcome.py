@@ -15,13 +15,13 @@ class Outcome(Enum):
     files store the name of the member in lower case.
     """
 
-    COMPLETE = "complete: the motion reaches its end, or an event that was given to end it"
+    COMPLETE = "complete: the motion reaches its end, or an event that ends it"
     LIMIT = "limit reached: a limit of the vehicle, the ground or the model ends the motion early"
     NO_EQUILIBRIUM = "no equilibrium: the forces that friction allows cannot continue the motion"
-    INFEASIBLE = "infeasible: no plan meets all constraints where the search ended"
+    INFEASIBLE = "infeasible: the search ended without a plan that meets all constraints"
     INACCURATE = "inaccurate: the simulation deviates from the plan by more than the tolerance"
     INTERRUPTED = "interrupted: Ctrl-C or a progress callable ended the run; its samples are kept"
-    SOLVER_FAILURE = "solver failure: the solver found no solution; samples up to there are kept"
+    SOLVER_FAILURE = "solver failure: the solver found no solution; earlier samples are kept"
 
     @property
     def title(self) -> str:

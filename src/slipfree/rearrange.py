@@ -170,7 +170,7 @@ def with_outputs(dae: Dae, outputs: Sequence[tuple[Label, ca.SX]]) -> Dae:
 
 
 def _each(record: Any, name: str) -> Any:
-    """Return a record with one attribute of each variable of a record, chosen by its name."""
+    """Return a record of the values of one attribute, given by name, of each variable."""
     return unpack(record, [getattr(each, name) for each in leaves(record)])
 
 

@@ -85,7 +85,7 @@ def symbols(labels: R) -> R:
 
 
 def overview(title: str, **names: Iterable[object]) -> str:
-    """Return the repr of a large record: a title, and a line for each list that is not empty.
+    """Return the repr of a large record: a title, and a line for each nonempty list of names.
 
     Lines are shortened to 90 characters.
     """
@@ -117,7 +117,7 @@ def field_overview(record: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return the repr of a value; type and size of arrays and of values with a long repr."""
+    """Return the repr of a value; for arrays and long reprs, the type and size of the value."""
     if isinstance(value, str):
         return repr(textwrap.shorten(value, MAX_VALUE, placeholder=" ..."))
     if shape := getattr(value, "shape", None):

@@ -57,7 +57,7 @@ def read_bytes(path: Path, expected: str) -> bytes:
 
 
 def check_name(path: Path) -> None:
-    """Raise DataError if a path cannot be the name of a file to write, such as a name too long."""
+    """Raise DataError if a path cannot be a file name, for example because it is too long."""
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):

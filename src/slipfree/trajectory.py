@@ -168,7 +168,7 @@ class Trajectory:
         return iter(self.columns)
 
     def part(self, span: slice, stop: Stop | None = None) -> Trajectory:
-        """Return a part of the trajectory: a range of its samples, with a stop or without."""
+        """Return a part of the trajectory: a range of its samples, with an optional stop."""
         columns = {k: Column(c.label, c.values[span]) for k, c in self.columns.items()}
         t = self.t[span]
         first, last = t.min(initial=np.inf), t.max(initial=-np.inf)
@@ -274,7 +274,7 @@ def joined(*runs: Trajectory) -> Trajectory:
 def outcome_title(run: Trajectory) -> str:
     """Return the outcome of a motion in words, with time and name of its stop.
 
-    Stops of plans are given without time, since a plan is solved for all times at once.
+    The stop of a plan has no time in the result, since a plan is solved for all times at once.
     """
     stop, title = run.stop, run.outcome.title
     if stop is None or stop.name in (PLAN, PLAN_ACCURACY):

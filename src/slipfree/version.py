@@ -1,3 +1,3 @@
-"""The version of the package, for results to carry."""
+"""Version of the package, stored in result files."""
 
 __version__ = "0.2.0.dev0"

@@ -497,7 +497,7 @@ def test_utilisation_is_measured_against_all_that_friction_gives(loaded, ax):
     force_figures.utilisation(loaded, ax)
     drawn(ax.figure)
     wheels = ["right", "left", "front"]
-    assert labels(ax) == [*wheels, "forces distributed best", "friction limit"]
+    assert labels(ax) == [*wheels, "optimal distribution of forces", "friction limit"]
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), loaded["utilisation", "right"])
     np.testing.assert_array_equal(ax.lines[3].get_ydata(), loaded["utilisation_best"])
     assert list(ax.lines[4].get_ydata()) == [1, 1]
@@ -564,7 +564,7 @@ def test_utilisation_is_drawn_without_what_only_some_vehicles_have(loaded, grid)
     fewer = replace(loaded, columns={k: c for k, c in loaded.columns.items() if k not in some})
     figure = drawn(loads(fewer, grid)["utilisation"])
     assert len(figure.axes) == 1
-    assert "forces distributed best" not in words(figure)
+    assert "optimal distribution of forces" not in words(figure)
 
 
 def test_tracks_are_coloured_by_utilisation(loaded, grid, ax):

@@ -233,8 +233,8 @@ def test_runs_share_a_ground_and_say_where_it_differs(drive: Driven) -> None:
     assert [actor.name for actor in scene.actors] == ["hills", "other"]
     assert scene.actors[0].color != scene.actors[1].color
     said = (
-        "The drawn ground is that of hills; along the motion other its own ground differs by up "
-        "to 0.01 m."
+        "The drawn ground is that of hills; the ground of other differs from it by up to 0.01 m "
+        "along that motion."
     )
     assert scene.warnings == (said,)
     assert said in with_legend("<body></body>", scene, "title", "height", [])

@@ -643,7 +643,7 @@ def test_a_distribution() -> None:
 def test_figures_that_cannot_be_drawn() -> None:
     with pytest.raises(ModelError, match="at most two varied keys"):
         show.figure(_swept([SPEEDS, AXLES, AXLES], np.ones((3, 2, 2, 1))))
-    with pytest.raises(ModelError, match="a value of one run at least"):
+    with pytest.raises(ModelError, match="a value in at least one run"):
         show.figure(_swept([AXLES], [[np.nan], [np.nan]]))
     with pytest.raises(ModelError, match="expected 1 varied keys, found 2"):
         show.curve(_swept([SPEEDS, AXLES], np.ones((3, 2, 1))), Figure().subplots())

@@ -135,11 +135,11 @@ def test_foreign_pages_are_refused(
     status, text = _get(port, **headers)
     assert (status, text) == (
         403,
-        f"refused: expected one for http://127.0.0.1:{port} from its own page; open that address "
-        "in the browser\n",
+        f"refused: expected a request for http://127.0.0.1:{port} from the page itself; open that "
+        "address in the browser\n",
     )
     (words,) = told
-    assert words.startswith("refused a request: expected one for http://127.0.0.1:")
+    assert words.startswith("refused a request: expected a request for http://127.0.0.1:")
     assert headers["Host"] in words
     upgrade = {
         "Upgrade": "websocket",

@@ -420,7 +420,7 @@ def test_more_geotiffs_refused(tmp_path):
         file.write(ROWS.astype("float32"), 1)
     with pytest.raises(DataError, match="3 ground control points; resample it: gdalwarp"):
         read_grid(path)
-    with pytest.raises(DataError, match=r"expected no cell for a file that contains it, found"):
+    with pytest.raises(DataError, match=r"no cell for a raster that contains coordinates, found"):
         read_map(geotiff(tmp_path / "map.tif"), cell=0.25)
     with pytest.raises(DataError, match="expected a map in degrees, found EPSG:32633"):
         read_map(geotiff(tmp_path / "map.tif"), geographic="local")

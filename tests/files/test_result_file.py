@@ -221,8 +221,8 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
     ("head", "words"),
     [
         (b"verb = 1", "found a file that is not netCDF"),
-        (b"\x89HDF\r\n\x1a\n", "another kind of netCDF; convert it: nccopy"),
-        (b"CDF\x05" + bytes(40), "another kind of netCDF; convert it: nccopy"),
+        (b"\x89HDF\r\n\x1a\n", "another format than netCDF-3; convert it: nccopy"),
+        (b"CDF\x05" + bytes(40), "another format than netCDF-3; convert it: nccopy"),
     ],
 )
 def test_other_files(head: bytes, words: str, tmp_path: Path) -> None:

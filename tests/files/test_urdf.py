@@ -523,7 +523,7 @@ def test_a_wheel_has_the_radius_of_the_shape_that_touches_first(tmp_path):
         (note,) = [note for note in vehicle.notes if note.startswith("several shapes")]
         assert note == (
             f"several shapes (1 sphere of 0.02 m, 1 cylinder of {smaller} m, 1 cylinder of "
-            f"0.15 m), radius {radius} m of the one about the axle that touches level ground "
+            f"0.15 m), radius {radius} m of the shape about the axle that touches level ground "
             "first; override by wheels = { left_drive = { radius = ... } }: left_drive"
         )
     roles = (

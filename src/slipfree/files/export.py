@@ -33,7 +33,7 @@ class MapCoordinate(NamedTuple):
     offset : float
         Value at the origin of the motion's coordinates. [m] or [deg]
     factor : float
-        Units of the map file per metre of the motion.
+        Change of the coordinate, in its unit, per metre of the motion.
     axis : str
         Coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``.
     """
@@ -126,7 +126,7 @@ def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
 
 
 def _map_coordinates(run: Trajectory) -> list[MapCoordinate]:
-    """Return the coordinates of the map file; those of the motion if the result stores none."""
+    """Return the coordinates of the map file; by default those of the motion."""
     text = run.attributes.get(MAP_TRANSFORM)
     if text is None:
         return [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
@@ -152,7 +152,7 @@ def _map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
 
 def _write_path(run: Trajectory, out: Path) -> None:
     """Write the path and the attitude of the platform as CSV."""
-    crs = run.attributes.get("map_crs", "no reference system given")
+    crs = run.attributes.get("map_crs", "unknown reference system")
     columns = {
         name: Column(
             Label(name, unit, f"{name} of the platform's centre on the map ({crs})"), values
@@ -176,7 +176,7 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
         "type": "Feature",
         "properties": {
             "title": run.attributes.get("title", "path"),
-            "reference_system": crs or "not given: coordinates of the map file",
+            "reference_system": crs or "unknown: the coordinates are those of the map file",
             "time_s": run.t.tolist(),
         },
         "geometry": {"type": "LineString", "coordinates": [*zip(*positions, strict=True)]},

@@ -278,7 +278,7 @@ class _File(NamedTuple):
         value = self.attributes[attribute]
         if isinstance(value, str):
             raise _fault(
-                self.path, f"the text {value!r} in place of a number in the attribute {attribute!r}"
+                self.path, f"the text {value!r} instead of a number in the attribute {attribute!r}"
             )
         return value
 
@@ -294,7 +294,8 @@ def _open(path: Path) -> _File:
         with path.open("rb") as stream:
             head = stream.read(4)
         if head in (b"\x89HDF", b"CDF\5"):
-            raise _fault(path, "another kind of netCDF", "convert it: nccopy -k cdf2 IN.nc OUT.nc")
+            found = "a netCDF file in another format than netCDF-3"
+            raise _fault(path, found, "convert it: nccopy -k cdf2 IN.nc OUT.nc")
         if not b"CDF".startswith(head[:3]):
             raise _fault(path, "a file that is not netCDF", "give a file that slipfree run wrote")
         try:

@@ -85,8 +85,8 @@ def read_columns(
     Raises
     ------
     DataError
-        If the file cannot be read, or if a line has another number of values than columns, or a
-        value that is not a finite number.
+        If the file cannot be read, if the number of values in a line differs from the number of
+        columns, or if a value is not a finite number.
     """
     try:
         text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig")

@@ -130,7 +130,7 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
 
 
 def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the loop to which the parents of a name lead; empty without a loop.
+    """Return the names in the loop of parents above a name; empty without a loop.
 
     Each name in the result is followed by its parent.
     """

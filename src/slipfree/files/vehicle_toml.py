@@ -256,7 +256,7 @@ class File(NamedTuple):
         return f"{where}: {fault.hint}expected {fault.expected}, found {fault.found}"
 
     def _who(self, place: Place) -> str:
-        """Return the name of the element with a key, as in `` (joint 'boom')``; empty without."""
+        """Return the name of the element with a key, as in `` (joint 'boom')``, or empty text."""
         if len(place) < 2 or not isinstance(place[1], int):
             return ""
         element = self.data[str(place[0])][place[1]]
@@ -343,7 +343,8 @@ def read_toml(file: File) -> Draft:
     Raises
     ------
     VehicleError
-        If the file has errors; it contains all of them, and a draft if all single values are valid.
+        If the file has errors; the exception contains a message for each of them, and a draft if
+        all single values are valid.
     """
     table: VehicleTable = validated(VehicleTable, TABLES, file)
     faults = [
@@ -363,7 +364,7 @@ def read_toml(file: File) -> Draft:
 
 
 def _counted(table: VehicleTable) -> str:
-    """Return the key for the location of errors in the numbers of wheels or coordinates."""
+    """Return the key that messages about the number of wheels or coordinates refer to."""
     return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
 
 

@@ -1,7 +1,7 @@
 """Figures of a climb: positions, references, slip and disturbance, forces.
 
-Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``climb_plots`` composes the figures.
+Each drawing function draws on the given axes, labels the artists for a legend, and returns the
+axes; the caller adds the legend. ``climb_plots`` composes the figures.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def frame_motions(runs: Sequence[Trajectory], climber: Climber, ax: Axes) -> Axe
 
 
 def references(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the references of the wheels as rim speeds over time, and the actual rim speeds."""
+    """Draw the reference and the actual rim speeds of the wheels over time."""
     for k, axle in enumerate(AXLES):
         look = style.look(k)
         ax.plot(run.t, climber.radius * run["wheel_rate", axle], **look | {"lw": 0.6, "alpha": 0.5})
@@ -173,7 +173,7 @@ def loads(run: Trajectory, profile: Profile, ax: Axes) -> Axes:
 
 
 def torques(run: Trajectory, climber: Climber, ax: Axes) -> Axes:
-    """Draw the torque of one wheel of every axle over time, and a limit that is nearly reached."""
+    """Draw the torque of one wheel of every axle over time; with the limits if these are near."""
     for k, axle in enumerate(AXLES):
         ax.plot(run.t, run["torque", axle], label=axle, **style.look(k) | {"lw": 0.9})
     if climber.torque < 1.5 * np.abs(run["torque"]).max():
@@ -203,9 +203,10 @@ def planned_speeds(run: Trajectory, plan: Trajectory, climber: Climber, ax: Axes
 
 
 def planned_friction(run: Trajectory, plan: Trajectory, profile: Profile, ax: Axes) -> Axes:
-    """Draw the friction that is used, over the progress: planned, and actual as thin lines.
+    """Draw the planned used friction over the progress, and the actual one as thin lines.
 
-    The actual friction is that of the contact with the largest load.
+    Used friction is the tangential over the normal force. The actual one is that of the contact
+    with the largest load.
 
     Parameters
     ----------
@@ -336,7 +337,7 @@ def _sized(figure: Figure, ax: Axes, room: float = 17 * MM) -> None:
 
 
 def _outcome(run: Trajectory) -> str:
-    """Return a sentence on the end of a climb; empty if the result does not describe it."""
+    """Return a sentence on the end of a climb; empty if the result has no description."""
     words = run.attributes.get("climb", "")
     return (
         f" The vehicle {words}." if words.startswith(("climbs", "stalls", "slides", "tips")) else ""

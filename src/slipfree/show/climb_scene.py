@@ -160,7 +160,7 @@ def _actor(
 
 
 def _bodies(climber: Climber, run: Trajectory, origin: Array, color: Color) -> Iterable[scene.Body]:
-    """Yield both bodies, on the joint that they share."""
+    """Yield the rear and the front body; the origin of both is the joint between them."""
     joint = np.stack([run["x"], np.zeros(run.t.size), run["z"]], axis=1) - origin
     rear = (climber.rear.ahead, max(climber.middle.ahead, climber.rear.ahead / 2))
     front = (0.0, climber.front.ahead)

@@ -69,7 +69,7 @@ class Driven(NamedTuple):
     keep_out : tuple of Region
         Keep-out regions of a plan.
     plan : Trajectory or None
-        The plan that the motion simulates: poses and contact points.
+        The plan that the motion simulates, with poses and contact points.
     """
 
     name: str
@@ -122,7 +122,7 @@ def drive_scene(drives: Sequence[Driven]) -> Scene:
 
 
 def _backdrop(terrain: Bicubic, window: Window, origin: Array, reach: float) -> Backdrop:
-    """Return the ground of a film: shaded in plan, and a surface around the vehicle."""
+    """Return the ground of a film: shaded in plan view, and a surface around the vehicle."""
 
     def near(middle: Array, half: float) -> Sequence[Array]:
         west, east, south, north = terrain.domain
@@ -148,7 +148,7 @@ def _runs(drives: Sequence[Driven]) -> list[Trajectory]:
 
 
 def _window(drives: Sequence[Driven], grid: Grid, reach: float) -> Window:
-    """Return the part of the ground to draw: the surroundings of all paths, on the map."""
+    """Return the part of the ground to draw: the surroundings of all paths, within the map."""
     x, y = (
         np.concatenate([np.append(run[name], run[f"contact_{name}"]) for run in _runs(drives)])
         for name in "xy"
@@ -309,11 +309,11 @@ def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]
     radius = min(wheel.radius for drive in drives for wheel in drive.vehicle.wheels)
     if off >= least * radius:
         sunk = ": wheels may appear below or above the ground" if off >= SEEN * radius else ""
-        yield f"Drawn ground and contact points are {off:.2g} m apart at most{sunk}."
+        yield f"Drawn ground and contact points are {off:.2g} m apart or less{sunk}."
 
 
 def _others(drives: Sequence[Driven]) -> Iterable[str]:
-    """Yield notes on differences of the grounds of other motions from the drawn one.
+    """Yield notes on differences between the drawn ground and the grounds of the other motions.
 
     Raises
     ------
@@ -337,6 +337,6 @@ def _others(drives: Sequence[Driven]) -> Iterable[str]:
             )
         if apart > SAME:
             yield (
-                f"The drawn ground is that of {first.name}; along the motion {drive.name} its own "
-                f"ground differs by up to {apart:.3g} m."
+                f"The drawn ground is that of {first.name}; the ground of "
+                f"{drive.name} differs from it by up to {apart:.3g} m along that motion."
             )

@@ -1,4 +1,4 @@
-"""Films of scenes: all paths in plan or as a section, and a 3D view of the first vehicle."""
+"""Films of scenes: all paths in plan view or as a section, and a 3D view of the first vehicle."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from slipfree.show.style import MM, PAGE, STYLE
 FRAMES, FILM_DPI = 20, 110  # frames per second, and dots per inch
 ENDINGS = (".gif", ".mp4")
 MOST = 400  # largest number of frames of a film; longer motions are accelerated
-ROWS = {"height_ratios": (2, 3)}  # of a film of a section, which is wide
-HEIGHTS = (130.0, 86.0)  # of a film of a section, and of one in plan [mm]
+ROWS = {"height_ratios": (2, 3)}  # of the axes in a film of a section, which is wide
+HEIGHTS = (130.0, 86.0)  # of a film of a section, and of one in plan view [mm]
 HEIGHT = 0.6  # height of the 3D view [its width]
 WIDTH = 150  # characters in a line below the film
 T = TypeVar("T")

@@ -1,7 +1,7 @@
 """Figures of the forces between a vehicle with mass and the ground, and of its drives.
 
-Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. Functions that end in ``_plot`` compose figures.
+Each drawing function draws on the given axes, labels the artists for a legend, and returns the
+axes; the caller adds the legend. Functions that end in ``_plot`` compose figures.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def utilisation(run: Trajectory, ax: Axes) -> Axes:
         ax.plot(run.t, _finite(values[:, k]), label=style.words(wheel), **style.look(k))
     if "utilisation_best" in run:
         best = _finite(run["utilisation_best"])
-        ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="forces distributed best")
+        ax.plot(run.t, best, color="black", ls=":", lw=0.8, label="optimal distribution of forces")
     words = "friction limit" if _has_friction(run) else "a friction coefficient of 1"
     ax.axhline(1, color="0.4", lw=0.8, ls="--", label=words)
     largest = float(values.max())
@@ -101,7 +101,7 @@ def tip_over(run: Trajectory, ax: Axes) -> Axes:
 
 
 def utilisation_map(run: Trajectory, grid: Grid, ax: Axes) -> Axes:
-    """Draw the tracks of the contact points in plan, coloured by utilisation, on grey ground.
+    """Draw the tracks of the contact points in plan view, coloured by utilisation, on grey ground.
 
     The colour between two samples is that of the larger value. Where tracks cross, the track with
     the larger value is on top.
@@ -167,7 +167,7 @@ def power(run: Trajectory, ax: Axes) -> Axes:
 
 
 def utilisation_plot(scene: Drive) -> Plot | None:
-    """Return the figure of the friction that the wheels need; None without mass."""
+    """Return the figure of the friction that the wheels need; None for a vehicle without mass."""
     run = scene.run
     if "utilisation" not in run:
         return None
@@ -179,7 +179,7 @@ def utilisation_plot(scene: Drive) -> Plot | None:
 
 
 def forces_plot(scene: Drive) -> Plot | None:
-    """Return the figure of the forces on wheels and in drives; None without mass."""
+    """Return the figure of the forces on wheels and in drives; None for a vehicle without mass."""
     run = scene.run
     if "force_normal" not in run:
         return None
@@ -194,7 +194,7 @@ def forces_plot(scene: Drive) -> Plot | None:
 
 
 def utilisation_map_plot(scene: Drive) -> Plot | None:
-    """Return the map of the friction that the wheels need; None without mass."""
+    """Return the map of the friction that the wheels need; None for a vehicle without mass."""
     if "utilisation" not in scene.run:
         return None
     caption = "Friction needed along the tracks."
@@ -202,7 +202,7 @@ def utilisation_map_plot(scene: Drive) -> Plot | None:
 
 
 def energy_plot(scene: Drive) -> Plot | None:
-    """Return the figure of work, energy and losses; None without mass."""
+    """Return the figure of work, energy and losses; None for a vehicle without mass."""
     run = scene.run
     if "work" not in run:
         return None

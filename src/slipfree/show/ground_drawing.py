@@ -42,8 +42,8 @@ def shade(x: Array, y: Array, z: Array, ax: Axes) -> Axes:
     shadow[..., 3] = 0.4 * (1 - light)
     ax.imshow(shadow, **extent(x, y))
     ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal")
-    style.place_axis(ax.xaxis, "x", x[0])
-    style.place_axis(ax.yaxis, "y", y[0])
+    style.position_axis(ax.xaxis, "x", x[0])
+    style.position_axis(ax.yaxis, "y", y[0])
     return ax
 
 
@@ -57,8 +57,8 @@ def contours(grid: Grid, ax: Axes, window: Window) -> Axes:
     """Draw contour lines of a part of the ground with their heights, on axes of equal scale."""
     x, y, z = patch(grid, window, HEATMAP)
     ax.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]), aspect="equal")
-    style.place_axis(ax.xaxis, "x", x[0])
-    style.place_axis(ax.yaxis, "y", y[0])
+    style.position_axis(ax.xaxis, "x", x[0])
+    style.position_axis(ax.yaxis, "y", y[0])
     if np.ptp(z) > 0:
         lines = ax.contour(x, y, z.T, levels=10, colors="0.5", linewidths=0.4, zorder=1)
         levels = np.asarray(lines.levels)[::2]

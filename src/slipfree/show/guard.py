@@ -32,12 +32,12 @@ class Guard:
 
     Parameters
     ----------
-    tell : callable
-        Called with each new warning, from any thread.
+    report : callable
+        Function called with each new warning, from any thread.
     """
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell, self._told, self._is_used = tell, set[str](), False
+    def __init__(self, report: Callable[[str], None]) -> None:
+        self._show, self._shown, self._is_used = report, set[str](), False
 
     def start(self, port: int) -> viser.ViserServer:
         """Return a server on this machine; port zero selects a free port.
@@ -82,10 +82,10 @@ class Guard:
 
     def warn(self, words: str) -> None:
         """Report a warning that was not reported before; ignore it after 20 warnings."""
-        if words not in self._told and len(self._told) < MOST:
-            self._told.add(words)
-            more = "; further warnings are not shown" if len(self._told) == MOST else ""
-            self._tell(words + more)
+        if words not in self._shown and len(self._shown) < MOST:
+            self._shown.add(words)
+            more = "; further warnings are not shown" if len(self._shown) == MOST else ""
+            self._show(words + more)
 
     def _refusal(self, connection: Any, request: Any) -> Any:
         """Return the response to a request for another host or from a foreign page, else None."""
@@ -96,7 +96,7 @@ class Guard:
         own |= {*NAMES} if port == DEFAULT_PORT else set()
         if len(hosts) == 1 and hosts[0] in own and origins in ([], [f"http://{hosts[0]}"]):
             return None
-        expected = f"expected one for http://{HOST}:{port} from its own page"
+        expected = f"expected a request for http://{HOST}:{port} from the page itself"
         self.warn(
             f"refused a request: {expected}, found host {_short(', '.join(hosts))}, origin "
             f"{_short(', '.join(origins))}"

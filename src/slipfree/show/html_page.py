@@ -26,7 +26,7 @@ def legend(layer: Layer) -> str:
 
 
 def swatch(color: Color, words: str = "", *, ghost: bool = False) -> str:
-    """Return HTML of a coloured square with text; dotted for objects drawn as edges."""
+    """Return HTML of a coloured square with text; with a dotted border for wireframes."""
     look = f"{HOLLOW} {_css(color)}" if ghost else f"background:{_css(color)}"
     return f'<div><span style="{SQUARE};{look}"></span>{escape(words)}</div>'
 

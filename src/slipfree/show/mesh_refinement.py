@@ -128,7 +128,7 @@ class Refined(NamedTuple):
 
 
 def refined(
-    grid: Grid, terrain: Terrain, paths: Iterable[Array], margin: float, wanted: float
+    grid: Grid, terrain: Terrain, paths: Iterable[Array], margin: float, spacing: float
 ) -> Refined:
     """Return a grid with divided cells near paths, with at most about 60 000 added nodes.
 
@@ -142,12 +142,12 @@ def refined(
         Paths of vehicles in map coordinates. [m]
     margin : float
         Distance from the paths within which cells are divided. [m]
-    wanted : float
+    spacing : float
         Desired distance between nodes in divided cells. [m]
     """
     whole = Refined(grid, np.zeros((grid.x.size - 1, grid.y.size - 1), bool), 1, terrain)
     cell = float(max(grid.spacing))
-    if cell <= wanted:
+    if cell <= spacing:
         return whole
     near = whole.near.copy()
     aside = np.linspace(-margin, margin, 2 * ceil(margin / min(grid.spacing)) + 1)
@@ -155,7 +155,7 @@ def refined(
         points = _dense(path, min(cell, margin) / 2)
         for dx, dy in product(aside, repeat=2):
             near[whole._cells(points[:, 0] + dx, points[:, 1] + dy)] = True
-    parts = min(ceil(cell / wanted), int(np.sqrt(MOST / near.sum())) - 1)
+    parts = min(ceil(cell / spacing), int(np.sqrt(MOST / near.sum())) - 1)
     return whole._replace(near=near, parts=parts) if parts > 1 else whole
 
 

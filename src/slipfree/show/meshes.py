@@ -95,7 +95,7 @@ def clipped(
 
 
 def _cut(points: Array, axis: int, bound: float, sign: float) -> Array:
-    """Return the part of a convex polygon on one side of a line along the other axis."""
+    """Return the part of a convex polygon where ``sign * (coordinate - bound) >= 0`` on an axis."""
     heights = sign * (points[:, axis] - bound)
     kept: list[Array] = []
     for k in range(len(points)):

@@ -1,7 +1,7 @@
 """Figures of a motion and of its ground.
 
-Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``motion_plots`` composes the usual figures.
+Each drawing function draws on the given axes, labels the artists for a legend, and returns the
+axes; the caller adds the legend. ``motion_plots`` composes the standard figures.
 Angles are drawn in radians, with degrees on a second axis.
 """
 
@@ -91,7 +91,7 @@ def _hatch_filled(grid: Grid, x: Array, y: Array, ax: Axes) -> None:
 
 
 def path(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the path of the platform's centre in plan, with direction, start, end and stop."""
+    """Draw the path of the platform's centre in plan view, with direction, start, end and stop."""
     x, y = run["x"], run["y"]
     ax.plot(x, y, color=PLATFORM, label="platform", path_effects=style.halo(2.4), zorder=3)
     for at, way in _directions(x, y, float(np.ptp(ax.get_xlim()))):
@@ -107,7 +107,7 @@ def path(run: Trajectory, ax: Axes) -> Axes:
 
 
 def tracks(run: Trajectory, ax: Axes) -> Axes:
-    """Draw the tracks of the contact points in plan, one line per wheel."""
+    """Draw the tracks of the contact points in plan view, one line per wheel."""
     for k, wheel in enumerate(run.wheels):
         u, v = run["contact_x", wheel], run["contact_y", wheel]
         ax.plot(
@@ -161,7 +161,7 @@ def terrain(run: Trajectory, grid: Grid, ax: Any) -> Any:
     ax.view_init(elev=38, azim=-60)
     times, starts = drawn / (high - low), (window[0], window[2], low)
     for axis, name, start in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", starts, strict=True):
-        style.place_axis(axis, name, start)
+        style.position_axis(axis, name, start)
         axis.labelpad = 7
     if abs(times - 1) > 0.05:
         ax.set_zlabel(f"{ax.get_zlabel()}, {times:.2g}:1")
@@ -215,7 +215,7 @@ def loci(run: Trajectory, ax: Axes, view: tuple[str, str] = ("x", "y")) -> Axes:
             ends = [[run[n][k], run[f"center_{n}", wheel][k]] for n in view]
             ax.plot(*ends, color="0.55", lw=0.6, zorder=1)
     for axis, name in ((ax.xaxis, a), (ax.yaxis, b)):
-        style.place_axis(axis, name, float(run[name].min()))
+        style.position_axis(axis, name, float(run[name].min()))
     if "z" not in view:
         ax.set_aspect("equal", adjustable="datalim")
     return ax
@@ -315,8 +315,8 @@ def motion_plots(run: Trajectory, grid: Grid, surface: Terrain | None = None) ->
 
 
 def map_plot(drive: Drive) -> Plot:
-    """Return the figure of ground and path in plan."""
-    return Plot("map", "Ground and path in plan.", lambda: _map(drive.run, drive.grid))
+    """Return the figure of ground and path in plan view."""
+    return Plot("map", "Ground and path in plan view.", lambda: _map(drive.run, drive.grid))
 
 
 def elevation_plot(drive: Drive) -> Plot:
@@ -481,7 +481,7 @@ def _elevation(run: Trajectory, ground: Terrain) -> Figure:
 
 
 def slipping_directions(run: Trajectory) -> tuple[str, ...]:
-    """Return the directions, of "along" and "across", in which slip exceeds rounding."""
+    """Return the directions ("along", "across") in which slip exceeds rounding."""
     return tuple(d for d in ("along", "across") if np.abs(run[f"slip_{d}"]).max() >= ROUNDING)
 
 
@@ -499,7 +499,7 @@ def _checks(run: Trajectory) -> Figure:
     for ax, name in zip(panels, names, strict=False):
         check(run, name, ax)
         if run[name].ndim == 1:
-            ax.lines[0].set_label("_")  # its axis says what it is
+            ax.lines[0].set_label("_")  # the label of the axis names the quantity
     for ax in panels[len(names) :]:
         ax.set_axis_off()
     return style.finished(figure, run, panels[1:])

@@ -1,7 +1,7 @@
 """Figures of a plan: map of traversability with routes, and planned quantities with bounds.
 
-Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``plan_plots`` composes the figures.
+Each drawing function draws on the given axes, labels the artists for a legend, and returns the
+axes; the caller adds the legend. ``plan_plots`` composes the figures.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from slipfree.show.style import COLUMN, MM, PLATFORM
 from slipfree.terrain.base import Grid
 from slipfree.trajectory import Trajectory
 
-# A scale of light blues leaves warm colours to what is blocked; all differ in lightness too.
+# The scale is light blue, so that warm colours mark blocked nodes; all differ in lightness too.
 COSTS = ListedColormap(colormaps["Blues"](np.linspace(0.08, 0.85, 256)), name="costs")
 MAX_PERCENTILE = 99.0  # percentile of the costs at the end of the scale, without extreme nodes
 MIN_SCALE_END = 1.1  # smallest end of the scale, for uniform costs [1]
@@ -103,7 +103,7 @@ def initial_routes(found: Sequence[Array], ax: Axes) -> Axes:
 
 
 def motion(run: Trajectory, places: Sequence[Place], ax: Axes) -> Axes:
-    """Draw the planned motion of the platform's centre in plan, with start, way-points and goal.
+    """Draw the planned path of the platform's centre, with start, way-points and goal.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Figures as records of a name, a caption and a drawing function, drawn only on request.
 
 Most figures are stacks of panels over a common axis; a panel is a function that draws on given axes
-and names the artists that belong in the legend.
+and labels the artists for the legend.
 """
 
 from __future__ import annotations
@@ -147,8 +147,8 @@ def save(
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(
-            f"{folder}: expected a folder for figures, found none that can be made "
-            f"({error.strerror}); choose another place"
+            f"{folder}: expected a folder for figures, found one that cannot be created "
+            f"({error.strerror}); choose another folder"
         ) from error
     drawn = draw(plots)
     files = [(Path(folder) / f"{name}.{end}", drawn[name]) for name in drawn for end in formats]

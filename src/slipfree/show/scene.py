@@ -148,7 +148,7 @@ class Backdrop(NamedTuple):
     Attributes
     ----------
     draw : callable
-        ``draw(ax)`` draws the ground on axes in map coordinates, in plan or as a section.
+        ``draw(ax)`` draws the ground on axes in map coordinates, in plan view or as a section.
     axes : tuple of 2 ints
         Indices of the coordinates on these axes: `PLAN` or `SECTION`.
     near : callable
@@ -274,18 +274,18 @@ def layer(name: str, values: Array, legend: str, low: float, high: float) -> Lay
     return Layer(name, legend, ends, scale(parts, bytes=True)[:, :3])
 
 
-def chassis(places: Array, radius: float) -> Mesh:
+def chassis(positions: Array, radius: float) -> Mesh:
     """Return the platform of a vehicle from the positions of its wheels' centres.
 
     Parameters
     ----------
-    places : ndarray, shape (k, 3)
+    positions : ndarray, shape (k, 3)
         Positions of the wheels' centres in the platform's frame, x right, y forward. [m]
     radius : float
         Radius of the wheels. [m]
     """
-    half = NARROW * float(np.abs(places[:, 0]).max())
-    rear, front = float(places[:, 1].min()), float(places[:, 1].max())
+    half = NARROW * float(np.abs(positions[:, 0]).max())
+    rear, front = float(positions[:, 1].min()), float(positions[:, 1].max())
     return plate(half, rear, front, PLATE * radius)
 
 

@@ -29,7 +29,7 @@ STYLE = {
     "legend.handlelength": 1.8,
     "pdf.fonttype": 42,
     "svg.fonttype": "none",
-    "text.usetex": False,  # names in files are no LaTeX, which may not be installed either
+    "text.usetex": False,  # names are not LaTeX code, and LaTeX may be missing
 }
 DPI = 200
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito
@@ -113,7 +113,7 @@ def remark(ax: Axes, words: str, above: bool = False) -> None:
     ax.text(x, y, words, transform=ax.transAxes, ha=ha, va=va, bbox=box)
 
 
-def place_axis(axis: Any, name: str, low: float) -> None:
+def position_axis(axis: Any, name: str, low: float) -> None:
     """Label an axis of positions; large coordinates are drawn relative to a round number.
 
     Parameters

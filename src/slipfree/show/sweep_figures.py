@@ -1,7 +1,7 @@
 """Figures of a sweep: a metric over the varied keys.
 
-Functions draw on the axes they are given, name the artists that belong in a legend, and return the
-axes; legends are the caller's. ``save_sweep_figures`` writes one figure per metric: the
+Each drawing function draws on the given axes, labels the artists for a legend, and returns the
+axes; the caller adds the legend. ``save_sweep_figures`` writes one figure per metric: the
 distribution over the runs without varied keys, a curve for one key, a heat map for two keys.
 """
 
@@ -103,7 +103,7 @@ def figure(swept: Swept) -> Figure:
         If more keys were varied, or no run has a value.
     """
     if not np.isfinite(swept.values).any():
-        raise ModelError(f"{swept.name}: expected a value of one run at least, found none")
+        raise ModelError(f"{swept.name}: expected a value in at least one run, found none")
     draw = {0: distribution, 1: curve, 2: heat_map}.get(len(swept.axes))
     if draw is None:
         raise ModelError(

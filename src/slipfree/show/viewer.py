@@ -55,9 +55,9 @@ def serve(
     port : int
         Port of the server; zero for a free port.
     warn : callable
-        Called, from any thread, with warnings about refused requests and values.
+        Function called, from any thread, with warnings about refused requests and values.
     ready : callable
-        Called with the address when the page can be opened.
+        Function called with the address when the page can be opened.
 
     Raises
     ------
@@ -168,15 +168,15 @@ class Stage:
         with self._lock, self.server.atomic():
             for actor in self.actors:
                 actor.show(t)
-            self._hold()
+            self._center_vehicle()
 
-    def follow(self, wanted: bool) -> None:
-        """Let the camera follow the first vehicle, or end this."""
+    def follow(self, enabled: bool) -> None:
+        """Make the camera follow the first vehicle, or stop following it."""
         with self._lock, self.server.atomic():
-            self.anchor = self.actors[0].place + self.world.position if wanted else None
-            self._hold()
+            self.anchor = self.actors[0].place + self.world.position if enabled else None
+            self._center_vehicle()
 
-    def _hold(self) -> None:
+    def _center_vehicle(self) -> None:
         """Move the world so that the followed vehicle stays at its position in view."""
         anchor = self.anchor
         self.world.position = np.zeros(3) if anchor is None else anchor - self.actors[0].place
@@ -221,9 +221,11 @@ class _Drawn:
                     wireframe=actor.ghost,
                 )
         self.label = server.scene.add_label(f"{root}/name", actor.name, anchor="bottom-center")
-        self.above = np.array([0.0, 0.0, (0.6 + 0.25 * k) * scene.reach])  # names side by side
+        self.above = np.array(
+            [0.0, 0.0, (0.6 + 0.25 * k) * scene.reach]
+        )  # names at distinct heights
         size = SIZES["contact"] * scene.reach
-        # The browser culls clouds by their initial position, so this node moves with the vehicle.
+        # Browsers cull point clouds by their initial position: this node moves with the vehicle.
         self.here = server.scene.add_frame(f"{root}/here", show_axes=False)
         self.contacts = server.scene.add_point_cloud(
             f"{root}/here/contacts",
@@ -411,9 +413,9 @@ class _Panel:
                     box = gui.add_checkbox(f"{name} ({words})", True)
                     box.on_update(lambda _, box=box, name=name: self._point(name, box.value))
 
-    def _point(self, name: str, wanted: bool) -> None:
+    def _point(self, name: str, visible: bool) -> None:
         for actor in self.stage.actors:
-            actor.shown[name] = wanted
+            actor.shown[name] = visible
             actor.point(actor.last)
 
     def _choose_run(self, gui: Any, k: int, actor: Actor) -> None:

@@ -57,8 +57,8 @@ class Analytic:
     Notes
     -----
     An instance can be pickled if its functions can: define them at the top level of a module.
-    A formula should not call ``casadi.interpolant`` with ``"bspline"``, whose third derivatives on
-    knots and fourth derivatives write out of bounds (CasADi 3.8.2). Use `Bicubic`.
+    A formula should not call ``casadi.interpolant`` with ``"bspline"``: CasADi 3.8.2 writes outside
+    its arrays when it evaluates fourth derivatives, or third derivatives at knots. Use `Bicubic`.
 
     Examples
     --------
@@ -116,11 +116,11 @@ class Analytic:
         return polynomial_jet(lookups.find(self._taylor, ca.vertcat(x, y), order=4), TAYLOR, x, y)
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the coefficient of friction at a point; one where none was given [1]."""
+        """Return the coefficient of friction at a point; 1 if none was given [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def elevation(self, x: Array, y: Array) -> Array:
-        """Return the heights at points of equal shape [m]."""
+        """Return the heights at points, arrays of equal or broadcastable shapes [m]."""
         x, y = np.broadcast_arrays(x, y)
         count = -(-x.size // CHUNK)
         padded = [np.resize(each.reshape(-1), (max(count, 1), 1, CHUNK)) for each in (x, y)]
@@ -133,7 +133,7 @@ class Analytic:
 
     @cached_property
     def _taylor(self) -> ca.Function | None:
-        """Lookup function of a height formula that calls functions."""
+        """Lookup function of a height formula that calls functions; otherwise None."""
         return taylor_function(self.function)
 
     @cached_property

@@ -55,7 +55,7 @@ def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y:
     Parameters
     ----------
     found : SX, shape (2 + n, 1)
-        Centre of the polynomial, and its derivatives there.
+        Coordinates of the centre of the polynomial, then its n derivatives at the centre.
     orders : sequence of pairs of int
         Orders of these derivatives with respect to x and y.
     x, y : SX, shape (1, 1)
@@ -75,7 +75,7 @@ def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y:
 
 
 def _sums(derivatives: Sequence[ca.SX], away: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return a Taylor polynomial and its first two derivatives."""
+    """Return a Taylor polynomial at a distance from its centre, and its first two derivatives."""
     found = []
     for order in range(3):
         total = ca.SX(0)
@@ -268,7 +268,7 @@ def check_formula(function: Callable[[Any, Any], Any], owner: str, value: str) -
     function : callable
         ``function(x, y)`` must return one scalar.
     owner, value : str
-        Names of its owner and of its result, for the message.
+        Names of the function's owner and of its result, for the message.
 
     Raises
     ------

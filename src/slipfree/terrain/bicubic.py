@@ -58,8 +58,8 @@ class Bicubic:
 
     Notes
     -----
-    CasADi's own splines cannot be used: their third derivatives on knots and their fourth
-    derivatives everywhere write out of bounds (3.8.2). Here the centre of the cell and the
+    CasADi's own splines cannot be used: CasADi 3.8.2 writes outside its arrays when it evaluates
+    fourth derivatives, or third derivatives at knots. Here the centre of the cell and the
     16 derivatives there are looked up (`slipfree.lookups`); the height is then an SX polynomial.
 
     If a compiler was found at installation, the C code of `slipfree.terrain.kernel` does the
@@ -132,7 +132,7 @@ class Bicubic:
         return polynomial_jet(lookups.find(cell, ca.vertcat(x, y, key)), CUBIC, x, y)
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the coefficient of friction at a local point; one where none was given [1]."""
+        """Return the coefficient of friction at a local point; 1 if none was given [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def elevation(self, x: Array, y: Array) -> Array:
@@ -208,13 +208,13 @@ class Bicubic:
 
     @cached_property
     def _cell(self) -> tuple[ca.Function, float]:
-        """Lookup function of a local point and a key, and the key."""
+        """Lookup function with a local point and a key as arguments, and the key."""
         if self._kernel is not None:
             return self._kernel.function, self._kernel.key
         return self._interpolated_cell(), 0.0
 
     def _interpolated_cell(self) -> ca.Function:
-        """Return the lookup function of `kernel.c` as a CasADi interpolant."""
+        """Return the lookup function of a cell as a CasADi interpolant, instead of `kernel.c`."""
         (i_0, i_last), (j_0, j_last) = self._cells
         x_0, y_0, _ = self.origin
         h_x, h_y = self.grid.spacing

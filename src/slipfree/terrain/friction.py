@@ -43,7 +43,7 @@ def check_friction(mu: Friction) -> None:
         If a number is not positive and finite, if a function does not return one scalar that
         depends only on ``x`` and ``y``, or if ``mu`` has another type.
     DataError
-        If a map holds values that are not positive.
+        If a map contains values that are not positive.
     """
     if mu is None:
         return

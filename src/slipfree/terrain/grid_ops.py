@@ -63,7 +63,7 @@ class Heights(NamedTuple):
     geographic : bool
         Whether x and y are degrees according to the file.
     placed : bool
-        Whether the file gives the coordinates of its nodes.
+        Whether the file contains the coordinates of its nodes.
     """
 
     x: Array
@@ -363,7 +363,7 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
         Standard deviation of the error over all seeds. The standard deviation on a single map
         approaches it if the map is many correlation lengths long. [m]
     correlation : float
-        Distance d at which the correlation exp(-(d / correlation)**2) has decayed to 1/e. [m]
+        Correlation length: the correlation at a distance d is exp(-(d / correlation)**2). [m]
     seed : int
         Seed of the random numbers.
 
@@ -374,10 +374,10 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
 
     Notes
     -----
-    The error is a sum of plane waves with random phases and normally distributed wave vectors, the
-    spectrum of that correlation (Shinozuka and Deodatis, "Simulation of stochastic processes by
-    spectral representation", Applied Mechanics Reviews 44, 1991). It is a function of position
-    only: a window or another spacing has the same error.
+    The error is a sum of plane waves with random phases and normally distributed wave vectors,
+    which have the spectrum of that correlation (Shinozuka and Deodatis, "Simulation of stochastic
+    processes by spectral representation", Applied Mechanics Reviews 44, 1991). It is a function of
+    position only, independent of the window and of the spacing of the grid.
     """
     if not (rms > 0 and correlation > 0):
         raise ModelError(

@@ -68,10 +68,10 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     -----
     A wheel cannot reach the bottom of a hollow with a smaller radius of curvature: it would touch
     at two points, and a model with one contact point per wheel fails there. Morphological closing
-    by a ball fills such hollows up to the ball and does not change others. Where two positions of
-    the ball meet, it leaves seams, which interpolation sharpens; the Gaussian rounds them. A
-    Gaussian alone would have to be twice as wide; it would lower peaks and fill wide hollows that
-    the wheel can follow.
+    by a ball fills such hollows up to the ball and does not change wider ones. Where two positions
+    of the ball meet, the closing leaves seams, which interpolation sharpens; the Gaussian rounds
+    them. A Gaussian alone would have to be twice as wide; it would lower peaks and fill wide
+    hollows that the wheel can follow.
 
     Outside the grid the ground continues by point reflection about the border node, which preserves
     slopes.

@@ -272,7 +272,7 @@ def _bend(y: Array, length: float) -> Array:
 def _scatter(
     grid: Grid, count: int, diameters: tuple[float, float], seed: int
 ) -> list[tuple[float, float, float]]:
-    """Return ``count`` random positions, uniform over the grid, and diameters."""
+    """Return x, y and diameter [m] of ``count`` random disks, uniform over the grid."""
     smallest, largest = diameters
     if not (0 < smallest <= largest and count >= 0):
         raise ModelError(

@@ -369,7 +369,7 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
 
 
 def _read_points(path: Path, ask: Reading) -> Heights:
-    """Return the map through scattered points in a file."""
+    """Return the height map interpolated from the scattered points in a file."""
     return read_points(path, ask.spacing, ask.window)
 
 

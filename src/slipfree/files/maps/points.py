@@ -18,7 +18,7 @@ BLOCK = 2**20  # number of nodes interpolated at once; limits the memory
 
 
 def read_points(path: Path, spacing: float | None, window: Window | None) -> Heights:
-    """Return the map through scattered points.
+    """Return the height map interpolated from scattered points.
 
     Heights are interpolated linearly on a Delaunay triangulation; nodes outside the convex hull of
     the points are holes. The first node is at the smallest x and y of all points.
@@ -37,7 +37,7 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     ------
     DataError
         If the file is not such a table, if ``spacing`` is None or too large, or if the points lie
-        on a line or in fewer than three positions.
+        on a line or have fewer than three different positions.
     """
     columns = _columns(path)
     if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
@@ -77,7 +77,7 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
 
 
 def _columns(path: Path) -> Array:
-    """Return x, y, z of all lines, shape (n, 3)."""
+    """Return x, y, z of all lines, shape (n, 3) [m]."""
     skip, order, delimiter = _layout(path)
     try:
         with warnings.catch_warnings():

@@ -270,7 +270,7 @@ def _place(file: Any, ask: Reading) -> _Place:
     for name in ("cell", "registration"):
         if (value := getattr(ask, name)) is not None:
             _refuse(
-                f"no {name} for a file that contains it",
+                f"no {name} for a raster that contains coordinates",
                 f"{name} = {value!r}",
                 f"remove {name}, or correct the file by gdal_edit",
             )
@@ -340,7 +340,7 @@ def _crs(crs: Any) -> tuple[str, bool]:
 
 
 def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[str, str], ...]:
-    """Return the scale of a projected map as facts; raise DataError if it differs from 1 by 1 %.
+    """Return the scale of a projected map as facts; raise DataError if it is more than 1 % from 1.
 
     In the Mercator projection of map tiles, one metre of the map is cos(latitude) metres.
     """

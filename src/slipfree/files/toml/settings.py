@@ -37,7 +37,7 @@ def replace_values(
     Raises
     ------
     ProblemError
-        If a setting cannot be read, or removes a key that is not there.
+        If a setting cannot be read, or removes a key that does not exist.
     """
     places: dict[Place, str] = {}
     faults = []
@@ -46,14 +46,14 @@ def replace_values(
         if (readable := escape_name(setting)) != setting:
             faults.append(
                 f"{option} {escape_name(key.strip())}: expected text in UTF-8, as in a problem "
-                f"file, found {readable}; rename the file if it is a name"
+                f"file, found {readable}; rename the file if the value is a file name"
             )
             continue
         try:
             path = key_path(key)
             if not equals:
                 raise ValueError
-            new = _put(data, path, _value(text)) if text.strip() else _taken_out(data, path)
+            new = _insert(data, path, _value(text)) if text.strip() else _remove(data, path)
         except ValueError:
             faults.append(
                 f"{option} {key.strip()}: expected key=value with a value in TOML or a bare word, "
@@ -79,7 +79,7 @@ def _value(text: str) -> Any:
     return found["value"]
 
 
-def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
+def _insert(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]:
     """Insert a value into nested tables; return its path and the paths of new tables."""
     places: list[Place] = [path]
     *tables, last = path
@@ -93,7 +93,7 @@ def _put(data: dict[str, Any], path: tuple[str, ...], value: Any) -> list[Place]
     return places
 
 
-def _taken_out(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
+def _remove(data: dict[str, Any], path: tuple[str, ...]) -> list[Place]:
     """Remove a key from nested tables; return its path in a list."""
     for name in path[:-1]:
         data = data.get(name, {})

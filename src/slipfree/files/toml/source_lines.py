@@ -39,7 +39,7 @@ class Source:
     settings : mapping of tuple to str
         Settings ``key=value`` of the command line, by the keys that they set.
     varied : frozenset of tuple
-        Keys of `settings` that the option ``--vary`` sets; the others are set by ``--set``.
+        Keys of `settings` that the option ``--vary`` sets; the other keys are set by ``--set``.
     """
 
     path: Path
@@ -103,7 +103,7 @@ def key_path(text: str) -> tuple[str, ...]:
 def key_lines(text: str) -> Mapping[Place, int]:
     """Return the line of every key and table of a valid TOML text.
 
-    Keys inside an inline table or an array have no entry of their own, only the key before them.
+    Keys inside an inline table or an array are not included; they have the line of its key.
     """
     found: dict[Place, int] = {}
     counts: dict[Place, int] = {}

@@ -537,7 +537,7 @@ class _Reading:
                 f"{n} {kind}{'s' * (n > 1)} of {radius:g} m" for (kind, radius), n in counts.items()
             )
             words = (
-                f"several shapes ({found}), radius {chosen.radius:g} m of the one about the "
+                f"several shapes ({found}), radius {chosen.radius:g} m of the shape about the "
                 "axle that touches level ground first"
             )
             alike.setdefault(words, []).append(joint.name)

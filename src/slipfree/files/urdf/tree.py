@@ -49,7 +49,7 @@ class Link(NamedTuple):
     center : tuple of 3 floats
         Centre of mass in the frame of the link. [m]
     shapes : tuple of Shape
-        Cylinders and spheres among the collision shapes; among the visual shapes if there are none.
+        Cylinders and spheres among the collision shapes; otherwise among the visual shapes.
     meshed : bool
         Whether the link has a mesh.
     """
@@ -83,7 +83,7 @@ class UrdfJoint(NamedTuple):
     Attributes
     ----------
     name, type : str
-        Name, and type in the words of URDF.
+        Name, and type as in the URDF.
     parent, child : str
         Names of the links that it connects.
     at, turned : tuple of 3 floats
@@ -95,7 +95,7 @@ class UrdfJoint(NamedTuple):
     max_rate : float
         Largest rate, infinite if there is none. [rad/s or m/s]
     mimic : Mimic or None
-        Joint that it follows.
+        Relation to the joint that this joint follows, if any.
     line : int
         Line of the file.
     """

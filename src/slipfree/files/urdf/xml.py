@@ -69,6 +69,7 @@ def parse(data: bytes, name: str) -> Element:
         raise
     except (LookupError, ValueError) as error:
         raise DataError(
-            f"{name}: expected XML in a known encoding such as UTF-8, found another one ({error})"
+            f"{name}: expected XML in a known encoding such as UTF-8, found another encoding "
+            f"({error})"
         ) from error
     return top.children[0]
