@@ -96,7 +96,7 @@ def compiled_functions(
     ----------
     key : casadi Function
         SX function from which the functions are derived. Its operations, with the source file of
-        ``make``, identify them in the cache; with fewer than 300 operations nothing is compiled.
+        ``make``, identify them in the cache; functions are compiled only if it has at least 300.
     names : sequence of str
         Names of the derived functions.
     make : callable

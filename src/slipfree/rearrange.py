@@ -92,8 +92,9 @@ def rearrange(
 ) -> Dae:
     """Return a model with rearranged states, unknowns and inputs.
 
-    Former states that are not states of the new model are zero in initial guesses; in numeric
-    checks the same holds for former states and unknowns.
+    Former states that are not states of the new model are zero in initial guesses. In numeric
+    checks, former states and unknowns that are neither states nor unknowns of the new model are
+    zero.
 
     Parameters
     ----------
@@ -141,16 +142,16 @@ def substitute(dae: Dae, symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> D
     """
     before, after = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *values)
 
-    def put(expression: ca.SX) -> ca.SX:
+    def new(expression: ca.SX) -> ca.SX:
         return ca.substitute(expression, before, after)
 
     return replace(
         dae,
-        ode=put(dae.ode),
-        alg=tuple(put(rows) for rows in dae.alg),
-        quad=put(dae.quad),
-        y=unpack(dae.y, [put(each) for each in leaves(dae.y)]),
-        limits=tuple(limit._replace(expression=put(limit.expression)) for limit in dae.limits),
+        ode=new(dae.ode),
+        alg=tuple(new(rows) for rows in dae.alg),
+        quad=new(dae.quad),
+        y=unpack(dae.y, [new(each) for each in leaves(dae.y)]),
+        limits=tuple(limit._replace(expression=new(limit.expression)) for limit in dae.limits),
     )
 
 

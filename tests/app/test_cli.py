@@ -334,8 +334,8 @@ def test_path_from_a_file(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("places", "words"),
     [
-        (["-o", "p.toml"], "p.toml: expected a file of its own, found the problem file"),
-        (["-o", "a.nc", "--csv", "a.nc"], "a.nc: expected a file of its own, found another output"),
+        (["-o", "p.toml"], "p.toml: expected a separate file, found the problem file"),
+        (["-o", "a.nc", "--csv", "a.nc"], "a.nc: expected a separate file, found another output"),
         (["-o", "a.nc", "--figures", "p.toml"], "p.toml: expected a folder for figures"),
     ],
 )

@@ -446,7 +446,7 @@ def test_commands_for_other_problems_say_so():
         (("vehicle", path), "use slipfree run"),
         (("run", path, "--cross-check"), "expected 'direct' for --cross-check, found 'climb'"),
         (("run", path, "--animation", "a.mp4"), "a.mp4: expected a name that ends in .gif"),
-        (("run", path, "--animation", path), "expected a file of its own"),
+        (("run", path, "--animation", path), "expected a separate file"),
         (
             ("run", str(PROBLEMS / "paper_direct.toml"), "--animation", "a.gif"),
             "expected 'climb' for --animation, found 'direct'",

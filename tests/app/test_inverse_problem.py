@@ -375,7 +375,7 @@ def test_what_belongs_to_direct_kinematics_is_refused() -> None:
     assert "expected 'compare' for this command, found 'inverse'; use slipfree run p.toml" in (
         _refused("compare", "p.toml")
     )
-    assert "way.csv: expected a file of its own, found the input way.csv" in _refused(
+    assert "way.csv: expected a separate file, found the input way.csv" in _refused(
         "run", "file.toml", "-o", "way.csv"
     )
 

@@ -161,7 +161,7 @@ def test_what_cannot_be_exported(tmp_path: Path) -> None:
     assert {each.name for each in tmp_path.iterdir()} == {"map.tif", "p.toml", "out.nc"}
     taken = tmp_path / "out.csv"
     out.rename(taken)
-    with pytest.raises(DataError, match="expected a file of its own, found the result file"):
+    with pytest.raises(DataError, match="expected a separate file, found the result file"):
         export_path(taken, taken)
 
     netcdf.write(out, replace(found, columns={"x": found.columns["x"]}))

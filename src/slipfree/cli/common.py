@@ -173,7 +173,7 @@ def check_places(files: list[Path | None], folder: Path | None, problem: Problem
         target = resolve_links(path)
         if target in taken:
             raise DataError(
-                f"{path}: expected a file of its own, found {taken[target]}; choose another name"
+                f"{path}: expected a separate file, found {taken[target]}; choose another name"
             )
         taken[target] = "another output"
         check_place(path)
@@ -200,7 +200,7 @@ def check_apart(out: Path, files: Sequence[Path]) -> None:
     """Raise DataError if an output file is one of the result files to read."""
     if resolve_links(out) in map(resolve_links, files):
         raise DataError(
-            f"{out}: expected a file of its own, found the result file; choose another name"
+            f"{out}: expected a separate file, found the result file; choose another name"
         )
 
 

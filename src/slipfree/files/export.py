@@ -115,7 +115,7 @@ def _choose_writer(out: Path, file: Path, writers: Mapping[str, Write]) -> Write
         )
     if resolve_links(out) == resolve_links(file):
         raise DataError(
-            f"{out}: expected a file of its own, found the result file; choose another name"
+            f"{out}: expected a separate file, found the result file; choose another name"
         )
     return writers[out.suffix.lower()]
 

@@ -53,8 +53,8 @@ class Opened(NamedTuple):
         Key that distinguishes grounds with the same slot.
     function : casadi Function
         ``[x, y, key] -> [x_0, y_0, h, h_x, h_xx, h_xxx, h_y, h_xy, ...]``: the centre of the cell
-        and the 16 derivatives there, in local coordinates. The slot is not reused while the function, or
-        any function that contains it, exists.
+        and the 16 derivatives there, in local coordinates. The slot is not reused while
+        the function, or any function that contains it, exists.
     library : ctypes.CDLL
         The compiled evaluator.
     """

@@ -225,7 +225,7 @@ def ramp(
     start, end : float
         Values of y where the ramp begins and ends, ``start < end``. [m]
     rise : float
-        Height added behind the ramp; nothing is added before it. [m]
+        Height added behind the ramp; the ground before the ramp is unchanged. [m]
     smooth : bool
         True: slope and curvature are continuous, the steepest slope is 15/8 of the mean.
         False: a constant slope between two edges.
