@@ -74,7 +74,7 @@ class Opened(NamedTuple):
 
 
 def register_ground(table: Array, layout: Layout) -> Opened | None:
-    """Register a ground with the compiled evaluator; return None if that is missing or full.
+    """Register a ground with the compiled evaluator; return None without evaluator or free slot.
 
     Parameters
     ----------
