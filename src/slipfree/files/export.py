@@ -152,7 +152,7 @@ def _map_positions(run: Trajectory) -> dict[str, tuple[str, Array]]:
 
 def _write_path(run: Trajectory, out: Path) -> None:
     """Write the path and the attitude of the platform as CSV."""
-    crs = run.attributes.get("map_crs", "unknown reference system")
+    crs = run.attributes.get("map_crs", "no reference system given")
     columns = {
         name: Column(
             Label(name, unit, f"{name} of the platform's centre on the map ({crs})"), values
@@ -176,7 +176,7 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
         "type": "Feature",
         "properties": {
             "title": run.attributes.get("title", "path"),
-            "reference_system": crs or "unknown: the coordinates are those of the map file",
+            "reference_system": crs or "not given: coordinates of the map file",
             "time_s": run.t.tolist(),
         },
         "geometry": {"type": "LineString", "coordinates": [*zip(*positions, strict=True)]},
