@@ -190,10 +190,10 @@ def test_a_result_without_a_problem_has_no_figures(tmp_path: Path) -> None:
     netcdf.write(file, replace(motion, attributes=kept))
     result = _invoke(str(file), "-o", str(tmp_path / "bare.html"))
     assert result.exit_code == 0
-    assert "warning: figures: None: the result holds no problem file" in result.stderr
+    assert "warning: figures: None: the result contains no problem file" in result.stderr
     text = (tmp_path / "bare.html").read_text()
     assert "<img" not in text
-    assert "its ground is not known" in text
+    assert "its ground is unknown" in text
     assert "To run it again" not in text
 
 
