@@ -119,7 +119,7 @@ def test_keys_that_a_file_has_no_use_for(tmp_path):
     path = written(tmp_path, HEADER + ROWS)
     for key, value in (("cell", 1.0), ("registration", "area")):
         with pytest.raises(
-            DataError, match=f"map.asc: expected no {key} for a file that contains it"
+            DataError, match=f"map.asc: expected no {key} for a raster that contains coordinates"
         ):
             read_map(path, **{key: value})
     with pytest.raises(DataError, match=r"map.asc: expected no spacing for a \.asc file"):
