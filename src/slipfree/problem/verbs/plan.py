@@ -371,8 +371,9 @@ def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
 def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
     """Return the motion at the inputs of an initial guess, simulated with a rough tolerance.
 
-    A motion along a path to a goal with values of x and y ends at its point nearest to the goal. If
-    the integrator fails, the motion ends at its last sample.
+    If the guess follows a path and the goal has x and y, the motion ends at its sample nearest to
+    the goal; ranges of x and y are represented by their middle. If the integrator fails after the
+    first sample, the motion ends where the integrator stopped.
     """
     law, lasts = start
     t = setup.t[: max(int((setup.t <= lasts).sum()), 2)]  # not beyond the end of the path
