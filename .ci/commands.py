@@ -116,7 +116,7 @@ def run(name: str, words: list[str], code: int) -> None:
     begun = time.perf_counter()
     done = subprocess.run(words, text=True, capture_output=True)
     print(f"{time.perf_counter() - begun:6.1f} s  {name}", flush=True)
-    if done.returncode != code or (code == 1 and "holds what was reached" not in done.stderr):
+    if done.returncode != code or (code == 1 and "contains the result so far" not in done.stderr):
         told = f"exit code {done.returncode}, expected {code}: {name}"
         raise SystemExit(f"{done.stdout}{done.stderr}{told}")
     for line in done.stderr.splitlines():

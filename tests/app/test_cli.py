@@ -99,7 +99,7 @@ def test_leaving_the_map_saves_the_motion_to_the_edge(folder: Path) -> None:
     assert result.exit_code == 1
     title = "limit reached at t = 1.25 s (map_margin[front])"
     assert re.match(rf"outcome +{re.escape(title)}: wheel front leaves the map", result.stdout)
-    assert result.stderr == f"{title}; p.nc holds what was reached\n"
+    assert result.stderr == f"{title}; p.nc contains the result so far\n"
     motion = netcdf.read(folder / "p.nc")
     assert motion.stop is not None
     assert motion.stop.name == "map_margin[front]"
@@ -119,7 +119,7 @@ def test_a_failing_integrator_saves_what_was_reached(
     result = _invoke("run", "p.toml", "--no-draw", "-o", "q.nc")
     assert result.exit_code == 1
     assert re.match("outcome +solver failure at t = 0.2 s: gave up\n", result.stdout)
-    assert result.stderr == "solver failure at t = 0.2 s; q.nc holds what was reached\n"
+    assert result.stderr == "solver failure at t = 0.2 s; q.nc contains the result so far\n"
     found = netcdf.read(folder / "q.nc")
     assert found.t.size == 3
     assert found.attributes["title"] == "Überfahrt"

@@ -158,7 +158,9 @@ def test_no_equilibrium_is_an_early_stop_with_what_was_reached():
     result = called("run", *settings, code=1)
     assert "no quasi-static equilibrium: headed 180 degrees from uphill" in result.stdout
     assert "the ground offers, 0.1\n" in result.stdout
-    assert re.fullmatch("no equilibrium at t = .* s; p.nc holds what was reached\n", result.stderr)
+    assert re.fullmatch(
+        "no equilibrium at t = .* s; p.nc contains the result so far\n", result.stderr
+    )
     assert netcdf.read(Path("p.nc")).stop.name == "no_equilibrium"
     assert "leans" not in result.stdout  # its wheels are upright
 

@@ -105,14 +105,14 @@ def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(st
     assert "\nplan  " not in result.stdout
     assert "stopped early" not in result.output
     first, second = result.stderr.splitlines()
-    assert first == f"interrupted; {file} holds what was reached"
-    go_on = second.removeprefix("to go on: ")
+    assert first == f"interrupted; {file} contains the result so far"
+    go_on = second.removeprefix("to resume: ")
     settings = " ".join(f"--set {each}" for each in SMALL)
     end = f"-o '{file}' --no-draw --resume '{file}'"
     assert go_on == f"slipfree run {HILLS} {settings} {end}"
     info = CliRunner().invoke(app, ["info", str(file)])
     assert info.stdout.startswith("outcome ")
-    assert f"to go on: slipfree run {HILLS} {settings} --resume '{file}'" in info.stdout
+    assert f"to resume: slipfree run {HILLS} {settings} --resume '{file}'" in info.stdout
     assert begin in report(file).lead
     again = CliRunner().invoke(app, shlex.split(go_on)[1:])
     assert again.exit_code == 0, again.output

@@ -193,7 +193,7 @@ def test_early_ends_and_bad_input_in_json() -> None:
     assert found["result"]["stop"]["time"] == pytest.approx(1.25, abs=1e-5)
     assert (found["outcome"], found["exit_code"]) == ("limit", 1)
     title = "limit reached at t = 1.25 s (map_margin[front])"
-    assert found["errors"] == [f"{title}; p.nc holds what was reached"]
+    assert found["errors"] == [f"{title}; p.nc contains the result so far"]
     assert found["facts"]["outcome"] == f"{title}: {found['result']['stop']['words']}"
     found = _json("check", "p.toml", "--set", "time.step=0", "--set", "solver.tol=1", code=2)
     assert [each.split(":")[0] for each in found["errors"]] == [

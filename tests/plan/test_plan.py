@@ -211,7 +211,7 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
     assert "kept is the last iterate\nlargest violations there" in told
     assert "y at the goal" in told
     assert "one sufficient set; others may exist" in told
-    assert result.stderr == "infeasible; p.nc holds what was reached\n"
+    assert result.stderr == "infeasible; p.nc contains the result so far\n"
     assert netcdf.read(Path("p.nc")).stop.name == "plan"
 
 

@@ -544,6 +544,6 @@ def test_a_plan_behind_its_first_iteration_is_kept(folder, monkeypatch):
     monkeypatch.setattr(ipopt, "largest_violation", pressed)
     found = run(str(HILLS), "-o", "p.nc", *SMALL)
     assert found.exit_code == 130, found.output
-    assert "to go on: slipfree run" in found.stderr
+    assert "to resume: slipfree run" in found.stderr
     assert "--resume p.nc" in found.stderr
     assert netcdf.read(folder / "p.nc").statistics["plan_iterations"] == 1

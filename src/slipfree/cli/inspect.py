@@ -141,7 +141,7 @@ def info(
         words = [(name.replace("_", " "), value) for name, value in attributes.items()]
         tell([outcome_fact(motion), *(each for each in words if each not in facts), *facts])
         if go_on := resume_command(motion, file):
-            say(f"to go on: {go_on}")
+            say(f"to resume: {go_on}")
         say()
         put("outcome", motion.outcome.name.lower)
         put("attributes", lambda: attributes)

@@ -21,9 +21,9 @@ def say_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
     from slipfree.trajectory import outcome_title, outcome_words
 
     words = outcome_words(run) if is_quiet() else outcome_title(run)
-    complain(f"{words}; {out} holds what was reached")
+    complain(f"{words}; {out} contains the result so far")
     if go_on:
-        complain(f"to go on: {go_on}")
+        complain(f"to resume: {go_on}")
 
 
 def resume_command(run: Trajectory, out: Path, *options: str) -> str:

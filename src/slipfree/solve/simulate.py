@@ -93,7 +93,7 @@ def simulate(
         If times, method, events or inputs are not usable or the start is not valid under the
         inputs.
     SolverError
-        If the integrator fails; ``trajectory`` holds what was reached.
+        If the integrator fails; ``trajectory`` contains the motion up to there.
 
     Examples
     --------

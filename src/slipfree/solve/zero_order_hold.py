@@ -63,7 +63,7 @@ def simulate_sampled(
     ModelError
         If the model has algebraic unknowns, or times, inputs or the method are not usable.
     SolverError
-        If CVODES fails; ``trajectory`` holds what was reached.
+        If CVODES fails; ``trajectory`` contains the motion up to there.
     """
     t = check_times(t)
     period = float(t[1] - t[0])
