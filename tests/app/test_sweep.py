@@ -28,17 +28,19 @@ from helpers.sweep_cases import (
     table_rows,
     tasks_of,
 )
+from slipfree import processes
 from slipfree.cli import app
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.files import netcdf
 from slipfree.files.toml.errors import ProblemError
 from slipfree.problem.units import unit_of
+from slipfree.processes import finish_tasks
 from slipfree.show import sweep_figures as show
 from slipfree.show.sweep_results import Swept, Varied
-from slipfree.sweep import cluster, pools
+from slipfree.sweep import cluster
 from slipfree.sweep.grid import axis_of, sweep_of
 from slipfree.sweep.log import Log, Row
-from slipfree.sweep.pools import ProcessPool, finish_tasks
+from slipfree.sweep.pools import ProcessPool
 from slipfree.sweep.table import drawn_grids, grids, sweep_facts, write_table
 from slipfree.sweep.task import Task
 from slipfree.sweep.worker import work
@@ -481,7 +483,7 @@ def test_runs_that_fail_are_rows_and_counted_in_the_bar(
 def test_processes_that_cannot_start_are_no_fault_of_the_runs(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pools, "prepare_process", sys.exit)  # ends at once
+    monkeypatch.setattr(processes, "prepare_process", sys.exit)  # ends at once
     pool = ProcessPool(1)
     with pytest.raises(SlipfreeError, match=r"could not start \(exit code 0\): see its output"):
         list(finish_tasks(tasks_of(file, "time.step=0.1"), pool, lambda: None))

@@ -27,11 +27,12 @@ from helpers.sweep_cases import (
     tasks_of,
 )
 from slipfree.errors import DataError, SlipfreeError
+from slipfree.processes import finish_tasks
 from slipfree.sweep import cluster
 from slipfree.sweep.cluster import Cluster
 from slipfree.sweep.grid import sweep_of
 from slipfree.sweep.log import Log
-from slipfree.sweep.pools import ProcessPool, finish_tasks
+from slipfree.sweep.pools import ProcessPool
 from slipfree.sweep.table import sweep_facts
 from slipfree.sweep.worker import work
 from slipfree.version import __version__

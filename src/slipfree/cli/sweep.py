@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -87,6 +86,7 @@ def sweep(
     """
     with reported():
         from slipfree.codegen_cache import obstacle
+        from slipfree.processes import available_cores
         from slipfree.sweep.grid import sweep_of
         from slipfree.sweep.log import FAILED, LOST
         from slipfree.sweep.table import NAME, choose_figures, drawn_grids, grids, sweep_facts
@@ -95,7 +95,7 @@ def sweep(
             plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked)
         folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
         if dry_run:
-            _tell_plan(plan, folder, processes or _cores())
+            _tell_plan(plan, folder, processes or available_cores())
             return
         if draw:
             _check_figures(folder / FIGURES)
@@ -168,24 +168,18 @@ def _tell_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
 
 
 def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
+    from slipfree.processes import available_cores
     from slipfree.sweep.cluster import Cluster
     from slipfree.sweep.pools import ProcessPool
 
     if scheduler is None:
-        return lambda: ProcessPool(count or _cores())
+        return lambda: ProcessPool(count or available_cores())
     if count is not None:
         raise DataError(
             "--scheduler: expected --scheduler or --processes, found both; a cluster has as many "
             "processes as workers"
         )
     return lambda: Cluster(scheduler, warn)
-
-
-def _cores() -> int:
-    """Return the number of processors available to this process."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -43,6 +44,15 @@ from slipfree.plan.polynomial_motion import (
 from slipfree.plan.prices import Price, limit_prices
 from slipfree.plan.problem import Range, task_of
 from slipfree.plan.stage import Cost
+from slipfree.plan.starts import (
+    INACCURATE,
+    NOT_SOLVED,
+    PATH_SAMPLES,
+    SOLVED,
+    VERIFIED,
+    LocalOptimum,
+    further_guesses,
+)
 from slipfree.plan.transcription import CollocationMesh, PlanTask, Program, transcribe
 from slipfree.plan.verification import Verification, inputs_along, refine_mesh, verify_plan
 from slipfree.plan.warm_start import SavedPlan, local_motion, save_plan
@@ -120,6 +130,8 @@ class Plan:
         All that was solved.
     saved : Saved
         From which another plan may start.
+    optima : tuple of LocalOptimum
+        Plans of all starts of the search, this one first.
     """
 
     run: Trajectory
@@ -136,6 +148,7 @@ class Plan:
     solution: Solution
     stages: tuple[SolvedStage, ...]
     saved: SavedPlan
+    optima: tuple[LocalOptimum, ...] = ()
 
     def __repr__(self) -> str:
         units = {cost.label.name: cost.label.unit for cost in self.program.task.costs}
@@ -166,7 +179,8 @@ class Plan:
 class _SearchState(NamedTuple):
     """The last solved program of a search, its initial guess, and all stages so far.
 
-    ``run`` is the solution at its points, once it has been looked at.
+    ``run`` is the solution at its points, once it has been looked at; ``name`` and ``number``
+    are those of the guess.
     """
 
     program: Program
@@ -174,6 +188,8 @@ class _SearchState(NamedTuple):
     first: Array
     stages: tuple[SolvedStage, ...]
     run: Trajectory | None = None
+    name: str = ""
+    number: int = 0
 
 
 @computing
@@ -197,6 +213,8 @@ def plan(
     accuracy: float = 1e-3,
     options: SolverOptions = SolverOptions(),
     step: float = SAMPLE_STEP,
+    starts: int = 1,
+    seed: int = 0,
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
 ) -> Plan:
@@ -211,7 +229,7 @@ def plan(
         Its last sample is where the plan begins.
     guess : Trajectory or sequence of Trajectory
         Motions of the model from there, roughly to the goal, whose paths and inputs start the
-        search; of several the one that leads to the least cost counts.
+        search; of several the one that leads to the verified plan of least cost counts.
     goal : mapping of str to float or (low, high), or sequence of Limit
         Values or ranges of states and unknowns by name at the end, in map coordinates; or
         conditions in the model's symbols. [m, rad]
@@ -242,6 +260,11 @@ def plan(
         compile the functions of the program.
     step : float
         Of the simulation, between its samples at most. [s]
+    starts : int
+        Least number of guesses: further ones have the inputs of the first reversed, where bounds
+        allow it, and perturbed. ``Plan.optima`` has the plans of all.
+    seed : int
+        Of the perturbations.
     resume : SavedPlan, optional
         A plan from which to start instead, on another mesh, ground or goal as well; from another
         state, the part after the nearest one counts.
@@ -299,22 +322,24 @@ def plan(
         inputs=inputs,
         accelerations=accelerations,
     )
-    if intervals < 1:
-        raise ModelError(f"plan: expected one interval or more, found {intervals}")
+    for name, number in (("interval", intervals), ("start", starts)):
+        if number < 1:
+            raise ModelError(f"plan: expected one {name} or more, found {number}")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
-    guesses = [guess] if isinstance(guess, Trajectory) else list(guess)
     if resume is None:
-        search = _solve_guesses(transcribe(task, mesh, options), guesses, progress)
+        given = [guess] if isinstance(guess, Trajectory) else list(guess)
+        guesses = _named_guesses(task, start, given, starts, seed)
+        searches = _solve_guesses(transcribe(task, mesh, options), guesses, progress)
     else:
-        search = _solve_resumed(task, mesh, resume, options, progress)
+        searches = [_solve_resumed(task, mesh, resume, options, progress)]
 
     def verify(search: _SearchState) -> Verification:
         program, unknowns = search.program, search.found.unknowns
         return verify_plan(program, unknowns, start, accuracy=accuracy, step=step)
 
-    search, verification = _refine(_add_limits(search, progress), verify, progress)
-    result = _to_plan(search, verification)
+    search, verification, optima = _best_verified(searches, verify, progress)
+    result = replace(_to_plan(search, verification), optima=optima)
     iterations = sum(stage.iterations for stage in search.stages)
     statistics = {
         "cpu_seconds": time.process_time() - clock,
@@ -324,31 +349,86 @@ def plan(
     return replace(result, run=replace(result.run, statistics=statistics))
 
 
+def _named_guesses(
+    task: PlanTask, start: Trajectory, given: Sequence[Trajectory], starts: int, seed: int
+) -> list[tuple[str, Trajectory]]:
+    """Return the given guesses and further ones, up to a number of starts, with names."""
+    if not given:
+        raise ModelError("plan: expected at least one motion to start from, found none")
+    named = [(f"guess {number}", each) for number, each in enumerate(given, 1)]
+    missing = max(starts - len(given), 0)
+    return [*named, *further_guesses(task.dae, start, given[0], task.inputs, missing, seed)]
+
+
 def _solve_guesses(
-    program: Program, guesses: Sequence[Trajectory], progress: PlanProgress | None
-) -> _SearchState:
-    """Solve from each guess and return the solution of least cost."""
-    best: _SearchState | None = None
-    stages: tuple[SolvedStage, ...] = ()
-    for number, guess in enumerate(guesses, 1):
+    program: Program, guesses: Sequence[tuple[str, Trajectory]], progress: PlanProgress | None
+) -> list[_SearchState]:
+    """Solve from each guess, and return the solutions, the best first."""
+    found: list[_SearchState] = []
+    for number, (name, guess) in enumerate(guesses, 1):
         of = f"start {number} of {len(guesses)}, " if len(guesses) > 1 else ""
         search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
-        stages += search.stages
-        if best is None or _is_better(program, search.found, best.found):
-            best = search
+        found.append(search._replace(name=name, number=number))
         if search.found.status == STOPPED_STATUS:
             break
-    if best is None:
-        raise ModelError("plan: expected at least one motion to start from, found none")
-    return best._replace(stages=stages)
+    return sorted(found, key=partial(_rank, program))
 
 
-def _is_better(program: Program, one: Solution, other: Solution) -> bool:
-    if one.success != other.success:
-        return one.success
-    if not one.success:
-        return largest_violation(program, one.rows) < largest_violation(program, other.rows)
-    return one.cost < other.cost
+def _best_verified(
+    searches: Sequence[_SearchState],
+    verify: Callable[[_SearchState], Verification],
+    progress: PlanProgress | None,
+) -> tuple[_SearchState, Verification, tuple[LocalOptimum, ...]]:
+    """Return the first search that is verified, or the first one, and the table of all.
+
+    Meshes are refined and plans simulated in order, up to the first one that is accurate.
+    """
+    tried: list[tuple[_SearchState, Verification]] = []
+    for search in searches:
+        tried.append(_refine(_add_limits(search, progress), verify, progress))
+        last, verification = tried[-1]
+        stopped = last.stages[-1].status == STOPPED_STATUS
+        if verification.accurate or not last.found.success or stopped:
+            break
+    best = tried[-1] if tried[-1][1].accurate and tried[-1][0].found.success else tried[0]
+    kept = [each for each, _ in tried] + list(searches[len(tried) :])
+    rows = [
+        _local_optimum(each, tried[k][1].accurate if k < len(tried) else None)
+        for k, each in enumerate(kept)
+    ]
+    first = next(k for k, each in enumerate(kept) if each is best[0])
+    others = sorted((row for k, row in enumerate(rows) if k != first), key=lambda row: row.rank)
+    stages = [stage for each in sorted(searches, key=attrgetter("number")) for stage in each.stages]
+    pairs = [(one[0], before) for one, before in zip(tried, searches, strict=False)]
+    for after, before in sorted(pairs, key=lambda pair: pair[0] is best[0]):
+        stages += after.stages[len(before.stages) :]
+    return best[0]._replace(stages=tuple(stages)), best[1], (rows[first], *others)
+
+
+def _local_optimum(search: _SearchState, accurate: bool | None) -> LocalOptimum:
+    """Return the row of a search in the table of optima; ``accurate`` is None if not simulated."""
+    program, found = search.program, search.found
+    outcomes = {None: SOLVED, True: VERIFIED, False: INACCURATE}
+    motion, names = motion_of(program, found.unknowns), ["x", "y"]
+    states = [label.full for label in leaves(program.task.dae.labels.x)]
+    rows = [states.index(name) for name in names if name in states]
+    return LocalOptimum(
+        search.name,
+        outcomes[accurate] if found.success else NOT_SOLVED,
+        found.cost,
+        _cost_terms(program, found),
+        motion.duration,
+        sum(stage.seconds["total"] for stage in search.stages),
+        motion.states(np.linspace(0, 1, PATH_SAMPLES))[rows],
+    )
+
+
+def _rank(program: Program, search: _SearchState) -> tuple[bool, float]:
+    """Return the key that is least for the best of several searches."""
+    found = search.found
+    return not found.success, found.cost if found.success else largest_violation(
+        program, found.rows
+    )
 
 
 def _solve_in_stages(
@@ -471,7 +551,8 @@ def _solve_anew(
     program = transcribe(task, mesh, search.program.options)
     first = transfer_motion(former, program)
     more = _solve_stage(program, first, words, 1.0, progress, _warm_guess(program, first))
-    return more._replace(stages=search.stages + more.stages)
+    stages = search.stages + more.stages
+    return more._replace(stages=stages, name=search.name, number=search.number)
 
 
 def _warm_guess(program: Program, first: Array) -> Solution:
@@ -524,15 +605,7 @@ def _refine(
 
 
 def _to_plan(search: _SearchState, verification: Verification) -> Plan:
-    program, found, first, stages, run = search
-    values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
-    units = np.eye(program.problem["p"].numel())
-    costs = {
-        cost.label.name: float(values(found.unknowns / program.scale, unit))
-        for cost, unit in zip(program.task.costs, units, strict=False)
-    }
-    if program.task.smooth:
-        costs["smoothness"] = float(values(found.unknowns / program.scale, units[-1]))
+    program, found, first, stages, run, *_ = search
     run = sample_plan(program, found.unknowns) if run is None else run
     if not found.success:
         why = explanation(program, found, first)
@@ -546,7 +619,7 @@ def _to_plan(search: _SearchState, verification: Verification) -> Plan:
         verification.difference,
         verification.violation,
         verification.units,
-        costs,
+        _cost_terms(program, found),
         found.success,
         verification.accurate,
         program,
@@ -554,3 +627,16 @@ def _to_plan(search: _SearchState, verification: Verification) -> Plan:
         stages,
         save_plan(program, found),
     )
+
+
+def _cost_terms(program: Program, found: Solution) -> dict[str, float]:
+    """Return the integrals of the terms of the cost by name, in their units."""
+    values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
+    units = np.eye(program.problem["p"].numel())
+    costs = {
+        cost.label.name: float(values(found.unknowns / program.scale, unit))
+        for cost, unit in zip(program.task.costs, units, strict=False)
+    }
+    if program.task.smooth:
+        costs["smoothness"] = float(values(found.unknowns / program.scale, units[-1]))
+    return costs

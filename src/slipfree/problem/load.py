@@ -76,6 +76,11 @@ def load_variants(
         yield _from_text(verbs_of("run"), Path(path), text, settings, varied)
 
 
+def load_again(path: Path, text: str, settings: Sequence[str]) -> Problem[Any]:
+    """Return a problem from the text that its file had; see `load_problem`."""
+    return _from_text(verbs_of("run"), path, text, settings)
+
+
 def load_earlier(path: str | Path, settings: Sequence[str] = ()) -> Problem[Any]:
     """Return a problem that this or an earlier version has run; see `load_problem`."""
     return _load(verbs_of("run"), path, settings, earlier=True)

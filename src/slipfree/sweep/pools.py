@@ -1,86 +1,23 @@
-"""Pools that do the runs of a sweep: an interface, the loop over futures, processes.
+"""Pool of processes that do the runs of a sweep.
 
 `slipfree.sweep.cluster` has the pool of a Dask cluster.
 """
 
 from __future__ import annotations
 
-import os
-import signal
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from itertools import islice
-from multiprocessing.context import SpawnContext
-from multiprocessing.process import BaseProcess
-from queue import Empty, SimpleQueue
-from typing import Any, Protocol
+from concurrent.futures import Future
 
-from slipfree.errors import SlipfreeError
+from slipfree.processes import Pool as AnyPool
+from slipfree.processes import ProcessDiedError, Processes
 from slipfree.sweep.log import LOST
-from slipfree.sweep.process import prepare_process, run_task
+from slipfree.sweep.process import run_task
 from slipfree.sweep.task import Done, Task, without_motion
-from slipfree.threads import NAMES
 
-TICK = 0.2  # between two polls [s]
-Poll = Callable[[], None]
+Pool = AnyPool[Task, Done]
 
 
-class Pool(Protocol):
-    """Interface of the pools, which do many tasks at a time."""
-
-    def room(self) -> int:
-        """Return the number of tasks that it takes now, at least 1; raise if it is lost."""
-
-    def submit(self, task: Task) -> Any:
-        """Return a future with the interface of `concurrent.futures`."""
-
-    def result(self, future: Any, task: Task) -> Done:
-        """Return the result of a finished future: a lost row if the run's process died."""
-
-    def close(self) -> None:
-        """End all tasks at once."""
-
-
-def finish_tasks(tasks: Iterable[Task], pool: Pool, poll: Poll) -> Generator[Done, None, None]:
-    """Yield the results of tasks in the order of completion.
-
-    Parameters
-    ----------
-    tasks : iterable of Task
-        Taken one by one, when the pool has room.
-    pool : Pool
-        Stays open.
-    poll : callable
-        Called several times a second; an exception of it ends the loop.
-
-    Raises
-    ------
-    SlipfreeError
-        If the pool fails.
-    """
-    waiting, running, finished = iter(tasks), dict[Any, Task](), SimpleQueue[Any]()
-    while True:
-        for task in islice(waiting, max(0, pool.room() - len(running))):
-            future = pool.submit(task)
-            running[future] = task
-            future.add_done_callback(finished.put)
-        if not running:
-            return
-        poll()
-        try:
-            future = finished.get(timeout=TICK)
-        except Empty:
-            continue
-        yield pool.result(future, running.pop(future))
-
-
-class ProcessPool:
+class ProcessPool(Processes[Task, Done]):
     """A pool of processes of one thread each.
-
-    Each process is a `ProcessPoolExecutor` of its own: a process that dies breaks its executor,
-    and with it every future that the executor holds; here that is one run.
 
     Parameters
     ----------
@@ -89,96 +26,17 @@ class ProcessPool:
     """
 
     def __init__(self, count: int) -> None:
-        self._count = count
-        self._idle: list[_Process] = []
-        self._busy: dict[Future[Done], _Process] = {}
-
-    def room(self) -> int:
-        """Return the number of processes."""
-        return self._count
-
-    def submit(self, task: Task) -> Future[Done]:
-        """Return the future of a task."""
-        process = self._idle.pop() if self._idle else _Process()
-        if not process.process.is_alive():  # it was killed while it had nothing to do
-            process = _Process()
-        future = process.executor.submit(run_task, task)
-        self._busy[future] = process
-        return future
+        super().__init__(count, run_task)
 
     def result(self, future: Future[Done], task: Task) -> Done:
-        """Return the result of a future.
+        """Return the result of a future: a lost row if the run's process died.
 
         Raises
         ------
         SlipfreeError
             If its process could not even start: no run is to blame.
         """
-        process = self._busy.pop(future)
-        error = future.exception()
-        if isinstance(error, BrokenProcessPool):
-            process.end()
-            how = _exit_words(process.process.exitcode)
-            if process.started.exception():
-                raise SlipfreeError(
-                    f"a process for the runs could not start ({how}): see its output above; "
-                    "finished runs are kept, and the same command goes on"
-                ) from error
-            return without_motion(task, LOST, f"its process died ({how})")
-        self._idle.append(process)
-        return future.result()
-
-    def close(self) -> None:
-        """Kill all processes."""
-        for process in (*self._idle, *self._busy.values()):
-            process.end()
-
-
-class _SpawnOne(SpawnContext):
-    """The start method `spawn`, since a forked CasADi is not safe; remembers its process."""
-
-    made: BaseProcess
-
-    def Process(self, *args: Any, **more: Any) -> BaseProcess:  # type: ignore[override]  # noqa: N802
-        self.made = super().Process(*args, **more)
-        return self.made
-
-
-class _Process:
-    """An executor of one process."""
-
-    def __init__(self) -> None:
-        context = _SpawnOne()
-        self.executor = ProcessPoolExecutor(1, context, prepare_process)
-        with _for_children():
-            self.started = self.executor.submit(os.getpid)
-        self.process = context.made
-
-    def end(self) -> None:
-        """Kill the process and wait for its end."""
-        self.process.kill()
-        self.executor.shutdown(cancel_futures=True)
-
-
-def _exit_words(code: int | None) -> str:
-    """Return how a process ended, in words."""
-    if code is not None and code < 0:
-        name = signal.Signals(-code).name
-        return f"signal {name}" + ("; was memory short?" if name == "SIGKILL" else "")
-    return f"exit code {code}"
-
-
-@contextmanager
-def _for_children() -> Iterator[None]:
-    """Start processes that use one thread and ignore Ctrl-C from their first import on."""
-    before = {name: os.environ.get(name) for name in NAMES}
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.update(dict.fromkeys(NAMES, "1"))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
+        try:
+            return super().result(future, task)
+        except ProcessDiedError as error:
+            return without_motion(task, LOST, str(error))

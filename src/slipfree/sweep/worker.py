@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from slipfree.errors import SlipfreeError
-from slipfree.problem.load import load_problem
-from slipfree.problem.problem import Problem
+from slipfree.problem.load import load_again
 from slipfree.problem.solve import run_problem
 from slipfree.problem.verbs.registry import verb_of
 from slipfree.sweep.log import FAILED, LOST, Row
@@ -44,7 +40,7 @@ def work(task: Task) -> Done:
 
 
 def _worked(task: Task, begin: float) -> Done:
-    problem = _problem(task)
+    problem = load_again(Path(task.file), task.text, task.settings)
     try:
         result = run_problem(problem)
     except SolverError as error:
@@ -63,13 +59,3 @@ def _worked(task: Task, begin: float) -> Done:
         time.perf_counter() - begin,
     )
     return Done(row, motion, result.arrays) if task.keep else Done(row)
-
-
-def _problem(task: Task) -> Problem[Any]:
-    """Return the problem as it was at the beginning of the sweep."""
-    path = Path(task.file)
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / path.name
-        copy.write_bytes(task.text.encode())
-        problem = load_problem(copy, task.settings)
-    return replace(problem, source=replace(problem.source, path=path))

@@ -22,7 +22,8 @@ from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
 from slipfree.plan.messages import missed_words
 from slipfree.plan.plan import Plan, plan
 from slipfree.plan.prices import prices_words
-from slipfree.plan.problem import limits_of, task_of
+from slipfree.plan.problem import bounds_of, limits_of, task_of
+from slipfree.plan.starts import further_guesses
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
 from slipfree.problem.build_common import (
@@ -53,6 +54,14 @@ from slipfree.problem.verbs.plan_goals import (
     spelled,
     way_points_of,
     ways_of,
+)
+from slipfree.problem.verbs.plan_starts import (
+    StartResult,
+    StartTask,
+    is_solved,
+    solve_starts,
+    start_result,
+    starts_words,
 )
 from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
@@ -183,10 +192,14 @@ class PlanVerb(DriveVerb):
     ) -> tuple[Trajectory, Mapping[str, Array]]:
         """Return the simulated motion of a plan, and the plan as arrays for a warm start."""
         spec = problem.spec
+        progress, table = _iterate_reporter(watch.line), ""
+        if resume is None and spec.plan.starts > 1:
+            resume, table, is_interrupted = _best_start(problem, setup, watch)
+            progress = _stopped if is_interrupted else progress
         with at(problem, ("driver" if spec.driver else "inputs",)):
             guesses = [] if resume else [_guess(setup, start) for start in setup.starts]
         length = resume.motion.duration if resume else float(guesses[0].t[-1])
-        found = find_plan(problem, setup, guesses, resume, _iterate_reporter(watch.line), length)
+        found = find_plan(problem, setup, guesses, resume, progress, length)
         run, stop = found.replay, found.run.stop
         if stop is not None and not found.success:
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
@@ -198,6 +211,7 @@ class PlanVerb(DriveVerb):
             **_optimality(found),
             **_by_friction(setup, found),
             **_by_stiffness(setup, found),
+            **({"plan_starts": table} if table else {}),
         }
         statistics = {**run.statistics, **_statistics(found)}
         return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
@@ -416,6 +430,59 @@ def _iterate_reporter(report: LineCallback | None) -> Callable[[str, Iterate], b
         return True
 
     return progress
+
+
+def _best_start(
+    problem: Problem[plan_schema.Plan], setup: Planning, watch: Watch
+) -> tuple[SavedPlan | None, str, bool]:
+    """Return the best plan of several starts, their table, and whether Ctrl-C ended the search.
+
+    The plan is None if no start is solved.
+    """
+    count = max(problem.spec.plan.starts, len(setup.starts))
+    with at(problem, ("plan",)):
+        found, is_interrupted = solve_starts(problem, count, solve_start, watch.line)
+    saved = found[0].saved if is_solved(found[0]) else None
+    return saved, starts_words(found), is_interrupted
+
+
+def solve_start(task: StartTask) -> StartResult:
+    """Return the plan of one of several starts of a problem."""
+    from slipfree.problem.load import load_again  # which knows all verbs, this one too
+
+    path, text, settings, number = task
+    try:
+        problem = load_again(path, text, settings)
+        setup = PlanVerb().build(problem)
+        first = _guess(setup, setup.starts[0])
+        missing = problem.spec.plan.starts - len(setup.starts)
+        if number < len(setup.starts):
+            name, guess = _start_name(setup, number), _guess(setup, setup.starts[number])
+        else:
+            bounds = bounds_of(setup.dae, problem.spec.bounds)
+            seed = problem.spec.plan.seed
+            further = [*further_guesses(setup.dae, setup.start, first, bounds, missing, seed)]
+            if number - len(setup.starts) >= len(further):
+                return StartResult(number, None, None, "a perturbed guess cannot be simulated")
+            name, guess = further[number - len(setup.starts)]
+        found = find_plan(problem, setup, [guess], None, _going_on, float(first.t[-1]))
+    except SlipfreeError as error:
+        return StartResult(number, None, None, str(error))
+    return start_result(number, name, found)
+
+
+def _start_name(setup: Planning, number: int) -> str:
+    """Return the name of a given initial guess: its law, with a number if there are several."""
+    name = setup.spec.driver.name if setup.spec.driver else "inputs"
+    return name if len(setup.starts) == 1 else f"{name} {number + 1}"
+
+
+def _going_on(_words: str, _iterate: Iterate) -> bool:
+    return True
+
+
+def _stopped(_words: str, _iterate: Iterate) -> bool:
+    return False
 
 
 def find_plan(

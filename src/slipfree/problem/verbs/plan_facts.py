@@ -34,6 +34,10 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
             f"of which {counts['plan_seconds_functions']:.3g} s in functions"
         ),
     )
+    if "plan_starts" in run.attributes:
+        head, *rows = run.attributes["plan_starts"].splitlines()
+        yield "starts", head
+        yield from ((f"  {row.partition(': ')[0]}", row.partition(": ")[2]) for row in rows)
     gaps = [
         (name.removeprefix("plan_difference_"), size)
         for name, size in counts.items()

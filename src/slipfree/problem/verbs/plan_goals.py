@@ -113,17 +113,18 @@ def ways_of(
     if places[-1][0] != "goal":
         where = problem.source.where(("goal",))
         raise ProblemError(f"{where}: expected values for x and y, which a route needs, found none")
-    return _routes(problem, driver, layers, [np.array(place[1:]) for place in places])
+    return _routes(problem, spec, driver, layers, [np.array(place[1:]) for place in places])
 
 
 def _routes(
-    problem: Problem[S], driver: Guide, layers: Traversability, places: list[Array]
+    problem: Problem[S], spec: Plan, driver: Guide, layers: Traversability, places: list[Array]
 ) -> tuple[Array, ...]:
     """Return the points of routes from start to goal; of one route if there are way-points."""
     with at(problem, ("driver",)):
         if len(places) == 2:
+            count = max(driver.count, spec.plan.starts)
             found = routes(
-                layers, places[0], places[1], driver.count, turning_radius=driver.turning_radius
+                layers, places[0], places[1], count, turning_radius=driver.turning_radius
             )
             return tuple(path.points for path in found)
         if driver.count > 1:

@@ -70,6 +70,14 @@ class Search(Record):
         default=True,
         description="whether inputs are continuous and linear on intervals; otherwise constant",
     )
+    starts: Annotated[int, Field(ge=1)] = Field(
+        default=1,
+        description="number of starts, in parallel processes: routes, the guess, reversed gears, "
+        "perturbed inputs; the verified plan of least cost is returned",
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="seed of the perturbations of the starts"
+    )
     accuracy: Positive = Field(
         default=1e-3,
         description="largest deviation of the simulation from the plan and its limits [m, rad]",

@@ -1,0 +1,145 @@
+"""Several starts of a search: further initial guesses, and the table of local optima."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from slipfree.dae import Dae
+from slipfree.records import Array, field_overview, leaves
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import SolverError, Trajectory
+
+PERTURBATION = 0.3  # standard deviation of the perturbation of an input [its rms, or that of all]
+MODES = 4  # cosines of a perturbation over the duration
+MAX_HALVINGS = 4  # of a perturbation under which the motion ends early
+SHORTEST = 0.5  # motion that is long enough for a guess [duration]
+GUESS_TOLERANCE = 1e-5  # of the simulation of guesses [m, rad]
+PATH_SAMPLES = 201  # samples at which the paths of two plans are compared
+SAME_PATH = 1e-3  # largest distance of paths that count as one optimum [m]
+VERIFIED, INACCURATE, SOLVED, NOT_SOLVED = "verified", "inaccurate", "solved", "not solved"
+RANKS = (VERIFIED, SOLVED, INACCURATE, NOT_SOLVED)
+
+
+class LocalOptimum(NamedTuple):
+    """Plan of one start of a search.
+
+    Attributes
+    ----------
+    start : str
+        The initial guess, such as ``"guess 1"``, ``"reversed"`` or ``"perturbed 2"``.
+    outcome : str
+        ``"verified"`` by a simulation, ``"inaccurate"`` in it, ``"solved"`` and not simulated since
+        another plan is better, or ``"not solved"``.
+    cost : float
+        Cost reached, all terms weighted.
+    terms : dict of str to float
+        Integrals of the terms of the cost, in their units.
+    duration : float
+        Duration of the plan. [s]
+    seconds : float
+        Wall time of the search. [s]
+    path : ndarray, shape (2, n)
+        Places at equal fractions of the duration, local; shape (0, n) without ``x`` and ``y``. [m]
+    """
+
+    start: str
+    outcome: str
+    cost: float
+    terms: dict[str, float]
+    duration: float
+    seconds: float
+    path: Array
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Key that is least for the best plan."""
+        return RANKS.index(self.outcome), self.cost
+
+
+def further_guesses(
+    dae: Dae, start: Trajectory, guess: Trajectory, bounds: Array, count: int, seed: int
+) -> Iterator[tuple[str, Trajectory]]:
+    """Yield names and motions of further guesses: reversed gears, then perturbed inputs.
+
+    Parameters
+    ----------
+    dae, start : Dae, Trajectory
+        The model and its start.
+    guess : Trajectory
+        The motion whose inputs are changed.
+    bounds : ndarray, shape (n_u, 2)
+        Bounds of the inputs; gears are reversed if they let every input change its sign.
+    count : int
+        Largest number of guesses; perturbations that cannot be simulated are left out.
+    seed : int
+        Of the perturbations.
+    """
+    t = guess.t - guess.t[0]
+    inputs = np.array([guess.of(label) for label in leaves(dae.labels.u)])
+    sides = bounds[np.abs(inputs).max(axis=1) > 0]
+    if count and ((sides[:, 0] < 0) & (sides[:, 1] > 0)).all():
+        run = _simulated(dae, start, np.clip(-inputs, bounds[:, :1], bounds[:, 1:]), t)
+        if run.t[-1] > 0:
+            count -= 1
+            yield "reversed", run
+    sizes = np.sqrt((inputs**2).mean(axis=1, keepdims=True))
+    sizes = np.where(sizes > 0, sizes, np.sqrt((inputs**2).mean()))
+    for number in range(1, count + 1):
+        rng = np.random.default_rng([seed, number])
+        weights = rng.standard_normal((len(inputs), MODES)) / np.sqrt(MODES)
+        waves = np.cos(np.pi * np.outer(np.arange(MODES), t / t[-1]))
+        change = PERTURBATION * sizes * (weights @ waves)
+        for k in range(MAX_HALVINGS + 1):
+            values = np.clip(inputs + change / 2**k, bounds[:, :1], bounds[:, 1:])
+            run = _simulated(dae, start, values, t)
+            if run.t[-1] >= SHORTEST * t[-1]:
+                yield f"perturbed {number}", run
+                break
+
+
+def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajectory:
+    """Return the motion under inputs, given at times, up to its end or a failure."""
+    names = [label.full for label in leaves(dae.labels.u)]
+    middles = (inputs[:, 1:] + inputs[:, :-1]) / 2
+    rough = SolverOptions(tolerance=GUESS_TOLERANCE)
+    try:
+        return simulate(
+            dae, start, dae.inputs(**dict(zip(names, middles, strict=True))), t, options=rough
+        )
+    except SolverError as error:
+        if error.trajectory is None:
+            raise
+        return error.trajectory
+
+
+def count_distinct(optima: Sequence[LocalOptimum]) -> int:
+    """Return the number of solved plans whose paths differ by more than `SAME_PATH`."""
+    kept: list[Array] = []
+    for each in optima:
+        apart = (np.linalg.norm(each.path - path, axis=0).max(initial=0.0) for path in kept)
+        if each.outcome != NOT_SOLVED and all(gap > SAME_PATH for gap in apart):
+            kept.append(each.path)
+    return len(kept)
+
+
+def distances(optima: Sequence[LocalOptimum]) -> list[float]:
+    """Return the largest distance of each path from that of the first at equal fractions [m]."""
+    first = optima[0].path
+    return [float(np.linalg.norm(each.path - first, axis=0).max(initial=0.0)) for each in optima]
+
+
+def optima_words(optima: Sequence[LocalOptimum]) -> str:
+    """Return a table of local optima, a line each: start, cost, terms, distance from the first."""
+    return "\n".join(
+        f"{each.start}: {each.outcome}, cost {each.cost:.6g} ("
+        + ", ".join(f"{name} {value:.4g}" for name, value in each.terms.items())
+        + f"), {each.duration:.4g} s, {away:.2g} m from the best; {each.seconds:.2g} s of search"
+        for each, away in zip(optima, distances(optima), strict=True)
+    )

@@ -1,0 +1,216 @@
+"""Pools of processes for long tasks: an interface, the loop over futures, spawned processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from itertools import islice
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnContext
+from multiprocessing.process import BaseProcess
+from queue import Empty, SimpleQueue
+from typing import Any, Generic, Protocol, TypeVar
+
+from slipfree.errors import SlipfreeError
+from slipfree.threads import NAMES
+
+TICK = 0.2  # between two polls [s]
+Poll = Callable[[], None]
+T = TypeVar("T")
+D = TypeVar("D")
+T_contra = TypeVar("T_contra", contravariant=True)
+D_co = TypeVar("D_co", covariant=True)
+
+
+class ProcessDiedError(SlipfreeError):
+    """The process of a task died."""
+
+
+class Pool(Protocol[T_contra, D_co]):
+    """Interface of the pools, which do many tasks at a time."""
+
+    def room(self) -> int:
+        """Return the number of tasks that it takes now, at least 1; raise if it is lost."""
+
+    def submit(self, task: T_contra) -> Any:
+        """Return a future with the interface of `concurrent.futures`."""
+
+    def result(self, future: Any, task: T_contra) -> D_co:
+        """Return the result of a finished future."""
+
+    def close(self) -> None:
+        """End all tasks at once."""
+
+
+def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[D, None, None]:
+    """Yield the results of tasks in the order of completion.
+
+    Parameters
+    ----------
+    tasks : iterable
+        Taken one by one, when the pool has room.
+    pool : Pool
+        Stays open.
+    poll : callable
+        Called several times a second; an exception of it ends the loop.
+
+    Raises
+    ------
+    SlipfreeError
+        If the pool fails.
+    """
+    waiting, running, finished = iter(tasks), dict[Any, T](), SimpleQueue[Any]()
+    while True:
+        for task in islice(waiting, max(0, pool.room() - len(running))):
+            future = pool.submit(task)
+            running[future] = task
+            future.add_done_callback(finished.put)
+        if not running:
+            return
+        poll()
+        try:
+            future = finished.get(timeout=TICK)
+        except Empty:
+            continue
+        yield pool.result(future, running.pop(future))
+
+
+class Processes(Generic[T, D]):
+    """A pool of processes of one thread each.
+
+    Each process is a `ProcessPoolExecutor` of its own: a process that dies breaks its executor,
+    and with it every future that the executor holds; here that is one run.
+
+    Parameters
+    ----------
+    count : int
+        Number of processes; they start when they are needed.
+    function : callable
+        Function of a module, which a process calls with a task.
+    """
+
+    def __init__(self, count: int, function: Callable[[T], D]) -> None:
+        self._count, self._function = count, function
+        self._idle: list[_Process] = []
+        self._busy: dict[Future[D], _Process] = {}
+
+    def room(self) -> int:
+        """Return the number of processes."""
+        return self._count
+
+    def submit(self, task: T) -> Future[D]:
+        """Return the future of a task."""
+        process = self._idle.pop() if self._idle else _Process()
+        if not process.process.is_alive():  # it was killed while it had nothing to do
+            process = _Process()
+        future = process.executor.submit(self._function, task)
+        self._busy[future] = process
+        return future
+
+    def result(self, future: Future[D], task: T) -> D:  # noqa: ARG002 - interface of pools
+        """Return the result of a future.
+
+        Raises
+        ------
+        ProcessDiedError
+            If its process died.
+        SlipfreeError
+            If its process could not even start: no task is to blame.
+        """
+        process = self._busy.pop(future)
+        error = future.exception()
+        if isinstance(error, BrokenProcessPool):
+            process.end()
+            how = _exit_words(process.process.exitcode)
+            if process.started.exception():
+                raise SlipfreeError(
+                    f"a process for the runs could not start ({how}): see its output above; "
+                    "finished runs are kept, and the same command goes on"
+                ) from error
+            raise ProcessDiedError(f"its process died ({how})") from error
+        self._idle.append(process)
+        return future.result()
+
+    def close(self) -> None:
+        """Kill all processes."""
+        for process in (*self._idle, *self._busy.values()):
+            process.end()
+
+
+class _SpawnOne(SpawnContext):
+    """The start method `spawn`, since a forked CasADi is not safe; remembers its process."""
+
+    made: BaseProcess
+
+    def Process(self, *args: Any, **more: Any) -> BaseProcess:  # type: ignore[override]  # noqa: N802
+        self.made = super().Process(*args, **more)
+        return self.made
+
+
+class _Process:
+    """An executor of one process."""
+
+    def __init__(self) -> None:
+        context = _SpawnOne()
+        self.executor = ProcessPoolExecutor(1, context, prepare_process)
+        with _for_children():
+            self.started = self.executor.submit(os.getpid)
+        self.process = context.made
+
+    def end(self) -> None:
+        """Kill the process and wait for its end."""
+        self.process.kill()
+        self.executor.shutdown(cancel_futures=True)
+
+
+def _exit_words(code: int | None) -> str:
+    """Return how a process ended, in words."""
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        return f"signal {name}" + ("; was memory short?" if name == "SIGKILL" else "")
+    return f"exit code {code}"
+
+
+@contextmanager
+def _for_children() -> Iterator[None]:
+    """Start processes that use one thread and ignore Ctrl-C from their first import on."""
+    before = {name: os.environ.get(name) for name in NAMES}
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.update(dict.fromkeys(NAMES, "1"))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def available_cores() -> int:
+    """Return the number of processors available to this process."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def prepare_process() -> None:
+    """Prepare a new process: no Ctrl-C, no output on stdout, end with the parent."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent decides
+    warnings.simplefilter("ignore")  # the parent reports them
+    os.dup2(2, 1)  # output of solvers must not get into the summary
+
+
+def _end_with_parent() -> None:
+    """End this process, even in the middle of a run, as soon as its parent ends."""
+    if (parent := parent_process()) is not None:
+        wait([parent.sentinel])
+        os._exit(1)

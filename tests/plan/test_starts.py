@@ -1,0 +1,190 @@
+"""Several starts of a plan: further guesses, local optima, the best verified one, processes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from typer.testing import CliRunner
+
+from slipfree import (
+    Analytic,
+    ModelError,
+    direct_kinematics,
+    follow,
+    load_problem,
+    run_problem,
+    settle,
+    simulate,
+)
+from slipfree import Path as WayPoints
+from slipfree.catalog import three_wheeler
+from slipfree.cli import app
+from slipfree.dae import Limit
+from slipfree.files import netcdf
+from slipfree.files.toml.errors import ProblemError
+from slipfree.outcome import Outcome
+from slipfree.plan import plan as planning
+from slipfree.plan.plan import plan
+from slipfree.plan.starts import count_distinct, distances, further_guesses
+from slipfree.plan.verification import verify_plan
+from slipfree.records import Label
+
+PROBLEM = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+FEW = ("plan.intervals=10", "plan.starts=2")
+FREE = np.array([[-2.0, 2.0]] * 3)
+
+
+def bump(x, y):
+    """A hill beside the straight way, 0.4 m high."""
+    return 0.4 * ca.exp(-(((x - 0.03) / 0.5) ** 2) - ((y - 1.5) / 0.5) ** 2)
+
+
+@pytest.fixture(scope="module")
+def model():
+    vehicle = three_wheeler(axle="fixed")
+    dae = direct_kinematics(vehicle, Analytic(bump))
+    return vehicle, dae, settle(dae)
+
+
+def led(model, side):
+    """Return the motion past the hill on a side."""
+    vehicle, dae, start = model
+    way = WayPoints(np.array([[0.0, 0.0], [0.5 * side, 0.8], [0.9 * side, 1.5], [0.0, 3.0]]))
+    law = follow(dae, vehicle, way, speed=0.25)
+    return simulate(dae, start, law, np.linspace(0, way.length / 0.25, 41))
+
+
+def planned(model, guess, **options):
+    """Return a plan that stays off the top of the hill."""
+    _, dae, start = model
+    top = (dae.x.x - 0.03) ** 2 + (dae.x.y - 1.5) ** 2
+    return plan(
+        dae,
+        start,
+        guess,
+        goal={"x": 0.0, "y": 3.0},
+        costs={"effort": 0.01, "slip": 1e3},
+        duration=16.0,
+        smooth=0.002,
+        intervals=16,
+        inputs=dict.fromkeys(("right_rate", "left_rate", "steer_rate"), (-2.0, 2.0)),
+        limits=[Limit(Label("top", "m2", "the hill is too near"), top, 0.16, np.inf)],
+        accuracy=1e-2,
+        **options,
+    )
+
+
+def test_both_sides_of_a_hill_are_local_optima_and_the_cheaper_one_is_returned(model):
+    left, right = led(model, -1), led(model, 1)
+    one, other = planned(model, left), planned(model, right)
+    both = planned(model, [left, right])
+    assert both.success
+    assert both.solution.cost == min(one.solution.cost, other.solution.cost)
+    assert [each.cost for each in both.optima] == sorted(each.cost for each in both.optima)
+    assert both.optima[0].outcome == "verified"
+    assert both.optima[1].outcome == "solved"
+    assert distances(both.optima)[1] > 0.5
+    assert count_distinct(both.optima) == 2
+
+
+def test_the_best_verified_plan_counts(model, monkeypatch):
+    """The simulation of the cheapest plan is made to miss it."""
+    calls = []
+
+    def missed(*args, **options):
+        found = verify_plan(*args, **options)
+        calls.append(found)
+        worse = np.zeros_like(found.worse)
+        return found._replace(accurate=len(calls) > 1, worse=worse)
+
+    monkeypatch.setattr(planning, "verify_plan", missed)
+    both = planned(model, [led(model, -1), led(model, 1)])
+    assert both.accurate
+    assert [each.outcome for each in both.optima] == ["verified", "inaccurate"]
+    assert both.optima[0].cost > both.optima[1].cost
+    assert both.solution.cost == both.optima[0].cost
+
+
+def test_further_guesses_depend_on_the_seed_alone_and_keep_to_bounds(model):
+    _, dae, start = model
+    inputs = dae.inputs(right_rate=0.5, left_rate=0.5, steer_rate=0.0)
+    guess = simulate(dae, start, inputs, np.linspace(0, 4, 21))
+
+    def rates(bounds=FREE, seed=0):
+        found = further_guesses(dae, start, guess, bounds, 3, seed)
+        return {name: run["right_rate"] for name, run in found}
+
+    first, again, other = rates(), rates(), rates(seed=1)
+    assert list(first) == ["reversed", "perturbed 1", "perturbed 2"]
+    assert first["reversed"].max() < 0
+    for name, values in first.items():
+        assert_array_equal(values, again[name])
+    assert np.abs(first["perturbed 1"] - other["perturbed 1"]).max() > 0.01
+    assert np.abs(first["perturbed 1"] - first["perturbed 2"]).max() > 0.01
+    forward = rates(np.array([[0.0, 0.55], [0.0, 0.55], [-1.0, 1.0]]))
+    assert list(forward) == ["perturbed 1", "perturbed 2", "perturbed 3"]
+    values = np.concatenate(list(forward.values()))
+    assert values.min() >= 0
+    assert values.max() <= 0.55
+
+
+def test_a_plan_from_several_starts_is_reproducible(model):
+    guess = led(model, 1)
+    first, again = (planned(model, guess, starts=2, seed=4) for _ in range(2))
+    assert len(first.optima) == 2
+    assert {each.start for each in first.optima} == {"guess 1", "reversed"}
+    assert_array_equal(first.solution.unknowns, again.solution.unknowns)
+
+
+def test_no_starts_are_refused(model):
+    with pytest.raises(ModelError, match="expected one start or more, found 0"):
+        planned(model, led(model, 1), starts=0)
+
+
+def table(words):
+    """Return the rows of a table of starts without the times of their search."""
+    return re.sub(r"; [^;\n]* s of search", "", words)
+
+
+def test_starts_in_processes_are_those_of_one_process(tmp_path, monkeypatch):
+    out = tmp_path / "p.nc"
+    words = [word for each in FEW for word in ("--set", each)]
+    result = CliRunner().invoke(app, ["run", str(PROBLEM), "-o", str(out), "--no-draw", *words])
+    assert result.exit_code == 0, result.output
+    assert re.search(r"^starts +\d local optim\w+ from 2 starts$", result.stdout, re.MULTILINE)
+    assert re.search(r"^  inputs +verified, cost 0\.\d+ \(slip ", result.stdout, re.MULTILINE)
+    stored = netcdf.read(out)
+    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.available_cores", lambda: 1)
+    alone = run_problem(load_problem(PROBLEM, FEW)).trajectory
+    assert table(stored.attributes["plan_starts"]) == table(alone.attributes["plan_starts"])
+    assert_array_equal(stored["x"], alone["x"])
+
+
+def test_an_interrupt_keeps_the_best_start_so_far(monkeypatch):
+    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.available_cores", lambda: 1)
+
+    def interrupt(phase, line):
+        if phase == "starts" and "1 of 2" in line:
+            raise KeyboardInterrupt
+
+    found = run_problem(load_problem(PROBLEM, FEW), tell=interrupt)
+    assert found.outcome is Outcome.INTERRUPTED
+    assert "from 1 starts" in found.trajectory.attributes["plan_starts"]
+    assert found.trajectory["y"][-1] == pytest.approx(2.6, abs=1e-3)
+
+
+def test_starts_that_cannot_be_simulated_are_an_error(monkeypatch):
+    monkeypatch.setattr("slipfree.problem.verbs.plan_starts.available_cores", lambda: 1)
+
+    def fail(*_args, **_options):
+        raise ModelError("no guess")
+
+    problem = load_problem(PROBLEM, FEW)
+    monkeypatch.setattr("slipfree.problem.verbs.plan.find_plan", fail)
+    with pytest.raises(ProblemError, match="no start can be simulated: no guess"):
+        run_problem(problem)
