@@ -30,23 +30,23 @@ D_co = TypeVar("D_co", covariant=True)
 
 
 class ProcessDiedError(SlipfreeError):
-    """The process of a task died."""
+    """Death of the process that executes a task."""
 
 
 class Pool(Protocol[T_contra, D_co]):
-    """Interface of the pools, which do many tasks at a time."""
+    """Interface of the pools, which execute several tasks at the same time."""
 
     def room(self) -> int:
-        """Return the number of tasks that it takes now, at least 1; raise if it is lost."""
+        """Return the largest number of open tasks, at least 1; raise SlipfreeError if lost."""
 
     def submit(self, task: T_contra) -> Any:
-        """Return a future with the interface of `concurrent.futures`."""
+        """Start a task; return its future, with the interface of `concurrent.futures`."""
 
     def result(self, future: Any, task: T_contra) -> D_co:
         """Return the result of a finished future."""
 
     def close(self) -> None:
-        """End all tasks at once."""
+        """Terminate all tasks immediately."""
 
 
 def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[D, None, None]:
@@ -55,11 +55,11 @@ def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[
     Parameters
     ----------
     tasks : iterable
-        Taken one by one, when the pool has room.
+        Tasks, taken one by one when the pool accepts another task.
     pool : Pool
-        Stays open.
+        Pool that executes the tasks; it remains open.
     poll : callable
-        Called several times a second; an exception of it ends the loop.
+        Called several times per second; an exception that it raises ends the loop.
 
     Raises
     ------
@@ -83,17 +83,17 @@ def finish_tasks(tasks: Iterable[T], pool: Pool[T, D], poll: Poll) -> Generator[
 
 
 class Processes(Generic[T, D]):
-    """A pool of processes of one thread each.
+    """Pool of processes with one thread each.
 
-    Each process is a `ProcessPoolExecutor` of its own: a process that dies breaks its executor,
-    and with it every future that the executor holds; here that is one run.
+    Each process has a separate `ProcessPoolExecutor`. A process that dies breaks its executor and
+    all futures of the executor; here, this is only one task.
 
     Parameters
     ----------
     count : int
         Number of processes; they start when they are needed.
     function : callable
-        Function of a module, which a process calls with a task.
+        Function at module level; a process calls it with a task.
     """
 
     def __init__(self, count: int, function: Callable[[T], D]) -> None:
@@ -102,11 +102,11 @@ class Processes(Generic[T, D]):
         self._busy: dict[Future[D], _Process] = {}
 
     def room(self) -> int:
-        """Return the number of processes."""
+        """Return the number of processes, the largest number of open tasks."""
         return self._count
 
     def submit(self, task: T) -> Future[D]:
-        """Return the future of a task."""
+        """Start a task; return its future."""
         process = self._idle.pop() if self._idle else _Process()
         if not process.process.is_alive():  # it was killed while it had nothing to do
             process = _Process()
@@ -120,9 +120,9 @@ class Processes(Generic[T, D]):
         Raises
         ------
         ProcessDiedError
-            If its process died.
+            If the process of the task died.
         SlipfreeError
-            If its process could not even start: no task is to blame.
+            If the process could not start.
         """
         process = self._busy.pop(future)
         error = future.exception()
@@ -132,7 +132,7 @@ class Processes(Generic[T, D]):
             if process.started.exception():
                 raise SlipfreeError(
                     f"a process for the runs could not start ({how}): see its output above; "
-                    "finished runs are kept, and the same command goes on"
+                    "finished runs are kept; repeat the command to continue"
                 ) from error
             raise ProcessDiedError(f"its process died ({how})") from error
         self._idle.append(process)
@@ -145,7 +145,7 @@ class Processes(Generic[T, D]):
 
 
 class _SpawnOne(SpawnContext):
-    """The start method `spawn`, since a forked CasADi is not safe; remembers its process."""
+    """Start method `spawn` that records its process; a forked CasADi is not safe."""
 
     made: BaseProcess
 
@@ -171,16 +171,16 @@ class _Process:
 
 
 def _exit_words(code: int | None) -> str:
-    """Return how a process ended, in words."""
+    """Return the reason for the end of a process as text, from its exit code."""
     if code is not None and code < 0:
         name = signal.Signals(-code).name
-        return f"signal {name}" + ("; was memory short?" if name == "SIGKILL" else "")
+        return f"signal {name}" + ("; possibly out of memory" if name == "SIGKILL" else "")
     return f"exit code {code}"
 
 
 @contextmanager
 def _for_children() -> Iterator[None]:
-    """Start processes that use one thread and ignore Ctrl-C from their first import on."""
+    """Set up this process so that new child processes use one thread and ignore Ctrl-C."""
     before = {name: os.environ.get(name) for name in NAMES}
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(NAMES, "1"))
@@ -202,7 +202,7 @@ def available_cores() -> int:
 
 
 def prepare_process() -> None:
-    """Prepare a new process: no Ctrl-C, no output on stdout, end with the parent."""
+    """Prepare a new process: ignore Ctrl-C and warnings, print to stderr, end with the parent."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent decides
     warnings.simplefilter("ignore")  # the parent reports them

@@ -105,7 +105,9 @@ def test_a_caster_without_trail_is_named(tmp_path):
     (tmp_path / "cart.toml").write_text((DATA / "cart.toml").read_text())
     found = describe(tmp_path / "cart.toml")
     (fault,) = found.faults
-    assert "on level ground: the model is singular here: nothing determines caster_rate" in fault
+    assert (
+        "on level ground: the model is singular here: no equation determines caster_rate" in fault
+    )
     assert facts(found)["passive joints"] == "1: caster"
 
 

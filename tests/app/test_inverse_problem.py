@@ -276,14 +276,14 @@ def test_failures_along_a_path(monkeypatch: pytest.MonkeyPatch) -> None:
         (["given.velocity_x=[[0, 1]]"], "--set given.velocity_x: expected a number, found"),
         (
             ["given.velocity_x=0", "given.velocity_y=0", "given.heading_rate=0"],
-            "given: the model is singular here: nothing determines steer (steering angle",
+            "given: the model is singular here: no equation determines steer (steering angle",
         ),
         (["path.file=way.csv"], "expected exactly one of given, path, found given and path"),
         (["given="], "p.toml:1: expected exactly one of given, path, found none"),
         (["steering=torque"], "--set steering: expected 'rate' or 'angle', found 'torque'"),
         (
             ["steering=rate"],
-            "p.toml:14: given: the model is singular here: nothing determines steer_rate",
+            "p.toml:14: given: the model is singular here: no equation determines steer_rate",
         ),
         (["vehicle.axle=fixed"], "axle cannot roll without slip, as inverse"),
         (["vehicle.axle=prismatic"], "axle cannot roll without slip, as inverse"),
@@ -337,7 +337,10 @@ def test_what_is_wrong_with_given_rates(settings: list[str], words: str) -> None
             "path.toml:14: path: expected the position and heading of the start, "
             "found x = 0, the vehicle stands at 0.5",
         ),
-        (["steering=rate"], "path.toml:14: path: the model is singular here: nothing determines"),
+        (
+            ["steering=rate"],
+            "path.toml:14: path: the model is singular here: no equation determines",
+        ),
         (["path.bend=1"], "--set path.bend: expected one of t, x, y, heading, file, found"),
     ],
 )

@@ -91,11 +91,11 @@ def test_values_of_a_key(text: str, key: str, values: tuple[str, ...]) -> None:
         ("a=1:2:1", "expected two different ends and 2 to"),
         ("a=1:1:3", "expected two different ends"),
         ("a=1,1", "found 1 twice"),
-        ("a=1,2,1.0", "found 1 and 1.0, which is the same"),
-        ('a=x,"x"', 'found x and "x", which is the same'),
+        ("a=1,2,1.0", "found 1 and 1.0, which are equal"),
+        ('a=x,"x"', 'found x and "x", which are equal'),
         ("a=1e999:2:3", "all finite, found 1e999:2:3"),
         ("a=0:1e999:3", "all finite, found 0:1e999:3"),
-        ("a=x,,y", "found an empty one"),
+        ("a=x,,y", "found an empty value"),
     ],
 )
 def test_values_that_are_none(text: str, words: str) -> None:
@@ -167,7 +167,10 @@ def test_a_seed_that_the_file_leaves_out_is_found() -> None:
     ("words", "said"),
     [
         (["--repeat", "2", "--set", "terrain.synthetic.power_law="], "add a random table such as"),
-        (["--repeat", "2", "--vary", "terrain.synthetic.power_law.seed=1,2"], "which is varied"),
+        (
+            ["--repeat", "2", "--vary", "terrain.synthetic.power_law.seed=1,2"],
+            "which --vary changes",
+        ),
         (["--vary", f"{SPEED}=1,2", "--vary", f"{SPEED}=3,4"], "found driver.speed twice"),
         (["--vary", f"{SPEED}=1,2", "--set", f"{SPEED}=3"], "remove one of the two"),
         (["--vary", f"{SPEED}=1,2", "--set", "driver . 'speed'=3"], "remove one of the two"),
@@ -288,7 +291,7 @@ def test_results_of_another_sweep_are_not_mixed(
     result = sweep_in(whole[0], *GRID, *change)
     assert result.exit_code == 2
     assert said in result.stderr
-    assert "choose another folder with -o, or remove this one" in result.stderr
+    assert "choose another folder with -o, or remove this file" in result.stderr
     assert log_lines(whole[0]) == before
 
 
@@ -361,7 +364,7 @@ def test_the_log_keeps_what_was_written(tmp_path: Path) -> None:
     with Log(path, HEAD) as log:
         assert list(log.rows) == []
         log.append(ROW)
-        with pytest.raises(DataError, match="another process writes to it"):
+        with pytest.raises(DataError, match="no other process writes, found one in use"):
             Log(path, HEAD)
     whole = path.read_bytes()
     path.write_bytes(whole + b'{"run": 2, "sett')

@@ -392,8 +392,8 @@ FAULTS = {
     "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected zero or a positive rate"),
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
-    r"cannot stand at the start: \w+\[\w+\], .* misses by [\d.e+-]+ m": "cannot stand",
-    r"(start is not valid|misses by .*): wheel \w+ leaves the map, .* to its edge\): .* allowed": (
+    r"cannot stand at the start: \w+\[\w+\], .* has a residual of [\d.e+-]+ m": "cannot stand",
+    r"(start is not valid|residual .*): wheel \w+ leaves the map, .* to its edge\): .* allowed": (
         "off the map"
     ),
     r"start is not valid: the ground under wheel \w+ is more concave": "too concave",
@@ -401,7 +401,7 @@ CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"start is not valid: wheel \w+ lies flat": "wheel flat",
     r"start is not valid: the platform overturns": "overturned",
     r"start is not valid: joint \w+ \(.*\) reaches its stop: .*, allowed": "at a stop",
-    r"model is singular here: nothing determines \S+ \(": "singular",
+    r"model is singular here: no equation determines \S+ \(": "singular",
     r"cannot roll without slip: expected \d+ passive .*, found \d": "cannot roll",
     r"wheel \w+: Montana's equations need a tread": "no tread radius",
     r"wheel \w+ has drifted from its position on the vehicle": "not assembled",

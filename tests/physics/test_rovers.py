@@ -287,7 +287,7 @@ def test_noise_that_no_wheel_follows_is_named_and_rolled_away():
 def test_a_caster_without_trail_is_named():
     vehicle = differential_drive(trail=0.0, **LIGHT)
     dae = closure_model(vehicle, FLAT)
-    with pytest.raises(ModelError, match=r"nothing determines caster_angle_rate"):
+    with pytest.raises(ModelError, match=r"no equation determines caster_angle_rate"):
         settle(dae)
 
 

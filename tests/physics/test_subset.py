@@ -202,7 +202,7 @@ def test_straight_ahead_three_rates_are_one_too_many_but_fit():
         wheel_rates(vehicle, direct, stand, forward=0.13, right=0.1, yaw_rate=0.0)
     with pytest.raises(ModelError, match="'right' cannot be imposed: the wheels cannot move"):
         check_authority(vehicle, direct, stand, ("forward", "right", "yaw_rate"))
-    with pytest.raises(ModelError, match="nothing determines multiplier_right"):
+    with pytest.raises(ModelError, match="no equation determines multiplier_right"):
         settle(inverse_kinematics(vehicle, FLAT, given=("forward", "right", "yaw_rate")))
 
 

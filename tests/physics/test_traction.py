@@ -197,7 +197,7 @@ def test_a_fold_is_a_stop_by_name_whatever_the_tolerance():
     for run in runs:
         assert run.stop.name == "fold"
         assert run.outcome is Outcome.NO_EQUILIBRIUM
-        assert "it would go on with a jump, such as front_rate from " in run.stop.words
+        assert "it can continue only with a jump, for example of front_rate from " in run.stop.words
     assert runs[0].stop.t == pytest.approx(runs[1].stop.t, abs=1e-3)
 
 

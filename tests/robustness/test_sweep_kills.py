@@ -118,7 +118,7 @@ def test_a_process_that_dies_costs_one_run(file: Path) -> None:
     aims[0] = True
     row = next(found).row
     assert (row.run, row.outcome) == (2, "lost")
-    assert row.words == "its process died (signal SIGKILL; was memory short?)"
+    assert row.words == "its process died (signal SIGKILL; possibly out of memory)"
     row = next(found).row
     assert (row.run, row.outcome) == (3, "complete")
     assert list(found) == []
@@ -210,7 +210,7 @@ def test_a_scheduler_that_goes_away(file: Path) -> None:
             local.close()
 
     tasks = tasks_of(file, "time.step=0.1", "time.step=0.05")
-    with pytest.raises(SlipfreeError, match="the scheduler went away; finished runs are kept"):
+    with pytest.raises(SlipfreeError, match="to the scheduler is lost; finished runs are kept"):
         list(finish_tasks(tasks, Cluster(local.scheduler_address, print), poll))
 
 
@@ -232,7 +232,7 @@ def test_a_full_disk_is_no_fault_of_the_run(file: Path, monkeypatch: pytest.Monk
         told = dict(sweep_facts(sweep, log.rows, {}, ()))
     assert told["  run 1 lost"] == "OSError: [Errno 28] No space left on device (time.step=0.1)"
     assert told["  run 2 failed"] == "by chance (time.step=0.1)"
-    assert told["  ..."] == "the same command does runs that were lost again"
+    assert told["  ..."] == "the same command repeats lost runs"
     words = ["--vary", "time.step=0.1,0.05", "--processes", "1", "--no-draw"]
     result = sweep_in(file.parent, *words)
     assert result.exit_code == 1

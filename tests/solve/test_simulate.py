@@ -353,8 +353,8 @@ def test_events_are_checked():
     dae = model(lambda _t, _x, u: u, [lambda x, _z: (Label("wall", "m", ""), x.value, -9.0, 9.0)])
     x, start = dae.x.value, settle(dae)
     for events, words in (
-        ([Event(x), Event(x - 1)], "the name 'event' is used twice"),
-        ([Event(x, name="wall")], "the name 'wall' is used twice, by events or by a limit"),
+        ([Event(x), Event(x - 1)], "found 'event' twice; rename the event"),
+        ([Event(x, name="wall")], "found 'wall' twice; rename the event"),
         ([Event(ca.vertcat(x, x))], "expected a scalar SX"),
         ([Event(1.0)], "expected a scalar SX, found 1.0"),
         ([Event(x - ca.SX.sym("q"))], "event 'event': q is not a symbol of the model"),

@@ -32,5 +32,5 @@ def test_a_fold_is_found_whatever_the_size_of_its_jump(size):
     assert run.outcome is Outcome.NO_EQUILIBRIUM
     assert run.t[-1] == pytest.approx(5 / 3, abs=1e-3)
     assert run["square"][-1] == pytest.approx(-size, rel=0.05)
-    assert f"it would go on with a jump, such as square from {-size:.1g}"[:-1] in run.stop.words
+    assert f"only with a jump, for example of square from {-size:.1g}"[:-1] in run.stop.words
     assert f"to {2 * size:.1g}"[:-1] in run.stop.words

@@ -14,7 +14,7 @@ from slipfree.terrain.base import Grid
 
 
 def coarse_axes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Return the axes of the cost grid: those of the ground, or uniform ones with a spacing.
+    """Return the axes of the cost grid: those of the ground, or uniform axes.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def ground_figures(
     half : float
         Half the side of the square that represents the footprint. [m]
     sharpest : float
-        Curvature above which ground counts as too concave. [1/m]
+        Curvature from which on the ground counts as too concave. [1/m]
 
     Returns
     -------
@@ -105,7 +105,7 @@ def _sharpest(p: Array, q: Array, r: Array, s: Array, t: Array) -> Array:
 
 
 def _plane(z: Array, h: tuple[float, float], half: float) -> tuple[Array, Array, Array]:
-    """Return slopes [1] and residual variance [m^2] of the least-squares plane of a square."""
+    """Return slopes [1] and residual variance [m^2] of the plane fitted to each square."""
     left = footprint_mean(z**2, h, half) - footprint_mean(z, h, half) ** 2
     slopes = []
     for axis in (0, 1):
@@ -122,7 +122,7 @@ def _plane(z: Array, h: tuple[float, float], half: float) -> tuple[Array, Array,
 def footprint_mean(
     z: Array, h: tuple[float, float], half: float, axes: tuple[int, ...] = (0, 1)
 ) -> Array:
-    """Return the means over squares of the footprint's size."""
+    """Return the means of ``z`` over squares of the footprint's size about every node."""
     for axis in axes:
         size = 2 * _nodes_within(half, h[axis]) + 1
         z = scipy.ndimage.uniform_filter1d(z, size, axis=axis, mode="nearest")
@@ -130,7 +130,7 @@ def footprint_mean(
 
 
 def _nodes_within(half: float, h: float) -> int:
-    """Return the number of nodes on either side of a square's centre whose cells fill it."""
+    """Return the number of nodes between the centre and an edge of a square, rounded."""
     return round(half / h - 0.5)
 
 
@@ -153,6 +153,6 @@ def axis_step(axis: Array) -> float:
 
 
 def nearest_nodes(axis: Array, at: Array) -> npt.NDArray[np.intp]:
-    """Return the indices of the nearest nodes of a uniform axis."""
+    """Return the indices of the nodes of a uniform axis nearest to positions."""
     cells = np.rint((at - axis[0]) / axis_step(axis))
     return np.asarray(np.clip(cells, 0, axis.size - 1), dtype=np.intp)

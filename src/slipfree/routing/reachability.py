@@ -55,20 +55,20 @@ class Objection(NamedTuple):
 def unreachable(
     layers: Traversability, places: Sequence[tuple[str, float, float]]
 ) -> list[Objection]:
-    """Return objections to positions that a motion should pass; empty if a route passes them.
+    """Return objections to positions that a motion should pass; empty if there are none.
 
     Parameters
     ----------
     layers : Traversability
         The map.
     places : sequence of (str, float, float)
-        Name, and ``x`` and ``y`` in map coordinates; the first is the start. [m]
+        Name, ``x`` and ``y`` of every position in map coordinates; the first is the start. [m]
 
     Returns
     -------
     list of Objection
-        First those about single positions, then those about positions that cannot be reached from
-        the first one.
+        Objections to single positions, then objections to positions that cannot be reached from the
+        start.
     """
     found = [each for place in places if (each := _position_objection(layers, *place))]
     off = {each.place: each.sure for each in found}
@@ -106,6 +106,7 @@ def no_route_words(layers: Traversability, reached: Mask, start: Array, goal: Ar
         f"no route leads from {point_text(start)} to {point_text(goal)}: the ground that can be "
         f"reached ends at {point_text(nearest)}, {gaps[best]:.3g} m from the goal"
         + (f"; beyond it: {why}" if why else "")
+        + "; move the start or the goal"
     )
 
 
@@ -156,7 +157,7 @@ def _separation_objection(
 
 
 def _keep_out_words(layers: Traversability, ends: Ends) -> str:
-    """Return the text of the keep-out regions that divide the map; empty if they do not."""
+    """Return the text of the keep-out regions that separate two nodes; empty without any."""
     if _are_connected(~blocked_by(layers)["keep_out"], ends):
         return ""
     regions = layers.limits.keep_out
@@ -179,13 +180,13 @@ def _divides(
     regions: tuple[Region, ...],
     ends: Ends,
 ) -> bool:
-    """Return whether some keep-out regions divide the map."""
+    """Return whether keep-out regions separate two nodes."""
     limits = layers.limits._replace(keep_out=regions)
     return not _are_connected(~blocked_by(layers._replace(limits=limits))["keep_out"], ends)
 
 
 def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
-    """Return the position and friction of the steepest slope on the easiest route, as text.
+    """Return the text about the steepest slope on the easiest route: position and friction.
 
     The easiest route minimises the largest value of ``used``, the used fraction of the friction.
     """
@@ -209,12 +210,15 @@ def _steepest_words(layers: Traversability, used: Array, ends: Ends) -> str:
 
 
 def _labels(free: Mask) -> Array:
-    """Return labels of the connected pieces of free ground; routes do not cut corners."""
+    """Return the number of the connected region of every free node; 0 for blocked nodes.
+
+    Nodes that touch only at a corner are not connected.
+    """
     return np.asarray(scipy.ndimage.label(free)[0])
 
 
 def _are_connected(free: Mask, ends: Ends) -> bool:
-    """Return whether free ground connects two nodes; these two count as free."""
+    """Return whether free ground connects two nodes; the two nodes count as free."""
     free = free.copy()
     free[ends[0]] = free[ends[1]] = True
     labels = _labels(free)

@@ -23,7 +23,8 @@ OUTLINE_POINTS = 96  # points on the outline of a disc
 class Region(ABC):
     """A keep-out region of a map, in map coordinates.
 
-    Models count from ``ground.origin`` instead: :ref:`local-and-map-coordinates`.
+    Models use coordinates relative to ``ground.origin`` instead
+    (:ref:`local-and-map-coordinates`).
 
     Examples
     --------
@@ -36,7 +37,7 @@ class Region(ABC):
 
     @staticmethod
     def disc(x: float, y: float, radius: float) -> Region:
-        """Return a disc.
+        """Return a keep-out region in the shape of a disc.
 
         Parameters
         ----------
@@ -54,7 +55,7 @@ class Region(ABC):
 
     @staticmethod
     def polygon(points: Sequence[Sequence[float]]) -> Region:
-        """Return the inside of a simple polygon.
+        """Return a keep-out region in the shape of a simple polygon.
 
         Parameters
         ----------
@@ -105,7 +106,7 @@ class Region(ABC):
 
 @dataclass(frozen=True, repr=False)
 class _Disc(Region):
-    """A disc about ``(x, y)``."""
+    """Disc with a centre ``(x, y)`` and a radius, in map coordinates [m]."""
 
     x: float
     y: float
@@ -147,8 +148,9 @@ class _Disc(Region):
         Returns
         -------
         SX, shape (1, 1)
-            The signed distance, rounded at the centre so that it has derivatives there. It is zero
-            on the circle; outside it deviates from the exact distance by at most 5e-7 radii. [m]
+            The signed distance, smoothed near the centre so that it has derivatives there. It is
+            zero on the circle; outside the circle it deviates from the exact distance by at most
+            5e-7 radii. [m]
         """
         soft = (TIP_ROUNDING * self.radius) ** 2
         from_center = ca.sqrt((x - self.x) ** 2 + (y - self.y) ** 2 + soft)
@@ -161,7 +163,7 @@ class _Disc(Region):
 
 @dataclass(frozen=True, repr=False)
 class _Polygon(Region):
-    """The inside of a polygon."""
+    """Inside of a simple polygon with ``points`` in map coordinates [m]."""
 
     points: tuple[tuple[float, float], ...]
 
@@ -259,7 +261,7 @@ class _Polygon(Region):
 
 
 def _turns(points: Array) -> Array:
-    """Return the sine of the left turn at every point."""
+    """Return the sine of the turning angle at every point, positive for a left turn."""
     e = points - np.roll(points, 1, axis=0)
     e /= np.linalg.norm(e, axis=1, keepdims=True)
     after = np.roll(e, -1, axis=0)
@@ -286,7 +288,8 @@ def _check_simple(points: Array) -> None:
     folded = (np.abs(_turns(points)) <= MIN_TURN_SINE) & (np.sum(edges * before, axis=1) < 0)
     if folded.any():
         raise ModelError(
-            f"polygon: the edges at point {int(folded.argmax()) + 1} fold back onto each other"
+            f"polygon: the edges at point {int(folded.argmax()) + 1} fold back onto each other; "
+            "remove this point"
         )
     for first in range(count - 2):
         for second in range(first + 2, count - (first == 0)):
@@ -312,6 +315,6 @@ def _meet(points: Array, first: int, second: int) -> bool:
 
 
 def _side(a: Array, b: Array, p: Array) -> float:
-    """Return the side of a line on which a point lies: left positive, zero on the line."""
+    """Return 1 for a point left of the line from ``a`` to ``b``, -1 right of it, 0 on it."""
     e, f = b - a, p - a
     return float(np.sign(e[0] * f[1] - e[1] * f[0]))

@@ -78,10 +78,10 @@ def route(
     Returns
     -------
     ndarray, shape (n, 2)
-        Way-points from the start to the goal with a distance of half the vehicle's extent, or
-        1/2000 of the route's length if that is more. The cubic spline through them (`Path`) avoids
-        blocked nodes; where there is too little space for such a spline, they are the nodes of the
-        search. [m]
+        Way-points from the start to the goal. Their distance is half the side of the footprint's
+        square (`Limits.half`), or 1/2000 of the route's length if that is more. The cubic spline
+        through them (`Path`) avoids blocked nodes. Where there is too little space for such a
+        spline, they are points of the path between nodes that the search found. [m]
 
     Raises
     ------
@@ -109,8 +109,9 @@ def routes(
     layers, start, goal, turning_radius
         As for `route`.
     count : int
-        Largest number of routes. An alternative is at least a vehicle's width away from every
-        other route at some point, and costs at most twice the cheapest route.
+        Largest number of routes. At some point, an alternative is farther from every other
+        route than the diameter of the vehicle's circle. It costs at most twice as much as the
+        cheapest route.
 
     Raises
     ------
@@ -160,7 +161,7 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
 
 
 def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> Array:
-    """Return the points of the cheapest path on the grid, with start and goal, (n, 2) [m]."""
+    """Return the points of the cheapest path on the grid, with start and goal, shape (n, 2) [m]."""
     first, last = (
         int(np.ravel_multi_index(node_at(layers, *point), cost.shape)) for point in (start, goal)
     )
@@ -203,7 +204,7 @@ def _graph(cost: Array, h: tuple[float, float]) -> scipy.sparse.csr_matrix:
 
 
 def _passed(i: int, j: int) -> tuple[tuple[int, int], ...]:
-    """Return the nodes that a move passes between."""
+    """Return the two nodes between which a move passes, relative to its start, or no nodes."""
     if 0 in (i, j):
         return ()
     if abs(i) == abs(j):
@@ -233,7 +234,7 @@ def _is_another(layers: Traversability, new: Route, found: Sequence[Route]) -> b
 
 
 def _surroundings(layers: Traversability, points: Array, start: Array, goal: Array) -> Array:
-    """Return the proximity of nodes to a route: one on it, decreasing to zero; zero at its ends."""
+    """Return the proximity of all nodes to a route: 1 on it, 0 far from it and at its ends."""
     width = max(2 * layers.limits.reach, HALF_WIDTH * float(np.linalg.norm(goal - start)))
     off = np.ones(layers.cost.shape, dtype=bool)
     off[nodes_at(layers, resample_polyline(points, 0.5 * min(layers.spacing)))] = False

@@ -30,8 +30,12 @@ MIDDLE, EDGE, BEND = np.array([0.5, 0.5]), np.array([-1.0, 1.0]), np.array([1.0,
 class _Field(NamedTuple):
     """Part of the map around a route: finite cost, and distance to the nearest blocked node.
 
-    ``cost`` [1] and ``clearance`` [m], shape (n_x, n_y); ``origin`` in map coordinates and
-    ``spacing``, [m].
+    Attributes
+    ----------
+    cost, clearance : ndarray, shape (n_x, n_y)
+        Smoothed cost per metre [1], and distance to the nearest blocked node [m].
+    origin, spacing : ndarray, shape (2,)
+        Map coordinates of the first node, and distances between nodes. [m]
     """
 
     cost: Array
@@ -41,7 +45,21 @@ class _Field(NamedTuple):
 
 
 class _Objective(NamedTuple):
-    """Weights and bounds of the smoothing objective; weights without unit, lengths [m]."""
+    """Weights and bounds of the smoothing objective.
+
+    Attributes
+    ----------
+    stiff : float
+        Length by which the curvature is multiplied. [m]
+    clear : float
+        Required clearance from blocked nodes. [m]
+    sharpest : float
+        Largest allowed curvature. [1/m]
+    weight : float
+        Weight of the violations of clearance and curvature. [1]
+    step : float
+        Mean distance between points. [m]
+    """
 
     stiff: float
     clear: float
@@ -51,14 +69,14 @@ class _Objective(NamedTuple):
 
 
 def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array:
-    """Return a smooth route near a rough one; the rough one if there is too little space.
+    """Return a smooth route near a route of the search; that route if space is too little.
 
     Parameters
     ----------
     layers : Traversability
         The map.
     rough : ndarray, shape (n, 2)
-        Points of a search over the nodes. [m]
+        Points of the route of the search, in map coordinates. [m]
     turning_radius : float
         Smallest turning radius, kept where there is enough space. [m]
 
@@ -95,7 +113,7 @@ def smooth(layers: Traversability, rough: Array, turning_radius: float) -> Array
 
 
 def _check_path(layers: Traversability, points: Array) -> tuple[bool, float]:
-    """Return whether the path through points is free, and its largest curvature [1/m]."""
+    """Return whether the spline through points is free, and its largest curvature [1/m]."""
     path = Path(points)
     count = math.ceil(path.length / (CHECK_STEP * min(layers.spacing)))
     place = path.at(np.linspace(0, path.length, count + 1))
@@ -104,7 +122,7 @@ def _check_path(layers: Traversability, points: Array) -> tuple[bool, float]:
 
 
 def _field(layers: Traversability, rough: Array, turning_radius: float) -> _Field:
-    """Return the part of the map that smoothing can reach."""
+    """Return cost and clearance on the part of the map that smoothing can reach."""
     (x_min, y_min), (x_max, y_max) = rough.min(axis=0), rough.max(axis=0)
     room = 2 * turning_radius + 4 * layers.limits.half + 4 * max(layers.spacing)
     part = window(layers, (float(x_min), float(x_max), float(y_min), float(y_max)), room)
@@ -133,7 +151,7 @@ def _nearest_free(free: Mask, h: tuple[float, float]) -> tuple[Array, Array]:
 def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
     """Return the points that minimise the smoothing objective, with fixed ends.
 
-    Newton's method with a positive definite part of the Hessian: a gradient method would take
+    Newton's method uses a positive definite part of the Hessian. A gradient method would take
     thousands of steps, because changes propagate slowly along a chain of points.
     """
     if len(points) < 3:
@@ -161,8 +179,9 @@ def _minimise(field: _Field, points: Array, aim: _Objective) -> Array:
 def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, Array]:
     """Return the smoothing objective, its gradient and its Hessian.
 
-    The objective is the integral along the route of ``cost + (stiff curvature)**2 / 2`` and of
-    ``weight`` times the squared relative violations of clearance and curvature.
+    The objective is the integral along the route of ``cost + (stiff curvature)**2 / 2``, plus ``10
+    weight`` times the squared relative violations of clearance and curvature, plus the squared
+    relative deviations of the distances between points from their mean.
 
     Returns
     -------
@@ -205,12 +224,15 @@ def _objective(field: _Field, p: Array, aim: _Objective) -> tuple[float, Array, 
 
 
 def _squares(vectors: Array) -> Array:
-    """Return the dyadic squares of vectors, shape (n, 2, 2)."""
+    """Return the dyadic products of vectors with themselves, shape (n, 2, 2)."""
     return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 
 def _gradient(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
-    """Return the gradient with respect to the points of terms of weighted sums of neighbours."""
+    """Return the gradient of an objective with respect to the points, shape (n, 2).
+
+    Each part has the weights of neighbouring points, and derivatives by their weighted sums.
+    """
     gradient = np.zeros_like(p)
     for weights, part in parts:
         for k, weight in enumerate(weights):
@@ -219,7 +241,7 @@ def _gradient(parts: Iterable[tuple[Array, Array]], p: Array) -> Array:
 
 
 def _banded(parts: Iterable[tuple[Array, Array]], count: int) -> Array:
-    """Return the Hessian for the inner points in upper banded form, shape (6, 2 count - 4)."""
+    """Return the Hessian of the inner points in upper banded form, shape (6, 2 count - 4)."""
     blocks = np.zeros((3, count, 2, 2))  # blocks[o, k] couples point k to point k + o
     for weights, part in parts:
         for a in range(len(weights)):

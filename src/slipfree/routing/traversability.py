@@ -50,7 +50,7 @@ class Limits(NamedTuple):
     steepest : float
         Steepest slope that can be climbed. [rad]
     radius : float
-        Radius of the largest wheel, which a hollow must have at least. [m]
+        Radius of the largest wheel; hollows that are not wider block the vehicle. [m]
     reach : float
         Radius of the circle about the platform's centre that contains all wheels. [m]
     half : float
@@ -85,8 +85,9 @@ class Traversability(NamedTuple):
     hollow : ndarray, shape (n_x, n_y)
         Largest concavity of the ground in any direction; negative on a dome. [1/m]
     friction : ndarray, shape (n_x, n_y), or None
-        Tangent of the slope over the mean friction under the footprint; None if the terrain has
-        no friction coefficient. [1]
+        Tangent of the slope, divided by the mean friction coefficient of the ground under the
+        footprint and by the largest ``grip`` of a wheel; None if the terrain has no friction
+        coefficient. [1]
     limits : Limits
         Limits of the vehicle.
     """
@@ -128,8 +129,8 @@ def traversability(
         Steepest slope that can be climbed; by default the slope that the largest friction can
         hold, or 30 degrees on a ground without friction. [rad]
     spacing : float, optional
-        Distance between nodes; by default that of the grid, or a third of half the vehicle's
-        smaller extent if that is more. [m]
+        Distance between nodes; by default that of the grid, or a sixth of the vehicle's width
+        or length, whichever is smaller, if that is more. [m]
 
     Returns
     -------
@@ -149,8 +150,8 @@ def traversability(
     The cost per metre is ``1 + 4 (slope / steepest)**2 + 4 friction**2 + 10 (roughness /
     radius)**2`` plus ten times the fraction of the ground under the footprint that is too concave.
     Concave ground blocks only the vehicle's centre: whether a wheel enters it depends on the
-    heading, which a plan determines and a route does not. Friction is that of the wheel with the
-    largest ``grip``.
+    heading, which a plan determines and a route does not. The friction coefficient is that of
+    the wheel with the largest ``grip``.
     """
     right, forward, reach = extents(vehicle)
     half, radius = math.sqrt(right * forward), max(wheel.radius for wheel in vehicle.wheels)
@@ -197,9 +198,9 @@ def blocking_reasons(layers: Traversability, x: float, y: float) -> str:
 
 
 def extents(vehicle: Vehicle) -> tuple[float, float, float]:
-    """Return half the width, half the length and the radius of the circle of the vehicle [m].
+    """Return half the width, half the length and the radius of a vehicle's enclosing circle [m].
 
-    In the circle, a wheel counts as a sphere, since it may be steered and tilted; in width and
+    For the circle, a wheel counts as a sphere, since it may be steered and tilted; in width and
     length it counts in its straight position.
     """
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
@@ -249,7 +250,8 @@ def blocked_by(layers: Traversability) -> dict[str, Mask]:
     Returns
     -------
     dict of str to ndarray, shape (n_x, n_y)
-        ``edge, slope, friction, roughness, hollow, keep_out``; a node may be in several.
+        True for blocked nodes, by the reasons ``edge, slope, friction, roughness, hollow,
+        keep_out``; a node may have several reasons.
     """
     x, y, limits = layers.x[:, None], layers.y[None, :], layers.limits
     keep_out = np.zeros(layers.cost.shape, dtype=bool)
@@ -279,16 +281,16 @@ def to_edge(limits: Limits, x: Array, y: Array) -> Array:
 
 
 def window(
-    layers: Traversability, bounds: tuple[float, float, float, float], room: float
+    layers: Traversability, bounds: tuple[float, float, float, float], margin: float
 ) -> tuple[slice, slice]:
-    """Return the slices of the grid inside a rectangle extended by a margin."""
-    i = np.searchsorted(layers.x, (bounds[0] - room, bounds[1] + room)).tolist()
-    j = np.searchsorted(layers.y, (bounds[2] - room, bounds[3] + room)).tolist()
+    """Return the slices of the grid inside a rectangle that is extended by a margin [m]."""
+    i = np.searchsorted(layers.x, (bounds[0] - margin, bounds[1] + margin)).tolist()
+    j = np.searchsorted(layers.y, (bounds[2] - margin, bounds[3] + margin)).tolist()
     return slice(*i), slice(*j)
 
 
 def reasons_by_kind(layers: Traversability, x: float, y: float) -> dict[str, str]:
-    """Return why a vehicle cannot be at a position, as text by the names of `blocked_by`.
+    """Return the reasons why a vehicle cannot be at a position; keys as in `blocked_by`.
 
     Edge and keep-out regions are evaluated at the position itself, the ground at the nearest node.
     Off the map, the edge is the only reason.
@@ -353,7 +355,7 @@ def _ground_reasons(layers: Traversability, i: int, j: int) -> dict[str, str]:
 def nodes_at(
     layers: Traversability, points: Array
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Return the indices of the nodes nearest to points of shape (n, 2)."""
+    """Return the indices of the nodes nearest to points in map coordinates, shape (n, 2)."""
     return nearest_nodes(layers.x, points[:, 0]), nearest_nodes(layers.y, points[:, 1])
 
 
@@ -364,6 +366,6 @@ def node_at(layers: Traversability, x: float, y: float) -> tuple[int, int]:
 
 
 def point_text(point: Point) -> str:
-    """Return the text of a point."""
+    """Return the coordinates of a point as text, rounded to 0.01 m."""
     x, y = (round(float(each), 2) for each in point)
     return f"({x:.10g}, {y:.10g})"

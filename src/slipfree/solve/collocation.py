@@ -1,10 +1,10 @@
-"""Solve motions by collocation, with some states determined by a path instead of a start.
+"""Solve motions by collocation where a path, not an initial value, determines some states.
 
-The rate of such a state, as of a steering angle, enters the equations with a factor that may be
-small and change sign, so that an initial value is forgotten at once or never held: the state
-follows from the path. On every element the states that are sought are polynomials without an
-initial value; the others continue from element to element, so that the elements are solved one
-after the other. The jump of the sought states between elements measures the error.
+The equations contain the rate of such a state, for example of a steering angle, times a factor that
+may be small and may change sign. The effect of an initial value then vanishes at once or grows
+without bound; the path determines the state instead. On every element, these states are polynomials
+without an initial value. The other states are continuous between elements, so that the elements are
+solved one after the other. The difference between the solutions of two degrees measures the error.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ WEAK_SINGULAR_VALUE = (
 
 
 class CollocationElement(NamedTuple):
-    """The motion over one element.
+    """Motion over one element of the collocation.
 
     Attributes
     ----------
     begin, end : float
-        Times of its ends. [s]
+        Times of its beginning and its end. [s]
     first : ndarray, shape (n_x,)
-        States at its beginning.
+        States at the beginning; unused for states without an initial value.
     x, z : ndarray, shape (n_x, k) and (n_z, k)
-        States and unknowns at its points.
+        States and unknowns of the motion at the k collocation points.
     """
 
     begin: float
@@ -64,19 +64,19 @@ class CollocationElement(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CollocationScheme:
-    """Collocation of a DAE under laws, some of whose states have no initial value.
+    """Collocation of a DAE under given inputs; some of its states have no initial value.
 
     Attributes
     ----------
     system : System
-        The DAE.
+        The DAE under its inputs.
     sought : ndarray of bool, shape (n_x,)
-        Which states.
-    basis : Basis
-        The polynomials.
+        True for the states without an initial value.
+    basis : RadauBasis
+        Polynomials on an element.
     point : casadi Function
-        ``(t, x, z) -> (ode, alg, Jacobian of ode and alg in x and z)``, at all points, where
-        ``z`` are the unknowns of the motion.
+        ``(t, x, z) -> (ode, alg, Jacobian of ode and alg by x and z)`` at all collocation points
+        of an element; ``z`` are the unknowns of the motion.
     """
 
     system: System
@@ -85,20 +85,33 @@ class CollocationScheme:
     point: ca.Function
 
     def march(self, t: Array, first: Array, z: Array) -> list[CollocationElement]:
-        """Return the motion over the elements between times, from a start and a guess of ``z``."""
+        """Return the elements of a motion, solved one after the other.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n + 1,)
+            Times of the ends of the n elements. [s]
+        first, z : ndarray, shape (n_x,) and (n_z,)
+            States at the beginning, and an initial guess of the unknowns of the motion.
+
+        Raises
+        ------
+        SolverError
+            If Newton's method fails on an element.
+        """
         elements: list[CollocationElement] = []
         degree, x = len(self.basis.points), first
         for begin, end in pairwise(t):
             guess = CollocationElement(
                 begin, end, first, *(np.repeat(v[:, None], degree, 1) for v in (x, z))
             )
-            elements.append(self._solved(guess))
+            elements.append(self._solve_element(guess))
             first = x = elements[-1].x[:, -1]
             z = elements[-1].z[:, -1]
         return elements
 
-    def _solved(self, element: CollocationElement) -> CollocationElement:
-        """Solve the equations of an element by Newton's method, from a guess of it."""
+    def _solve_element(self, element: CollocationElement) -> CollocationElement:
+        """Return the solution of an element by Newton's method from an initial guess."""
         size, n_x = np.inf, element.x.size
         for _ in range(MAX_NEWTON_STEPS):
             residual, jacobian = self._equations(element)
@@ -120,12 +133,17 @@ class CollocationScheme:
         if not size < ROUNDING_RESIDUAL:
             raise SolverError(
                 f"no motion from t = {element.begin:.4g} to {element.end:.4g} s follows the path "
-                f"(residual {size:.1e}): it may stand still, or be too winding there"
+                f"(largest residual {size:.1e}): the path may stop or bend too sharply there; "
+                "smooth the path or omit this part"
             )
         return element
 
     def _equations(self, element: CollocationElement) -> tuple[Array, Array]:
-        """Return residual and Jacobian; unknowns are ``x``, then ``z``, point by point."""
+        """Return the residual and the Jacobian of an element, shape (n k,) and (n k, n k).
+
+        Equations and unknowns are in the order of ``x``, then ``z``; each component has its values
+        at the k points in succession.
+        """
         (n_x, k), n = element.x.shape, len(element.x) + len(element.z)
         h, tied, free = element.end - element.begin, self.basis.tied, self.basis.free
         t = element.begin + h * self.basis.points
@@ -143,7 +161,10 @@ class CollocationScheme:
         return residual, matrix.reshape(n * k, n * k)
 
     def samples(self, elements: Sequence[CollocationElement], t: Array) -> Samples:
-        """Return the motion at times; the quadratures begin at zero."""
+        """Return the motion at times, with quadratures that are zero at the beginning.
+
+        Unknowns that do not belong to the motion are NaN.
+        """
         ends = np.array([element.end for element in elements])
         which = np.minimum(np.searchsorted(ends, t), len(elements) - 1)
         x, z = (np.zeros((len(v), t.size)) for v in (elements[0].x, elements[0].z))
@@ -168,7 +189,10 @@ class CollocationScheme:
         )
 
     def points(self, elements: Sequence[CollocationElement]) -> tuple[Array, Array]:
-        """Return the times of the start and of all points, and the unknowns there in rows."""
+        """Return the times of the start and of all collocation points, and the unknowns there.
+
+        Their shapes are (n,) and (n_z, n).
+        """
         first, points = elements[0], self.basis.points
         begin = first.z @ self.basis.values(np.zeros(1), tied=False).T
         times = [e.begin + (e.end - e.begin) * points for e in elements]
@@ -176,7 +200,7 @@ class CollocationScheme:
 
 
 def collocation_schemes(system: System, sought: Mask) -> list[CollocationScheme]:
-    """Return the collocations of a DAE under laws at the numbers of points that are tried."""
+    """Return the collocation schemes of a DAE, one for each of `TRIED_DEGREES`."""
     t, x, z = (ca.MX.sym(name, system.core.size1_in(k)) for k, name in enumerate("txz"))
     u = ca.DM(system.u[:, 0])
     ode, alg = system.core(t, x, z, u)
@@ -190,16 +214,16 @@ def collocation_schemes(system: System, sought: Mask) -> list[CollocationScheme]
 
 
 class Drive(NamedTuple):
-    """A motion along a path.
+    """Result of `drive`: a motion, and its unknowns at the collocation points.
 
     Attributes
     ----------
     run : Trajectory
-        The motion.
+        The motion, with a stop if it violates a limit.
     t : ndarray, shape (n,)
         Times of the collocation points. [s]
     unknowns : dict of str to ndarray of shape (n,)
-        The unknowns of the motion at these times, by name.
+        Unknowns of the motion at these times, by name.
     """
 
     run: Trajectory
@@ -217,18 +241,20 @@ def drive(
     sought: Sequence[str],
     options: SolverOptions = SolverOptions(),
 ) -> Drive:
-    """Return the motion of a model some of whose states have no initial value.
+    """Return the motion of a model with states that have no initial value.
 
-    Elements are shortened until two degrees agree on the sought states within the tolerance, or as
-    well as they ever do: on short elements of high degree fast changes count as smooth, and noise
-    of the path is amplified.
+    Elements are shortened until the solutions of two degrees agree on these states within the
+    tolerance. If they never do, the solution with the best agreement is returned, since short
+    elements of high degree amplify noise of the path. The motion ends before the first sample that
+    violates a limit.
 
     Parameters
     ----------
     dae : Dae
         The model.
     start : Trajectory
-        Its last sample is where the motion starts, but for the sought states.
+        Trajectory whose last sample is the start; its values of the states in ``sought`` are only
+        an initial guess.
     inputs : record
         From ``dae.inputs(...)``: constants, or expressions of time.
     t : ndarray, shape (n,)
@@ -236,14 +262,14 @@ def drive(
     sought : sequence of str
         States without an initial value.
     options : SolverOptions
-        Options of the solvers; the tolerance is that of the sought states.
+        Options of the solvers; the tolerance applies to the states in ``sought``.
 
     Raises
     ------
     ModelError
-        If an argument is not usable, or the start is not valid.
+        If an argument is invalid, or the first or second sample violates a limit.
     SolverError
-        If there is no such motion.
+        If the equations of the collocation have no solution.
     """
     t, names = check_times(t), [label.full for label in leaves(dae.labels.x)]
     if not set(sought) <= set(names):
@@ -272,14 +298,14 @@ def drive(
 def _refine_elements(
     system: System, sought: Mask, start: Trajectory, t: Array, tolerance: float
 ) -> tuple[CollocationScheme, list[CollocationElement], float]:
-    """Return the motion on the elements on which two degrees agree best, and how well."""
+    """Return the scheme and elements on which two degrees agree best, and their difference."""
     x = system.dae.rows("x", start, -1)
     z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
         : system.motion_size
     ]
     tried = collocation_schemes(system, sought)
     best: tuple[CollocationScheme, list[CollocationElement], float] | None = None
-    failure, count, vain = SolverError("no motion was found"), 1, 0
+    failure, count, vain = SolverError("no motion follows the path"), 1, 0
     while count <= MAX_ELEMENTS and vain < MAX_VAIN_REFINEMENTS:
         ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
         former: tuple[CollocationScheme, list[CollocationElement], Array] | None = None
@@ -308,7 +334,10 @@ def _refine_elements(
 
 
 def _guess_unknowns(system: System, t: float, x: Array, z: Array) -> Array:
-    """Return a first guess of ``z``: rates that need not be large are left at zero."""
+    """Return an initial guess of ``z``, with least-norm solutions of the linear blocks.
+
+    Rates that these blocks hardly determine stay near zero.
+    """
     for block in system.blocks:
         if block.linear:
             z[block.span] = 0.0
@@ -321,7 +350,7 @@ def _guess_unknowns(system: System, t: float, x: Array, z: Array) -> Array:
 
 
 def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples after a Newton step on the first block, and their residuals."""
+    """Return the samples after a Newton step on the first block, and a report of residuals."""
     block, z = system.blocks[0], samples.z.copy()
     for k, t in enumerate(samples.t):
         point = (t, samples.x[:, k], z[:, k], samples.u[:, k], block.stages[-1])
@@ -334,9 +363,12 @@ def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, 
 
 
 def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:
-    """Return the samples before the one that violates a limit."""
+    """Return the samples before sample ``k``, which violates a limit, with the stop."""
     if k == 0:
         raise ModelError(f"the start is not valid: {stop.words}")
     if k == 1:
-        raise ModelError(f"t: a motion needs two samples, and before the second {stop.words}")
+        raise ModelError(
+            f"t: expected a motion of at least two samples, found one: {stop.words}; start "
+            "elsewhere or shorten the first step"
+        )
     return run.part(slice(k), stop._replace(t=float(run.t[k - 1])))

@@ -1,7 +1,7 @@
-"""The equations of a motion, as integrators and Newton's method call them, with their Jacobian.
+"""Equations of a motion and their Jacobians, for integrators and Newton's method.
 
-The parts that depend on the model alone are built once for all inputs and grounds; laws of the
-inputs enter by the chain rule.
+Functions that depend only on the model are built once for all inputs and grounds; expressions of
+the inputs are added by the chain rule.
 """
 
 from __future__ import annotations
@@ -19,17 +19,20 @@ from slipfree.records import Array
 
 
 class MotionEquations(NamedTuple):
-    """Equations of a motion under inputs; ``m`` are its unknowns, ``alg`` is without unit.
+    """Equations of a motion under given inputs.
+
+    ``m`` are the unknowns of the motion, ``ode`` the rates of the states, and ``alg`` the residuals
+    of the algebraic equations, without unit.
 
     Attributes
     ----------
     core : casadi Function
-        ``(t, x, m, u) -> (ode, alg)``; differentiable by ``x`` and ``m``.
+        ``(t, x, m, u) -> (ode, alg)``; differentiable with respect to ``x`` and ``m``.
     newton : casadi Function
-        ``(t, x, m, u) -> (alg, its Jacobian in m)``.
+        ``(t, x, m, u) -> (alg, its Jacobian by m)``.
     jacobian : casadi Function
-        ``(t, x, m, p, u) ->`` derivatives of ``ode`` and ``alg`` by ``x``, then by ``m``, under the
-        names that CasADi's interface to IDAS looks for.
+        ``(t, x, m, p, u) -> (ode_x, alg_x, ode_m, alg_m)``, derivatives by ``x`` and ``m``, with
+        the names that CasADi's interface to IDAS requires; ``p`` is empty.
     """
 
     core: ca.Function
@@ -38,10 +41,18 @@ class MotionEquations(NamedTuple):
 
 
 class _ModelEquations(NamedTuple):
-    """Equations of a model; ``inputs`` holds one flag per input, true if they depend on it.
+    """Equations of a model as functions of its inputs ``v``.
 
-    ``values`` is ``(t, x, m, v, c) -> (ode, alg)``, with results of lookups ``c``, and ``slopes``
-    gives its Jacobian in ``x, m, v`` from the same.
+    Attributes
+    ----------
+    inputs : tuple of bool
+        One flag per input: whether the equations depend on it.
+    lookups : tuple of Lookup
+        Lookups that the equations use; ``c`` are their results.
+    values : casadi Function
+        ``(t, x, m, v, c) -> (ode, alg)``.
+    slopes : casadi Function
+        Jacobian of ``values`` by ``x``, ``m`` and ``v``, with the same arguments.
     """
 
     inputs: tuple[bool, ...]
@@ -53,24 +64,24 @@ class _ModelEquations(NamedTuple):
 def motion_equations(
     dae: Dae, count: int, law: Sequence[ca.SX], u: ca.SX, *, compiled: bool
 ) -> MotionEquations:
-    """Return the equations of a motion.
+    """Return the equations of a motion under given inputs.
 
     Parameters
     ----------
     dae : Dae
         The model.
     count : int
-        Number of its first unknowns that belong to the motion.
+        Number of unknowns of the motion, the first ones of ``z``.
     law : sequence of SX
-        Expressions of its inputs, in its symbols and ``u``.
+        One expression per input, in the symbols of the model and ``u``.
     u : SX
-        Symbols of numbers that the law contains.
+        Symbols of the numbers in ``law``.
     compiled : bool
-        Whether to compile them.
+        Whether to compile the equations of the model.
     """
     x, z, _ = dae.columns()
     model, m = _model_equations(dae, count, compiled=compiled), z[:count]
-    # Laws of other inputs may contain unknowns that are none of the motion's.
+    # Laws of other inputs may contain unknowns that do not belong to the motion.
     used = (each if own else ca.SX(0) for each, own in zip(law, model.inputs, strict=True))
     driven = ca.vertcat(ca.SX(0, 1), *used)
     symbols = [dae.t, x, m, u]
@@ -102,14 +113,14 @@ def motion_equations(
 
 
 def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.Function:
-    """Return the Jacobian for states and unknowns that are counted in other units.
+    """Return the Jacobian for states and unknowns that are divided by their sizes.
 
     Parameters
     ----------
     jacobian : casadi Function
         From `motion_equations`.
     x_size, m_size : ndarray, shape (n_x,) and (n_m,)
-        Units of the states and the unknowns.
+        Sizes of the states and of the unknowns.
     """
     t, x, m, p, u = jacobian.mx_in()
     by_x, by_m = ca.DM(x_size), ca.DM(m_size)
@@ -123,7 +134,7 @@ def scaled_jacobian(jacobian: ca.Function, x_size: Array, m_size: Array) -> ca.F
 def _core_jacobian(
     given: Sequence[ca.MX], parts: Sequence[ca.MX], slopes: Sequence[Sequence[ca.MX]]
 ) -> ca.Function:
-    """Return the Jacobian of ``core`` by ``x`` and ``m``, with nothing for ``t`` and ``u``."""
+    """Return the Jacobian of ``core``; its columns for ``t`` and ``u`` are zero and unused."""
     t, *_, u = given
     blocks = [
         [ca.MX(part.numel(), t.numel()), *row, ca.MX(part.numel(), u.numel())]
@@ -135,7 +146,7 @@ def _core_jacobian(
 
 @lru_cache(maxsize=8)
 def _model_equations(dae: Dae, count: int, *, compiled: bool) -> _ModelEquations:
-    """Return the equations of a model, whatever its inputs."""
+    """Return the equations of a model as functions of its inputs; cached."""
     x, z, v = dae.columns()
     alg = ca.vertcat(ca.SX(0, 1), *dae.residuals)[:count]
     rows = ca.densify(ca.vertcat(dae.ode, alg))

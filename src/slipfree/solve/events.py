@@ -22,9 +22,10 @@ class Event(NamedTuple):
     Attributes
     ----------
     expression : SX, shape (1, 1)
-        In the symbols of the model, whose positions are local (:ref:`local-and-map-coordinates`).
+        Expression in the symbols of the model; positions in it are local
+        (:ref:`local-and-map-coordinates`).
     stop : bool
-        Whether the motion ends at the first crossing, with a stop of this name.
+        Whether the motion ends at the first crossing, with a stop called ``name``.
     name : str
         Key of the times in `Trajectory.events`.
     """
@@ -38,7 +39,7 @@ class Event(NamedTuple):
 
 
 class WatchedEvent(NamedTuple):
-    """An event, and its expression as a function of ``t, x, z`` and the inputs' values."""
+    """An event, and its expression as a function of ``t, x, z`` and the values of the inputs."""
 
     event: Event
     function: ca.Function
@@ -50,7 +51,8 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
     Raises
     ------
     ModelError
-        If a name is used twice, or an expression is not a scalar of the model's symbols.
+        If a name is used by two events or by a limit of the model, or an expression is not a scalar
+        in the symbols of the model.
     """
     symbols, watched = (dae.t, *dae.columns()), list[WatchedEvent]()
     names = {limit.label.full for limit in dae.limits}
@@ -58,8 +60,8 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
         name, expression = event.name, event.expression
         if name in names:
             raise ModelError(
-                f"events: the name {name!r} is used twice, by events or by a limit of the model; "
-                "give each event a name of its own"
+                f"events: expected a different name for each event and limit, found {name!r} "
+                "twice; rename the event"
             )
         names.add(name)
         if not isinstance(expression, ca.SX) or expression.shape != (1, 1):
@@ -69,7 +71,10 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
             expression = ca.substitute(expression, dae.continuation.symbol, meant)
         known = [*symbols, found_column(dae.lookups)]
         if free := ca.Function("event", known, [expression], {"allow_free": True}).free_sx():
-            raise ModelError(f"event {name!r}: {free[0]} is not a symbol of the model")
+            raise ModelError(
+                f"event {name!r}: {free[0]} is not a symbol of the model; use "
+                "the symbols of its Dae"
+            )
         watched.append(WatchedEvent(event, dae.function("event", symbols, [expression])))
     return tuple(watched)
 
@@ -84,9 +89,9 @@ def event_values(watched: WatchedEvent, system: System, samples: Samples) -> Arr
 def crossing_indices(
     watched: WatchedEvent, system: System, samples: Samples, tolerance: float
 ) -> list[int]:
-    """Return the indices of the samples right after the occurrences of an event.
+    """Return the index of the first sample after each zero crossing of an event.
 
-    A first value within the tolerance of zero has no sign.
+    A first value within the tolerance of zero counts as zero and begins no crossing.
     """
     values = event_values(watched, system, samples)
     if abs(values[0]) <= tolerance:

@@ -19,7 +19,7 @@ MIN_SINGULAR_VALUE = 1e-10  # smallest singular value of a block, relative to th
 
 
 class UnsolvedError(ModelError):
-    """The equations were not solved; ``z`` is the last iterate of Newton's method."""
+    """Failure of Newton's method to converge; ``z`` is its last iterate."""
 
     def __init__(self, message: str, z: Array) -> None:
         super().__init__(message)
@@ -31,8 +31,8 @@ def solve_initial_conditions(
 ) -> Array:
     """Return ``z`` that satisfies all algebraic equations at ``t``, ``x`` and ``u``.
 
-    A block that is linear in its unknowns is solved by one step, another by damped Newton steps of
-    limited size, since far from the ground the closure is strongly curved.
+    A block that is linear in its unknowns is solved by one Newton step, other blocks by damped
+    Newton steps of limited size, since the closure is strongly nonlinear far from the ground.
 
     Parameters
     ----------
@@ -43,7 +43,8 @@ def solve_initial_conditions(
     x, z, u : ndarray, shape (n_x,), (n_z,) and (n_u,)
         States, initial guess of the unknowns, and inputs.
     continuation : bool
-        Whether to go through all stages of the continuation; False near a solution.
+        Whether to solve at all values of the continuation parameter; False if the initial guess is
+        near a solution.
 
     Raises
     ------
@@ -70,9 +71,10 @@ def _solve_stage(
     stage: tuple[float, float],
     depth: int,
 ) -> Array:
-    """Return the unknowns at the second value of the continuation, given those at the first.
+    """Return the unknowns at the second value of the continuation parameter, from the first.
 
-    Where Newton's method fails, the stage is halved at the geometric mean, at most ``depth`` times.
+    If Newton's method fails, the stage is divided at the geometric mean of its two values,
+    recursively at most ``depth`` times.
     """
     t, x, z, u = point
     try:
@@ -129,8 +131,9 @@ def _newton_step(system: System, block: Block, point: tuple[Any, ...], *, check:
             labels = list(leaves(system.dae.labels.z))[block.span]
             weakest = labels[int(np.abs(right[-1]).argmax())]
             raise ModelError(
-                f"the model is singular here: nothing determines {weakest.full} ({weakest.words}), "
-                f"singular value {values[-1]:.1e} of {values[0]:.1e}"
+                f"the model is singular here: no equation determines {weakest.full} "
+                f"({weakest.words}); smallest singular value {values[-1]:.1e}, largest "
+                f"{values[0]:.1e}"
             )
     return np.asarray(size * np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
 
@@ -146,8 +149,8 @@ def _failure_message(system: System, block: Block, point: tuple[Any, ...], first
     residual = np.nan_to_num(np.abs(np.array(block.residual(*point)).ravel()), nan=np.inf)
     worst = block.labels[int(residual.argmax())]
     message = (
-        f"the vehicle cannot stand at the start: {worst.full}, the {worst.words}, misses by "
-        f"{residual.max() * system.dae.size_of(worst):.2g} {worst.unit}"
+        f"the vehicle cannot stand at the start: {worst.full}, the {worst.words}, has a residual "
+        f"of {residual.max() * system.dae.size_of(worst):.2g} {worst.unit}"
     )
     for state in (first, z):
         words = _violation_message(system, x, state, u)
@@ -167,7 +170,7 @@ def _violation_message(system: System, x: Array, z: Array, u: Array) -> str:
 
 
 def limit_message(words: str, value: float, lower: float, upper: float, unit: str) -> str:
-    """Return the message of a violated limit."""
+    """Return the message of a violated limit: description, value and allowed range."""
     if np.isfinite(lower) and np.isfinite(upper):
         allowed = f"{lower:g} to {upper:g}"
     else:

@@ -15,17 +15,18 @@ Method = Literal["idas", "cvodes"]
 class SolverOptions:
     """Options of starts, simulations and plans.
 
-    Every function that solves a model takes all of them and uses those that apply: a start only
-    uses `compiled`.
+    Every function that solves a model accepts all options and uses those that apply; a start uses
+    only `compiled`.
 
     Attributes
     ----------
     tolerance : float
-        Relative and absolute tolerance of the integrator; the absolute one of lengths is in sizes
-        of the vehicle (``dae.size``). [size, rad]
+        Relative and absolute tolerance of the integrator. The absolute tolerance of a length is
+        multiplied by the size of the vehicle, ``dae.size``. [size, rad]
     method : {"idas", "cvodes"} or None
-        The integrator. By default CVODES for motions without algebraic unknowns, which it cannot
-        solve for, and IDAS for others. The error test of CVODES includes the quadratures.
+        Name of the integrator. By default CVODES for motions without algebraic unknowns, and IDAS
+        for motions with them, which CVODES cannot solve. The error test of CVODES includes the
+        quadratures.
     compiled : bool
         Whether to compile the equations with the system's C compiler; the libraries are cached.
         Without a compiler the equations are interpreted, and a warning gives the reason.
@@ -33,7 +34,7 @@ class SolverOptions:
     Raises
     ------
     ModelError
-        If the tolerance is not in the interval from 1e-14 to 1, or the method is not known.
+        If the tolerance is less than 1e-14 or not less than 1, or the method is unknown.
     """
 
     tolerance: float = 1e-8

@@ -1,4 +1,4 @@
-"""Polynomials of collocation at Radau's points, by their values."""
+"""Polynomials for collocation at Radau points, represented by their values at nodes."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from slipfree.records import Array
 
 
 class RadauBasis(NamedTuple):
-    """Polynomials on an element, by their values at collocation points of (0, 1].
+    """Polynomials on the interval [0, 1], represented by their values at Radau points.
 
     Attributes
     ----------
     points : ndarray, shape (k,)
-        Radau points; the last is one.
+        Radau points in (0, 1]; the last is 1.
     tied : ndarray, shape (k, k + 1)
-        Derivatives at the points from values at zero and at the points.
+        Matrix of the derivatives at the points, from the values at zero and at the points.
     free : ndarray, shape (k, k)
-        The same, of polynomials that have no value at zero.
+        Matrix of the derivatives at the points, from the values at the points only.
     """
 
     points: Array
@@ -28,12 +28,15 @@ class RadauBasis(NamedTuple):
     free: Array
 
     def values(self, at: Array, *, tied: bool) -> Array:
-        """Return the matrix that interpolates nodal values at points of [0, 1]."""
+        """Return the matrix that interpolates nodal values at n points of [0, 1].
+
+        Its shape is (n, k), or (n, k + 1) if ``tied``: zero is then the first node.
+        """
         nodes = np.append(0.0, self.points) if tied else self.points
         return _lagrange_values(nodes, at)
 
     def integrals(self, at: Array) -> Array:
-        """Return the matrix that integrates nodal values from zero to points of [0, 1]."""
+        """Return the matrix, shape (n, k), that integrates nodal values from 0 to n points."""
         nodes, weights = legendre.leggauss(len(self.points))
         inner = _lagrange_values(self.points, np.outer(at, (1 + nodes) / 2).ravel())
         means = weights / 2 @ inner.reshape(len(at), len(nodes), len(self.points))
@@ -41,7 +44,7 @@ class RadauBasis(NamedTuple):
 
 
 def radau_basis(degree: int) -> RadauBasis:
-    """Return the polynomials of collocation at that many Radau points."""
+    """Return the collocation polynomials for ``degree`` Radau points."""
     difference = np.zeros(degree + 1)
     difference[-2:] = 1.0, -1.0  # of Legendre polynomials: its roots are Radau's points
     points = np.append((1 + legendre.legroots(difference)[:-1].real) / 2, 1.0)
@@ -50,7 +53,7 @@ def radau_basis(degree: int) -> RadauBasis:
 
 
 def _lagrange_values(nodes: Array, at: Array) -> Array:
-    """Return the Lagrange polynomials of nodes at places, shape (n_places, n_nodes)."""
+    """Return the values of Lagrange polynomials at points, shape (n_points, n_nodes)."""
     rows = np.ones((len(at), len(nodes)))
     for j, node in enumerate(nodes):
         for other in np.delete(nodes, j):
@@ -59,7 +62,7 @@ def _lagrange_values(nodes: Array, at: Array) -> Array:
 
 
 def _lagrange_derivatives(nodes: Array) -> Array:
-    """Return the derivatives of the Lagrange polynomials at their nodes, row by row."""
+    """Return the derivatives of Lagrange polynomials, one row per node, shape (n, n)."""
     gaps = nodes[:, None] - nodes + np.eye(len(nodes))
     weights = 1 / gaps.prod(axis=1)
     matrix: Array = weights / weights[:, None] / gaps

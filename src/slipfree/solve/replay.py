@@ -1,4 +1,4 @@
-"""Repetition of a motion by another model under the inputs that the first model found."""
+"""Repetition of a motion by another model under the same inputs."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ SPLINE_DEGREE = 5  # of the spline through the inputs
 
 
 class Replay(NamedTuple):
-    """A motion repeated by another model.
+    """A motion repeated by a second model.
 
     Attributes
     ----------
     motion : Trajectory
-        The motion of the other model.
+        Motion of the second model.
     difference : dict of str to float
-        Largest difference between the two in every state of the other model. [m, rad]
+        Largest absolute difference between the two motions, by state of the second model.
+        [m, rad]
     """
 
     motion: Trajectory
@@ -43,14 +44,14 @@ def round_trip(
     *,
     options: SolverOptions = SolverOptions(),
 ) -> dict[str, float]:
-    """Return the difference of the rates of a model under the inputs of a motion from its own.
+    """Return the differences between unknowns of a model and of a motion under the same inputs.
 
-    At every sample by itself, with the states of the motion.
+    The model is solved at every sample separately, with the states and inputs of the motion.
 
     Parameters
     ----------
     dae : Dae
-        The model; the motion holds its states, its first unknowns and its inputs.
+        The model. The motion must contain its states, pose (first field of ``z``) and inputs.
     run : Trajectory
         The motion.
     names : sequence of str
@@ -61,7 +62,7 @@ def round_trip(
     Returns
     -------
     dict of str to float
-        Largest differences by name.
+        Largest absolute difference over the samples by name, in the unit of the unknown.
     """
     system = with_inputs(dae, unpack(dae.u, [0.0] * dae.columns()[2].numel()), 0, options)
     x, u, pose = (
@@ -84,19 +85,19 @@ def replay(
     jumps: Sequence[float] = (),
     options: SolverOptions = SolverOptions(),
 ) -> Replay:
-    """Return the motion of a model under the inputs of another motion, from its start.
+    """Repeat a motion by another model, from the same start under the same inputs.
 
     Parameters
     ----------
     dae : Dae
-        The model; the motion holds its states, its first unknowns and its inputs.
+        The model. The motion must contain its states, pose (first field of ``z``) and inputs.
     run : Trajectory
         The motion.
     inputs : record of SX, optional
         Inputs of the model, see `spline_inputs`; by default splines through the samples of the
         motion, from each jump to the next.
     jumps : sequence of float
-        Times at which inputs may jump; samples there hold their values behind the jump. [s]
+        Times at which inputs may jump. Samples at these times have the inputs after the jump. [s]
     options : SolverOptions
         Options of the solvers.
 
@@ -149,9 +150,9 @@ def spline_inputs(
     t : ndarray, shape (n,)
         Ascending times of the samples; inputs are constant before the first and after the last. [s]
     values : mapping of str to ndarray of shape (n,)
-        Samples by name, of all inputs and perhaps more.
+        Samples of all inputs by name; other names are ignored.
     end : float, optional
-        Time up to which the last polynomials are continued. [s]
+        Time up to which the splines are extrapolated. [s]
 
     Raises
     ------
@@ -162,7 +163,9 @@ def spline_inputs(
 
     names = [label.full for label in leaves(dae.labels.u)]
     if missing := sorted(set(names) - set(values)):
-        raise ModelError(f"the motion does not determine the inputs {', '.join(missing)}")
+        raise ModelError(
+            f"the motion does not determine the inputs {', '.join(missing)}; add samples of them"
+        )
     samples = np.column_stack([values[name] for name in names])
     degree = min(SPLINE_DEGREE, t.size - 1)
     if not degree:

@@ -1,4 +1,4 @@
-"""Correct the samples of a motion by Newton's method, and write them as a trajectory."""
+"""Correct the samples of a motion by Newton's method, and convert them to a trajectory."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Samples(NamedTuple):
     ----------
     t : ndarray, shape (n,)
         Times. [s]
-    x, z, q, u : ndarray, shape (n_x, n) and so on
-        States, algebraic unknowns, quadratures and given inputs.
+    x, z, q, u : ndarray, shape (n_x, n), (n_z, n), (n_q, n) and (n_u, n)
+        States, algebraic unknowns, quadratures and values of the inputs.
     """
 
     t: Array
@@ -45,11 +45,12 @@ class Samples(NamedTuple):
 
 
 def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples corrected by Newton steps on the motion, and a report of their errors.
+    """Return the samples with unknowns corrected by Newton's method, and a report of errors.
 
-    The integrator's interpolation leaves the algebraic equations satisfied to its tolerance only;
-    the first step is as large as that error. Further steps follow where one is not enough. The
-    report includes that of `complete_samples`. A motion without algebraic unknowns needs no step.
+    The interpolation of the integrator satisfies the algebraic equations only to its tolerance; the
+    size of the first Newton step, ``newton_step`` in the report, measures this error. The report
+    includes that of `complete_samples`. Without algebraic unknowns the samples are returned
+    unchanged, with an empty report.
     """
     if not system.motion_size:
         return samples, {}
@@ -75,11 +76,11 @@ def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str
 
 
 def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: Mask) -> Array:
-    """Return ``z`` with the samples at which Newton's method failed solved from their neighbours.
+    """Return ``z`` after a second attempt at the samples at which Newton's method failed.
 
-    Full steps may cycle where the equations are curved, as friction is on the scale of its creep.
-    Where there is no solution, as where all friction is used and the states miss by the
-    tolerance, what the integrator found remains.
+    Their neighbours are the initial guesses. Full Newton steps may cycle where the equations are
+    strongly nonlinear, such as friction at small slip. Samples without a solution, for example
+    where all friction is used, keep the values of the integrator.
     """
     z = z.copy()
     z[:, astray] = samples.z[:, astray]
@@ -101,7 +102,7 @@ def _max_abs(rows: Array) -> Array:
 
 
 def _linearize(system: System, samples: Samples) -> tuple[Array, Array]:
-    """Return the residuals of the motion's equations in columns, and their Jacobians."""
+    """Return the residuals of the motion, shape (n_m, n), and Jacobians, shape (n, n_m, n_m)."""
     newton, n = system.newton.map(samples.t.size), system.motion_size
     found = newton(samples.t[None], samples.x, samples.z[:n], samples.u)
     alg, jac = (np.array(out) for out in found)
@@ -109,7 +110,7 @@ def _linearize(system: System, samples: Samples) -> tuple[Array, Array]:
 
 
 def _residuals(system: System, samples: Samples) -> Array:
-    """Return the residuals of the motion's equations in columns."""
+    """Return the residuals of the equations of the motion, shape (n_m, n)."""
     core, n = system.core.map(samples.t.size), system.motion_size
     return np.array(core(samples.t[None], samples.x, samples.z[:n], samples.u)[1])
 
@@ -117,19 +118,22 @@ def _residuals(system: System, samples: Samples) -> Array:
 def complete_samples(
     system: System, samples: Samples, known: tuple[Array, Array] | None = None
 ) -> tuple[Samples, dict[str, Array]]:
-    """Return the samples with the unknowns that depend on their motion, and a report of residuals.
+    """Return the samples with the unknowns that depend on the motion, and a report of residuals.
 
-    The report holds the smallest singular value of the Jacobian of the motion's equations, the
-    distance to a singular configuration, and the residuals block by block, NaN at samples at which
-    the equations are not finite. ``known`` are residuals and Jacobians of the samples, or of
-    samples a last Newton step away, if they are at hand.
+    The report contains, at every sample, the smallest singular value of the Jacobian of the
+    motion's equations, which is zero at a singular configuration, and the largest residual of each
+    block. They are NaN where the equations are not finite. ``known`` are residuals and Jacobians
+    from `_linearize`, before or after the last Newton step; they are computed if omitted.
     """
     count, n, z = samples.t.size, system.motion_size, samples.z.copy()
     left, jac = known or _linearize(system, samples)
     jac = jac * system.dae.sizes.z[:n]
     finite = np.isfinite(jac).all(axis=(1, 2))
     if not finite.any():
-        raise SolverError("the equations of the motion have no finite value at any sample")
+        raise SolverError(
+            "the equations of the motion have no finite value at any sample; "
+            "check the start and the inputs"
+        )
     report = {"singular_value": np.full(count, np.nan)}
     report["singular_value"][finite] = np.linalg.svd(jac[finite], compute_uv=False)[:, -1]
     for block in system.blocks:
@@ -148,14 +152,14 @@ def complete_samples(
 
 
 def _block_residual(system: System, block: Block, residual: Array) -> Array:
-    """Return the largest residuals of a block, in the unit of its first equation."""
+    """Return the largest residual of a block per sample, in the unit of its first equation."""
     return _max_abs(residual) * system.dae.size_of(block.labels[0])
 
 
 def _solve_block(block: Block, samples: Samples, size: Array) -> tuple[Array, Array]:
     """Return ``z`` with a block solved by Newton's method at all samples, and its residual.
 
-    Where the equations have no solution the residual says so.
+    No error is raised without a solution: the residual is then large.
     """
     count, n, z = samples.t.size, len(block.labels), samples.z.copy()
     residual, jacobian = block.residual.map(count), block.jacobian.map(count)
@@ -181,7 +185,7 @@ def _split_matrices(side_by_side: Array, n: int) -> Array:
 
 
 def _newton_steps(matrices: Array, right: Array) -> Array:
-    """Return the solutions of many linear systems in columns; least squares if one is singular."""
+    """Return the solutions of linear systems in columns; least squares if one is singular."""
     try:
         return np.asarray(np.linalg.solve(matrices, right.T[..., None])[..., 0].T)
     except np.linalg.LinAlgError:
@@ -226,13 +230,14 @@ def _check_margins(check: SampledCheck, samples: Samples) -> Array:
 def _group_by_quantity(
     rows: list[tuple[Label, Array]],
 ) -> tuple[dict[str, Column], tuple[str, ...]]:
-    """Gather the rows of one quantity of all wheels into one column."""
+    """Return one column per quantity, with the values of all wheels, and the wheels' names."""
     groups: dict[str, list[tuple[Label, Array]]] = {}
     for label, values in rows:
         group = groups.setdefault(label.name, [])
         if label.name in AXIS_NAMES or any(_is_same_column(label, each) for each, _ in group):
             raise ModelError(
-                f"the name {label.name!r} stands for two things in a result: rename a coordinate"
+                f"expected different names of all quantities in a result, found {label.name!r} for "
+                "two of them; rename a coordinate"
             )
         group.append((label, values))
     wheels: tuple[str, ...] = ()
@@ -263,12 +268,15 @@ def _report_label(system: System, name: str) -> Label:
     blocks = (*system.blocks, *system.dependent_blocks)
     units = {f"{block.labels[0].name}_residual": block.labels[0].unit for block in blocks}
     words = {
-        "newton_step": "largest change of a position by the Newton step on the sample",
-        "singular_value": "smallest singular value of the Jacobian of the algebraic equations, "
-        "lengths in sizes of the vehicle",
+        "newton_step": "largest change of a pose coordinate by the first Newton step",
+        "singular_value": "smallest singular value of the Jacobian of the algebraic equations; "
+        "lengths are divided by the size of the vehicle",
     }
     return Label(
         name,
         units.get(name, "1" if name == "singular_value" else "m"),
-        words.get(name, "largest residual of these equations after the Newton step"),
+        words.get(
+            name,
+            f"largest residual of equations {name.removesuffix('_residual')!r} after Newton steps",
+        ),
     )

@@ -1,4 +1,4 @@
-"""Find a consistent start: the pose in which a vehicle stands on the ground."""
+"""Solve for the pose of a vehicle at rest on the ground, as the start of a motion."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def settle(
     dae : Dae
         The model.
     guess : mapping of str to float, optional
-        Initial guesses of unknowns, by name, such as ``{"z": 2.0}``; the model has its own for the
-        others. For pressed wheels, the first pose from which the vehicle relaxes. [m, rad]
+        Initial guesses of unknowns by name, such as ``{"z": 2.0}``; the model provides the others.
+        With compliant contact, the pose from which the vehicle relaxes to rest. [m, rad]
     options : SolverOptions
         Options of the solvers.
     **start : float
@@ -54,7 +54,7 @@ def settle(
     Returns
     -------
     Trajectory
-        One sample at time zero, in map coordinates: where `simulate` and `plan` start.
+        One sample at time zero, in map coordinates; a start for `simulate` and `plan`.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def settle(
     x, guess = dae.start(**start), dict(guess or {})
     if not dae.rest.numel():
         return _one_sample(dae, x, first_guess(dae, x, guess), options)
-    return _relaxed(dae, x, start, guess, options)
+    return _settle_by_relaxation(dae, x, start, guess, options)
 
 
 @computing
@@ -83,27 +83,27 @@ def stable_poses(
     """Return the different poses in which a vehicle can stand at a position.
 
     A rigid vehicle with more than three wheels may stand on different sets of wheels. It relaxes
-    from a level pose and from poses inclined to four sides, which may not find all of them.
+    from a level pose and from poses inclined to four sides; some stable poses may not be found.
 
     Parameters
     ----------
     dae : Dae
-        The model. One with exact contact has one pose.
+        The model. A model with exact contact has one pose.
     options : SolverOptions
         Options of the solvers.
     **start : float
-        As in `settle`.
+        Differential states by name, as for `settle`. [m, rad]
 
     Returns
     -------
     tuple of Trajectory
-        One sample each, that of `settle` first. Two poses are different if an angle differs by more
-        than `DIFFERENT_ANGLE`.
+        Trajectories of one sample; the first is the result of `settle`. Two poses are
+        different if an angle differs by more than `DIFFERENT_ANGLE`.
 
     Raises
     ------
     ModelError
-        As `settle`, for the first pose.
+        If `settle` fails for the level pose; for the reasons see `settle`.
     """
     values: dict[str, Any] = dict(start)
     found = [settle(dae, options=options, **values)]
@@ -118,7 +118,7 @@ def stable_poses(
     return tuple(found)
 
 
-def _relaxed(
+def _settle_by_relaxation(
     dae: Dae,
     x: Array,
     start: dict[str, float],
@@ -127,10 +127,10 @@ def _relaxed(
 ) -> Trajectory:
     """Return the vehicle at the equilibrium to which it relaxes at rest.
 
-    It starts from the guessed pose, completed by the model's first pose. If that fails or the
-    vehicle overturns, it starts from the model's first pose.
+    The relaxation starts from the guessed pose; the model's initial pose completes it. If that
+    fails or the vehicle overturns, the relaxation starts from the model's initial pose.
     """
-    states, model = [label.full for label in leaves(dae.labels.x)], _held(dae)
+    states, model = [label.full for label in leaves(dae.labels.x)], _relaxation_model(dae)
     level = np.array(dae.function("rest", [dae.columns()[0]], [dae.rest])(x)).ravel()
     still, shift = x.size - level.size, dae.shift[0][x.size - level.size :]
     given = [(start | guess).get(name, np.nan) for name in states[still:]] - shift
@@ -144,15 +144,17 @@ def _relaxed(
             at[still:] = model.rows("x", run, -1)[still:]
             return _one_sample(dae, at, model.rows("z", run, -1), options)
         except SolverError as error:
-            failure = ModelError(f"the vehicle finds no equilibrium at the start: {error}")
+            failure = ModelError(
+                f"the vehicle finds no equilibrium at the start: {error}; choose another start"
+            )
         except ModelError as error:
             failure = error
     raise failure
 
 
 @lru_cache(maxsize=8)
-def _held(dae: Dae) -> Dae:
-    """Return a model whose states are constant except those that relax, without limits."""
+def _relaxation_model(dae: Dae) -> Dae:
+    """Return a model in which only states that relax change, without limits and checks."""
     moving = dae.rest.numel()
     still = ca.SX.zeros(dae.ode.numel() - moving)
     ode = ca.vertcat(still, dae.ode[still.numel() :])
@@ -160,7 +162,7 @@ def _held(dae: Dae) -> Dae:
 
 
 def _relax(held: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
-    """Return the relaxation of a vehicle at rest from a first pose to its equilibrium."""
+    """Return the motion of a vehicle from a first pose to its equilibrium, with zero inputs."""
     rest = unpack(held.u, [0.0] * len(list(leaves(held.u))))
     # The equilibrium is a fixed point, which does not depend on the accuracy of the path to it.
     rough = replace(options, tolerance=RELAXATION_TOLERANCE)
@@ -172,14 +174,15 @@ def _relax(held: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
     if not np.abs(rates).max() < REST_RATE:
         name = list(leaves(held.labels.x))[int(np.abs(rates).argmax())].full
         raise ModelError(
-            f"the vehicle finds no equilibrium at the start: after {RELAXATION_TIME:g} s, {name} "
-            f"still moves by {np.abs(rates).max():.1e} of its scale per second"
+            f"the vehicle finds no equilibrium at the start: expected rest after "
+            f"{RELAXATION_TIME:g} s, found a change of {name} by "
+            f"{np.abs(rates).max():.1e} of its size per second; choose another start"
         )
     return run
 
 
 def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Trajectory:
-    """Return a state at rest as a trajectory; ``first`` is an initial guess of the unknowns."""
+    """Return a start at given states as one sample; ``first`` is a guess of the unknowns."""
     system = with_inputs(dae, unpack(dae.u, [0.0] * len(list(leaves(dae.u)))), 0, options)
     z = solve_initial_conditions(system, 0.0, x, first, system.u[:, 0])
     samples = Samples(
@@ -194,7 +197,7 @@ def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Tra
 
 
 def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
-    """Return an initial guess of ``z`` in local coordinates, from values in map coordinates."""
+    """Return an initial guess of ``z`` in local coordinates; ``given`` is in map coordinates."""
     z = np.array(dae.function("guess", [dae.columns()[0]], [dae.guess])(x)).ravel()
     names = [label.full for label in leaves(dae.labels.z)]
     for name, value in given.items():

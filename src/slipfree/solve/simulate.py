@@ -55,45 +55,46 @@ def simulate(
 ) -> Trajectory:
     """Integrate the motion from a start under given inputs.
 
-    One call of the integrator goes from jump to jump of the inputs. At every sample the algebraic
-    unknowns are then corrected by Newton's method, and the limits and checks of the model are
-    evaluated. The first violation ends the motion: the crossing is located between the samples.
+    Each call of the integrator covers the time between two jumps of the inputs. At every sample the
+    algebraic unknowns are then corrected by Newton's method, and the limits and checks of the model
+    are evaluated. The motion ends at the first violation, whose time is located between samples.
 
     Parameters
     ----------
     dae : Dae
         The model.
     start : Trajectory
-        Its last sample is where the motion starts, whatever its time.
+        Trajectory whose last sample is the start; the time of this sample is ignored.
     inputs : record
         From ``dae.inputs(...)``: constants, one value for each interval, or expressions of the
-        model's symbols. The integrator restarts at every jump of an input, but not at kinks.
+        model's symbols. The integrator restarts at every jump of an input, but not where
+        only the slope of an input changes.
     t : ndarray, shape (n,)
         Ascending times of the samples. [s]
     options : SolverOptions
         Tolerance and method of the integrator, and whether to compile the equations.
     events : sequence of Event, optional
-        Zero crossings to locate. A crossing is found by a change of sign between two samples, so
-        an even number of crossings between them is missed; its time is then located to the
-        accuracy of the integration, by three short integrations or so. An expression that is zero
-        at the start, to the tolerance, has no sign there.
+        Zero crossings to locate. A crossing is detected by a change of sign between two samples,
+        so that an even number of crossings between them is missed. Its time is located to the
+        accuracy of the integration, by about three short integrations. An expression that is zero
+        at the start, within the tolerance, has no crossing there.
     progress : callable, optional
-        Called with the time reached, ascending, once for each step or so. It does not change the
-        motion, except that it ends there with the stop ``"interrupted"`` if the callable returns
-        False. An exception of the callable comes through.
+        Called with the time reached, in ascending order, about once per step. If it returns False,
+        the motion ends with the stop ``"interrupted"``. Exceptions of the callable are raised.
 
     Returns
     -------
     Trajectory
-        ``stop`` says why it ended early, if it did; ``events`` has the times of the events.
+        The motion. ``stop`` is the reason of an early end, or None; ``events`` contains the times
+        of the events by name.
 
     Raises
     ------
     ModelError
-        If times, method, events or inputs are not usable or the start is not valid under the
+        If times, method, events or inputs are invalid, or the start violates a limit under the
         inputs.
     SolverError
-        If the integrator fails; ``trajectory`` contains the motion up to there.
+        If the integrator fails; ``trajectory`` is the motion up to the failure.
 
     Examples
     --------
@@ -138,7 +139,7 @@ def simulate(
 
 
 def check_times(t: Array) -> Array:
-    """Return the times as an array; raise unless they are finite and ascend."""
+    """Return the times as an array; raise ModelError unless they are finite and ascend."""
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0).all():
         raise ModelError(
@@ -149,7 +150,7 @@ def check_times(t: Array) -> Array:
 
 
 def _method(system: System, method: Method | None) -> Method:
-    """Return the integration method; raise if the model does not allow the given one."""
+    """Return the integration method; raise ModelError if the model does not allow it."""
     if method is None:
         return "idas" if system.motion_size else "cvodes"
     if method == "cvodes" and system.motion_size:
@@ -161,7 +162,7 @@ def _method(system: System, method: Method | None) -> Method:
 
 
 def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
-    """Return the last sample of a trajectory, made consistent with the inputs."""
+    """Return the last sample of a trajectory, with unknowns that satisfy the equations."""
     dae = system.dae
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
     z = solve_initial_conditions(system, t, x, z, system.u[:, 0])
@@ -170,7 +171,7 @@ def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
 
 
 class _Solver(NamedTuple):
-    """Model, tolerance and method of an integration."""
+    """Model, tolerance, method and interrupt guard of an integration."""
 
     system: System
     tolerance: float
@@ -179,11 +180,11 @@ class _Solver(NamedTuple):
 
 
 class _LimitError(Exception):
-    """A step of the integrator went beyond a limit of the model."""
+    """End of an integration by a step beyond a limit of the model."""
 
 
 class _ProgressError(Exception):
-    """The progress callable ended the motion."""
+    """End of an integration by the progress callable."""
 
 
 EarlyEnd = SolverError | _LimitError | _ProgressError
@@ -192,9 +193,10 @@ EarlyEnd = SolverError | _LimitError | _ProgressError
 def _integrate(
     solver: _Solver, observer: _StepObserver, first: Samples, t: Array, u: Array
 ) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
-    """Integrate from jump to jump of the inputs.
+    """Integrate over all intervals between jumps of the inputs.
 
-    Returns the samples reached, their statistics, and the reason of an early end, if any.
+    Returns the samples reached, the counts of the integrator, and the reason of an early end or
+    None.
     """
     parts, counts, left = [first], dict.fromkeys(COUNTS, 0.0), 0
     for right in (*_jump_indices(solver.system, t, u), t.size - 1):
@@ -214,7 +216,7 @@ def _integrate(
 def _jump_indices(system: System, t: Array, u: Array) -> list[int]:
     """Return the indices of the times at which an input jumps.
 
-    A kink of inputs that are linear in time is no jump: the integrator passes it.
+    A mere change of slope is not a jump; the integrator does not restart there.
     """
     n = system.dae.columns()[2].numel()
     base, rise = u[:n], u[n:] if len(u) > n else np.zeros_like(u)
@@ -229,8 +231,8 @@ def _restart_after_failure(
 ) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
     """Restart after a failure of the integrator, from the last step before it.
 
-    A restart has a small step and a new Jacobian, with which it often passes. The motion ends
-    where a restart makes no progress.
+    A restart uses a small step and a new Jacobian and often succeeds. The motion ends if a restart
+    makes no progress.
     """
     counts = dict.fromkeys(COUNTS, 0.0)
     intervals = 1 + int((np.diff(u, axis=1) != 0).any(axis=0).sum())
@@ -257,8 +259,8 @@ def _integrate_between_jumps(
 ) -> tuple[Samples, dict[str, float], EarlyEnd | None]:
     """Integrate over ``t``, where no input jumps, and keep the part before a failure or stop.
 
-    CasADi returns nothing of a call that ends early, so the call is repeated up to its last step.
-    If the integrator fails there as well, it is repeated up to earlier and earlier steps.
+    CasADi returns no results of a call that ends early. The call is therefore repeated up to the
+    last step that it reached and, if the integrator fails again, up to earlier steps.
     """
     observer.times.clear()
     try:
@@ -282,8 +284,8 @@ def _call_integrator(
 ) -> tuple[Samples, dict[str, float]]:
     """Integrate over all of ``t``, where no input jumps, by one call.
 
-    IDAS's own search may find no consistent start since the given one is consistent to rounding.
-    The start is then solved for by Newton's method, and the search is left out.
+    IDAS may fail to compute a consistent start if the given start already is consistent to rounding
+    accuracy. Newton's method then computes the start, and IDAS skips its own computation.
     """
     system, given = solver.system, dict[str, Any]()
     x_size, m_size = (size[:, None] for size in _motion_scales(system))
@@ -322,7 +324,7 @@ def _scaled_rates(system: System, at: Samples) -> list[float]:
 
 
 def _start_after_jump(system: System, samples: Samples, u: Array) -> Samples:
-    """Return the last sample as a start, consistent with the inputs after a jump."""
+    """Return the last sample, with unknowns that satisfy the equations after a jump."""
     at = _select(samples, [-1])
     if np.array_equal(at.u[:, -1], u):
         return at
@@ -347,7 +349,7 @@ def _make_consistent(
 
 
 def _select(samples: Samples, k: slice | list[int] | Mask) -> Samples:
-    """Return a selection of the samples."""
+    """Return the samples with the given indices."""
     return Samples(*(row[..., k] for row in samples))
 
 
@@ -357,7 +359,7 @@ def _concatenate(parts: Sequence[Samples]) -> Samples:
 
 
 def _join_parts(parts: Sequence[Samples]) -> Samples:
-    """Return the samples of parts, each of which starts at the last sample of the one before."""
+    """Return the joined samples of parts; each starts at the last sample of the previous part."""
     return _concatenate([*(part.head(-1) for part in parts[:-1]), parts[-1]])
 
 
@@ -366,7 +368,7 @@ def _add_counts(counts: dict[str, float], more: dict[str, float]) -> dict[str, f
 
 
 class _Crossing(NamedTuple):
-    """The first sample at or beyond a limit or an event, and its stop."""
+    """Index of the first sample at or beyond a limit or an event, its stop, and the event."""
 
     k: int
     stop: Stop
@@ -378,8 +380,8 @@ def _check_samples(
 ) -> tuple[Trajectory, Samples, _Crossing | None]:
     """Correct the samples, and find the first that violates a limit or lies beyond an event.
 
-    Samples long after a violation are left out. Without limits, which take most of the time, the
-    trajectory has times only.
+    Samples are processed in chunks; chunks after a violation are omitted. With ``limited`` false,
+    limits are not evaluated, which saves most of the time, and the trajectory has only times.
     """
     system, runs, parts = solver.system, list[Trajectory](), list[Samples]()
     # Where all friction is used, states within the tolerance may have no exact equilibrium.
@@ -411,7 +413,7 @@ def _check_samples(
 def _integrator(
     solver: _Solver, observer: _StepObserver, t: Array, given: dict[str, Any]
 ) -> ca.Function:
-    """Return the integrator over ``t``, of states and unknowns divided by their sizes."""
+    """Return the integrator over ``t``, for states and unknowns divided by their sizes."""
     system, dae = solver.system, solver.system.dae
     x_size, m_size = _motion_scales(system)
     counts = [x_size.size, m_size.size, system.u.shape[0]]
@@ -444,7 +446,7 @@ def _motion_scales(system: System) -> tuple[Array, Array]:
 
 @contextmanager
 def suppress_messages() -> Iterator[None]:
-    """Suppress SUNDIALS's messages and tracebacks of callbacks, which exceptions repeat."""
+    """Suppress messages of SUNDIALS and tracebacks of callbacks; exceptions repeat them."""
     hook, sys.excepthook = sys.excepthook, lambda *_: None
     try:
         with redirect_stderr(StringIO()):
@@ -454,12 +456,12 @@ def suppress_messages() -> Iterator[None]:
 
 
 class _StepObserver(ca.Callback):
-    """A quadrature that is identically zero, by which the steps of an integrator are observed.
+    """Quadrature that is identically zero and observes the steps of an integrator.
 
-    It records the times of the steps, reports progress, and ends the call at a step beyond a
-    limit, if it is guarded, or where the progress callable returns False. Both integrators
-    evaluate quadratures once per step, outside Newton's method, and zero passes every error test,
-    so the motion does not change. It must live as long as the integrator.
+    The observer records the times of the steps and reports progress. It ends the integration at a
+    step beyond a limit, if it is ``guarded``, or if the progress callable returns False. Both
+    integrators evaluate quadratures once per step, outside Newton's method. Zero passes every error
+    test, so that the motion does not change. The observer must exist as long as the integrator.
     """
 
     def __init__(
@@ -476,11 +478,11 @@ class _StepObserver(ca.Callback):
         return ca.Sparsity.dense(2, 1)
 
     def has_eval_buffer(self) -> bool:
-        """Return that arguments are passed as memory, which takes a fifth of the time."""
+        """Return True: arguments are passed as memory buffers, which is five times as fast."""
         return True
 
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview]) -> int:
-        """Observe a step."""
+        """Observe a step of the integrator; return zero, CasADi's code for success."""
         self.guard.call(self._observe, *_doubles(arguments[0]))
         _doubles(results[0])[0] = 0.0
         return 0
@@ -507,7 +509,7 @@ def _cut_at_crossing(
     found: _Crossing,
     stops: Sequence[WatchedEvent],
 ) -> Trajectory:
-    """Return the motion up to the limit or event that ends it."""
+    """Return the motion up to the limit or event that ends it, located between samples."""
     if found.k == 0:
         raise ModelError(f"the start is not valid: {found.stop.words}")
     kept, tail = run.part(slice(found.k)), _locate_crossing(solver, run, samples, found, stops)
@@ -517,7 +519,7 @@ def _cut_at_crossing(
 def _finish_motion(
     system: System, run: Trajectory, samples: Samples, found: _Crossing | None, end: EarlyEnd | None
 ) -> Trajectory:
-    """Return the motion with its stop; raise if the integrator failed."""
+    """Return the motion with its stop; raise SolverError if the integrator failed."""
     t, failed = float(run.t[-1]), isinstance(end, SolverError) and found is None
     if failed or (run.stop and run.stop.name.endswith("_residual")):
         why = diagnose_stop(system, samples, found.k if found else None)
@@ -540,7 +542,7 @@ def _event_times(
     each: WatchedEvent,
     run: Trajectory,
 ) -> Array:
-    """Return the times of an event in a motion, of which ``run`` is kept."""
+    """Return the times of an event in ``whole`` up to the end of ``run``."""
     if each.event.stop:
         return run.t[-1:] if run.stop and run.stop.name == each.event.name else run.t[:0]
     stop, times = Stop(each.event.name, 0.0, "", Outcome.COMPLETE), list[float]()
@@ -562,7 +564,8 @@ def _locate_crossing(
 ) -> Trajectory:
     """Locate the crossing of a limit or an event on successively finer samples.
 
-    Returns the last valid sample at a limit, and a sample between the last two at an event.
+    Returns one sample: for a limit the last valid sample, for an event the interpolated sample at
+    the crossing.
     """
     k, stop, event = found
     while run.t[k] - run.t[k - 1] > CROSSING_TOLERANCE:

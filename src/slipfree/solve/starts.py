@@ -1,4 +1,4 @@
-"""Settle from unknowns of the pose in place of states, or near a given pose."""
+"""Settle a vehicle at given values of its pose instead of states, or near a given pose."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ def settle_exchanged(
     options: SolverOptions = SolverOptions(),
     **start: float,
 ) -> Trajectory:
-    """Return the vehicle standing at rest where some unknowns of its pose have given values.
+    """Return the vehicle at rest with given values of some unknowns of its pose.
 
-    As many states are solved for in their place.
+    The same number of states is solved for instead.
 
     Parameters
     ----------
     dae : Dae
         The model.
     exchange : mapping of str to str
-        Names of the states to solve for, and of the unknown of the pose, the first field of ``z``,
-        that is given instead of each; both have the same unit.
+        Name of the given unknown of the pose (first field of ``z``) for each state to solve for, by
+        the name of the state. Both must have the same unit.
     options : SolverOptions
         Options of the solvers.
     **start : float
-        Values of these unknowns and of the other states by name; others are zero. [rad, m]
+        Values of the given unknowns and of the other states by name; zero if omitted. [rad, m]
 
     Raises
     ------
@@ -75,7 +75,7 @@ def settle_exchanged(
 def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
     """Return the model with states ``i`` among its unknowns and unknowns ``j`` among its states.
 
-    For starts only: new states are at rest, and it has no checks.
+    The model is valid only for starts: the rates of its new states are zero, and it has no checks.
     """
     x, z, u = variables(dae)
     states, unknowns = list(leaves(x)), list(leaves(z))
@@ -92,10 +92,10 @@ def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
 
 
 def _guess_exchanged(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array) -> Array:
-    """Return an initial guess of ``z`` of the exchanged model from its states, by a Newton step.
+    """Return an initial guess of ``z`` of the exchanged model from its states.
 
-    The step makes the model's own guess of the unknowns ``j`` equal to their given values; it is
-    exact where that guess is linear in the states ``i``, as that of places is in places.
+    One Newton step finds the states ``i`` at which the original model's guess of the unknowns ``j``
+    equals their given values. It is exact if this guess is linear in the states ``i``.
     """
     states = dae.columns()[0]
     rows = dae.guess[j]
@@ -127,36 +127,36 @@ def settle_nearest(
     options: SolverOptions = SolverOptions(),
     **pose: float,
 ) -> Trajectory:
-    """Return the vehicle standing in the pose nearest to a given one.
+    """Return the vehicle at rest in the pose nearest to a given pose.
 
-    The weighted sum of squared changes is least among all poses that satisfy the first block of
-    equations.
+    The weighted sum of squared differences from the given values is minimal among all poses that
+    satisfy the first block of equations.
 
     Parameters
     ----------
     dae : Dae
         The model.
     weights : mapping of str to float, optional
-        Weight of the change of a coordinate; one by default, so that a metre counts as a radian;
-        infinite to keep it. [1/m2, 1/rad2]
+        Weight of the squared difference by name of the coordinate; 1 by default, so that a metre
+        counts as a radian. An infinite weight fixes the coordinate. [1/m2, 1/rad2]
     options : SolverOptions
         Options of the solvers.
     **pose : float
         States and unknowns of the pose by name: ``x``, ``y``, ``z``, ``heading``, ``roll``,
-        ``pitch`` and joints. States that are not named count as zero; other quantities
-        that are not named are free. [m, rad]
+        ``pitch`` and joints. Omitted states have the given value zero;
+        omitted unknowns are free. [m, rad]
 
     Returns
     -------
     Trajectory
-        One sample; its ``statistics`` hold ``change``, the root of the sum, and the change of
-        every coordinate that counts.
+        One sample. Its ``statistics`` contain ``change``, the square root of the sum without fixed
+        coordinates, and ``change_NAME``, the difference of each coordinate that is not free.
 
     Raises
     ------
     ModelError
-        If a name is unknown, a value is not finite, a weight negative, or the vehicle cannot
-        stand near there.
+        If a name is unknown, a value is not finite, a weight is negative, or no pose near the
+        given one satisfies the equations.
     """
     labels = [*leaves(dae.labels.x), *leaves(dae.labels.z[0])]
     names, n_x = [label.full for label in labels], dae.ode.numel()
@@ -208,7 +208,7 @@ def _check_pose(
 
 
 def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
-    """Return states and pose that satisfy the first equations with the least weighted change."""
+    """Return the states and pose with the least weighted change that satisfy the first block."""
     unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
     counts = np.isfinite(weight)
     change = np.where(counts, weight, 0.0)
@@ -228,6 +228,6 @@ def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
         status = str(solver.stats()["return_status"])
         raise ModelError(
             "settle_nearest: the vehicle cannot stand near the given pose "
-            f"({ipopt_words(status)}); give one that is nearer to the ground"
+            f"({ipopt_words(status)}); give a pose nearer to the ground"
         )
     return np.array(found["x"]).ravel()

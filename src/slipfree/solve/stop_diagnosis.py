@@ -1,4 +1,4 @@
-"""Find the cause of a stop of models with a continuation: no solution, or one a jump away."""
+"""Diagnose a stop of a quasi-static motion: no solution exists, or only one after a jump."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ MIN_LASTING_JUMP = 5e-3  # the same if half of it or more happens in that share 
 
 
 def diagnose_stop(system: System, samples: Samples, violation: int | None) -> Stop | None:
-    """Return the stop explained by the model's equations; None without an explanation.
+    """Return the stop explained by the equations of the model; None if they do not explain it.
 
     Parameters
     ----------
     system : System
         The model under inputs.
     samples : Samples
-        Those that the integrator reached.
+        Samples that the integrator reached.
     violation : int or None
-        Index of the sample at which the equations do not hold; without one, the states shortly
-        after the last sample are predicted.
+        Index of the sample that does not satisfy the equations. If None, the states shortly after
+        the last sample are predicted and tested.
     """
     if system.dae.continuation is None:
         return None
@@ -53,7 +53,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
     jump = _change(system, z, found)
     k = int(jump.argmax())
     sooner = x + SHARE * (soon - x)
-    lasts = violation is None and _lasts(system, t, sooner, z, u, least=float(jump[k]) / 2)
+    lasts = violation is None and _jump_persists(system, t, sooner, z, u, least=float(jump[k]) / 2)
     if jump[k] < MIN_JUMP and not lasts:
         return None
     label = list(leaves(system.dae.labels.z))[k]
@@ -61,14 +61,15 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
     return Stop(
         "fold",
         t,
-        "the motion that friction allows ends in a fold: it would go on with a jump, such as "
-        f"{label.full} from {z[k]:.3g} to {found[k]:.3g}{unit}, which inertia decides",
+        "the motion that friction allows ends in a fold: it can continue only with a jump, for "
+        f"example of {label.full} from {z[k]:.3g} to {found[k]:.3g}{unit}, which depends on "
+        "inertia",
         Outcome.NO_EQUILIBRIUM,
     )
 
 
 def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
-    """Return whether the unknowns of a sample solve the equations at its states and inputs."""
+    """Return whether a sample solves the equations; True if Newton's method fails."""
     try:
         found = solve_initial_conditions(system, t, x, z, u, continuation=False)
     except ModelError:
@@ -76,10 +77,11 @@ def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
     return bool(_change(system, z, found).max() < MIN_JUMP)
 
 
-def _lasts(system: System, t: float, x: Array, z: Array, u: Array, *, least: float) -> bool:
-    """Return whether the unknowns change by ``least`` or more at states nearby too.
+def _jump_persists(system: System, t: float, x: Array, z: Array, u: Array, *, least: float) -> bool:
+    """Return whether the unknowns change by ``least`` or more at states reached sooner as well.
 
-    A jump stays as it is where the time shrinks; continuous changes shrink with it.
+    A jump has the same size after a shorter time; continuous changes are smaller. A change below
+    `MIN_LASTING_JUMP` is not a jump.
     """
     if 2 * least < MIN_LASTING_JUMP:
         return False
@@ -91,5 +93,5 @@ def _lasts(system: System, t: float, x: Array, z: Array, u: Array, *, least: flo
 
 
 def _change(system: System, z: Array, found: Array) -> Array:
-    """Return the change of the motion's unknowns, in their typical sizes."""
+    """Return the absolute changes of the motion's unknowns, divided by their typical sizes."""
     return np.asarray(np.abs((found - z) / system.dae.scale)[: system.motion_size])

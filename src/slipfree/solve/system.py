@@ -19,19 +19,20 @@ MAX_NEWTON_STEPS = 25  # for blocks that depend on the motion
 
 
 class Block(NamedTuple):
-    """One block of algebraic equations, as Newton's method uses it.
+    """One block of algebraic equations, which Newton's method solves at once.
 
     Attributes
     ----------
     span : slice
-        Its unknowns among those of ``z``.
+        Indices of its unknowns in ``z``.
     residual, jacobian : casadi Function
-        Of ``t, x, z, u`` and the continuation; the residual is without unit, the Jacobian with
-        respect to the unknowns of the block.
+        Functions of ``(t, x, z, u, continuation)``: the residual without unit, and its Jacobian by
+        the unknowns of the block.
     linear : bool
         Whether the block is linear in its unknowns.
     stages : tuple of float
-        Values of the continuation at a start; one if the block does not depend on it.
+        Values of the continuation parameter at a start, in the order of solution; a single value if
+        the block does not depend on it.
     labels : tuple of Label
         Names of its equations.
     """
@@ -47,27 +48,28 @@ class Block(NamedTuple):
 class System(NamedTuple):
     """A DAE whose inputs are numbers or have been replaced by expressions.
 
-    The unknowns of the motion, ``m``, are the first ones of ``z``; the others follow from it.
+    The unknowns of the motion, ``m``, are the first entries of ``z``; dependent blocks determine
+    the other entries after the motion.
 
     Attributes
     ----------
     dae : Dae
         The model.
     u : ndarray, shape (n_u, n) or (2 n_u, n)
-        Values of the inputs at every interval, unused where an expression rules; with slopes after
-        them if inputs are linear in time.
+        Values of the inputs in every interval; values of an input given by an expression are
+        unused. If inputs are linear in time, the rows of their slopes follow.
     core : casadi Function
         ``(t, x, m, u) -> (ode, alg)``, the equations of the motion; ``alg`` is without unit.
     quad : casadi Function
-        ``(t, x, m, u) -> quad``.
+        ``(t, x, m, u) ->`` rates of the quadratures.
     blocks, dependent_blocks : tuple of Block
         The algebraic equations of the motion, and those that are solved after it.
     newton : casadi Function
-        ``(t, x, m, u) -> (alg, its Jacobian in m)``.
+        ``(t, x, m, u) -> (alg, its Jacobian by m)``.
     jacobian : casadi Function
-        Derivatives of ``core``, as IDAS takes them; see `slipfree.solve.equations.Equations`.
+        Derivatives of ``core`` for IDAS; see `slipfree.solve.equations.MotionEquations`.
     outputs : casadi Function
-        ``(t, x, z, u) -> (outputs, limits, inputs)``.
+        ``(t, x, z, u) ->`` values of the outputs, limits and inputs.
     margin : casadi Function
         ``(t, x, m, u) ->`` least distance to a limit of the motion, negative beyond one; lengths
         in sizes of the vehicle.
@@ -96,18 +98,19 @@ def with_inputs(
     intervals: int,
     options: SolverOptions = SolverOptions(),
 ) -> System:
-    """Return the DAE under inputs.
+    """Return a DAE under given inputs.
 
     Parameters
     ----------
     dae : Dae
         The model.
     inputs : record
-        Numbers, arrays of shape (intervals,) or expressions in the symbols of the model.
+        Numbers, arrays of shape (intervals,), `PiecewiseLinear` values, or expressions in the
+        symbols of the model.
     intervals : int
         Number of intervals between samples.
     options : SolverOptions
-        Options, of which only `compiled` is used.
+        Options of the solvers; only `compiled` is used.
 
     Raises
     ------
@@ -137,9 +140,9 @@ def with_inputs(
 
 @lru_cache(maxsize=8)
 def _with_numbers(dae: Dae, *, linear: bool, compiled: bool) -> System:
-    """Return a model whose inputs are numbers; cached, since it serves any start and any numbers.
+    """Return a model with numeric inputs; cached, since it is valid for all starts and numbers.
 
-    If they are linear in time, they are given by values at zero and slopes.
+    If ``linear``, the numbers are the values of the inputs at time zero and their slopes.
     """
     u = dae.columns()[2]
     if not linear:
@@ -150,7 +153,7 @@ def _with_numbers(dae: Dae, *, linear: bool, compiled: bool) -> System:
 
 
 def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
-    """Return a model with laws in place of its inputs; ``u`` are the symbols of their numbers."""
+    """Return a model with the expressions ``law`` as inputs; ``u`` are the symbols of numbers."""
     x, z, inputs = dae.columns()
     limits = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in dae.limits))
     continuation = (
@@ -184,7 +187,7 @@ def _build(dae: Dae, law: list[ca.SX], u: ca.SX, *, compiled: bool) -> System:
 def _first_dependent_block(
     ode: ca.SX, parts: list[ca.SX], z: ca.SX, blocks: tuple[Block, ...]
 ) -> int:
-    """Return the index of the first trailing block on which the motion does not depend."""
+    """Return the index of the first block that is solved after the motion, at least 1."""
     first = len(blocks)
     for index in reversed(range(len(blocks))):
         others = ca.vertcat(ode, *parts[:index])
@@ -201,7 +204,7 @@ def _quadrature_rates(
     quad: ca.SX,
     dependent: tuple[Block, ...],
 ) -> ca.Function:
-    """Return the rates of the quadratures from the motion, solving the dependent blocks."""
+    """Return the function of the quadrature rates, which solves the dependent blocks."""
     t, x, z, u = symbols
     count = dependent[0].span.start if dependent else z.numel()
     if not dependent or not ca.depends_on(quad, z[count:]):
@@ -217,7 +220,7 @@ def _quadrature_rates(
 
 
 def _solve_symbolically(block: Block, point: list[ca.MX]) -> ca.MX:
-    """Return ``z`` with the unknowns of a block in place of their guess."""
+    """Return ``z`` with the symbolic solution of a block; ``point`` contains the guess."""
     t, x, z, u = point
     before, guess, rest = ca.vertsplit(z, [0, block.span.start, block.span.stop, z.numel()])
     if block.linear:
@@ -260,14 +263,22 @@ def _limit_margin(dae: Dae, bounds: ca.SX, following: ca.SX) -> ca.SX:
 def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
     x, z, u = dae.columns()
     if law.shape != (1, 1):
-        raise ModelError(f"input {label.full}: expected a scalar expression, found {law.shape}")
+        raise ModelError(
+            f"input {label.full}: expected a scalar expression, found shape {law.shape}"
+        )
     if ca.depends_on(law, u):
-        raise ModelError(f"input {label.full}: a law cannot contain the inputs themselves")
+        raise ModelError(
+            f"input {label.full}: a law cannot contain the inputs themselves; "
+            "use time, states and unknowns"
+        )
     free = ca.Function(
         "law", [dae.t, x, z, found_column(dae.lookups)], [law], {"allow_free": True}
     ).free_sx()
     if free:
-        raise ModelError(f"input {label.full}: {free[0]} is not a symbol of the model")
+        raise ModelError(
+            f"input {label.full}: {free[0]} is not a symbol of the model; use the "
+            "symbols of its Dae"
+        )
     return law
 
 
@@ -295,7 +306,11 @@ def _equation_blocks(dae: Dae, symbols: list[ca.SX], parts: list[ca.SX]) -> tupl
             continue
         slopes = ca.jacobian(rows, z[span])
         if ca.depends_on(rows, z[span.stop :]):
-            raise ModelError("a block of equations depends on the unknowns of a later one")
+            raise ModelError(
+                "alg: expected blocks of equations without unknowns of later blocks, found a block "
+                f"with such unknowns, which begins with {labels[0].full}; "
+                "change the order of the blocks"
+            )
         is_continued = dae.continuation is not None and ca.depends_on(rows, continuation)
         blocks.append(
             Block(

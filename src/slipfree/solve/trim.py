@@ -1,4 +1,4 @@
-"""Solve a start under inputs, and find states at which outputs of a model are least."""
+"""Solve for the unknowns of a start under inputs, and for states that minimise outputs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def apply_inputs(
     Raises
     ------
     ModelError
-        If they do not determine them, or a limit is violated.
+        If the equations do not determine the unknowns, or a limit is violated.
     """
     return _consistent_start(
         with_inputs(dae, inputs, 0, options), dae.rows("x", start, -1), _known_unknowns(dae, start)
@@ -46,28 +46,28 @@ def trim_states(
     least: Sequence[str],
     options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
-    """Return a start at the states that minimize the mean square of outputs.
+    """Return a start at the states that minimise the mean square of outputs.
 
     Parameters
     ----------
     dae : Dae
         The model.
     start : Trajectory
-        Motion of this model or of one with the same pose; the search starts at its last sample.
-        Other states keep their values.
+        Motion of this model or of a model with the same pose. Its last sample is the initial guess;
+        states that are not in ``states`` keep their values.
     inputs : record
         From ``dae.inputs(...)``; constants or expressions.
     states : sequence of str
         Names of the states to find.
     least : sequence of str
-        Names of the outputs to minimise, over all wheels for outputs of wheels.
+        Names of the outputs to minimise; the name of an output of wheels includes all wheels.
     options : SolverOptions
         Options of the solvers.
 
     Returns
     -------
     Trajectory
-        One sample, moving under the inputs.
+        One sample, with unknowns that satisfy the equations under the inputs.
 
     Raises
     ------
@@ -80,7 +80,10 @@ def trim_states(
     rows = [k for k, label in enumerate(leaves(dae.labels.y)) if label.name in least]
     found = {label.name for label in leaves(dae.labels.y)}
     for name in (*(each for each in states if each not in x_names), *(set(least) - found)):
-        raise ModelError(f"trim_states: the model has no {name!r}; states are {', '.join(x_names)}")
+        raise ModelError(
+            f"trim_states: the model has no {name!r}; states are {', '.join(x_names)}; outputs are "
+            f"{', '.join(sorted(found))}"
+        )
     where = [x_names.index(name) for name in states]
     system = with_inputs(dae, inputs, 0, options)
     part = system._replace(blocks=_needed_blocks(system, [list(leaves(dae.y))[k] for k in rows]))
@@ -106,7 +109,7 @@ def trim_states(
 
 
 def _known_unknowns(dae: Dae, start: Trajectory) -> Array:
-    """Return the unknowns of a start, local; zero where it has none of that name."""
+    """Return the unknowns of a start in local coordinates; zero for those that it lacks."""
     pairs = zip(leaves(dae.labels.z), dae.shift[1], strict=True)
     return np.array(
         [
@@ -117,7 +120,7 @@ def _known_unknowns(dae: Dae, start: Trajectory) -> Array:
 
 
 def _needed_blocks(system: System, outputs: Sequence[ca.SX]) -> tuple[Block, ...]:
-    """Return the first blocks of equations, up to the last on which outputs depend."""
+    """Return the first blocks of equations, up to the last block on which outputs depend."""
     z, together = system.dae.columns()[1], ca.vertcat(*outputs)
     last = [k for k, block in enumerate(system.blocks) if ca.depends_on(together, z[block.span])]
     return system.blocks[: max(last, default=0) + 1]

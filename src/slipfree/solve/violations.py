@@ -25,10 +25,10 @@ def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
 def first_violation(
     system: System, run: Trajectory, samples: Samples, unsolved: float = UNSOLVED_RESIDUAL
 ) -> tuple[int, Stop] | None:
-    """Return the first sample that violates a limit or a check, and the stop.
+    """Return the index of the first sample with a violation, and its stop; None without one.
 
-    ``unsolved`` is the residual, without unit, above which the motion's equations count as not
-    solved.
+    Violations are of limits, checks and equations. The equations of the motion are violated if
+    their residual, without unit, exceeds ``unsolved``.
     """
     found: tuple[int, Stop] | None = None
 
@@ -59,7 +59,7 @@ def first_violation(
                 label.name,
                 lambda k, v=values, lb=label, most=most: (
                     f"the equations have no exact solution here: {lb.name} {v[k]:.1e} {lb.unit}, "
-                    f"allowed at most {most:g}; a smaller tolerance may help"
+                    f"allowed at most {most:g}; try a smaller tolerance of the solver"
                 ),
                 Outcome.SOLVER_FAILURE,
             )
@@ -70,7 +70,8 @@ def first_violation(
             ~(values >= 0),
             label.full,
             lambda k, c=check, v=values: (
-                f"{c.label.full}: no value could be computed"
+                f"{c.label.full}: expected a margin of at least 0, found NaN: "
+                "it could not be computed"
                 if np.isnan(v[k])
                 else c.describe(samples.x[:, k], samples.z[:, k])
             ),

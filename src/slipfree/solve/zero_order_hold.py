@@ -1,4 +1,4 @@
-"""Simulate a sampled controller whose outputs are held from sample to sample."""
+"""Simulate a sampled controller whose outputs are constant between samples."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ def simulate_sampled(
     *,
     options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
-    """Return the motion under inputs that are held from sample to sample.
+    """Return the motion under inputs that are constant between samples.
 
-    CVODES starts anew at every sample. The first sample that violates a limit of the model is the
-    last.
+    CVODES restarts at every sample. The motion ends with the first sample that violates a limit of
+    the model.
 
     Parameters
     ----------
     dae : Dae
         The model, without algebraic unknowns.
     start : Trajectory
-        Its last sample is where the motion starts, whatever its time.
+        Trajectory whose last sample is the start; the time of this sample is ignored.
     inputs : record
-        From ``dae.inputs(...)``. An expression, of time, states and inputs that are numbers, is
-        evaluated at every sample and held.
+        From ``dae.inputs(...)``. Expressions may contain time, states and numeric inputs; they
+        are evaluated at every sample and constant until the next one.
     t : ndarray, shape (n,)
         Times at which the controller samples, evenly spaced. [s]
     options : SolverOptions
@@ -61,18 +61,22 @@ def simulate_sampled(
     Raises
     ------
     ModelError
-        If the model has algebraic unknowns, or times, inputs or the method are not usable.
+        If the model has algebraic unknowns, or times, inputs or method are invalid.
     SolverError
-        If CVODES fails; ``trajectory`` contains the motion up to there.
+        If CVODES fails; ``trajectory`` is the motion up to the failure.
     """
     t = check_times(t)
     period = float(t[1] - t[0])
     if np.abs(np.diff(t) - period).max() > PERIOD_TOLERANCE * period:
-        raise ModelError("t: a sampled controller takes evenly spaced times in seconds")
+        raise ModelError(
+            "t: expected evenly spaced times for a sampled controller, found steps from "
+            f"{np.diff(t).min():.9g} to {np.diff(t).max():.9g} s"
+        )
     if dae.guess.numel():
         raise ModelError(
-            f"a sampled controller takes a model without algebraic unknowns, found "
-            f"{dae.guess.numel()}; use simulate with one value of the inputs for each interval"
+            "dae: expected a model without algebraic unknowns for a sampled controller, found "
+            f"{dae.guess.numel()} of them; use simulate with one value of the inputs for each "
+            "interval"
         )
     if options.method == "idas":
         raise ModelError("method: expected 'cvodes' for a sampled controller, found 'idas'")
@@ -95,9 +99,9 @@ def simulate_sampled(
 def _split_inputs(
     dae: Dae, inputs: Any, intervals: int, options: SolverOptions
 ) -> tuple[System, ca.Function]:
-    """Return the model under its numeric inputs, and a function of all inputs at a sample.
+    """Return the model under its numeric inputs, and a function that evaluates all inputs.
 
-    The latter is a function of ``t, x`` and the former.
+    This function is ``(t, x, numeric inputs) -> inputs``.
     """
     given = list(leaves(inputs))
     laws = [isinstance(value, ca.SX) for value in given]
@@ -105,16 +109,24 @@ def _split_inputs(
     system = with_inputs(dae, unpack(dae.u, numbers), intervals, options)
     x, _, u = dae.columns()
     if system.u.shape[0] != u.numel():
-        raise ModelError("a sampled controller holds its inputs: linear ones are not possible")
+        raise ModelError(
+            "inputs: expected constants or expressions for a sampled controller, found inputs that "
+            "are linear in time"
+        )
     symbols = ca.vertsplit(u)
     held = ca.vertcat(*(symbols[k] for k, is_law in enumerate(laws) if is_law))
     rules = ca.vertcat(*(given[k] for k, is_law in enumerate(laws) if is_law))
     if ca.depends_on(ca.SX(rules), ca.SX(held)):
-        raise ModelError("inputs: the law of a held input contains a held input")
+        raise ModelError(
+            "inputs: expected expressions of time, states and numeric inputs, found an expression "
+            "that contains an input given by an expression; substitute it"
+        )
     column = ca.vertcat(*(given[k] if is_law else symbols[k] for k, is_law in enumerate(laws)))
     known = [dae.t, x, u, found_column(dae.lookups)]
     if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
-        raise ModelError(f"inputs: {free[0]} is not a symbol of the model")
+        raise ModelError(
+            f"inputs: {free[0]} is not a symbol of the model; use the symbols of its Dae"
+        )
     return system, dae.function("law", known[:3], [column])
 
 
@@ -126,7 +138,7 @@ def _integrate_periods(
     tolerance: float,
     guard: InterruptGuard,
 ) -> tuple[Samples, dict[str, float], str]:
-    """Return the samples up to the first beyond a limit, statistics, and the failure if any."""
+    """Return the samples up to the first beyond a limit, counts, and the failure, if any."""
     dae, n = system.dae, t.size
     integrator = _period_integrator(system, float(t[1] - t[0]), tolerance)
     x, q = np.zeros((dae.ode.numel(), n)), np.zeros((dae.quad.numel(), n))
@@ -152,7 +164,7 @@ def _integrate_periods(
 
 
 def _period_integrator(system: System, period: float, tolerance: float) -> ca.Function:
-    """Return the integrator over one period, of the state and of the inputs with their time."""
+    """Return the integrator over one period; parameters are inputs and start time."""
     t, x = ca.MX.sym("t"), ca.MX.sym("x", system.dae.ode.numel())
     p = ca.MX.sym("p", system.u.shape[0] + 1)
     point = (p[-1] + t, x, ca.MX(0, 1), p[:-1])

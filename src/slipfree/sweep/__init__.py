@@ -1,1 +1,1 @@
-"""Many runs of one problem: a grid of values, seeds, processes or a cluster, one table."""
+"""Sweeps: many runs of one problem with different values and seeds, and a table of results."""

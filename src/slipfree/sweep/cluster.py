@@ -1,4 +1,4 @@
-"""Pool of the workers of a running Dask scheduler."""
+"""Pool of tasks on the workers of a running Dask scheduler."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ AHEAD = 2  # tasks per worker, so that it need not wait for the next one
 class Cluster:
     """A pool of the workers of a Dask scheduler.
 
-    Workers need the same version of slipfree, and the files that the problem names under the same
-    path. A worker does one run at a time, however many threads it has.
+    Workers need the same version of slipfree, and the input files of the problem at the same paths.
+    A worker executes one run at a time, regardless of its number of threads.
 
     Parameters
     ----------
     address : str
-        As in ``tcp://10.0.0.1:8786``.
+        Address of the scheduler, such as ``tcp://10.0.0.1:8786``.
     warn : callable
-        Called with words when all workers are gone, and when some are back.
+        Called with a message when all workers are lost, and when workers are available again.
 
     Raises
     ------
     DataError
-        If distributed is not installed, no scheduler answers, it has no workers, or these have
-        another version.
+        If the package distributed is not installed, no scheduler responds, it has no workers, or
+        they have another version of slipfree.
     """
 
     def __init__(self, address: str, warn: Callable[[str], None]) -> None:
@@ -50,12 +50,12 @@ class Cluster:
         self._open: dict[str, Any] = {}
 
     def room(self) -> int:
-        """Return the number of tasks that the workers take; warn when all are lost or return.
+        """Return the largest number of open tasks; warn if all workers are lost or available again.
 
         Raises
         ------
         SlipfreeError
-            If the scheduler is gone.
+            If the connection to the scheduler is lost.
         """
         if self._client.status != "running":
             raise self._gone()
@@ -74,7 +74,13 @@ class Cluster:
         return self._open[key]
 
     def result(self, future: Any, task: Task) -> Done:
-        """Return the result of a future."""
+        """Return the result of a future, with outcome ``lost`` if its worker failed.
+
+        Raises
+        ------
+        SlipfreeError
+            If the connection to the scheduler is lost.
+        """
         del self._open[future.key]
         if future.status == "finished":
             done: Done = future.result()
@@ -84,20 +90,20 @@ class Cluster:
         raise self._gone()
 
     def close(self) -> None:
-        """Cancel open tasks and leave the cluster."""
+        """Cancel open tasks and disconnect from the scheduler."""
         with suppress(Exception):  # of a scheduler that may be gone
             self._client.cancel([*self._open.values()])
         self._client.close()
 
     def _gone(self) -> SlipfreeError:
         return SlipfreeError(
-            f"--scheduler {self._address}: the scheduler went away; finished runs are kept, and "
-            "the same command with a running scheduler goes on"
+            f"--scheduler {self._address}: the connection to the scheduler is lost; finished "
+            "runs are kept; start a scheduler and repeat the command to continue"
         )
 
 
 def _connect(address: str) -> Any:
-    """Return a client of a scheduler, with its workers checked."""
+    """Return a client of a scheduler after a check of its workers."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -121,7 +127,10 @@ def _connect(address: str) -> Any:
 
 
 async def _reach(address: str) -> None:
-    """Connect to a scheduler once: a client that cannot takes 20 s to close, with a traceback."""
+    """Check that a scheduler accepts a connection.
+
+    A client without a connection would take 20 s to close and print a traceback.
+    """
     from distributed.comm.core import connect
     from distributed.security import Security
 
@@ -137,7 +146,7 @@ def _check_workers(client: Any, address: str) -> None:
     except Exception as error:  # whatever the workers raise on import
         raise DataError(
             f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
-            f"{type(error).__name__}: {error}; install it there"
+            f"{type(error).__name__}: {error}; install this version on all workers"
         ) from error
     if not found:
         raise DataError(
@@ -147,7 +156,7 @@ def _check_workers(client: Any, address: str) -> None:
     if found != {__version__}:
         raise DataError(
             f"--scheduler {address}: expected workers that have slipfree {__version__}, found "
-            f"{', '.join(sorted(found))}; install the same everywhere"
+            f"{', '.join(sorted(found))}; install the same version on all workers"
         )
 
 

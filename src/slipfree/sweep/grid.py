@@ -31,14 +31,14 @@ SEED = "seed"  # last part of the keys that repetitions change
 
 
 class Axis(NamedTuple):
-    """A varied key and its values.
+    """Varied key of a sweep, and its values.
 
     Attributes
     ----------
     key : str
         Dotted key such as ``inputs.left_rate``.
     values : tuple of str
-        Values in TOML, or bare words.
+        Values as TOML text, or words without quotes.
     """
 
     key: str
@@ -59,11 +59,11 @@ class Run(NamedTuple):
     Attributes
     ----------
     number : int
-        Number of the run, from 1 on.
+        Number of the run; the first is 1.
     values : tuple of str
         One value per varied key.
     seeds : tuple of int
-        One seed per key of a seed.
+        One seed for each key in `Sweep.seeds`.
     settings : tuple of str
         All settings that replace values of the problem file, as ``key=value``.
     """
@@ -87,7 +87,7 @@ class Sweep:
     axes : tuple of Axis
         Varied keys.
     seeds : tuple of str
-        Keys with a seed of their own in every repetition; empty without repetitions.
+        Keys of the seeds that every repetition changes; empty without repetitions.
     repeat : int
         Number of repetitions of every point of the grid.
     seed : int
@@ -106,7 +106,7 @@ class Sweep:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The varied keys, and those of the seeds."""
+        """The varied keys, then the keys of the seeds."""
         return (*(axis.key for axis in self.axes), *self.seeds)
 
     @property
@@ -150,18 +150,18 @@ def sweep_of(
     seed: int = 1,
     progress: Callable[[int, int], None] = lambda _, __: None,
 ) -> Sweep:
-    """Return the sweep of a problem file; every value of its axes makes a valid problem.
+    """Return the sweep of a problem file, after a check of every value.
 
-    Each value is checked by itself, beside the first ones of the other axes. A combination that
-    does not fit the schema although its values do is a run that fails.
+    Each value is checked separately, with the first values of the other keys. Other combinations
+    are not checked: a run with an invalid combination fails.
 
     Parameters
     ----------
     file : Path
         The problem file.
     vary : sequence of str
-        ``key=a:b:n`` for n numbers from a to b, ``key=v1,v2,...`` for values in TOML or bare
-        words; all combinations are run.
+        Varied keys: ``key=a:b:n`` for n equally spaced numbers from a to b, ``key=v1,v2,...`` for
+        values in TOML or words without quotes. All combinations are run.
     settings : sequence of str
         ``key=value`` for all runs.
     repeat : int, optional
@@ -170,13 +170,13 @@ def sweep_of(
     seed : int
         The first seed.
     progress : callable
-        Called with the number of checked values, and that of all.
+        Called with the number of checked values and the number of all values.
 
     Raises
     ------
     DataError
-        If what is varied cannot be read, is given twice, or nothing has a seed to repeat with;
-        a ProblemError if a value does not fit the schema.
+        If ``vary`` is invalid or contains a key twice, if there are too many runs, or if the
+        problem has no seed for repetitions; a `ProblemError` if a value is invalid.
     """
     axes = tuple(axis_of(each) for each in vary)
     _check_keys(axes, settings)
@@ -202,7 +202,7 @@ def sweep_of(
         where = bare.problem.source.path
         raise DataError(
             f"{where}: expected a key that ends in .{SEED} for --repeat, found "
-            + (f"none but {', '.join(found)}, which is varied" if found else "none")
+            + (f"only {', '.join(found)}, which --vary changes" if found else "none")
             + "; add a random table such as [terrain.synthetic.power_law], [terrain.error] or "
             "[control.noise], or omit --repeat"
         )
@@ -239,11 +239,11 @@ def axis_of(text: str) -> Axis:
     found = RANGE.fullmatch(rest)
     values = _range(text, *found.groups()) if found else _values(rest)
     if "" in values:
-        raise DataError(f"--vary {text}: expected values, none of them empty, found an empty one")
+        raise DataError(f"--vary {text}: expected values between commas, found an empty value")
     meant: dict[object, str] = {}
     for value in values:
-        if (same := meant.setdefault(_meant(value), value)) is not value:
-            also = "twice" if same == value else f"and {value}, which is the same"
+        if (same := meant.setdefault(_comparison_key(value), value)) is not value:
+            also = "twice" if same == value else f"and {value}, which are equal"
             raise DataError(f"--vary {text}: expected values that differ, found {same} {also}")
     return Axis(spelled, values)
 
@@ -259,8 +259,8 @@ def seed_keys(spec: Mapping[str, Any], above: str = "") -> tuple[str, ...]:
     return tuple(keys)
 
 
-def _meant(value: str) -> object:
-    """Return the identity of a value: ``1`` equals ``1.0``, and a word equals itself in quotes."""
+def _comparison_key(value: str) -> object:
+    """Return a key equal for ``1`` and ``1.0``, and for a word with and without quotes."""
     try:
         found = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -271,7 +271,7 @@ def _meant(value: str) -> object:
 
 
 def _check_keys(axes: Sequence[Axis], settings: Sequence[str]) -> None:
-    """Raise DataError for keys that are given twice or are inside another varied key.
+    """Raise DataError for varied keys that are repeated, set, or part of another varied key.
 
     A table may be set and one of its keys varied: the varied values then replace the set one.
     """
@@ -314,7 +314,7 @@ def _range(text: str, first: str, last: str, count: str) -> tuple[str, ...]:
 
 
 def _values(text: str) -> tuple[str, ...]:
-    """Return the values of a list in TOML; bare words if they are not TOML."""
+    """Return comma-separated values as TOML text, or as words if they are not valid TOML."""
     try:
         found = tomllib.loads(f"values = [{text}]")["values"]
         return tuple(map(_spelled, found))
@@ -323,7 +323,7 @@ def _values(text: str) -> tuple[str, ...]:
 
 
 def _spelled(value: Any) -> str:
-    """Return a value in TOML, which equals JSON for arrays, texts and numbers.
+    """Return a value as TOML text, which equals JSON for arrays, texts and numbers.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Log of a sweep: one line of JSON per finished run, synchronised to disk.
 
-A killed sweep loses no complete line; an incomplete line is dropped when the sweep continues, and
-its run is repeated.
+Complete lines are kept if the sweep is killed. An incomplete line is removed when the sweep
+continues, and its run is repeated.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Row(NamedTuple):
         ``"complete"``, ``"stopped by NAME"``, ``"failed"``, or ``"lost"`` if its process died or
         the disk or memory was full.
     words : str
-        Reason of the stop or failure.
+        Reason of the stop or failure, or description of the end of a complete run.
     t : float or None
         Time reached; None if it failed. [s]
     figures : mapping of str to (float, str)
@@ -73,9 +73,9 @@ class Rows:
     Attributes
     ----------
     outcomes : Counter of str
-        How many runs ended how.
+        Number of finished runs by outcome.
     last : Row or None
-        The run that was finished last in this process.
+        Last run that finished in this process.
     """
 
     def __init__(self, path: Path) -> None:
@@ -105,17 +105,17 @@ class Rows:
                 yield row_of(json.loads(file.readline()))
 
     def ended(self, *outcomes: str) -> list[int]:
-        """Return the increasing numbers of the runs with one of these outcomes."""
+        """Return the numbers of the runs with one of the given outcomes, in ascending order."""
         return sorted(run for run, (_, outcome) in self._places.items() if outcome in outcomes)
 
     @property
     def units(self) -> dict[str, str]:
-        """Units of all metrics by name, in the order of the runs."""
+        """Units of all metrics by name, in the order of the first run that has them."""
         ordered = sorted(self._units.items(), key=lambda each: each[1])
         return {name: unit for name, (_, _, unit) in ordered}
 
     def add(self, row: Row, place: int) -> None:
-        """Add a run that begins at a byte of the file; it replaces an earlier one."""
+        """Add a finished run whose line begins at byte ``place``; replace its earlier result."""
         self.discard(row.run)
         self._places[row.run] = place, sys.intern(row.outcome)
         self.outcomes[row.outcome] += 1
@@ -125,7 +125,7 @@ class Rows:
                 self._units[sys.intern(name)] = row.run, k, sys.intern(unit)
 
     def discard(self, run: int) -> None:
-        """Remove a run, if it is there."""
+        """Remove the result of a run, if there is one."""
         if run in self._places:
             self.outcomes[self._places.pop(run)[1]] -= 1
 
@@ -136,7 +136,7 @@ def row_of(line: Mapping[str, Any]) -> Row:
     Raises
     ------
     TypeError, ValueError, AttributeError
-        If it is none.
+        If the line does not describe a run.
     """
     row = Row(**line)
     figures = {name: (float(value), str(unit)) for name, (value, unit) in row.figures.items()}
@@ -160,7 +160,8 @@ class Log:
         Raises
         ------
         DataError
-            If it cannot be written, is open elsewhere, is damaged, or belongs to another sweep.
+            If the file cannot be written, is used by another process, is damaged, or belongs to
+            another sweep.
         """
         self.path, self._open = path, {LOST, *([FAILED] if again else [])}
         try:
@@ -183,7 +184,7 @@ class Log:
         Raises
         ------
         DataError
-            If it cannot be written.
+            If the file cannot be written.
         """
         self.rows.add(row, self._write(row._asdict()))
         self.rows.last = row
@@ -210,8 +211,8 @@ class Log:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise DataError(
-                f"{self.path}: expected a sweep that is not running, found that another process "
-                "writes to it; wait for it, or choose another folder with -o"
+                f"{self.path}: expected a log that no other process writes, found one in use; wait "
+                "until the other sweep ends, or choose another folder with -o"
             ) from error
 
     def _read(self, head: Mapping[str, Any]) -> None:
@@ -251,9 +252,14 @@ class Log:
             self.rows.add(row, place)
 
     def _damaged(self, number: int) -> DataError:
+        if number == 1:
+            return DataError(
+                f"{self.path}:1: expected the description of a sweep in JSON, found something "
+                "else; choose another folder with -o"
+            )
         return DataError(
             f"{self.path}:{number}: expected one line of JSON for a run, found something else; "
-            "remove the line, and the same command repeats its run"
+            "remove the line, and repeat the command to repeat the run"
         )
 
     def _check(self, found: Mapping[str, Any], head: Mapping[str, Any]) -> None:
@@ -263,11 +269,11 @@ class Log:
                 raise DataError(
                     f"{self.path}: expected results of this sweep, found those of another {words}"
                     f"{_how(key, found.get(key), head[key])}; choose another folder with -o, or "
-                    "remove this one"
+                    "remove this file"
                 )
 
     def _write(self, what: Mapping[str, Any]) -> int:
-        """Write a line; return the byte where it begins."""
+        """Write a line of JSON; return the byte at which it begins."""
         try:
             place = self._file.seek(0, os.SEEK_END)
             self._file.write(json.dumps(what, allow_nan=False).encode() + b"\n")

@@ -29,11 +29,11 @@ def figures_of(run: Trajectory, problem: Problem[Any]) -> Figures:
     Returns
     -------
     dict of str to (float, str)
-        Ends (``end_x``), extremes over time and wheels (``pitch_largest``, of sizes;
-        ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of all tilts,
-        what was gained from start to end (``work``), and the solver's statistics but for times.
-        ``complete`` is 1 if the motion reached its end; ``within_limits`` of a plan is 1 if its
-        simulation is complete and violates nothing by more than ``plan.accuracy``.
+        Values at the end (``end_x``), extremes over time and wheels (``pitch_largest``, of absolute
+        values; ``clearance_least``), ``slip_rms`` over time and wheels, ``tilt_largest`` of all
+        tilt angles, differences between end and start (``work``), and the solver's statistics
+        except times. ``complete`` is 1 if the motion reached its end. ``within_limits`` of a plan
+        is 1 if its simulation is complete and violates no limit by more than ``plan.accuracy``.
     """
     verb, run = verb_of(problem), to_problem_frame(run)
     found = {COMPLETE: Quantity(float(run.stop is None), "1")}

@@ -1,6 +1,6 @@
-"""Pool of processes that do the runs of a sweep.
+"""Pool of processes that execute the runs of a sweep.
 
-`slipfree.sweep.cluster` has the pool of a Dask cluster.
+`slipfree.sweep.cluster` contains the pool of a Dask cluster.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Pool = AnyPool[Task, Done]
 
 
 class ProcessPool(Processes[Task, Done]):
-    """A pool of processes of one thread each.
+    """Pool of processes with one thread each.
 
     Parameters
     ----------
@@ -29,12 +29,12 @@ class ProcessPool(Processes[Task, Done]):
         super().__init__(count, run_task)
 
     def result(self, future: Future[Done], task: Task) -> Done:
-        """Return the result of a future: a lost row if the run's process died.
+        """Return the result of a future, with outcome ``lost`` if its process died.
 
         Raises
         ------
         SlipfreeError
-            If its process could not even start: no run is to blame.
+            If the process could not start.
         """
         try:
             return super().result(future, task)

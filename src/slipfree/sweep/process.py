@@ -1,4 +1,4 @@
-"""Function that a process of a sweep is sent with each task."""
+"""Function that a process of a sweep executes for each task."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from slipfree.sweep.task import Done, Task
 
 
 def run_task(task: Task) -> Done:
-    """Return the result of a task."""
+    """Execute a task; return its result."""
     from slipfree.sweep.worker import work  # with the solvers, which the parent does not need
 
     return work(task)

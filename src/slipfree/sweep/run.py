@@ -28,33 +28,34 @@ def run_sweep(
     poll: Poll = lambda: None,
     progress: Callable[[Rows], None] = lambda _: None,
 ) -> Rows:
-    """Do the unfinished runs of a sweep, and return the results of all runs.
+    """Execute the unfinished runs of a sweep; return the results of all runs.
 
-    Tasks are made when the pool has room for them, and results stay on the disk: the memory that
-    a sweep takes does not grow with its figures.
+    Tasks are created when the pool accepts them, and results are kept on disk. The required memory
+    does not depend on the number of metrics.
 
     Parameters
     ----------
     sweep : Sweep
-        What to run.
+        The sweep.
     folder : Path
-        Where ``runs.jsonl`` gets a line as soon as a run is finished, and ``table.csv`` is written
-        at the end, be that an interruption.
+        Folder of the results. A line of ``runs.jsonl`` is written when a run is finished,
+        ``table.csv`` at the end and after an interruption.
     pool : callable
-        Makes the pool, if there is anything to do: ``lambda: ProcessPool(2)``.
+        Function that returns the pool, such as ``lambda: ProcessPool(2)``; called only if there are
+        unfinished runs.
     keep : bool
-        Whether to write every motion as ``run_0001.nc`` and so on.
+        Whether to write the motion of every run, to ``run_0001.nc`` and so on.
     again : bool
-        Whether to repeat runs that failed; those that were lost are always repeated.
+        Whether to repeat runs that failed; lost runs are always repeated.
     poll : callable
-        Called several times a second; an exception of it interrupts the sweep.
+        Called several times per second; an exception that it raises interrupts the sweep.
     progress : callable
         Called with the finished runs at the beginning and after every run.
 
     Raises
     ------
     DataError
-        If the folder cannot be written, or holds the results of another sweep.
+        If the folder cannot be written, or contains the results of another sweep.
     SlipfreeError
         If the pool fails.
     """
@@ -91,6 +92,6 @@ def result_path(folder: Path, sweep: Sweep, number: int) -> Path:
 
 
 def missing_results(folder: Path, sweep: Sweep, rows: Rows) -> list[int]:
-    """Return the runs with a motion but without a result file in a folder."""
+    """Return the numbers of the runs that have a motion but no result file in a folder."""
     moved = rows.ended(*(set(rows.outcomes) - {FAILED, LOST}))
     return [run for run in moved if not result_path(folder, sweep, run).exists()]

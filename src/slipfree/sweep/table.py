@@ -28,16 +28,16 @@ MOST_LETTERS = 300  # length of a run's text in the table; the log has the compl
 KEPT = "within_limits"  # metric of plans: 1 if they satisfy their limits
 REMEDIES = {
     FAILED: "--again repeats runs that failed",
-    LOST: "the same command does runs that were lost again",
+    LOST: "the same command repeats lost runs",
 }
 
 
 def write_table(file: Path, sweep: Sweep, rows: Rows) -> None:
     """Write one line per finished run, in the order of the runs.
 
-    The columns are number, varied keys, seeds, outcome, words, time reached (s) and figures in the
-    units of the log; what a run does not have is empty. Wall times are left to the log, so that
-    the same sweep gives the same table.
+    The columns are number, varied keys, seeds, outcome, words, time reached [s] and metrics in the
+    units of the log; values that a run does not have are empty. Wall times are only in the log, so
+    that the same sweep gives the same table.
 
     Raises
     ------
@@ -64,12 +64,12 @@ def _line_of(words: str) -> str:
 
 
 def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the requested metrics, by default those of the verb that the runs have.
+    """Return the requested metrics, by default the usual metrics of the verb.
 
     Raises
     ------
     DataError
-        If no run has one of the given figures.
+        If no run has one of the given metrics.
     """
     known = rows.units
     if not names:
@@ -78,8 +78,8 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
         if name not in known:
             raise DataError(
                 f"--figure {name}: expected a figure of these runs, one of "
-                f"{', '.join(sorted(known)) or 'none'}; the runs are kept, and the same command "
-                "with another one prints and draws it without new runs"
+                f"{', '.join(sorted(known)) or 'none'}; repeat the command with one of "
+                "these; finished runs are not repeated"
             )
     return tuple(names)
 
@@ -87,7 +87,7 @@ def choose_figures(sweep: Sweep, rows: Rows, names: Sequence[str]) -> tuple[str,
 def grids(sweep: Sweep, rows: Rows, figures: Sequence[str]) -> dict[str, Swept]:
     """Return metrics over the grid and the repetitions; NaN for runs without them.
 
-    Besides those asked for they are ``complete``, and ``within_limits`` if the runs have it.
+    The result also contains ``complete`` and, for plans, ``within_limits``.
     """
     names = dict.fromkeys([*figures, COMPLETE, KEPT])
     units = {name: unit for name, unit in rows.units.items() if name in names}
@@ -121,7 +121,7 @@ def _outcomes(sweep: Sweep, rows: Rows) -> Iterator[tuple[str, str]]:
         for row in rows.read(wrong[:SHOWN]):
             given = f" ({', '.join(row.settings)})" if row.settings else ""
             yield f"  run {row.run} {outcome}", f"{_line_of(row.words)}{given}"
-        more = f"{len(wrong) - SHOWN} more; the table has their words; " * (len(wrong) > SHOWN)
+        more = f"{len(wrong) - SHOWN} more, see the table; " * (len(wrong) > SHOWN)
         if wrong:
             yield "  ...", f"{more}{remedy}"
 
@@ -134,14 +134,14 @@ def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
 
 
 def _within_limits(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
-    """Yield the share of plans within their limits."""
+    """Yield the number and share of plans that satisfy goal and limits."""
     if kept is None:
         return
     good = np.nansum(kept.values)
     yield (
         "within limits",
-        f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and their "
-        "simulation keeps goal and limits to plan.accuracy",
+        f"{good:.0f} of {count} runs ({100 * good / count:.0f} %): solved, and the "
+        "simulation satisfies goal and limits within plan.accuracy",
     )
 
 

@@ -14,22 +14,22 @@ COMPLETE = "complete"  # figure of every run: 1 if it reached its end
 
 
 class Task(NamedTuple):
-    """A run for a process: the problem without its input files.
+    """Task for a process: one run, with the text of the problem but not its input files.
 
     Attributes
     ----------
     run : int
-        Its number.
+        Number of the run.
     file : str
-        The problem file; input files are found beside it.
+        Path of the problem file; input files are read relative to its folder.
     text : str
         Text of the problem file.
     settings : tuple of str
         Settings as ``key=value``.
     own : int
-        Number of settings, at the end, that are specific to this run.
+        Number of settings that are specific to this run; they are the last ones.
     keep : bool
-        Whether the motion is wanted.
+        Whether to return the motion.
     """
 
     run: int
@@ -50,7 +50,7 @@ class Done(NamedTuple):
     trajectory : Trajectory or None
         The motion, if it is requested and exists.
     arrays : mapping of str to ndarray
-        Arrays of a plan for a warm start.
+        Arrays of a plan for a warm start; empty for other motions.
     """
 
     row: Row

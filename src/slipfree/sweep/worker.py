@@ -20,9 +20,10 @@ ALONE = threading.Lock()  # CasADi's objects are not thread-safe
 
 
 def work(task: Task) -> Done:
-    """Return the result of a task; its row reports every error.
+    """Execute a task; return its result, whose row reports every error.
 
-    A run is lost if the disk is full or the memory is exhausted.
+    The outcome is ``lost`` after an error of the operating system, such as a full disk, or if the
+    memory is exhausted.
     """
     begin = time.perf_counter()
     try:
