@@ -90,7 +90,10 @@ def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
     [
         (["q.nc"], "expected the result of a plan"),
         (["none.nc"], "expected a result file of slipfree"),
-        (["p.nc", "--period", "9"], "period: expected at most 4 s and above 0, found 9 s"),
+        (
+            ["p.nc", "--period", "9"],
+            "period: expected above 0 and at most 4 s, the duration of the plan, found 9 s",
+        ),
         (["p.nc", "--window", "5"], "expected a window of at most the duration of the plan"),
         (["p.nc", "--set", "terrain.frictoin=1"], "did you mean 'friction'"),
     ],

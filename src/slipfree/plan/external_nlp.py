@@ -1,4 +1,4 @@
-"""Solve nonlinear programs that a model has transcribed itself."""
+"""Solve a nonlinear program that a model has transcribed itself."""
 
 from __future__ import annotations
 
@@ -21,14 +21,19 @@ def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
     Parameters
     ----------
     nlp : Nlp
-        The program.
+        Nonlinear program; its cost and rows are functions of the scaled unknowns.
     iterations : int
-        Most iterations.
+        Maximum number of iterations.
+
+    Returns
+    -------
+    Solution
+        Unknowns in their units, values of the rows, and multipliers.
 
     Raises
     ------
     SolverError
-        If there is no solution, or none was found.
+        If IPOPT finds no solution.
     """
     options: dict[str, Any] = {
         "ipopt": {
@@ -56,7 +61,7 @@ def solve_nlp(nlp: Nlp, iterations: int = MAX_ITERATIONS) -> Solution:
     if not stats["success"]:
         raise SolverError(
             f"no solution of the nonlinear program was found: {ipopt_words(status)} after "
-            f"{count} iterations; loosen its limits if they cannot be met together"
+            f"{count} iterations; check whether limits contradict each other, and widen them"
         )
     times = {name: float(value) for name, value in stats.items() if name.startswith("t_wall_")}
     functions = sum(value for name, value in times.items() if name.startswith("t_wall_nlp_"))

@@ -1,7 +1,7 @@
-"""Blocks of a program: functions of few unknowns, repeated at many points, with derivatives.
+"""Blocks of a nonlinear program: functions of few unknowns, repeated at many points.
 
-Results of ground lookups are arguments of these functions, which are then free of calls: the same
-for every ground, and as often differentiable as CasADi's expressions are.
+Results of ground lookups are arguments of these functions. The functions therefore contain no
+calls: they are the same for every ground, and CasADi computes their exact derivatives.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from slipfree.lookups import Lookup, check_order, found_column, needed_lookups
 from slipfree.records import Array
 
 Index = npt.NDArray[np.intp]
-DERIVATIVE_ORDER = 4  # derivatives of a ground: two in the model, two more in the Hessian
+DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
 
 
 class Question(NamedTuple):
-    """A lookup of a block.
+    """Ground lookup of a block: a function, and the expression of its argument.
 
     Attributes
     ----------
     question : casadi Function
-        ``(v, q, p, c) ->`` argument of the lookup, with the results of those before it.
+        Function ``(v, q, p, c) ->`` argument of the lookup; ``c`` are the results of the preceding
+        lookups of the block.
     function : casadi Function
-        From the argument to the result.
+        Function from the argument to the result of the lookup.
     """
 
     question: ca.Function
@@ -37,27 +38,31 @@ class Question(NamedTuple):
 
 
 class NlpBlock(NamedTuple):
-    """A function that a program repeats at several points.
+    """Cost and constraint functions that a program repeats at n points, with derivatives.
 
-    All functions take ``(v, q, p, c)``: unknowns, constants, parameters and results of lookups.
-    Derivatives are those by ``v``.
+    The arguments of all functions are unknowns ``v``, constants ``q``, parameters ``p`` and lookup
+    results ``c``; derivatives are with respect to ``v``.
 
     Attributes
     ----------
-    cost, gradient : casadi Function
-        The cost; cost and gradient.
-    rows, jacobian : casadi Function
-        The rows; rows and their Jacobian.
+    cost : casadi Function
+        Function ``(v, q, p, c) -> cost``.
+    gradient : casadi Function
+        Function ``(v, q, p, c) -> (cost, gradient of the cost)``.
+    rows : casadi Function
+        Function ``(v, q, p, c) -> rows`` (constraint functions).
+    jacobian : casadi Function
+        Function ``(v, q, p, c) -> (rows, Jacobian of the rows)``.
     hessian : casadi Function
-        ``(v, q, p, c, s, l) ->`` upper half of the Hessian of ``s cost + l' rows``.
+        Function ``(v, q, p, c, s, l) ->`` upper triangle of the Hessian of ``s cost + l' rows``.
     questions : tuple of Question
-        The lookups, in order.
+        Lookups in the order of their evaluation.
     variable_indices : ndarray, shape (n, n_v)
-        Indices of ``v`` among the unknowns of the program, at every point.
+        Indices of ``v`` among the unknowns of the program, for each point.
     row_indices : ndarray, shape (n, n_rows)
-        Indices of the rows among those of the program.
+        Indices of the rows among all rows of the program, for each point.
     constants : ndarray, shape (n, n_q)
-        Values of ``q``.
+        Values of ``q`` for each point.
     """
 
     cost: ca.Function
@@ -81,27 +86,29 @@ def nlp_block(
     *,
     compiled: bool = False,
 ) -> NlpBlock:
-    """Return a block with its derivatives.
+    """Return a block of a program with its derivatives.
 
     Parameters
     ----------
     symbols : tuple of three SX columns
-        Unknowns, constants and parameters, ``v, q, p``.
-    cost, rows : SX
-        A scalar and a column.
+        Symbols of the unknowns, constants and parameters, ``v, q, p``.
+    cost : SX, shape (1, 1)
+        Cost at a point, in these symbols.
+    rows : SX, shape (n_rows, 1)
+        Constraint functions at a point, in these symbols.
     lookups : sequence of Lookup
-        Lookups that they contain, at questions in these symbols.
+        Lookups whose results ``cost`` and ``rows`` contain, with arguments in these symbols.
     indices : tuple of two ndarrays
         ``variable_indices`` and ``row_indices`` of `NlpBlock`.
-    constants : ndarray
-        See `NlpBlock`.
+    constants : ndarray, shape (n, n_q)
+        Values of ``q`` for each point.
     compiled : bool
-        Whether to compile its larger functions.
+        Whether to compile the functions of the rows, their Jacobian and the Hessian.
 
     Raises
     ------
     ModelError
-        If second derivatives of a lookup are not known.
+        If a lookup is exact only up to derivatives of an order below 4.
     """
     lookups = needed_lookups(lookups, [cost, rows])
     check_order(lookups, DERIVATIVE_ORDER, "a plan")

@@ -1,8 +1,8 @@
-"""Assemble sparse functions with exact derivatives from small blocks that repeat.
+"""Assemble a sparse nonlinear program with exact derivatives from small repeated blocks.
 
-A block is evaluated at all its points at once. If it is compiled, its functions are called point by
-point; otherwise each of their operations becomes one on a column of numbers. The results are
-scattered into large sparse matrices by index.
+Each block is evaluated at all its points. Compiled functions of a block are called point by point;
+operations of other functions are applied to columns with one number per point. The results are
+added to large sparse matrices by index.
 """
 
 from __future__ import annotations
@@ -22,18 +22,24 @@ Columns = Sequence[ca.MX]
 
 
 class ProgramFunctions(NamedTuple):
-    """A program ``f(w, p), g(w, p)`` and its derivatives.
+    """Cost ``f(w, p)`` and constraint functions ``g(w, p)`` of a program, with derivatives.
 
     Attributes
     ----------
-    w, p, f, g : MX
-        Unknowns, parameters, cost and rows.
+    w : MX, shape (n_w, 1)
+        Unknowns, divided by their scale.
+    p : MX, shape (n_p, 1)
+        Parameters.
+    f : MX, shape (1, 1)
+        Cost.
+    g : MX, shape (n_g, 1)
+        Rows (constraint functions).
     gradient : casadi Function
-        ``(w, p) -> (f, its gradient)``.
+        Function ``(w, p) -> (f, gradient of f)``, derivatives with respect to ``w``.
     jacobian : casadi Function
-        ``(w, p) -> (g, its Jacobian)``.
+        Function ``(w, p) -> (g, Jacobian of g)``.
     hessian : casadi Function
-        ``(w, p, s, l) ->`` upper half of the Hessian of ``s f + l' g``.
+        Function ``(w, p, s, l) ->`` upper triangle of the Hessian of ``s f + l' g``.
     """
 
     w: ca.MX
@@ -46,14 +52,16 @@ class ProgramFunctions(NamedTuple):
 
 
 def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunctions:
-    """Return the program that is the sum of blocks.
+    """Return the program that consists of the given blocks.
+
+    Its cost is the sum of the costs of all blocks at all points.
 
     Parameters
     ----------
     blocks : sequence of NlpBlock
-        Each row of the program belongs to one of them.
+        Blocks; each row of the program belongs to exactly one of them.
     scale : ndarray, shape (n_w,)
-        Factors from the unknowns of the program to those of the blocks.
+        Scale of the unknowns; the blocks take the unknowns of the program times this scale.
     n_p : int
         Number of parameters.
     """
@@ -78,9 +86,9 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
 
 
 def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
-    """Return the arguments of the functions of a block, ``v, q, p`` and results of lookups.
+    """Return the arguments ``v, q, p, c`` of the functions of a block; ``c`` are lookup results.
 
-    one row per point; ``p`` is the same for all.
+    Each argument has one row per point, except ``p``, which has one row for all points.
     """
     count = len(each.variable_indices)
     given, found = (
@@ -97,30 +105,30 @@ def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
 
 
 def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) -> list[list[ca.MX]]:
-    """Return the results of an SX function for columns of arguments, operation by operation.
+    """Return the results of an SX function, its operations applied to columns of numbers.
 
     Parameters
     ----------
     function : casadi Function
-        SX function that calls no other function.
+        SX function without calls of other functions.
     arguments : sequence of sequences of MX
-        Entries of each argument.
+        Entries of each argument, each a column with one number per point or a scalar.
 
     Returns
     -------
     list of lists of MX
-        Nonzero entries of each result.
+        Structurally nonzero entries of each result, each a column or a scalar.
 
     Raises
     ------
     ModelError
-        If the function calls others.
+        If the function calls another function.
     """
     if function.find_functions():
         name = function.find_functions()[0].name()
         raise ModelError(
-            f"plan: expected lookups whose questions are formulas, found a call of {name!r}; write "
-            "it as an expression"
+            "plan: expected ground lookups whose arguments are SX expressions without function "
+            f"calls, found a call of {name!r}; write this function as an SX expression"
         )
     work: dict[int, ca.MX] = {}
     results = [[ca.MX(0)] * function.nnz_out(k) for k in range(function.n_out())]
@@ -141,7 +149,7 @@ def _evaluate_by_columns(function: ca.Function, arguments: Sequence[Columns]) ->
 
 
 def _gather(values: ca.MX, where: Index) -> ca.MX:
-    """Return values by index, one row per point."""
+    """Return the values at the given indices, shape (points, indices per point)."""
     return ca.reshape(values[where.T.ravel().tolist()], *where.shape)
 
 
@@ -150,10 +158,10 @@ def _split_columns(rows: ca.MX) -> Columns:
 
 
 def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
-    """Return the results of a function of a block, entry by entry, each a column of points."""
+    """Return the results of a function of a block, each as one column: entry by entry, by point."""
     count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
-        # A loop over a column takes a tenth of the interpreter's time for as many numbers.
+        # Ten times as fast as CasADi's interpreter called point by point.
         return _repeat_constants(_evaluate_by_columns(f, [*map(_split_columns, arguments)]), count)
     same = [k for k, rows in enumerate(arguments) if rows.shape[0] == 1 < count]
     found = f.map("all", "serial", count, same, []).call([rows.T for rows in arguments])
@@ -219,7 +227,7 @@ def _rows_and_jacobian(
 def _lagrangian_hessian(
     blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array, prices: tuple[ca.MX, ca.MX]
 ) -> ca.MX:
-    """Return the upper half of the Lagrangian's Hessian."""
+    """Return the upper triangle of the Hessian of the Lagrangian."""
     values, entries, factors = [], [], []
     for each in blocks:
         given = [*_arguments(each, v, p), prices[0], _gather(prices[1], each.row_indices)]
@@ -229,7 +237,7 @@ def _lagrangian_hessian(
             each.variable_indices.T[row].ravel(),
             each.variable_indices.T[column].ravel(),
         )
-        # Where two of its unknowns are one of the program, both entries of the pair meet.
+        # If two unknowns of a block are the same one of the program, both triangles count.
         twice = np.repeat(row != column, len(each.variable_indices)) & (rows == columns)
         values.append(found)
         entries.append((np.minimum(rows, columns), np.maximum(rows, columns)))
@@ -243,7 +251,7 @@ def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
 
 
 def _repeat_constants(found: Sequence[Columns], count: int) -> list[ca.MX]:
-    """Return results at all points in columns, with common numbers repeated."""
+    """Return each result as one column, with scalar entries repeated for all points."""
     return [
         ca.vertcat(
             ca.MX(0, 1),
@@ -259,7 +267,7 @@ def _sum_entries(
     factors: Sequence[Array],
     shape: tuple[int, int],
 ) -> ca.MX:
-    """Return a sparse matrix of values times factors, those of the same entry added up."""
+    """Return the sparse matrix of values times factors, summed where entries coincide."""
     rows, columns = (np.concatenate(part) for part in zip(*entries, strict=True))
     weights = np.concatenate(factors)
     key, where = np.unique(columns.astype(np.int64) * shape[0] + rows, return_inverse=True)

@@ -1,4 +1,4 @@
-"""Follow a plan in closed loop: replan over a moving window from the measured state."""
+"""Follow a plan in closed loop by replanning over a moving window from the measured state."""
 
 from __future__ import annotations
 
@@ -19,16 +19,18 @@ from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory, joined
 
 
-class TrackedPlan(NamedTuple):
-    """Motion of a vehicle that follows a plan.
+class TrackedMotion(NamedTuple):
+    """Motion of a vehicle that follows a plan in closed loop.
 
     Attributes
     ----------
     run : Trajectory
-        The motion, with times since the plan began.
-    cycles, failures : int
-        Number of cycles, and of those whose optimisation failed, so that the vehicle continued with
-        the cycle before.
+        The simulated motion, with times since the beginning of the plan.
+    cycles : int
+        Number of simulated cycles.
+    failures : int
+        Number of cycles whose optimisation failed; in these the vehicle used the inputs of the last
+        successful cycle.
     """
 
     run: Trajectory
@@ -45,11 +47,11 @@ def track_plan(
     period: float,
     options: SolverOptions = SolverOptions(),
     progress: Callable[[float], None] | None = None,
-) -> TrackedPlan:
+) -> TrackedMotion:
     """Simulate a vehicle that replans over a moving window at every period.
 
-    The controller knows the model of the plan; the vehicle moves in another model, for example on
-    another ground. It measures all states without error and delay.
+    The controller uses the model of the plan; the vehicle moves according to the model ``world``,
+    for example on another ground. The controller measures all states without error or delay.
 
     Parameters
     ----------
@@ -58,27 +60,33 @@ def track_plan(
     world : Dae
         Model in which the vehicle moves, with the states and inputs of the plan's model.
     start : Trajectory
-        Its last sample is where the vehicle starts, in the world's model.
+        Trajectory of the model ``world`` whose last sample is the initial state of the vehicle.
     period : float
-        Time between two cycles. [s]
+        Time between two cycles, at most the duration of the plan. [s]
     options : SolverOptions
         Options of the simulation.
     progress : callable, optional
-        Called with the time reached at every cycle. [s]
+        Function called in each cycle with the time at which it begins. [s]
 
     Returns
     -------
-    TrackedPlan
-        The motion ends early at the first violated limit of the world's model.
+    TrackedMotion
+        The motion ends early if a limit of ``world`` is violated or the simulation fails.
 
     Raises
     ------
     ModelError
-        If the period is not positive, or the models have different states or inputs.
+        If the period is not positive or exceeds the duration of the plan, or if the models have
+        different states or inputs.
+    SolverError
+        If the first cycle fails, or if a simulation cannot be started.
     """
     duration, dae = window.plan.duration, window.program.task.dae
     if not 0 < period <= duration:
-        raise ModelError(f"period: expected at most {duration:g} s and above 0, found {period:g} s")
+        raise ModelError(
+            f"period: expected above 0 and at most {duration:g} s, the duration of the plan, found "
+            f"{period:g} s"
+        )
     for record in ("x", "u"):
         found, expected = (
             [label.full for label in leaves(getattr(each.labels, record))] for each in (world, dae)
@@ -86,8 +94,8 @@ def track_plan(
         if found != expected:
             raise ModelError(
                 "world: expected the states and inputs of the plan's model, "
-                f"{', '.join(expected)}, found {', '.join(found)}; change parameters of the "
-                "vehicle, not its joints or wheels"
+                f"{', '.join(expected)}, found {', '.join(found)}; use a vehicle with the same "
+                "joints and wheels (its parameters may differ)"
             )
     times = np.append(np.arange(0.0, duration - 0.5 * period, period), duration)
     cycle, here, runs, failures = first_cycle(window), start, list[Trajectory](), 0
@@ -103,7 +111,7 @@ def track_plan(
         if here.stop is not None or here.t[-1] < end - 1e-9:
             break
     run = joined(*(each.part(slice(-1)) for each in runs[:-1]), runs[-1])
-    return TrackedPlan(run, len(runs), failures)
+    return TrackedMotion(run, len(runs), failures)
 
 
 def _drive(
@@ -114,7 +122,7 @@ def _drive(
     span: tuple[float, float],
     options: SolverOptions,
 ) -> Trajectory:
-    """Return the motion under the inputs of a cycle, with times since the plan began."""
+    """Return the motion under the inputs of a cycle, with times since the beginning of the plan."""
     inputs, times = cycle_inputs(window, cycle, *span)
     try:
         run = simulate(world, here, inputs, times, options=options)
