@@ -99,7 +99,7 @@ def stopped(tmp_path, monkeypatch):
 def test_an_interrupted_plan_says_so_first_and_names_the_command_that_goes_on(stopped):
     file, result = stopped
     assert result.exit_code == 130
-    begin = "the search was stopped (IPOPT: User_Requested_Stop) after 5 iterations; kept is"
+    begin = "the search was stopped (IPOPT: User_Requested_Stop) after 5 iterations; the result is"
     assert re.match(rf"outcome +interrupted: {re.escape(begin)}", result.stdout)
     assert "\niterate  " in result.stdout
     assert "\nplan  " not in result.stdout

@@ -208,7 +208,7 @@ def test_a_goal_that_cannot_be_reached_is_explained_and_the_last_iterate_saved()
     told = result.stdout.partition("ground ")[0]
     assert told.startswith("outcome ")
     assert "infeasible: the constraints contradict each other where the search ended" in told
-    assert "kept is the last iterate\nlargest violations there" in told
+    assert "the result is the last iterate\nlargest violations of this result" in told
     assert "y at the goal" in told
     assert "one sufficient set; others may exist" in told
     assert result.stderr == "infeasible; p.nc contains the result so far\n"

@@ -1,4 +1,4 @@
-"""Find bounds of a plan that contradict each other, before it is solved."""
+"""Find contradictory bounds of an optimal control problem before its solution."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from slipfree.plan.transcription import PlanTask, TimedCondition
 from slipfree.records import Array, Label, leaves
 from slipfree.trajectory import Trajectory
 
-BOUND_TOLERANCE = 1e-9  # largest gap between consistent bounds [unit of the bound]
+BOUND_TOLERANCE = 1e-9  # largest gap between bounds that count as consistent [their unit]
 REMEDIES = {
     "start": "start elsewhere",
     LIMIT: "widen the limit",
@@ -40,8 +40,8 @@ REMEDIES = {
 class _Bounds(NamedTuple):
     """Bounds of an expression before transcription: ``lower <= expression <= upper``.
 
-    ``fraction`` of the duration is the time at which, nan for all along the way; ``shift`` leads to
-    map coordinates.
+    ``fraction`` is the time at which the bounds apply as a fraction of the duration, nan if they
+    apply at all times; ``shift`` is the map coordinate minus the local coordinate.
     """
 
     label: Label
@@ -58,11 +58,12 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
 
     Parameters
     ----------
-    task : Task
-        The problem.
+    task : PlanTask
+        Optimal control problem.
     start : Trajectory or None
-        Its last sample is where the plan begins; without it only bounds on states alone are
-        compared with the start.
+        Trajectory whose last sample is the start of the plan. If it is None, the algebraic unknowns
+        at the start are not known, and only bounds on functions of the states are compared with
+        the start.
     """
     asked = list(_all_bounds(task))
     along = [bounds for bounds in asked if np.isnan(bounds.fraction)]
@@ -86,7 +87,7 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
 
 
 def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
-    """Yield the bounds of goal and way-points, then the others except those on input rates."""
+    """Yield the bounds of goal, way-points, limits and inputs, without those of input rates."""
     for condition in task.conditions:
         for limit in condition.limits:
             yield _to_bounds(task, limit, role_of(condition.fraction), condition.fraction)
@@ -118,7 +119,7 @@ def _to_bounds(task: PlanTask, limit: Limit, role: str, fraction: float = np.nan
 
 
 def _input_conflicts(task: PlanTask) -> Iterator[str]:
-    """Yield errors in the bounds of inputs and of their rates."""
+    """Yield a sentence for each contradiction in the bounds of an input and of its rate."""
     for k, label in enumerate(leaves(task.dae.labels.u)):
         rate = rate_of(label)
         for own, (low, high) in ((label, task.inputs[k]), (rate, task.accelerations[k])):
@@ -136,7 +137,7 @@ def _input_conflicts(task: PlanTask) -> Iterator[str]:
 
 
 def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
-    """Return the states and unknowns that a condition fixes, nan for others, shape (n_x + n_z,)."""
+    """Return states and unknowns fixed by a condition, nan if not fixed, shape (n_x + n_z,)."""
     n_x, n_z = task.start.size, task.dae.scale.size
     known = np.full(n_x + n_z, np.nan)
     for limit in condition.limits:
@@ -149,7 +150,7 @@ def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
 def _value_conflicts(
     task: PlanTask, along: list[_Bounds], role: str, known: Array
 ) -> Iterator[str]:
-    """Yield bounds along the motion that exclude the states and unknowns of a condition."""
+    """Yield a sentence for each bound that excludes known states and unknowns, nan if unknown."""
     x, z, u = task.dae.columns()
     xz = ca.vertcat(x, z)
     unknown = ca.vertcat(task.dae.t, u, xz[np.flatnonzero(np.isnan(known)).tolist()])

@@ -1,4 +1,4 @@
-"""Group the constraints of a program by quantity, and find their violations."""
+"""Group the constraints of a program by quantity, and compute their violations."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", 
 
 
 class Violation(NamedTuple):
-    """The largest violation of a constraint.
+    """Largest violation of a constraint.
 
     Attributes
     ----------
     label : Label
-        The constrained quantity, with its wheel.
+        Label of the constrained quantity, with its wheel.
     t : float
-        When. [s]
+        Time of the violation. [s]
     interval : int
-        On which interval of the mesh.
+        Index of the mesh interval that contains this time.
     size : float
-        By how much, in the label's unit.
+        Size of the violation, in the label's unit.
     bound, value : float
-        The bound and the value, in the label's unit and in map coordinates.
+        Violated bound and value of the quantity, in the label's unit and in map coordinates.
     role : str
-        ``"equation"``, ``"limit"``, ``"input"``, ``"goal"``, or ``"way-point at 0.5"``.
+        Kind of constraint: ``"equation"``, ``"limit"``, ``"input"``, ``"goal"``, or such as
+        ``"way-point at 0.5"``.
     """
 
     label: Label
@@ -45,22 +46,24 @@ class Violation(NamedTuple):
 
 
 class ConstraintGroup(NamedTuple):
-    """All rows or variables of a program that state one constraint.
+    """One constraint of a program: its rows or unknowns at all n points where it is imposed.
 
     Attributes
     ----------
     label, role : Label, str
-        As in `Violation`.
+        Constrained quantity and kind of constraint, as in `Violation`.
     where : ndarray, shape (n,)
-        Positions in the column of all rows, then all unknowns.
-    intervals, parts : ndarray, shape (n,)
-        Of the mesh, and fractions of the duration.
+        Indices into the column of all rows followed by all unknowns.
+    intervals : ndarray, shape (n,)
+        Index of the mesh interval of each point.
+    parts : ndarray, shape (n,)
+        Time of each point as a fraction of the duration.
     lower, upper : float
-        Bounds.
+        Bounds, in the label's unit and in local coordinates.
     shift : float
-        Offset to map coordinates.
+        Map coordinate minus local coordinate; zero for quantities that are not coordinates.
     typical : float
-        Size of an equation's terms; zero elsewhere.
+        Typical size of the terms of an equation, in the label's unit; zero for other roles.
     """
 
     label: Label
@@ -75,7 +78,7 @@ class ConstraintGroup(NamedTuple):
 
 
 def constraint_groups(program: Program) -> Iterator[ConstraintGroup]:
-    """Yield the constraints of a program, each with all its places."""
+    """Yield the constraints of a program, each with all its rows or unknowns."""
     task, mesh, layout = program.task, program.mesh, program.layout
     n_g, count = program.g_lower.size, mesh.ends.size - 1
     yield from _interval_groups(program, program.row_blocks[0])
@@ -126,7 +129,7 @@ def constraint_groups(program: Program) -> Iterator[ConstraintGroup]:
 
 
 def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[ConstraintGroup]:
-    """Yield the constraints among the rows of the intervals."""
+    """Yield the constraints that are rows of the intervals: equations, limits and input rates."""
     task, mesh = program.task, program.mesh
     each, every = len(row_block.labels), np.arange(len(row_block.where))
     rates = int(np.isfinite(task.accelerations).any(axis=1).sum())
@@ -171,16 +174,16 @@ def _interval_groups(program: Program, row_block: RowBlock) -> Iterator[Constrai
 def worst_violations(
     program: Program, values: Array, tolerance: float
 ) -> Iterator[tuple[float, Violation]]:
-    """Yield relative size and worst sample of each violated bound.
+    """Yield the relative size and the largest violation of each violated bound.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
     values : ndarray, shape (n_g + n_w,)
-        Rows and unknowns.
+        Values of the rows, then of the unknowns (not scaled).
     tolerance : float
-        Violation that counts as none.
+        Largest violation that is ignored, in the unit of the quantity.
     """
     duration = values[program.g_lower.size + program.layout.duration]
     for group in constraint_groups(program):
@@ -191,7 +194,7 @@ def worst_violations(
             worst = over.max()
             if not worst > tolerance:
                 continue
-            # Of equally large violations the first one counts.
+            # The earliest of equally large violations is reported.
             k = int(np.flatnonzero(over >= worst - tolerance)[0])
             yield (
                 worst / size,
@@ -208,24 +211,24 @@ def worst_violations(
 
 
 def bound_of(group: ConstraintGroup, sign: float) -> float:
-    """Return the lower bound for a positive sign, else the upper one."""
+    """Return the lower bound of a constraint for a positive sign, otherwise the upper bound."""
     return group.lower if sign > 0 else group.upper
 
 
 def size_of(group: ConstraintGroup, values: Array) -> float:
-    """Return the divisor of a violation: the range of the bounds, or a typical size."""
+    """Return the reference size of a violation: the range of the bounds or a typical size."""
     if group.typical:
         return max(1.0, group.typical)
     width = group.upper - group.lower
     if 0 < width < np.inf:
         return float(width)
-    # A goal that is one value is missed by metres and radians, whatever the value is.
+    # Violations of equal bounds are absolute, in metres and radians.
     one_sided = np.abs(values[group.where]).max() if width else 1.0
     return float(max(1.0, one_sided))
 
 
 def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
-    """Return the record and the index of a state or unknown, or None for other expressions."""
+    """Return record ``"x"`` or ``"z"`` and index of a variable, None for other expressions."""
     for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
         for k, symbol in enumerate(leaves(symbols)):
             if ca.is_equal(expression, symbol):
@@ -234,16 +237,16 @@ def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
 
 
 def shift_of(task: PlanTask, expression: ca.SX) -> float:
-    """Return the offset from the value of an expression to map coordinates."""
+    """Return map minus local coordinate of a state or unknown, zero for other expressions."""
     plain = variable_of(task, expression)
     return 0.0 if plain is None else float(task.dae.shift[plain[0] == "z"][plain[1]])
 
 
 def role_of(fraction: float) -> str:
-    """Return the role of conditions at a fraction of the duration."""
+    """Return ``"goal"`` for the fraction 1 of the duration, otherwise ``"way-point at ..."``."""
     return GOAL if fraction == 1 else f"{WAY_POINT} at {fraction:g}"
 
 
 def quantity_label(label: Label) -> Label:
-    """Return a label by the name of the quantity that is limited."""
+    """Return the label of a limit with the name of its quantity, without the suffix ``_limit``."""
     return replace(label, name=label.name.removesuffix("_limit"))

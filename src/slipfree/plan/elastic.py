@@ -1,4 +1,4 @@
-"""Relax the bounds of an infeasible program at least cost."""
+"""Relax the bounds of an infeasible program by the smallest sum of relative amounts."""
 
 from __future__ import annotations
 
@@ -25,25 +25,26 @@ from slipfree.plan.messages import DURATION
 from slipfree.plan.transcription import Index, Program, completed
 from slipfree.records import Array, Label
 
-MAX_RELAXATION_ITERATIONS = 200  # iterations of each of the two searches for a relaxation
+MAX_RELAXATION_ITERATIONS = 200  # of each of the two searches for a relaxation
 MIN_SHARE = 0.05  # smallest reported effect of a bound on the relaxation, per unit of the bound
-SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # by the sign of the missing amount
+SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # lower bounds have sign 1, upper ones -1
 
 
 class OpposingBound(NamedTuple):
-    """A bound that was kept and opposes the relaxed ones.
+    """Bound that was not relaxed and conflicts with the relaxed ones.
 
     Attributes
     ----------
     label, role : Label, str
-        As in `Violation`; ``"duration"`` is a role as well.
+        Bounded quantity and kind of constraint, as in `Violation`; the role may also be
+        ``"duration"``.
     bound : float
-        In the label's unit and in map coordinates.
+        Value of the bound, in the label's unit and in map coordinates.
     side : str
-        ``"at least"`` or ``"at most"``; empty for an equation.
+        ``"at least"`` or ``"at most"``; empty if lower and upper bound are equal.
     share : float
-        By how much less the others would give, relative to their sizes, for each unit of its own
-        size by which it were moved.
+        Decrease of the sum of all relative relaxations per unit of the label by which this bound is
+        relaxed; for the duration, per relative change of the duration.
     """
 
     label: Label
@@ -54,20 +55,20 @@ class OpposingBound(NamedTuple):
 
 
 class Relaxation(NamedTuple):
-    """The bounds that were relaxed so that the equations of motion have a solution.
+    """Relaxed bounds with which the equations of motion have a solution.
 
     Attributes
     ----------
     solution : ndarray, shape (n_w,)
-        Unknowns that satisfy the equations, and all bounds but the relaxed ones.
+        Unknowns, not scaled, that satisfy the equations and the relaxed bounds.
     relaxed : list of Violation
-        Each bound that gave, by how much, and where first by so much.
-    held : list of Held
-        The bounds against which they gave, the most important first.
+        Largest violation of each relaxed bound, the largest relative violation first.
+    held : list of OpposingBound
+        Bounds that were not relaxed and conflict with the relaxed ones, the largest share first.
     success : bool
-        Whether the search for it ended.
+        Whether the search for the smallest relaxation converged.
     status : str
-        IPOPT's words.
+        IPOPT's return status of this search.
     """
 
     solution: Array
@@ -82,19 +83,20 @@ def relax(
 ) -> Relaxation:
     """Return a motion that violates the bounds as little as possible.
 
-    Equations, start and duration hold. Every other bound may move by a slack of its own, the same
-    at all times, and the sum of the slacks, relative to the sizes of the bounds, is least; this
-    leaves few that are not zero. It is a minimum near the first guess: others may be lower. Of the
-    motions with these slacks, one of least cost is returned, if the search for it succeeds.
+    The equations, the start and the bounds of the duration are kept. Each other bound is relaxed by
+    a slack that is the same at all times. The sum of the slacks, each relative to the size of its
+    bound (`size_of`), is minimised; most slacks are then zero. This is a local minimum: other
+    initial guesses may lead to smaller sums. Among the motions with these slacks, a second search
+    minimises the cost; if it fails, the motion of the first search is returned.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
     first : ndarray, shape (n_w,)
-        First guess, not scaled.
+        Initial guess, not scaled.
     iterations : int
-        Most iterations of each search.
+        Maximum number of iterations of each of the two searches.
     """
     weights = np.array([*(cost.weight for cost in program.task.costs), program.task.smooth])
     first = completed(program, first)
@@ -136,7 +138,7 @@ def relax(
 def _least_cost(
     elastic: Program, found: Solution, weights: Array, count: int, iterations: int
 ) -> Array:
-    """Return the unknowns of least cost with no larger slacks, or those found."""
+    """Return unknowns of least cost with slacks as in ``found``, or its unknowns on failure."""
     if not found.success:
         return found.unknowns
     upper = elastic.upper.copy()
@@ -154,7 +156,7 @@ def _least_cost(
 def _opposing_bounds(
     program: Program, soft: list[tuple[ConstraintGroup, float]], found: Solution
 ) -> Iterator[OpposingBound]:
-    """Yield the price of each bound of an elastic program, from its multipliers."""
+    """Yield each bound of an elastic program with its share, computed from its multipliers."""
     counts = [group.where.size for group, _ in soft]
     prices = found.row_multipliers[found.rows.size - sum(counts) :]
     parts = np.split(prices, np.cumsum(counts)[:-1])
@@ -163,7 +165,7 @@ def _opposing_bounds(
         if equal and sign < 0:
             continue
         if equal:
-            # The two bounds of an equation push against each other: the difference counts.
+            # Multipliers of the two equal bounds have opposite signs.
             price, side = price + parts[k + 1], ""
         share = float(np.abs(price).sum())
         yield OpposingBound(
@@ -181,9 +183,10 @@ def _opposing_bounds(
 def _elastic_program(
     program: Program, soft: list[tuple[ConstraintGroup, float]], sizes: Array
 ) -> Program:
-    """Return the program with a slack for each bound, behind its unknowns, with given scales.
+    """Return the program with a slack for each bound, appended to the unknowns.
 
-    Its cost is the sum of the slacks and the program's cost: none if the weights are zero.
+    The slacks are scaled by ``sizes``. The cost is the sum of the scaled slacks plus the cost of
+    the original program with its weights.
     """
     hard = np.concatenate(
         [group.where for group in constraint_groups(program) if group.role == EQUATION]
@@ -222,9 +225,10 @@ def _elastic_program(
 def _elastic_functions(
     program: Program, pick: ca.DM, move: ca.DM
 ) -> tuple[dict[str, Any], ca.Function, ca.Function, ca.Function]:
-    """Return functions and derivatives of the elastic program from those of the program.
+    """Return the functions of the elastic program and its derivatives.
 
-    Rows are ``pick (rows, unknowns) + move slacks``.
+    Its rows are ``pick @ (rows, unknowns) + move @ slacks``, with the rows and unknowns of
+    ``program``.
     """
     n_w, n_g, n_s = program.scale.size, program.g_lower.size, move.shape[1]
     x, p = ca.MX.sym("x", n_w + n_s), program.problem["p"]
@@ -249,7 +253,7 @@ def _elastic_functions(
 
 
 def _start_bounds(program: Program, bounds: Array, free: float) -> Array:
-    """Return bounds of the unknowns with only those of start and duration."""
+    """Return bounds of the unknowns, all except those of start and duration set to ``free``."""
     kept = np.full(bounds.size, free)
     for where in (program.layout.first, program.layout.duration):
         kept[where] = bounds[where]

@@ -1,4 +1,4 @@
-"""Explain why a search ended without a plan: violations, and bounds to relax."""
+"""Explain why a search ended without a plan: violated constraints, and bounds to relax."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ class Explanation(NamedTuple):
     Attributes
     ----------
     outcome : Outcome
-        Infeasible if IPOPT found so, or the bounds must be relaxed; interrupted; or a failure of
-        the solver.
+        ``INTERRUPTED`` if the search was stopped; ``INFEASIBLE`` if bounds must be relaxed, or if
+        no relaxation was found and IPOPT reports an infeasible problem; otherwise
+        ``SOLVER_FAILURE``.
     words : str
-        Lines of text.
+        Explanation, several lines of text.
     """
 
     outcome: Outcome
@@ -39,16 +40,17 @@ def violations(
 ) -> list[Violation]:
     """Return the largest violation of each violated constraint, the worst constraint first.
 
-    They are in the order of their size relative to the range of their bounds or to a typical size.
+    Violations are sorted by their size relative to the range of the bounds or to a typical size of
+    the quantity (`size_of`).
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
     solution : Solution
-        Where its iteration ended.
+        Last or best iterate of the program.
     tolerance : float
-        Violation up to which a constraint holds, in the unit of the quantity.
+        Largest violation of a satisfied constraint, in the unit of its quantity.
     """
     worst: dict[tuple[str, str], tuple[float, Violation]] = {}
     values = np.concatenate([solution.rows, solution.unknowns])
@@ -60,39 +62,39 @@ def violations(
 
 
 def violation_words(violation: Violation) -> str:
-    """Return a violation as a sentence."""
+    """Return a sentence with the quantity, size, bound and time of a violation."""
     label, role, at = violation.label, violation.role, f"at t = {violation.t:.4g} s"
     size = number(label, violation.size)
     if role == EQUATION:
-        return f"{subject(label, role)} ({label.words}) is not met by {size} {at}"
+        return f"{subject(label, role)} ({label.words}) has a residual of {size} {at}"
     side = "below" if violation.value < violation.bound else "above"
     return f"{subject(label, role)} is {size} {side} {number(label, violation.bound)} {at}"
 
 
 def explanation(program: Program, solution: Solution, first: Array) -> Explanation:
-    """Explain the end of a search: its result, its violations, and the bounds to relax.
+    """Explain the end of a search: IPOPT's status, the violations, and the bounds to relax.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
     solution : Solution
-        Where its iteration ended.
+        Last or best iterate of the program.
     first : ndarray, shape (n_w,)
-        Where it began, not scaled.
+        Initial guess of the search, not scaled.
     """
     found = violations(program, solution)
     is_infeasible = solution.status == INFEASIBLE_STATUS
     if found:
         kept = "the last iterate" if is_infeasible else "the iterate of least violation"
     else:
-        kept = "a motion that meets all constraints, not the one of least cost"
+        kept = "a motion that meets all constraints but is not optimal"
     words = ipopt_words(solution.status)
-    lines = [f"{words} after {solution.iterations} iterations; kept is {kept}"]
+    lines = [f"{words} after {solution.iterations} iterations; the result is {kept}"]
     if found:
-        lines.append(f"largest violations there, of {len(found)} violated constraints:")
+        lines.append(f"largest violations of this result ({len(found)} in all):")
         lines += [f"  {violation_words(each)}" for each in found[:MAX_NAMED_VIOLATIONS]]
-    if solution.status == STOPPED_STATUS:  # who stops a search does not wait for another
+    if solution.status == STOPPED_STATUS:  # no further search after an interruption
         return Explanation(Outcome.INTERRUPTED, "\n".join(lines))
     relaxation = relax(program, first)
     lines += _relaxation_lines(relaxation)
@@ -105,13 +107,13 @@ def explanation(program: Program, solution: Solution, first: Array) -> Explanati
 def _relaxation_lines(relaxation: Relaxation) -> list[str]:
     if not relaxation.success:
         return [
-            f"no relaxation of the bounds was found: {ipopt_words(relaxation.status)}, even with "
-            "all bounds but the start and the duration free; try another guess"
+            "no relaxation of the bounds was found, although only the start and the duration were "
+            f"fixed: {ipopt_words(relaxation.status)}; try another initial guess"
         ]
     if not relaxation.relaxed:
         return [
-            "no bound must be relaxed: a motion within all constraints was found without the "
-            "costs; try it as a guess, or more iterations"
+            "no bound must be relaxed: without the costs, a motion that meets all constraints was "
+            "found; try another initial guess"
         ]
     lines = ["a motion was found with relaxed bounds (one sufficient set; others may exist):"]
     for each in relaxation.relaxed:
@@ -120,7 +122,9 @@ def _relaxation_lines(relaxation: Relaxation) -> list[str]:
             f"  {subject(each.label, each.role)}: {needed} instead of {given} at t = {each.t:.4g} s"
         )
     if relaxation.held:
-        lines.append("these bounds were kept; relaxing one of them relaxes those above less:")
+        lines.append(
+            "these bounds were not relaxed; relaxing one of them reduces the relaxations above:"
+        )
     for held in relaxation.held:
         bound = f"{held.side} {number(held.label, held.bound)}".lstrip()
         lines.append(f"  {subject(held.label, held.role)}: {bound}")

@@ -1,4 +1,4 @@
-"""Describe constraints and their values."""
+"""Describe constraints of a plan, their bounds and their violations in words."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from slipfree.plan.constraints import EQUATION, INPUT, LIMIT
 from slipfree.records import Label
 
-MODEL = "model"  # the role of the model's own limits, before they are in the program
+MODEL = "model"  # role of limits of the model that the program does not contain yet
 DURATION = "duration"
-LIMITED_SUFFIX = " is limited by the plan"  # ends the words of a limit of the plan
+LIMITED_SUFFIX = " is limited by the plan"  # end of the description of a limit of the plan
 FIXED_POINT_FROM = 1000.0  # larger values have three decimals, since four digits are too few
 
 
 def rate_of(label: Label) -> Label:
-    """Return the label of an input's rate in the program."""
+    """Return the label of the rate of an input, in 1/s2."""
     return Label(f"{label.full}_change", "s-2", f"rate of {label.full}")
 
 
 def subject(label: Label, role: str) -> str:
-    """Return the constrained quantity, with its owner or its role."""
+    """Return a text for the constrained quantity, such as ``input wheels.left``."""
     whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
     if role == INPUT:
         return f"input {label.full}"
@@ -34,26 +34,26 @@ def subject(label: Label, role: str) -> str:
 
 
 def number(label: Label, value: float) -> str:
-    """Return a value with its unit."""
+    """Return a text for a value with the unit of its label, such as ``0.5 rad/s``."""
     unit = _unit(label.unit)
     return f"{_digits(value)}{unit and ' '}{unit}"
 
 
 def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return a text of violations, such as ``x at the goal by 3.1e-04 m``."""
+    """Return a list of violations as text, such as ``x at the goal by 3.1e-04 m``."""
     return ", ".join(
         f"{name} by {size:.1e} {_unit(units[name])}".rstrip() for name, size in sizes.items()
     )
 
 
 def _digits(value: float) -> str:
-    """Return a value with four digits, or with three decimals if large, as map coordinates are."""
+    """Return a value as text: four significant digits, or three decimals from 1000 on."""
     value = round(value, 9) + 0.0
     return f"{value:.4g}" if abs(value) < FIXED_POINT_FROM else f"{round(value, 3):.15g}"
 
 
 def bounds_words(label: Label, low: float, high: float) -> str:
-    """Return a range with its unit."""
+    """Return bounds as text with unit, such as ``0 to 1 m``, ``at most 1 m``, ``1 m`` if equal."""
     if low == high:
         return number(label, low)
     if np.isfinite(low) and np.isfinite(high):
@@ -64,7 +64,7 @@ def bounds_words(label: Label, low: float, high: float) -> str:
 
 
 def _unit(unit: str) -> str:
-    """Return a unit with a stroke, ``"rad/s"`` for ``"rad s-1"``."""
+    """Return a unit as a fraction, such as ``"rad/s"`` for ``"rad s-1"``."""
     parts = unit.split()
     over = [part for part in parts if "-" not in part and part != "1"]
     under = [part.replace("-", "").removesuffix("1") for part in parts if "-" in part]
