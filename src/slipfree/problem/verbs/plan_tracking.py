@@ -52,7 +52,7 @@ class Followed(NamedTuple):
 
 
 class TrackingTest(NamedTuple):
-    """A plan, and motions that followed it in a changed world."""
+    """A plan, simulated on its own ground, and the motions that follow it in the changed world."""
 
     plan: Trajectory
     motions: tuple[Followed, ...]
@@ -122,7 +122,7 @@ def follow_plan(
             Followed(
                 "open loop",
                 simulate_plan(world, start, found.motion, step=step, options=options),
-                "the inputs of the plan",
+                "inputs of the plan",
             ),
             _followed(found, vehicle, world, start, step),
             Followed(
