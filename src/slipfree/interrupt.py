@@ -19,7 +19,7 @@ R = TypeVar("R")
 
 
 class InterruptGuard:
-    """Context manager that raises exceptions of callbacks and of the SIGINT handler at its end.
+    """Context manager that stores an exception of callbacks or SIGINT, and raises it at its end.
 
     The stored exception replaces any other ``Exception`` that ends the context. A handler that
     raises no exception works as before. Nested contexts share the stored exception. Outside the

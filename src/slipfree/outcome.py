@@ -1,4 +1,4 @@
-"""Outcomes of motions: complete, or the kind of reason for an early end."""
+"""Outcomes of motions: complete, or why a motion ended early."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ INCOMPLETE_EXIT_CODE = 1
 
 
 class Outcome(Enum):
-    """Outcome of a motion: complete, or the kind of reason for its early end.
+    """Outcome of a motion: complete, or why it ended early.
 
     The value of a member is a title, as printed in summaries, a colon, and an explanation. Result
     files store the name of the member in lower case.

@@ -375,7 +375,7 @@ def test_the_least_friction_takes_no_coefficient():
         (
             "[2, 0.09], [0, 0.09]",
             "[1e9, 0.09], [0, 0.09]",
-            "p.toml:6: profile.solids[1]: solid: expected points within 10000 m of the origin",
+            "p.toml:6: profile.solids[1]: solid: expected coordinates from -10000 to 10000 m",
         ),
         (
             "speed = 0.25",

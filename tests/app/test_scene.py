@@ -479,7 +479,7 @@ def test_what_cannot_be_shown_is_refused(
     assert_allclose(shown(named, "named", data).terrain.grid.z, grid.z)
     old = {**run.attributes, "problem": PROBLEM.replace("speed", "pace")}
     netcdf.write(bare, replace(run, attributes=old))
-    assert "its problem is not valid in this version:\nhills.toml:" in refused(str(bare))
+    assert "with these errors corrected:\nhills.toml:" in refused(str(bare))
     assert "expected a separate file, found the result file" in refused(
         str(file), "--html", str(file)
     )

@@ -336,7 +336,7 @@ def test_whole_climbs(profile):
         ({"cost": "time"}, "coefficient of friction"),
         ({"cost": "friction", "mu": 0.5}, "none for the cost friction"),
         ({"cost": "time", "mu": 0.8, "s": [0.0, 0.02, 0.01]}, "increasing nodes"),
-        ({"cost": "time", "mu": 0.8, "speed": 0.0}, "expected positive speed and mu"),
+        ({"cost": "time", "mu": 0.8, "speed": 0.0}, "expected a positive speed, found 0.0"),
     ],
 )
 def test_wrong_questions(options, words):

@@ -457,7 +457,7 @@ def test_paths_are_checked():
         path_inputs(dae, begin, still * np.nan, t, still, t=t)
     other = inverse_kinematics(three_wheeler(), HILLS, given=VELOCITY, solve_for="rates")
     with pytest.raises(
-        ModelError, match="expected a model with the given rates velocity_x, velocity_y, heading"
+        ModelError, match="expected an inverse model with the inputs velocity_x, velocity_y"
     ):
         path_inputs(other, begin, still, t, still, t=t)
 

@@ -115,15 +115,15 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
             out.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise DataError(
-                f"{out.parent}: expected a folder to write to, found none that can be made "
-                f"({error.strerror}); choose another folder: --to DIR"
+                f"{out.parent}: expected a folder that exists or can be made, found that it "
+                f"cannot be made ({error.strerror}); choose another folder: --to DIR"
             ) from error
         place(text, out, force)
         say(f"wrote {out}")
 
 
 def _files(table: Any) -> Iterator[str]:
-    """Yield possible names of input files in a problem."""
+    """Yield the values of all keys of a problem that name an input file."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _files(value) if key != "output" else ()

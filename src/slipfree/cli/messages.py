@@ -249,7 +249,7 @@ def detail(words: str) -> None:
 
 
 def has_bar() -> bool:
-    """Return whether progress may be shown: none of the output options is given."""
+    """Return whether a progress bar may be shown: without --quiet, --verbose and --json."""
     return not any(_current_output().options)
 
 

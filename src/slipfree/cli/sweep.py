@@ -100,7 +100,10 @@ def sweep(
         if draw:
             _check_figures(folder / FIGURES)
         if plan.problem.spec.solver.compiled and (why := obstacle()):
-            warn(f"equations without a cached library are interpreted, not compiled: {why}")
+            warn(
+                f"compiled = true: {why}; equations that are not in the cache are interpreted, "
+                "which is slower"
+            )
         rows = _done(plan, folder, _pool(processes, scheduler), keep, again)
         names = choose_figures(plan, rows, figures or [])
         found = grids(plan, rows, names)

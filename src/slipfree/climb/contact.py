@@ -1,4 +1,4 @@
-"""Compliant contacts with damping and friction between wheels and the solids of a profile."""
+"""Compliant contacts with damping and friction between wheels and solids such as steps."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ def _axle_torques(climber: Climber, wheel: PerAxle) -> PerAxle:
 
 
 def _accelerations(climber: Climber, frame: Frame, contacts: PerAxle, driven: PerAxle) -> ca.SX:
-    """Return the accelerations of joint, tilts and wheels."""
+    """Return the accelerations of the joint's position, the two tilts and the wheels' angles."""
     force = frame.force + ca.vertcat(0, 0, driven.rear + driven.middle, driven.front)
     spins = []
     for axle, place, touches, torque in zip(

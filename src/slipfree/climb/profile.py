@@ -54,8 +54,8 @@ class Solid:
             )
         if not (np.abs(points) <= MAX_COORDINATE).all():
             raise ModelError(
-                f"solid: expected points within {MAX_COORDINATE:g} m of the origin, "
-                f"found {points.tolist()}"
+                f"solid: expected coordinates from {-MAX_COORDINATE:g} to {MAX_COORDINATE:g} m, "
+                f"found points {points.tolist()}; are they in metres?"
             )
         stored = tuple((float(x), float(z)) for x, z in _counter_clockwise(points))
         object.__setattr__(self, "points", stored)

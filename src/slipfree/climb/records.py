@@ -77,7 +77,25 @@ class OnSolid(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """Outputs of the model along a motion; units are those of the labels."""
+    """Outputs of the model along a motion.
+
+    Attributes
+    ----------
+    axle_x, axle_z, axle_velocity_x, axle_velocity_z : PerAxle
+        Positions and velocities of the axles. [m, m/s]
+    directions : PerAxle
+        Angles of the directions in which the axles can move over their contacts. [rad]
+    references : PerAxle
+        Reference rates of the wheels. [rad/s]
+    torques : PerAxle
+        Torques of the motors. [N m]
+    scale : SX
+        Factor by which the limit of the motors scales all torques. [1]
+    solids : tuple of OnSolid
+        Contacts with each solid.
+    energy : SX
+        Kinetic and potential energy. [J]
+    """
 
     axle_x: PerAxle
     axle_z: PerAxle

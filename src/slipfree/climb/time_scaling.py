@@ -163,8 +163,10 @@ def climb(
             "climb: expected a coefficient of friction mu for the costs time and slip, and none "
             f"for the cost friction, which minimises it; found mu = {mu} for {cost}"
         )
-    if not (speed > 0 and (mu is None or mu > 0)):
-        raise ModelError(f"climb: expected positive speed and mu, found {speed} m/s and {mu}")
+    if not speed > 0:
+        raise ModelError(f"climb: expected a positive speed, found {speed} m/s")
+    if mu is not None and not mu > 0:
+        raise ModelError(f"climb: expected a positive coefficient of friction mu, found {mu}")
     ends = _mesh(leg, s, halt=halt) if isinstance(s, int) else np.asarray(s, dtype=float)
     if ends.ndim != 1 or ends.size < 3 or (np.diff(ends) <= 0).any():
         raise ModelError(f"climb: expected three or more increasing nodes s, found {ends}")

@@ -59,8 +59,8 @@ def path_inputs(
     names = tuple(label.full for label in leaves(dae.labels.u))
     if set(names) != set(PLANAR):
         raise ModelError(
-            f"path: expected a model with the given rates {', '.join(PLANAR)}, "
-            f"found {', '.join(names)}"
+            f"path: expected an inverse model with the inputs {', '.join(PLANAR)}, found "
+            f"{', '.join(names)}; build it by inverse_kinematics(..., given={PLANAR})"
         )
     if t is None:
         path = ca.vertcat(x, y, heading)

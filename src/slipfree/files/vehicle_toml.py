@@ -509,7 +509,7 @@ def _coordinate(table: CoordinateTable) -> Coordinate:
 
 
 def _joint(table: JointTable) -> Joint:
-    """Return the joint of a table."""
+    """Return the joint that a table describes."""
     given = table.model_dump(exclude={"mass", "center_of_mass"})
     return Joint(**given, body=Body(table.mass, table.center_of_mass))
 

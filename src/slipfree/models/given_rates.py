@@ -176,7 +176,7 @@ def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = Tr
     """Raise ModelError for unknown or repeated commands, or more commands than driven wheels."""
     for name in given:
         if name not in COMMANDS:
-            raise ModelError(f"given: {name!r} is not known; known: {', '.join(COMMANDS)}")
+            raise ModelError(f"given: expected some of {', '.join(COMMANDS)}, found {name!r}")
     if not given or len(set(given)) != len(given):
         raise ModelError(f"given: expected different rates, found {', '.join(given) or 'none'}")
     if "right" not in given and all(wheel.rollers for wheel in vehicle.wheels if wheel.driven):

@@ -168,7 +168,7 @@ def inverse_kinematics(
 
 
 def slip_law(given: Sequence[str]) -> LeastSlip | Rolling:
-    """Return the slip law of the direct model under given rates."""
+    """Return `LeastSlip` for commands of the platform, and `Rolling` for three given rates."""
     return LeastSlip() if _are_commands(given) else Rolling()
 
 

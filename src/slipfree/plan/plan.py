@@ -354,7 +354,8 @@ def _named_guesses(
 ) -> list[tuple[str, Trajectory]]:
     """Return the given guesses and further ones, up to a number of starts, with names."""
     if not given:
-        raise ModelError("plan: expected at least one motion to start from, found none")
+        raise ModelError("plan: expected at least one motion as initial guess, found none; give one, such as a "
+            "simulated motion")
     named = [(f"guess {number}", each) for number, each in enumerate(given, 1)]
     missing = max(starts - len(given), 0)
     return [*named, *further_guesses(task.dae, start, given[0], task.inputs, missing, seed)]
@@ -379,9 +380,10 @@ def _best_verified(
     verify: Callable[[_SearchState], Verification],
     progress: PlanProgress | None,
 ) -> tuple[_SearchState, Verification, tuple[LocalOptimum, ...]]:
-    """Return the first search that is verified, or the first one, and the table of all.
+    """Return the best search with its verification, and a table of all searches.
 
-    Meshes are refined and plans simulated in order, up to the first one that is accurate.
+    In their order, meshes are refined and plans simulated until a simulation is accurate, a program
+    is not solved or the search is stopped. The best search is the accurate one, else the first.
     """
     tried: list[tuple[_SearchState, Verification]] = []
     for search in searches:

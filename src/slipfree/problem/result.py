@@ -118,7 +118,9 @@ def problem_of(
         except ProblemError as error:
             faults = (fault.replace(str(copy), name) for fault in error.faults)
             raise ProblemError(
-                f"{file}: its problem is not valid in this version:", *faults
+                f"{file}: its problem is not valid in this version of slipfree; run it again with "
+                "these errors corrected:",
+                *faults,
             ) from error
     recorded = unescape_name(run.attributes.get("problem_folder", ""))
     place = _folder(file, problem.spec, recorded, folder)

@@ -53,7 +53,7 @@ def ground(profile: Profile, ax: Axes) -> Axes:
 def strobe(
     run: Trajectory, climber: Climber, profile: Profile, ax: Axes, every: float = EVERY
 ) -> Axes:
-    """Draw the axles at equally spaced times, and the vehicle at every second of these times.
+    """Draw the axles as dots at equally spaced times, and the vehicle at every other one of them.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def strobe(
     ax : Axes
         The axes.
     every : float
-        Time between dots. [s]
+        Interval between these times. [s]
     """
     ground(profile, ax)
     for axle in AXLES:

@@ -297,9 +297,9 @@ def _cropped(grid: Grid, fine: Refined) -> str:
 
 
 def _off(drives: Sequence[Driven], fine: Refined, least: float) -> Iterable[str]:
-    """Yield a note on the distance of the drawn ground from the contact points.
+    """Yield a note on the vertical distance of the drawn ground from the contact points.
 
-    There is no note for distances of at most ``least`` radii of the smallest wheel.
+    There is no note for distances below ``least`` radii of the smallest wheel.
     """
     off = max(
         float(np.abs(fine.height(x, y) - drive.terrain.elevation(x, y)).max())

@@ -174,9 +174,9 @@ def _relax(held: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
     if not np.abs(rates).max() < REST_RATE:
         name = list(leaves(held.labels.x))[int(np.abs(rates).argmax())].full
         raise ModelError(
-            f"the vehicle finds no equilibrium at the start: expected rest after "
-            f"{RELAXATION_TIME:g} s, found a change of {name} by "
-            f"{np.abs(rates).max():.1e} of its size per second; choose another start"
+            f"the vehicle finds no equilibrium at the start: after {RELAXATION_TIME:g} s, expected "
+            f"rates of at most {REST_RATE:g} scales per second, found {np.abs(rates).max():.1e} of "
+            f"{name}; choose another start"
         )
     return run
 

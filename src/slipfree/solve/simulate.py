@@ -446,7 +446,7 @@ def _motion_scales(system: System) -> tuple[Array, Array]:
 
 @contextmanager
 def suppress_messages() -> Iterator[None]:
-    """Suppress messages of SUNDIALS and tracebacks of callbacks; exceptions repeat them."""
+    """Suppress messages of SUNDIALS and tracebacks, whose text the exceptions contain."""
     hook, sys.excepthook = sys.excepthook, lambda *_: None
     try:
         with redirect_stderr(StringIO()):

@@ -110,7 +110,7 @@ def _guess_exchanged(dae: Dae, i: Sequence[int], j: Sequence[int], given: Array)
 
 
 def _settle_at(dae: Dae, found: Trajectory, options: SolverOptions) -> Trajectory:
-    """Return the start of a model at the states and pose of a sample."""
+    """Return a model settled at the states of the first sample, with its pose as initial guess."""
     states, pose = (
         {label.full: float(found.of(label)[0]) for label in leaves(record)}
         for record in (dae.labels.x, dae.labels.z[0])

@@ -88,7 +88,7 @@ class System(NamedTuple):
 
     @property
     def motion_size(self) -> int:
-        """Number of the unknowns of the motion."""
+        """Number of algebraic unknowns in the blocks of the motion."""
         return self.blocks[-1].span.stop if self.blocks else 0
 
 

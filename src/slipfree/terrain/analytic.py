@@ -41,10 +41,11 @@ class Analytic:
         ``function(x, y)`` of two SX scalars that returns the height, built from operators and
         CasADi functions, at least twice continuously differentiable. [m]
     domain : tuple of 4 floats
-        ``x_min, x_max, y_min, y_max`` of the region where the formula is valid. [m]
+        ``x_min, x_max, y_min, y_max`` of the region where the formula is valid; the whole plane
+        by default. [m]
     mu : float, callable, Grid or None
         Coefficient of friction: a number, a function of two SX scalars, or a map, interpolated
-        as in `slipfree.terrain.friction`. [1]
+        as in `slipfree.terrain.friction`. None if the ground has no friction coefficient. [1]
 
     Raises
     ------

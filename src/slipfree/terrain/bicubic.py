@@ -148,7 +148,7 @@ class Bicubic:
 
     @cached_property
     def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Indices along x and y of the node nearest to the local origin, and of the last cell."""
+        """Index of the node nearest to the local origin, and of the last cell, for x and y."""
         counts = []
         for axis, at, h in zip(
             (self.grid.x, self.grid.y), self.origin, self.grid.spacing, strict=False

@@ -60,7 +60,7 @@ def blank(x_range: tuple[float, float], y_range: tuple[float, float], spacing: f
         cells = (last - first) / spacing if spacing > 0 else math.nan
         if not (cells > 0 and abs(cells - round(cells)) < 1e-6):
             raise ModelError(
-                f"blank: {name}_range must be a multiple of the spacing, found "
+                f"blank: the length of {name}_range must be a multiple of the spacing, found "
                 f"{first:g} to {last:g} m with spacing {spacing:g} m; move its end or change the "
                 "spacing"
             )

@@ -101,7 +101,7 @@ def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
 
 
 def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
-    """Return an error of pydantic in the words of the package."""
+    """Convert an error of pydantic to a `Fault`: key, expected and found values."""
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":

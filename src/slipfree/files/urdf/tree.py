@@ -333,9 +333,11 @@ def _joint(element: Element, faults: Faults) -> UrdfJoint:
 
 
 def _limits(element: Element, kind: str, faults: Faults, who: str) -> tuple[float, float]:
-    """Return the limits of a joint [rad or m], infinite if absent or of at least 1000.
+    """Return the lower and upper limit of a joint [rad or m].
 
-    Their values are checked later, since a vehicle file may override them.
+    They are infinite for kinds of joint without limits, without the attributes ``lower`` and
+    ``upper``, and for absolute values of at least 1000. If only one is given, the other is zero, as
+    in URDF. Their values are checked later, since a vehicle file may override them.
     """
     limit = element.first("limit")
     if kind not in ("revolute", "prismatic", "fixed") or limit is None:

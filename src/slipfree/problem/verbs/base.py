@@ -257,7 +257,7 @@ class MotionVerb(Verb):
         """Return the metrics of a motion for sweeps by name, without its statistics."""
 
     def describe_end(self, run: Trajectory) -> str:
-        """Return the description of the end of a complete motion; empty for most verbs."""
+        """Return how a complete motion ended, as text; empty by default."""
         return ""
 
     @abstractmethod

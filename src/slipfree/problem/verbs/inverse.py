@@ -125,7 +125,7 @@ class InverseVerb(DriveVerb):
     def drive(
         self, problem: Problem[Inverse], setup: Setup, watch: Watch, resume: SavedPlan | None
     ) -> tuple[Trajectory, Mapping[str, Array]]:
-        """Return the motion with its errors against the direct model, and an empty mapping."""
+        """Return the motion with its differences from the direct model, and an empty mapping."""
         spec, options, inputs = problem.spec, problem.spec.solver.options, None
         if _is_collocated(spec, setup):
             run, inputs = _collocate(setup, options, watch)
@@ -327,7 +327,7 @@ def _input_names(dae: Dae) -> list[str]:
 
 
 def _is_commanded(setup: Setup) -> bool:
-    """Return whether the inputs are commands."""
+    """Return whether the inputs are commands of the platform such as ``forward``."""
     return are_commands(_input_names(setup.dae))
 
 

@@ -472,7 +472,7 @@ def solve_start(task: StartTask) -> StartResult:
 
 
 def _start_name(setup: Planning, number: int) -> str:
-    """Return the name of a given initial guess: its law, with a number if there are several."""
+    """Return the name of an initial guess: its driving law, or ``inputs``, numbered if several."""
     name = setup.spec.driver.name if setup.spec.driver else "inputs"
     return name if len(setup.starts) == 1 else f"{name} {number + 1}"
 
