@@ -247,7 +247,11 @@ def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
 @pytest.mark.parametrize(
     ("vehicle", "given", "words"),
     [
-        ("skid_steer", ("forward", "left"), "'left' is not known; known: forward, right, yaw_rate"),
+        (
+            "skid_steer",
+            ("forward", "left"),
+            "expected some of forward, right, yaw_rate, found 'left'",
+        ),
         ("skid_steer", ("forward", "forward"), "expected different rates, found forward, forward"),
         ("skid_steer", (), "expected different rates, found none"),
         ("ackermann", ("forward", "right", "yaw_rate"), "at most 2 given rates.*; remove right"),

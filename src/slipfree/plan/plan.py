@@ -354,8 +354,10 @@ def _named_guesses(
 ) -> list[tuple[str, Trajectory]]:
     """Return the given guesses and further ones, up to a number of starts, with names."""
     if not given:
-        raise ModelError("plan: expected at least one motion as initial guess, found none; give one, such as a "
-            "simulated motion")
+        raise ModelError(
+            "plan: expected at least one motion as initial guess, found none; give one, such as a "
+            "simulated motion"
+        )
     named = [(f"guess {number}", each) for number, each in enumerate(given, 1)]
     missing = max(starts - len(given), 0)
     return [*named, *further_guesses(task.dae, start, given[0], task.inputs, missing, seed)]

@@ -73,8 +73,8 @@ def build_ground(problem: Problem[S]) -> Ground:
     """Return the ground of a problem.
 
     The order of operations is: read the file inside the window, fill holes, convert degrees to
-    metres, scale, cut to the window (if there is no file), smooth, add the random elevation error (``error``),
-    and replace heights by those that a wheel feels (``rolled``).
+    metres, scale, cut to the window (if there is no file), smooth, add the random elevation error
+    (``error``), and replace heights by those that a wheel feels (``rolled``).
     """
     spec = problem.spec.terrain
     _check_keys(problem)

@@ -153,7 +153,9 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
                 f"route: the vehicle cannot be at the {name} {point_text(point)}: {why}"
             )
     if np.array_equal(start, goal):
-        raise ModelError(f"route: expected different start and goal, found both at {point_text(start)}")
+        raise ModelError(
+            f"route: expected different start and goal, found both at {point_text(start)}"
+        )
     if not 0 <= turning_radius < math.inf:
         raise ModelError(
             f"route: turning_radius must be zero or positive, found {turning_radius} m"

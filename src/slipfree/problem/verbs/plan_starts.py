@@ -100,8 +100,8 @@ def solve_starts(
     ranked = [(each.optimum.rank, each.number, each) for each in found if each.optimum is not None]
     if not ranked:
         raise ModelError(
-            f"plan: expected an initial guess that can be simulated, found none of {len(found)}; the "
-            f"first one failed: {found[0].words}; change the inputs or the driver"
+            f"plan: expected an initial guess that can be simulated, found none of {len(found)}; "
+            f"the first one failed: {found[0].words}; change the inputs or the driver"
         )
     return [each for _, _, each in sorted(ranked, key=itemgetter(0, 1))], is_interrupted
 
