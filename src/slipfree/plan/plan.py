@@ -1,8 +1,9 @@
-"""Plans: inputs that lead a vehicle from a start to a goal at the least cost, within limits.
+"""Plan inputs that move a vehicle from a start to a goal at least cost within limits.
 
-The same model that is simulated is transcribed by collocation and solved by IPOPT. The inputs that
-come out are simulated again; where that misses the plan, or a limit between its points, the mesh is
-refined, and what remains belongs to the result.
+The model, which is also used for simulation, is transcribed by collocation into a program, and
+IPOPT solves the program. The resulting inputs are verified by a simulation. The mesh is refined
+where the simulation differs from the plan or violates a limit between collocation points; the
+result contains the remaining differences and violations.
 """
 
 from __future__ import annotations
@@ -62,28 +63,28 @@ from slipfree.trajectory import PLAN, Stop, Trajectory
 
 SLIP_STAGES = (0.0, 1.0)  # consecutive factors on the weight of the slip
 SLIP_COSTS = ("slip", "slip_along", "slip_across")  # costs whose weight is raised in stages
-MAX_LIMIT_ROUNDS = 4  # of adding limits that a plan violates
-MAX_REFINEMENTS = 6  # of the mesh
+MAX_LIMIT_ROUNDS = 4  # largest number of times that violated limits are added
+MAX_REFINEMENTS = 6  # largest number of refinements of the mesh
 LIMIT_CLEARANCE = 1e-5  # distance of plans from the model's limits, which end a simulation
 SAMPLE_STEP = 0.25  # largest time between samples of the simulation [s]
 PlanProgress = Callable[[str, Iterate], bool]
 
 
 class SolvedStage(NamedTuple):
-    """One of the programs solved during a search.
+    """Program that was solved during a search.
 
     Attributes
     ----------
     words : str
         Description of the program.
     iterations : int
-        How many it took.
+        Number of iterations.
     status : str
-        IPOPT's words.
+        Return status of IPOPT.
     seconds : dict of str to float
-        Wall time in all, in functions, in the rest. [s]
+        Wall times: ``"total"``, ``"functions"`` (evaluations of the program) and ``"rest"``. [s]
     cost : float
-        Cost reached, all terms weighted as in this stage.
+        Final cost, with the weights of this stage.
     """
 
     words: str
@@ -103,35 +104,35 @@ class Plan:
     Attributes
     ----------
     run : Trajectory
-        The plan, sampled at the beginning and at all points of collocation.
+        Planned motion, sampled at the start and at all collocation points.
     inputs : record
-        Inputs that drive the model along it, for ``simulate`` at times ``motion.ends``.
+        Planned inputs, for `simulate` at times ``motion.ends``.
     motion : PolynomialMotion
-        The plan as polynomials of time.
+        Planned motion as polynomials of time.
     replay : Trajectory
-        The model's motion under these inputs, integrated, several samples on every interval.
+        Simulated motion under these inputs, with several samples on every interval.
     difference : dict of str to float
-        Largest difference between plan and replay in every state. [m, rad]
+        Largest difference between plan and replay for every state, in the unit of the state.
     violation : dict of str to float
-        Violations of limits, goal and way-points by the replay, by name, each in its unit.
+        Violations of limits, goal and way-points by the replay, in the unit of the quantity.
     units : dict of str to str
         Units of differences and violations, by name.
     costs : dict of str to float
-        Integrals of the terms of the cost, in their units; that of the squared rates of the
-        inputs as ``"smoothness"``.
+        Integral of each term of the cost, in its unit; ``"smoothness"`` is the integral of the
+        squared rates of the inputs.
     success : bool
-        Whether the program was solved; a plan that was not is the best iterate.
+        Whether the program was solved; if not, the plan is an iterate of the search.
     accurate : bool
         Whether differences and violations are within the given accuracy, and the replay
-        reaches the end.
+        reaches the end of the plan.
     program, solution : Program, Solution
-        The last program and its solution.
-    stages : tuple of Stage
-        All that was solved.
-    saved : Saved
-        From which another plan may start.
+        Last program and its solution.
+    stages : tuple of SolvedStage
+        Programs that were solved, in order.
+    saved : SavedPlan
+        Unknowns and multipliers from which another search may start.
     optima : tuple of LocalOptimum
-        Plans of all starts of the search, this one first.
+        Plans from all initial guesses, this plan first.
     """
 
     run: Trajectory
@@ -152,7 +153,7 @@ class Plan:
 
     def __repr__(self) -> str:
         units = {cost.label.name: cost.label.unit for cost in self.program.task.costs}
-        solved = "accurate" if self.accurate else "its simulation misses it"
+        solved = "accurate" if self.accurate else "not accurate"
         iterations = sum(stage.iterations for stage in self.stages)
         return overview(
             f"Plan: {solved if self.success else 'not solved'}; {self.motion.duration:.6g} s on "
@@ -172,15 +173,15 @@ class Plan:
 
     @cached_property
     def prices(self) -> tuple[Price, ...]:
-        """Prices of the active limits, the largest saving first; none if it was not solved."""
+        """Prices of the active limits, largest saving first; empty if ``success`` is False."""
         return limit_prices(self.program, self.solution) if self.success else ()
 
 
 class _SearchState(NamedTuple):
-    """The last solved program of a search, its initial guess, and all stages so far.
+    """Last solved program of a search, its solution, its initial guess, and all stages so far.
 
-    ``run`` is the solution at its points, once it has been looked at; ``name`` and ``number``
-    are those of the guess.
+    ``run`` is the sampled solution, or None if it has not been sampled; ``name`` and ``number`` are
+    those of the initial guess.
     """
 
     program: Program
@@ -223,65 +224,71 @@ def plan(
     Parameters
     ----------
     dae : Dae
-        The model; its own limits hold as well: those that a plan would violate are added until none
-        is.
+        Model of the vehicle. The plan also satisfies the limits of the model: violated limits are
+        added to the program, which is then solved again.
     start : Trajectory
-        Its last sample is where the plan begins.
+        Trajectory whose last sample is the start of the plan.
     guess : Trajectory or sequence of Trajectory
-        Motions of the model from there, roughly to the goal, whose paths and inputs start the
-        search; of several the one that leads to the verified plan of least cost counts.
+        Motions of the model from the start roughly to the goal, as initial guesses. The result is
+        the verified plan of least cost from all guesses, or, if the simulation verifies none, the
+        plan of least cost.
     goal : mapping of str to float or (low, high), or sequence of Limit
-        Values or ranges of states and unknowns by name at the end, in map coordinates; or
-        conditions in the model's symbols. [m, rad]
+        Values or ranges of states and algebraic unknowns by name at the end, in map coordinates;
+        or conditions in the model's symbols. [m, rad]
     costs : mapping of str to float, or sequence of Cost
         Weights by name: ``"slip"``, ``"effort"`` (squared inputs), ``"time"``, ``"energy"`` (work
         of the wheels' drives; energy from braking is not counted), or the name of any
         quantity of the model, whose square is integrated over time and summed over the wheels
-        (places in local coordinates, see `Dae`). Or expressions of your own: `Cost`.
-    duration : float or (least, largest)
-        How long it takes. [s]
+        (positions in local coordinates, see `Dae`). Or terms with other expressions: `Cost`.
+    duration : float or (shortest, longest)
+        Duration of the plan. [s]
     smooth : float
         Weight of the squared rates of the inputs, integrated over time.
     continuous : bool
         Whether inputs are continuous and linear on every interval; else they are constant on it.
     limits : mapping of str to (low, high), or sequence of Limit
-        Along the way.
+        Ranges of quantities by name during the whole plan, in map coordinates; or limits in the
+        model's symbols.
     way_points : mapping of float to mapping, optional
         Conditions like those of the goal at fractions of the duration.
     inputs, accelerations : mapping of str to (low, high), optional
-        Bounds of inputs and of their rates; the inputs may begin with any value. [1/s, 1/s2]
+        Bounds of inputs and of their rates by name. The initial inputs are free within their
+        bounds. [1/s, 1/s2]
     intervals, degree : int
-        Of the collocation, to begin with.
+        Initial number of intervals, and number of collocation points per interval.
     accuracy : float
-        By how much the simulation may miss states of the plan and its limits, in their units; the
-        mesh is refined where it misses them by more.
+        Largest admissible difference of the simulation from the plan, and largest violation of a
+        limit, in the unit of the quantity; the mesh is refined where they are larger.
     options : SolverOptions
-        Options of the simulation of the plan, which takes a hundredth of the tolerance; whether to
-        compile the functions of the program.
+        Tolerance, a hundredth of which is used to simulate the plan, and whether to compile the
+        functions of the program.
     step : float
-        Of the simulation, between its samples at most. [s]
+        Largest time between samples of the simulation. [s]
     starts : int
-        Least number of guesses: further ones have the inputs of the first reversed, where bounds
-        allow it, and perturbed. ``Plan.optima`` has the plans of all.
+        Number of initial guesses to try if ``guess`` has fewer. Further guesses are simulated with
+        the inputs of the first guess, once negated if the bounds allow it, else randomly perturbed;
+        a guess whose motion ends too early is omitted. ``Plan.optima`` lists the plans from all
+        guesses.
     seed : int
-        Of the perturbations.
+        Seed of the random perturbations.
     resume : SavedPlan, optional
-        A plan from which to start instead, on another mesh, ground or goal as well; from another
-        state, the part after the nearest one counts.
+        Plan from which the search starts instead of from ``guess``. Its mesh, ground and goal may
+        differ. If it starts in another state, only its part after the nearest state is used.
     progress : callable, optional
-        Called with words and every iterate; returning False ends the search, the best iterate kept.
+        Function called with a description of the program and every iterate. If it returns False,
+        the search ends, and the plan is the iterate with the smallest violation.
 
     Returns
     -------
     Plan
-        ``inputs`` drive the model along the plan, ``run`` is the plan, ``replay`` its simulation.
-        A search that finds no solution returns its last iterate: see ``success``, ``accurate`` and
-        ``run.stop``.
+        Plan with ``inputs``, the planned motion ``run``, and its simulation ``replay``. A search
+        that finds no solution returns an iterate: see ``success``, ``accurate`` and ``run.stop``.
 
     Raises
     ------
     ModelError
-        If a name is not known, or start, goal and limits contradict each other.
+        If a name is unknown, a number is not valid, or start, goal and limits contradict each
+        other.
 
     Examples
     --------
@@ -352,7 +359,7 @@ def plan(
 def _named_guesses(
     task: PlanTask, start: Trajectory, given: Sequence[Trajectory], starts: int, seed: int
 ) -> list[tuple[str, Trajectory]]:
-    """Return the given guesses and further ones, up to a number of starts, with names."""
+    """Return names and motions of the given guesses and of further guesses."""
     if not given:
         raise ModelError(
             "plan: expected at least one motion as initial guess, found none; give one, such as a "
@@ -366,7 +373,7 @@ def _named_guesses(
 def _solve_guesses(
     program: Program, guesses: Sequence[tuple[str, Trajectory]], progress: PlanProgress | None
 ) -> list[_SearchState]:
-    """Solve from each guess, and return the solutions, the best first."""
+    """Solve the program from each guess, and return the solutions, best first."""
     found: list[_SearchState] = []
     for number, (name, guess) in enumerate(guesses, 1):
         of = f"start {number} of {len(guesses)}, " if len(guesses) > 1 else ""
@@ -384,8 +391,9 @@ def _best_verified(
 ) -> tuple[_SearchState, Verification, tuple[LocalOptimum, ...]]:
     """Return the best search with its verification, and a table of all searches.
 
-    In their order, meshes are refined and plans simulated until a simulation is accurate, a program
-    is not solved or the search is stopped. The best search is the accurate one, else the first.
+    The searches are refined and simulated in order, until a simulation is accurate, a program is
+    not solved or the user stops the search. The best search is the accurate search, else the first
+    search.
     """
     tried: list[tuple[_SearchState, Verification]] = []
     for search in searches:
@@ -428,7 +436,7 @@ def _local_optimum(search: _SearchState, accurate: bool | None) -> LocalOptimum:
 
 
 def _rank(program: Program, search: _SearchState) -> tuple[bool, float]:
-    """Return the key that is least for the best of several searches."""
+    """Return the sort key of a search: solved programs by cost, then others by violation."""
     found = search.found
     return not found.success, found.cost if found.success else largest_violation(
         program, found.rows
@@ -438,7 +446,10 @@ def _rank(program: Program, search: _SearchState) -> tuple[bool, float]:
 def _solve_in_stages(
     program: Program, first: Array, of: str, progress: PlanProgress | None
 ) -> _SearchState:
-    """Solve with the weight of the slip raised in stages."""
+    """Solve the program; if slip is a cost, solve first without this cost.
+
+    The second search starts from the solution of the first one.
+    """
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
     words = f"{of}slip left out" if slips else f"{of}all"
     search = _solve_stage(program, first, words, SLIP_STAGES[0] if slips else 1.0, progress)
@@ -452,7 +463,7 @@ def _solve_in_stages(
             not more.found.success
             and largest_violation(program, more.found.rows) > VIOLATION_TOLERANCE
         ):
-            # The plan of the stage before keeps to everything; only its slip is not the least.
+            # The former plan meets all constraints, although its slip is not minimal.
             kept = found._replace(success=False, status=more.found.status)
             return search._replace(found=kept, first=first, stages=stages)
         search = more._replace(stages=stages)
@@ -466,7 +477,7 @@ def _solve_resumed(
     options: SolverOptions,
     progress: PlanProgress | None,
 ) -> _SearchState:
-    """Solve from another plan, with its multipliers if their numbers agree."""
+    """Solve from a saved plan, with its multipliers if the programs have equal sizes."""
     former = local_motion(resume, task.dae)
     after = nearest_fraction(former, task.start)
     if former.mesh.degree == mesh.degree and set(mesh.ends) <= set(former.mesh.ends):
@@ -475,7 +486,7 @@ def _solve_resumed(
     first = transfer_motion(former, program, after)
     if reached := _violated_limits(
         task, sample_plan(program, first), -2 * LIMIT_CLEARANCE
-    ):  # that plan may rest on them
+    ):  # limits that are active in the saved plan
         program = transcribe(replace(task, limits=(*task.limits, *reached)), mesh, options)
         first = transfer_motion(former, program, after)
     alike = (first.size, program.g_lower.size, after) == (
@@ -503,9 +514,7 @@ def _solve_stage(
     weights = _cost_weights(program, part)
     found = solve_program(program, weights, first, warm=warm, look=look)
     stages = [SolvedStage(words, found.iterations, found.status, found.seconds, found.cost)]
-    if (
-        found.status in STUCK_STATUSES
-    ):  # which rounding decides on long plans: it may have gone astray
+    if found.status in STUCK_STATUSES:  # rounding decides whether searches for long plans succeed
         again = solve_program(
             program, weights, first, warm=warm, look=look, growth=CAUTIOUS_VIOLATION_GROWTH
         )
@@ -519,7 +528,7 @@ def _solve_stage(
 
 
 def _cost_weights(program: Program, part: float) -> Array:
-    """Return the weights of the program with a part of that of the slip."""
+    """Return the weights of the program; those of slip are multiplied by ``part``."""
     weights = [
         cost.weight * (part if cost.label.name in SLIP_COSTS else 1.0)
         for cost in program.task.costs
@@ -528,7 +537,10 @@ def _cost_weights(program: Program, part: float) -> Array:
 
 
 def _add_limits(search: _SearchState, progress: PlanProgress | None) -> _SearchState:
-    """Solve again with the limits of the model that the plan violates, until none is."""
+    """Solve again with violated limits of the model until the plan violates none.
+
+    Limits are added to the program at most `MAX_LIMIT_ROUNDS` times.
+    """
     for _ in range(MAX_LIMIT_ROUNDS):
         program, found = search.program, search.found
         if not found.success:
@@ -550,7 +562,7 @@ def _solve_anew(
     words: str,
     progress: PlanProgress | None,
 ) -> _SearchState:
-    """Solve another task or mesh, from the solution of the search."""
+    """Solve with another task or mesh, starting from the solution of the search."""
     former = motion_of(search.program, search.found.unknowns)
     program = transcribe(task, mesh, search.program.options)
     first = transfer_motion(former, program)
@@ -560,15 +572,16 @@ def _solve_anew(
 
 
 def _warm_guess(program: Program, first: Array) -> Solution:
-    """Return unknowns of another program as a solution to start from."""
+    """Return unknowns as a solution for a warm start, with zero multipliers."""
     rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
     return Solution(first, rows, np.nan, rows, bounds, "", True, 0, {})
 
 
 def _violated_limits(task: PlanTask, run: Trajectory, beyond: float) -> list[Limit]:
-    """Return the model's own limits that a plan violates and that are not in its task yet.
+    """Return the limits of the model that a plan violates and that are not in its task.
 
-    They come somewhat narrower.
+    A violation counts if it is larger than ``beyond``. The returned limits are narrower by
+    `LIMIT_CLEARANCE` on both sides.
     """
     have = {limit.label.full for limit in task.limits}
     missed = []
@@ -589,9 +602,10 @@ def _refine(
     verify: Callable[[_SearchState], Verification],
     progress: PlanProgress | None,
 ) -> tuple[_SearchState, Verification]:
-    """Return the search on a mesh that is fine enough, or the finest tried, with its verification.
+    """Return the solution on a refined mesh, and its verification.
 
-    A program on a finer mesh that cannot be solved, or is stopped, leaves the solution before it.
+    The mesh is refined until no interval has to be refined, at most `MAX_REFINEMENTS` times. If the
+    program on a finer mesh is not solved, the solution on the coarser mesh is returned.
     """
     verification = verify(search)
     for _ in range(MAX_REFINEMENTS):
