@@ -147,7 +147,7 @@ def test_an_interrupted_refinement_gives_no_advice_on_the_mesh():
 @pytest.mark.parametrize(
     ("problem", "words"),
     [
-        ("plan_rigid_hills.toml", "expected the result of a plan, found none in it"),
+        ("plan_rigid_hills.toml", "expected the result of a plan, found no plan in it"),
         ("real_dem_direct.toml", "expected 'plan' for --resume, found 'direct'"),
     ],
 )
@@ -161,5 +161,5 @@ def test_what_cannot_be_gone_on_from_is_told(solved, tmp_path, problem, words):
 
 
 def test_a_file_without_a_plan_is_refused():
-    with pytest.raises(DataError, match="found none in it"):
+    with pytest.raises(DataError, match="found no plan in it"):
         from_arrays({}, "file")

@@ -162,7 +162,7 @@ def test_prices_are_told_in_units_and_shares(model):
     )
     assert price.words == words
     assert words in prices_words(found.prices)
-    assert prices_words(()) == "no limit costs anything"
+    assert prices_words(()) == "no limit increases the cost noticeably"
 
 
 def test_a_plan_that_is_not_solved_has_no_prices(model):

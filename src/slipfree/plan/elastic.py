@@ -81,7 +81,7 @@ class Relaxation(NamedTuple):
 def relax(
     program: Program, first: Array, iterations: int = MAX_RELAXATION_ITERATIONS
 ) -> Relaxation:
-    """Return a motion that violates the bounds as little as possible.
+    """Find the smallest relaxation of the bounds with which a program has a solution.
 
     The equations, the start and the bounds of the duration are kept. Each other bound is relaxed by
     a slack that is the same at all times. The sum of the slacks, each relative to the size of its

@@ -1,4 +1,4 @@
-"""Solve a nonlinear program with IPOPT through CasADi: progress, interruption, best iterate."""
+"""Solve a nonlinear program with IPOPT: progress reports, interruption, best iterate."""
 
 from __future__ import annotations
 
@@ -14,16 +14,14 @@ from slipfree.records import Array, field_overview
 
 INFEASIBLE_STATUS = "Infeasible_Problem_Detected"
 SOLVED_STATUS = "Solve_Succeeded"
-STOPPED_STATUS = "User_Requested_Stop"  # where the progress callable returns False
+STOPPED_STATUS = "User_Requested_Stop"  # status after the callback returned False
 MAX_ITERATIONS = 500
-MAX_VIOLATION_GROWTH = (
-    100.0  # of the violation at most: long plans do not come back from IPOPT's 1e4
-)
-CAUTIOUS_VIOLATION_GROWTH = 10.0  # the same after a search without progress
+MAX_VIOLATION_GROWTH = 100.0  # long plans do not converge with IPOPT's default, 1e4
+CAUTIOUS_VIOLATION_GROWTH = 10.0  # for the repetition of a search without progress
 STUCK_STATUSES = ("Restoration_Failed", "Maximum_Iterations_Exceeded")
 IPOPT_TOLERANCE = 1e-8
-WARM_BARRIER = 1e-5  # barrier of a start from a solution nearby
-WARM_PUSH = 1e-9  # from the bounds in a warm start
+WARM_BARRIER = 1e-5  # initial barrier parameter of a start near a solution
+WARM_PUSH = 1e-9  # smallest distance from the bounds in a warm start [scaled unknowns]
 WARM_OPTIONS: dict[str, Any] = {
     "warm_start_init_point": "yes",
     **{f"warm_start_{name}_push": WARM_PUSH for name in ("bound", "slack_bound", "mult_bound")},
@@ -37,16 +35,18 @@ IterateCallback = Callable[["Iterate"], bool]
 
 
 class Iterate(NamedTuple):
-    """The iterate of the solver after an iteration.
+    """Iterate of IPOPT.
 
     Attributes
     ----------
     number : int
-        Of iterations so far.
-    cost, violation : float
-        Cost, and largest violation of a row.
+        Number of the iteration; zero for the initial guess.
+    cost : float
+        Cost, the sum of all weighted terms.
+    violation : float
+        Largest violation of the bounds of a row, in the unit of the row.
     unknowns : ndarray, shape (n_w,)
-        Not scaled.
+        Unknowns, not scaled.
     """
 
     number: int
@@ -56,26 +56,29 @@ class Iterate(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Solution of a program, or the best iterate.
+    """Solution of a nonlinear program; if the search failed, its best or last iterate.
 
     Attributes
     ----------
     unknowns : ndarray, shape (n_w,)
-        Not scaled.
+        Unknowns, not scaled.
     rows : ndarray, shape (n_g,)
-        Values of all rows.
+        Values of all rows (constraint functions).
     cost : float
-        Total.
-    row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
-        Of rows and bounds, for a warm start.
+        Cost, the sum of all weighted terms.
+    row_multipliers : ndarray, shape (n_g,)
+        Lagrange multipliers of the rows.
+    bound_multipliers : ndarray, shape (n_w,)
+        Lagrange multipliers of the bounds of the scaled unknowns.
     status : str
-        IPOPT's words.
+        Return status of IPOPT.
     success : bool
-        Whether it is optimal to the tolerance.
+        Whether IPOPT reports a solution.
     iterations : int
-        How many it took.
+        Number of iterations.
     seconds : dict of str to float
-        Wall time in all, in functions, and in the linear solver and the rest. [s]
+        Wall time: ``"total"``, ``"functions"`` (evaluation of functions and derivatives) and
+        ``"rest"`` (linear solver and overhead). [s]
     """
 
     unknowns: Array
@@ -93,7 +96,7 @@ class Solution(NamedTuple):
 
 
 class _IterateWatcher(ca.Callback):
-    """Callback that keeps the iterate of least violation, and stops IPOPT on request."""
+    """CasADi callback that records the iterate of smallest violation and can stop IPOPT."""
 
     def __init__(self, program: Program, look: IterateCallback, guard: InterruptGuard) -> None:
         ca.Callback.__init__(self)
@@ -103,7 +106,7 @@ class _IterateWatcher(ca.Callback):
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
-        """Return the number of arguments, those of a solver's results."""
+        """Return the number of arguments, one for each result of ``nlpsol``."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
@@ -125,7 +128,7 @@ class _IterateWatcher(ca.Callback):
         return ca.Sparsity.dense(sizes[ca.nlpsol_out(index)], 1)
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
-        """Process an iterate; return one to stop the solver."""
+        """Record and report an iterate; return ``[1.0]`` to stop IPOPT, otherwise ``[0.0]``."""
         try:
             return [0.0 if self.guard.call(self.look, self._record_iterate(arguments)) else 1.0]
         except BaseException as error:
@@ -147,7 +150,7 @@ class _IterateWatcher(ca.Callback):
 
 
 def largest_violation(program: Program, rows: Array) -> float:
-    """Return the largest violation of the bounds of the rows, each in its unit."""
+    """Return the largest violation of the bounds of the rows, in the unit of the row."""
     return float(np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0))
 
 
@@ -211,9 +214,10 @@ def solve_program(
 
 
 def warm_solver(program: Program, iterations: int) -> ca.Function:
-    """Return a solver that takes iterations from a solution nearby, in full steps.
+    """Return IPOPT for a warm start near a solution, with full Newton steps.
 
-    It takes unknowns, divided by their scale, multipliers and bounds under CasADi's names for them.
+    The function has the arguments and results of ``casadi.nlpsol``, with unknowns and their bounds
+    divided by their scale. It makes at most the given number of iterations.
     """
     ipopt = WARM_OPTIONS | {
         "max_iter": iterations,
@@ -225,7 +229,7 @@ def warm_solver(program: Program, iterations: int) -> ca.Function:
 
 
 def _ipopt_solver(program: Program, ipopt: dict[str, Any], options: dict[str, Any]) -> ca.Function:
-    """Return IPOPT for a program."""
+    """Return the ``casadi.nlpsol`` function of a program, with options for IPOPT and for CasADi."""
     quiet: dict[str, Any] = {
         "print_level": 0,
         "sb": "yes",

@@ -21,7 +21,7 @@ def rate_of(label: Label) -> Label:
 
 
 def subject(label: Label, role: str) -> str:
-    """Return a text for the constrained quantity, such as ``input wheels.left``."""
+    """Return a text for the constrained quantity, such as ``input right_rate``."""
     whose = "the vehicle" if label.wheel is None else f"wheel {label.wheel}"
     if role == INPUT:
         return f"input {label.full}"

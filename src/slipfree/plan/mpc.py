@@ -1,10 +1,11 @@
 """Model-predictive control: update a plan while the vehicle moves, one Newton step per cycle.
 
-A window of fixed length goes ahead of the vehicle along a plan, and ends where the plan is then, in
-the quantities of the goal. From cycle to cycle only bounds of its program change; its solution
-is shifted, the measured state put in, and one iteration taken (Diehl, Bock, Schloeder, A real-time
-iteration scheme for nonlinear optimization in optimal feedback control, SIAM J. Control Optim. 43,
-2005). Behind the end of the plan the window shrinks.
+A window of fixed length in time moves ahead of the vehicle. At its end, the quantities of the goal
+must equal those of the plan at that time. Only the bounds of its program change from cycle to
+cycle. In each cycle the former solution is shifted in time, the measured state is imposed, and one
+iteration is made (Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization
+in optimal feedback control, SIAM J. Control Optim. 43, 2005). Near the end of the plan the window
+becomes shorter.
 """
 
 from __future__ import annotations
@@ -34,31 +35,31 @@ from slipfree.records import Array, field_overview
 from slipfree.solver_codes import ipopt_words
 from slipfree.trajectory import SolverError
 
-TIME_TOLERANCE = 1e-6  # times at a smaller distance count as equal [s]
+TIME_TOLERANCE = 1e-6  # largest difference of times that count as equal [s]
 USABLE_STATUSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Maximum_Iterations_Exceeded")
-MIN_WINDOW_FRACTION = 0.25  # near the end of the plan, shorter windows are not updated [window]
+MIN_WINDOW_FRACTION = 0.25  # shorter windows, at the end of a plan, are not updated
 
 
 @dataclass(frozen=True, eq=False)
 class Horizon:
-    """A window ahead of the vehicle.
+    """Moving window of a plan, with its nonlinear program and solver.
 
     Attributes
     ----------
     program : Program
-        Of the window.
+        Nonlinear program of the window.
     plan : PolynomialMotion
-        The motion along which it goes.
+        Planned motion that the window follows.
     targets : casadi Function
-        ``(x, z, u) ->`` the quantities that the goal constrains.
+        Function ``(x, z, u) ->`` quantities that the goal constrains.
     span : float
         Length of the window. [s]
     weights : ndarray, shape (n_costs + 1,)
-        Of the costs, the smoothness last.
+        Weights of the costs; the last one is the weight of the smoothness.
     rows : casadi Function
-        ``(w, p) ->`` the rows of the program.
+        Function ``(w, p) ->`` rows of the program, of scaled unknowns and weights.
     solver : casadi Function
-        Takes the iterations of a cycle.
+        Solver that makes the iterations of one cycle, from `warm_solver`.
     """
 
     program: Program
@@ -74,18 +75,20 @@ class Horizon:
 
 
 class Cycle(NamedTuple):
-    """Solution of one cycle, from which the next one starts.
+    """Solution of one cycle, the initial guess of the next cycle.
 
     Attributes
     ----------
     t : float
-        When. [s]
+        Time of the cycle since the beginning of the plan. [s]
     motion : PolynomialMotion
-        The motion from then on.
-    row_multipliers, bound_multipliers : ndarray, shape (n_g,) and (n_w,)
-        Of rows and bounds.
+        Planned motion from this time to the end of the window.
+    row_multipliers : ndarray, shape (n_g,)
+        Lagrange multipliers of the rows.
+    bound_multipliers : ndarray, shape (n_w,)
+        Lagrange multipliers of the bounds of the scaled unknowns.
     violation : float
-        Largest violation of the equations and bounds by the motion.
+        Largest violation of an equation or limit that is a row of the program, in its unit.
     """
 
     t: float
@@ -102,25 +105,27 @@ class Cycle(NamedTuple):
 def horizon(
     plan: Plan, *, span: float, intervals: int = 20, degree: int = 3, iterations: int = 1
 ) -> Horizon:
-    """Return a window of a plan.
+    """Return a moving window of a plan, for `replan`.
 
     Parameters
     ----------
     plan : Plan
-        Its costs, limits, goal and solver options hold in the window, its way-points only by the
-        plan itself.
+        Plan to follow. The window has its costs, limits, goal and solver options, not its
+        way-points.
     span : float
         Length of the window. [s]
-    intervals, degree : int
-        Of the window's collocation.
+    intervals : int
+        Number of collocation intervals in the window.
+    degree : int
+        Degree of the polynomials on each interval, 1 to 5.
     iterations : int
-        Of a cycle at most.
+        Maximum number of iterations per cycle.
 
     Raises
     ------
     ModelError
-        If the window is longer than the plan, numbers are not positive, or the model or its
-        costs and limits depend on time, which a window would count from its own beginning.
+        If the window is longer than the plan, a number is not positive, or the model, costs, limits
+        or goal depend on time, since times of a window begin at zero.
     """
     length, task = plan.motion.duration, plan.program.task
     _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
@@ -158,13 +163,13 @@ def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
     everything = ca.vertcat(dae.ode, *dae.alg, *asked, *costs)
     if ca.depends_on(everything, dae.t):
         raise ModelError(
-            "horizon: expected a model, costs and limits that do not depend on time, found some "
-            "that do; plan the whole motion instead"
+            "horizon: expected a model, costs, limits and a goal that do not depend on time, found "
+            "at least one that does; use `plan` for the whole motion instead"
         )
 
 
 def first_cycle(window: Horizon) -> Cycle:
-    """Return the cycle before the first one: the beginning of the plan, solved for the window."""
+    """Return the cycle at the beginning of the plan, iterated until it converges."""
     program, layout = window.program, window.program.layout
     first = _sample_motions(window, [(window.plan, 0.0)], 0.0, window.span)
     blank = Cycle(
@@ -181,31 +186,33 @@ def first_cycle(window: Horizon) -> Cycle:
 @computing
 @with_interrupt_guard
 def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
-    """Update a plan while the vehicle moves: return the next cycle.
+    """Update a plan from a measured state while the vehicle moves.
 
     Parameters
     ----------
     window : Horizon
-        The window.
+        Moving window, from `slipfree.plan.mpc.horizon`.
     former : Cycle
-        The last one.
+        Result of the former cycle, or of `slipfree.plan.mpc.first_cycle`.
     t : float
-        Time since the plan began. [s]
+        Time of the measurement since the beginning of the plan. [s]
     x : ndarray, shape (n_x,)
-        States that were measured then, local.
+        Measured states, in local coordinates.
 
     Returns
     -------
     Cycle
-        Near the end of the plan, the rest of the former one.
+        Solution of the new cycle. If less than a quarter of the window is left before the end of
+        the plan, ``former`` is returned.
 
     Raises
     ------
     ModelError
-        If time or states are none.
+        If ``t`` or ``x`` is not finite, ``x`` has the wrong shape, or ``t`` is before the former
+        cycle.
     SolverError
-        If the iterations fail, as from a state far from the window; the former cycle may be driven
-        on.
+        If the iterations fail, for example for a state far from the plan. The inputs of the former
+        cycle may still be used.
 
     Examples
     --------
@@ -229,11 +236,13 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     x = np.asarray(x, dtype=float)
     if x.shape != program.layout.first.shape or not np.isfinite([t, *x]).all():
         raise ModelError(
-            f"horizon: expected a time and {program.layout.first.size} states, all finite, found "
+            f"replan: expected a time and {program.layout.first.size} states, all finite, found "
             f"t = {t} and {x}"
         )
     if t < former.t - TIME_TOLERANCE:
-        raise ModelError(f"horizon: expected a time from {former.t:g} s on, found {t:g} s")
+        raise ModelError(
+            f"replan: expected a time of at least {former.t:g} s (former cycle), found {t:g} s"
+        )
     span = min(window.span, plan.duration - t)
     if span < MIN_WINDOW_FRACTION * window.span:
         return former
@@ -256,11 +265,11 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
         lam_x0=bounds,
     )
     status = str(window.solver.stats()["return_status"])
-    # IPOPT's own rows are those of its last accepted iterate, which may differ from those returned.
+    # IPOPT may return rows of another iterate than its unknowns.
     g = np.array(window.rows(found["x"], window.weights)).ravel()
     if status not in USABLE_STATUSES or not np.isfinite(g).all():
         raise SolverError(
-            f"horizon: no step at t = {t:g} s from the state {x}: {ipopt_words(status)}; "
+            f"replan: the iterations failed at t = {t:g} s, state {x}: {ipopt_words(status)}; "
             "the inputs of the former cycle may still be used"
         )
     unknowns, rows, bounds = (np.array(found[name]).ravel() for name in ("x", "lam_g", "lam_x"))
@@ -271,25 +280,36 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
 def cycle_inputs(
     window: Horizon, cycle: Cycle, first_cycle: float, end: float
 ) -> tuple[Any, Array]:
-    """Return the inputs of a cycle from one time since the plan began to another, for ``simulate``.
+    """Return the inputs of a cycle between two times, and sample times for ``simulate``.
+
+    Parameters
+    ----------
+    window : Horizon
+        Moving window.
+    cycle : Cycle
+        Cycle whose inputs are returned.
+    first_cycle, end : float
+        First and last time, since the beginning of the plan; inputs end with the motion of the
+        cycle if it is shorter. [s]
 
     Returns
     -------
-    record, ndarray
-        The inputs, and the times at which to simulate under them, since the cycle; the last one is
-        the end of the cycle's motion if that comes first. [s]
+    inputs : record
+        Inputs for ``simulate``.
+    times : ndarray
+        Sample times since the time of the cycle, with all ends of intervals of its motion. [s]
 
     Raises
     ------
     ModelError
-        If there is nothing left to drive, or the times are before the cycle.
+        If the first time is before the cycle or not before the last time.
     """
     ends = cycle.motion.ends
     first, last = first_cycle - cycle.t, min(end - cycle.t, ends[-1])
     if not -TIME_TOLERANCE <= first < last:
         raise ModelError(
-            f"horizon: expected times from {cycle.t:g} to {cycle.t + ends[-1]:g} s, the second "
-            f"after the first, found {first_cycle:g} and {end:g} s"
+            f"cycle_inputs: expected two ascending times from {cycle.t:g} to "
+            f"{cycle.t + ends[-1]:g} s, found {first_cycle:g} and {end:g} s"
         )
     inside = ends[(ends > first + TIME_TOLERANCE) & (ends < last - TIME_TOLERANCE)]
     times = np.concatenate([[first], inside, [last]])
@@ -299,7 +319,11 @@ def cycle_inputs(
 def _sample_motions(
     window: Horizon, motions: list[tuple[PolynomialMotion, float]], t: float, span: float
 ) -> Array:
-    """Return unknowns sampled from motions, the first that covers each time."""
+    """Return unknowns of the window at time ``t``, sampled from motions.
+
+    At each time the first motion that has not ended yet is used. ``motions`` are pairs of a motion
+    and its start time. [s]
+    """
     program = window.program
     mesh, layout = program.mesh, program.layout
     unknowns = np.zeros(program.scale.size)
@@ -319,7 +343,7 @@ def _sample_motions(
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values of the first motion that goes as far as each time."""
+    """Return values at times ``at``, each of the first motion that has not ended at that time."""
     values = read(motions[-1][0], _to_fractions(motions[-1], at))
     for motion in reversed(motions[:-1]):
         inside = at <= motion[1] + motion[0].duration
@@ -328,15 +352,18 @@ def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read:
 
 
 def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
-    """Return times as fractions of a motion."""
+    """Return times as fractions of the duration of a motion, clipped to 0 and 1."""
     return np.clip((at - motion[1]) / motion[0].duration, 0.0, 1.0)
 
 
 def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
-    """Return bounds of the rows for a window that ends at a time: there it meets the plan."""
+    """Return bounds of the rows for a window that ends at a time.
+
+    Before the end of the plan, the conditions at the end of the window are the plan's values.
+    """
     program, plan = window.program, window.plan
     lower, upper = program.g_lower.copy(), program.g_upper.copy()
-    if end < plan.duration - TIME_TOLERANCE:  # sums of times may be off by rounding
+    if end < plan.duration - TIME_TOLERANCE:
         at = np.array([end / plan.duration])
         values = window.targets(plan.states(at), plan.algebraic(at), plan.inputs(at))
         count = len(program.row_blocks[-1].labels)
@@ -347,7 +374,7 @@ def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
 def _shift_multipliers(
     program: Program, former: Cycle, t: float, span: float
 ) -> tuple[Array, Array]:
-    """Return the multipliers of a cycle for the next one, interval by interval."""
+    """Return the multipliers of a cycle shifted to the intervals of the next window."""
     ends, layout = program.mesh.ends, program.layout
     middles = (t - former.t + span * (ends[1:] + ends[:-1]) / 2) / former.motion.duration
     which: Index = np.clip(np.searchsorted(ends, middles) - 1, 0, ends.size - 2)

@@ -2,9 +2,10 @@
 
 A solution is a strict local minimum if the Hessian of the Lagrangian is positive definite on the
 null space of the active constraints (Nocedal and Wright, Numerical Optimization, 2nd ed., theorem
-12.6). The inverse of the KKT matrix contains the inverse of that reduced Hessian. Its part of the
-inputs and the duration, which determine the motion, has as many positive and negative eigenvalues;
-the Lanczos method finds the extreme ones from sparse factors.
+12.6). The inverse of the KKT matrix contains the inverse of this reduced Hessian. Since inputs and
+duration determine the motion, the block of the inverse for them has the same numbers of positive
+and negative eigenvalues as the reduced Hessian. The Lanczos method computes its extreme eigenvalues
+from a sparse factorisation of the KKT matrix.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from slipfree.plan.ipopt import IPOPT_TOLERANCE, Solution
 from slipfree.plan.transcription import Program
 from slipfree.records import Array, Mask, field_overview
 
-WEAK = float(np.sqrt(IPOPT_TOLERANCE))  # distance and relative multiplier of weakly active bounds
-REGULARISATION = 1e-12  # of dependent constraints in the KKT matrix
-LANCZOS_STEPS = 40  # of one search for extreme eigenvalues
-ROUNDING = 1e-10  # size of eigenvalues that count as zero [largest eigenvalue]
+WEAK = float(
+    np.sqrt(IPOPT_TOLERANCE)
+)  # largest distance and relative multiplier of a weakly active bound
+REGULARISATION = 1e-12  # of the KKT matrix, for dependent constraints
+LANCZOS_STEPS = 40  # number of steps for extreme eigenvalues
+ROUNDING = 1e-10  # smaller eigenvalues count as zero [largest eigenvalue]
 Operator = Callable[[Array], Array]
 
 
@@ -33,10 +36,10 @@ class ActiveSet(NamedTuple):
     Attributes
     ----------
     rows, bounds : ndarray of bool, shapes (n_g,) and (n_w,)
-        Rows and unknowns at a bound with a multiplier, equations and fixed unknowns included.
+        True for rows and unknowns whose bound is active, including equations and fixed unknowns.
     weak : int
-        Number of inequalities without strict complementarity: near the bound, with a multiplier
-        near zero.
+        Number of inequalities without strict complementarity: the distance from the bound and the
+        multiplier are both near zero.
     """
 
     rows: Mask
@@ -45,17 +48,18 @@ class ActiveSet(NamedTuple):
 
 
 class Optimality(NamedTuple):
-    """Second-order conditions at a solution.
+    """Result of the check of the second-order conditions at a solution.
 
     Attributes
     ----------
     directions : int
         Dimension of the null space of the active constraints.
     curvature : float
-        Smallest curvature of the cost in it, per squared change of the inputs and the duration;
-        negative if the solution is no minimum, infinite without directions.
+        Smallest curvature of the Lagrangian in this null space, per squared change of the inputs
+        and the duration: positive at a strict local minimum, infinite if the null space has
+        dimension zero.
     weak : int
-        Number of inequalities without strict complementarity; they count as inactive.
+        Number of inequalities without strict complementarity, which are treated as inactive.
     """
 
     directions: int
@@ -72,7 +76,7 @@ class Optimality(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The conditions in words."""
+        """Sentence with the result of the check."""
         weak = f"; strict complementarity fails at {self.weak} bounds" if self.weak else ""
         if not self.directions:
             return f"the active constraints determine the plan{weak}"
@@ -85,8 +89,9 @@ class Optimality(NamedTuple):
 def active_set(program: Program, solution: Solution) -> ActiveSet:
     """Return the active constraints of a solution.
 
-    Of the distance from a bound and the multiplier over the cost, an interior point method lets one
-    approach zero; an inequality is active if that is the distance.
+    At a solution of an interior point method, the distance of each inequality from its bound or its
+    relative multiplier (multiplier over cost) is near zero. An inequality is active if the relative
+    multiplier is the larger of the two.
     """
     size = max(abs(solution.cost), IPOPT_TOLERANCE)
     found, weak = [], 0
@@ -109,16 +114,16 @@ def active_set(program: Program, solution: Solution) -> ActiveSet:
 
 
 def check_optimality(program: Program, solution: Solution, weights: Array) -> Optimality:
-    """Return the second-order conditions at a solution.
+    """Check the second-order sufficient conditions at a solution.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
     solution : Solution
-        Its solution.
+        Solution of the program.
     weights : ndarray, shape (n_costs + 1,)
-        Weights of the costs, the smoothness last.
+        Weights of the costs; the last one is the weight of the smoothness.
     """
     active = active_set(program, solution)
     free = ~active.bounds
@@ -147,7 +152,7 @@ def check_optimality(program: Program, solution: Solution, weights: Array) -> Op
 
     project = _kkt_solver(scipy.sparse.identity(n), a)
     weakest, largest = _extreme_eigenvalues(inverse, inputs.size)
-    # Strong negative curvature is too small in the inverse to be seen there.
+    # Large negative curvatures are lost by rounding in the inverse.
     strongest, _ = _extreme_eigenvalues(lambda v: project(h @ project(v)), n)
     positive = 1 / largest if largest > 0 else np.inf
     curvature = 1 / weakest if weakest < 0 else strongest if strongest < 0 else positive
@@ -158,7 +163,7 @@ def check_optimality(program: Program, solution: Solution, weights: Array) -> Op
 def _derivatives(
     program: Program, solution: Solution, weights: Array
 ) -> tuple[scipy.sparse.csc_matrix, scipy.sparse.csr_matrix]:
-    """Return the Hessian of the Lagrangian and the Jacobian of the rows."""
+    """Return the Hessian of the Lagrangian and the Jacobian of the rows, for scaled unknowns."""
     w = solution.unknowns / program.scale
     upper = _sparse(program.hessian(w, weights, 1.0, solution.row_multipliers))
     _, jacobian = program.jacobian(w, weights)
@@ -172,7 +177,10 @@ def _sparse(matrix: ca.DM) -> scipy.sparse.csc_matrix:
 
 
 def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
-    """Return the upper left block of the inverse of the KKT matrix of ``h`` and ``a``."""
+    """Return a function that multiplies by the upper left block of the inverse KKT matrix.
+
+    The KKT matrix has the Hessian ``h`` and the Jacobian ``a`` of the active constraints.
+    """
     n, m = h.shape[0], a.shape[0]
     below = -REGULARISATION * scipy.sparse.identity(m)
     factors = scipy.sparse.linalg.splu(scipy.sparse.bmat([[h, a.T], [a, below]]).tocsc())
@@ -185,17 +193,18 @@ def _kkt_solver(h: scipy.sparse.spmatrix, a: scipy.sparse.spmatrix) -> Operator:
 
 
 def _extreme_eigenvalues(operator: Operator, size: int) -> tuple[float, float]:
-    """Return the lowest and the highest eigenvalue of a symmetric operator, zero if rounding.
+    """Return the smallest and the largest eigenvalue of a symmetric operator.
 
-    Lanczos method with full orthogonalisation. `scipy.sparse.linalg.eigsh` takes ten times as many
-    products where eigenvalues crowd at zero, as those of the active constraints do.
+    Eigenvalues within rounding are returned as zero. The Lanczos method with full
+    orthogonalisation needs ten times fewer products here than `scipy.sparse.linalg.eigsh`, because
+    the active constraints give many eigenvalues near zero.
     """
     steps = min(size, LANCZOS_STEPS)
     basis = np.zeros((steps, size))
     products = np.zeros((steps, size))
     new = np.random.default_rng(1).standard_normal(size)
     for k in range(steps):
-        for _ in range(2):  # once more for rounding
+        for _ in range(2):  # repeated because of rounding
             new = new - basis[:k].T @ (basis[:k] @ new)
         length = float(np.linalg.norm(new))
         if k and length <= ROUNDING * float(np.linalg.norm(products[k - 1])):

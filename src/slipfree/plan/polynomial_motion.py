@@ -1,4 +1,4 @@
-"""Evaluate the unknowns of a program as polynomials of time, and make unknowns from motions."""
+"""Evaluate unknowns of a program as polynomials of time, and sample motions as unknowns."""
 
 from __future__ import annotations
 
@@ -16,23 +16,21 @@ from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.system import with_inputs
 from slipfree.trajectory import Trajectory
 
-SAME_STATE_DISTANCE = (
-    1e-6  # distance of states within which a motion begins where another does [m, rad]
-)
-FRACTION_TOLERANCE = 1e-12  # tolerance of ends of intervals [duration]
+SAME_STATE_DISTANCE = 1e-6  # largest distance of states that count as equal [m, rad]
+FRACTION_TOLERANCE = 1e-12  # largest difference of times that count as equal [duration]
 
 
 class PolynomialMotion(NamedTuple):
-    """A motion as polynomials on the intervals of a mesh, in local coordinates.
+    """Motion as polynomials of time on the intervals of a mesh, in local coordinates.
 
     Attributes
     ----------
-    mesh : Mesh
-        Its intervals.
-    layout : Layout
-        Where things are among the unknowns.
+    mesh : CollocationMesh
+        Mesh of the polynomials.
+    layout : VariableLayout
+        Indices of states, inputs, algebraic unknowns and duration among the unknowns.
     unknowns : ndarray, shape (n_w,)
-        Not scaled.
+        Unknowns of a program, not scaled.
     """
 
     mesh: CollocationMesh
@@ -44,12 +42,12 @@ class PolynomialMotion(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """Duration of the motion [s]."""
+        """Duration of the motion in s."""
         return float(self.unknowns[self.layout.duration])
 
     @property
     def ends(self) -> Array:
-        """Times of the ends of the intervals, shape (n + 1,) [s]."""
+        """Times of the ends of the intervals in s, shape (n + 1,)."""
         return self.mesh.ends * self.duration
 
     def states(self, at: Array) -> Array:
@@ -78,26 +76,30 @@ class PolynomialMotion(NamedTuple):
 
     @property
     def continuous(self) -> bool:
-        """Whether the inputs are continuous: then they have values at the ends."""
+        """Whether inputs are continuous and linear on intervals; otherwise they are constant."""
         return len(self.layout.inputs) == self.mesh.ends.size
 
     def _where(self, at: Array) -> tuple[Index, Array]:
-        """Return intervals and positions on them, 0 to 1; an end belongs to the interval before."""
+        """Return interval indices and positions on these intervals, 0 to 1, for fractions ``at``.
+
+        The end of an interval belongs to this interval, not to the next one.
+        """
         ends = self.mesh.ends
         k = np.clip(np.searchsorted(ends, at - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
         return k, (at - ends[k]) / np.diff(ends)[k]
 
 
 def motion_of(program: Program, unknowns: Array) -> PolynomialMotion:
-    """Return the motion that unknowns of a program describe."""
+    """Return the motion for unknowns of a program that are not scaled."""
     return PolynomialMotion(program.mesh, program.layout, unknowns)
 
 
 def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:
-    """Return unknowns of a program from a motion on another mesh, to another goal or ground.
+    """Return unknowns of a program, not scaled, sampled from a motion of another program.
 
-    Of the former motion the part after a fraction of its duration counts. Unknowns that only the
-    new program has are taken from its model.
+    Mesh, goal and ground of the programs may differ. Only the part of the former motion after the
+    fraction ``after`` of its duration is used. Algebraic unknowns that the former motion does not
+    have are computed from the equations of the model.
     """
     task, layout = program.task, program.layout
     nodes = after + (1 - after) * program.mesh.nodes
@@ -126,7 +128,7 @@ def _transfer_inputs(
 
 
 def _complete_unknowns(program: Program, samples: Samples) -> Samples:
-    """Return samples with all algebraic unknowns, from the first ones."""
+    """Return samples with the missing algebraic unknowns computed from the model."""
     dae = program.task.dae
     z = np.full((dae.scale.size, samples.t.size), np.nan)
     z[: len(samples.z)] = samples.z
@@ -134,9 +136,9 @@ def _complete_unknowns(program: Program, samples: Samples) -> Samples:
 
 
 def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
-    """Return the part of the duration after which a motion is nearest to a state, its first ones.
+    """Return the fraction of the duration at which a motion is nearest to a state.
 
-    Zero if the motion begins there.
+    The result is zero if the motion begins at the state.
     """
     nodes = former.mesh.nodes
     away = np.linalg.norm(former.states(nodes) - start[:, None], axis=0)
@@ -146,14 +148,17 @@ def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
 
 
 def numeric_system(program: Program) -> Any:
-    """Return the model with its inputs as numbers."""
+    """Return the system of the model, for inputs that are numbers."""
     dae = program.task.dae
     rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
     return with_inputs(dae, rest, 0, program.options)
 
 
 def guess_unknowns(program: Program, guess: Trajectory) -> Array:
-    """Return the unknowns of a motion, stretched over the mesh."""
+    """Return unknowns of a program, not scaled, interpolated from a guess.
+
+    The time of the guess is scaled to the mesh; inputs and duration are clipped to their bounds.
+    """
     task, layout = program.task, program.layout
     dae, mesh = task.dae, program.mesh
     unknowns = np.zeros(program.scale.size)
@@ -181,7 +186,7 @@ def guess_unknowns(program: Program, guess: Trajectory) -> Array:
 
 
 def sample_plan(program: Program, unknowns: Array) -> Trajectory:
-    """Return a plan at the beginning and at all points of collocation."""
+    """Return the motion of a program, sampled at the beginning and all collocation points."""
     found, system = motion_of(program, unknowns), numeric_system(program)
     nodes, n_z = program.mesh.nodes, program.layout.unknowns.shape[2]
     inner = unknowns[program.layout.unknowns].reshape(-1, n_z).T
@@ -189,12 +194,12 @@ def sample_plan(program: Program, unknowns: Array) -> Trajectory:
     z[:n_z] = np.column_stack([inner[:, :1], inner])
     x, u = found.states(nodes), found.inputs(nodes)
     t = nodes * found.duration
-    # The program has no unknowns at the beginning; a failed one may be no guess for them either.
+    # The program has no unknowns at the beginning; without a solution, the next point's are kept.
     with suppress(ModelError):
         z[:, 0] = solve_initial_conditions(system, 0.0, x[:, 0], z[:, 1], u[:, 0])
     try:
         rates = np.array(system.quad.map(t.size)(t[None], x, z[: system.motion_size], u))[:, 1:]
-    except RuntimeError:  # the forces of a failed iterate may not be found
+    except RuntimeError:  # for a failed iterate, forces may have no solution
         rates = np.full((program.task.dae.quad.numel(), t.size - 1), np.nan)
     q = _integrate(rates.reshape(len(rates), -1, program.mesh.degree), np.diff(found.ends))
     samples, report = complete_samples(system, Samples(t, x, z, q, u))
@@ -202,7 +207,10 @@ def sample_plan(program: Program, unknowns: Array) -> Trajectory:
 
 
 def _integrate(rates: Array, lengths: Array) -> Array:
-    """Return integrals from zero to all points of rates at the points, shape (n_q, 1 + n k)."""
+    """Return integrals from the beginning to all collocation points, shape (n_q, 1 + n degree).
+
+    ``rates`` at the points have the shape (n_q, n, degree), ``lengths`` of intervals are in s.
+    """
     count, degree = rates.shape[1:]
     inside = radau_basis(degree).integrals(radau_basis(degree).points)
     parts = np.einsum("pj,qij->qip", inside, rates) * lengths[:, None]

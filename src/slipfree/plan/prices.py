@@ -1,8 +1,8 @@
-"""Prices of limits: how much the cost falls per unit by which a limit is widened.
+"""Compute prices of limits: decrease of the optimal cost per unit by which a limit is widened.
 
-A multiplier is the derivative of the least cost with respect to its bound (Nocedal and Wright,
-Numerical Optimization, 2nd ed., section 12.8). A limit bounds a quantity at all points of the mesh:
-its price is the sum of their multipliers.
+A multiplier is the derivative of the optimal cost with respect to its bound (Nocedal and Wright,
+Numerical Optimization, 2nd ed., section 12.8). A limit bounds a quantity at all points of the mesh;
+its price is the sum of the multipliers at these points.
 """
 
 from __future__ import annotations
@@ -20,31 +20,32 @@ from slipfree.plan.optimality import active_set
 from slipfree.plan.transcription import Index, Program
 from slipfree.records import Array, Label, field_overview
 
-STEP_FRACTION = 0.01  # change of a bound that words name [its power of ten; unit, for places]
-MAX_NAMED_PRICES = 5  # prices that words name
-MIN_SHARE = 1e-4  # of the cost that a step must save to be named
+STEP_FRACTION = 0.01  # change of a bound in messages [power of ten of the bound; m for goals]
+MAX_NAMED_PRICES = 5  # number of prices in a message
+MIN_SHARE = 1e-4  # smallest reported saving by a step [cost]
 AT_MOST, AT_LEAST, VALUE = "at most", "at least", "value"
 
 
 class Price(NamedTuple):
-    """Price of a limit of a plan.
+    """Price of a limit of a plan: derivative of the optimal cost with respect to its bound.
 
     Attributes
     ----------
     label : Label
-        The limited quantity; of all wheels if it is one of wheels.
+        Label of the limited quantity, without wheel: the price is the sum over all wheels.
     role : str
-        ``"limit"``, ``"input"``, ``"goal"``, ``"way-point at 0.5"`` or ``"duration"``.
+        Kind of limit: ``"limit"``, ``"input"``, ``"goal"``, ``"duration"``, or such as
+        ``"way-point at 0.5"``.
     side : str
-        ``"at most"``, ``"at least"``, or ``"value"`` for equal bounds.
+        Side of the bound: ``"at most"``, ``"at least"``, or ``"value"`` for equal bounds.
     bound : float
-        The bound in the label's unit and in map coordinates.
+        Value of the bound, in the label's unit and in map coordinates.
     rate : float
-        Derivative of the least cost with respect to the bound, per unit of the label.
+        Derivative of the optimal cost with respect to the bound, per unit of the label.
     share : float
-        The same over the cost. [1/unit]
+        ``rate`` divided by the cost of the plan. [1/unit of the label]
     active : int
-        Number of points, of the mesh and wheels, at which the limit is active.
+        Number of active points, summed over the points of the mesh and the wheels.
     """
 
     label: Label
@@ -60,14 +61,14 @@ class Price(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Small change of the bound that `words` names, in its unit."""
+        """Small change of the bound for which `words` gives the saving, in the label's unit."""
         if self.role not in (LIMIT, INPUT, DURATION) or not self.bound:
             return STEP_FRACTION
         return float(STEP_FRACTION * 10.0 ** np.floor(np.log10(abs(self.bound))))
 
     @property
     def words(self) -> str:
-        """The price as a sentence."""
+        """Sentence with the bound, a small change of it, and the saving of cost."""
         side = "" if self.side == VALUE else f" {self.side}"
         more = "more" if self.rate < 0 else "less"
         return (
@@ -78,14 +79,14 @@ class Price(NamedTuple):
 
 
 def limit_prices(program: Program, solution: Solution) -> tuple[Price, ...]:
-    """Return the prices of the active limits of a solution, the largest saving first.
+    """Return the prices of the active limits of a solution, the largest saving per step first.
 
     Parameters
     ----------
     program : Program
         From `transcribe`.
     solution : Solution
-        Its solution; its cost is that of the weights it was solved for.
+        Solution of the program; shares are relative to its cost.
     """
     multipliers = np.append(solution.row_multipliers, solution.bound_multipliers / program.scale)
     active = np.append(*active_set(program, solution)[:2])
@@ -110,11 +111,11 @@ def limit_prices(program: Program, solution: Solution) -> tuple[Price, ...]:
 
 
 def prices_words(prices: Sequence[Price]) -> str:
-    """Return the largest prices as a text."""
+    """Return a text of the largest prices, at most five."""
     named = [each.words for each in prices if abs(each.share) * each.step >= MIN_SHARE]
     if not named:
-        return "no limit costs anything"
-    rest = f"; {len(named) - MAX_NAMED_PRICES} more" if len(named) > MAX_NAMED_PRICES else ""
+        return "no limit increases the cost noticeably"
+    rest = f"; {len(named) - MAX_NAMED_PRICES} more limits" if len(named) > MAX_NAMED_PRICES else ""
     return "; ".join(named[:MAX_NAMED_PRICES]) + rest
 
 
@@ -131,13 +132,15 @@ def _limit_groups(program: Program) -> Iterator[ConstraintGroup]:
 def _sides(
     program: Program, group: ConstraintGroup, multipliers: Array
 ) -> Iterator[tuple[str, float, Index]]:
-    """Yield the sides of a limit, their bounds, and where they are those of the program."""
+    """Yield side, bound and indices into rows and unknowns for each side of a limit.
+
+    Points at which the program has a narrower bound are left out.
+    """
     lower = np.append(program.g_lower, program.lower)[group.where]
     upper = np.append(program.g_upper, program.upper)[group.where]
     prices = multipliers[group.where]
     if group.lower == group.upper:
         yield VALUE, group.lower, group.where
         return
-    # Of two limits on one unknown the narrower one is in the program.
     yield AT_LEAST, group.lower, group.where[(lower == group.lower) & (prices < 0)]
     yield AT_MOST, group.upper, group.where[(upper == group.upper) & (prices > 0)]

@@ -1,4 +1,4 @@
-"""Build an optimal control problem of a model from names and numbers."""
+"""Build an optimal control problem from a model and from costs, limits and goals by name."""
 
 from __future__ import annotations
 
@@ -23,27 +23,29 @@ ROUNDED_FRACTION = 0.01  # rounding of a square root at zero [bound]
 
 
 def duration_of(value: float | Range) -> Range:
-    """Return the least and the largest duration [s]."""
+    """Return the smallest and the largest duration in s, from a number or a range."""
     low, high = (value, value) if isinstance(value, int | float) else value
     if not 0 < low <= high < np.inf:
-        raise ModelError(f"plan: expected a positive duration or a range of them, found {value} s")
+        raise ModelError(
+            f"plan: expected a positive duration or a range (smallest, largest), found {value} s"
+        )
     return float(low), float(high)
 
 
 def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cost, ...]:
-    """Return terms of the cost from weights by name; given terms are not changed."""
+    """Return the terms of the cost from weights by name, or the given terms unchanged."""
     if not isinstance(given, Mapping):
         return tuple(given)
     costs = []
     for name, weight in given.items():
         if not weight >= 0:
-            raise ModelError(f"plan: the weight of {name} must not be negative, found {weight}")
+            raise ModelError(f"plan: expected a weight of {name!r} of at least 0, found {weight}")
         costs.append(_cost_term(dae, name)._replace(weight=weight))
     return tuple(costs)
 
 
 def _cost_term(dae: Dae, name: str) -> Cost:
-    """Return a term of the cost by its name."""
+    """Return the term of the cost with a name, such as ``"time"``, with weight 1."""
     if name == "time":
         return Cost(name, ca.SX(1), "s", "duration")
     if name == "effort":
@@ -60,7 +62,7 @@ def _cost_term(dae: Dae, name: str) -> Cost:
 
 
 def _driving_power(dae: Dae) -> ca.SX:
-    """Return the power of the drives that work, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
+    """Return the sum of the positive drive powers ``p``, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
     powers = [
         torque * rate
         for torque, rate in zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
@@ -69,7 +71,7 @@ def _driving_power(dae: Dae) -> ca.SX:
 
 
 def _squared(expression: ca.SX) -> ca.SX:
-    """Return the square of an expression; for a root its argument, which is differentiable."""
+    """Return the square of an expression, simplified to ``e`` for a square root ``sqrt(e)``."""
     return expression.dep(0) if expression.op() == ca.OP_SQRT else expression**2
 
 
@@ -85,7 +87,7 @@ def _squared_unit(dae: Dae, name: str) -> str:
 
 
 def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[Limit, ...]:
-    """Return limits on quantities of a model by name, in map coordinates; keep given ones."""
+    """Return limits from ranges by name, in map coordinates, or the given limits unchanged."""
     if not isinstance(given, Mapping):
         return tuple(given)
     return tuple(
@@ -94,10 +96,12 @@ def limits_of(dae: Dae, given: Mapping[str, Range] | Sequence[Limit]) -> tuple[L
 
 
 def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
-    """Yield limits on a quantity in map coordinates; one per wheel for quantities of wheels."""
+    """Yield limits on a quantity, given in map coordinates; one per wheel for wheel quantities."""
     low, high = (bounds, bounds) if isinstance(bounds, int | float) else bounds
     if not low <= high:
-        raise ModelError(f"plan: bounds of {name} must ascend, found {low} to {high}")
+        raise ModelError(
+            f"plan: bounds of {name!r} must ascend, found {low} to {high}; exchange them"
+        )
     found = False
     for record, shift in (("x", dae.shift[0]), ("z", dae.shift[1]), ("u", None), ("y", None)):
         labels = list(leaves(getattr(dae.labels, record)))
@@ -115,13 +119,13 @@ def _conditions(dae: Dae, name: str, bounds: float | Range) -> Iterator[Limit]:
             yield limit._replace(lower=max(low, limit.lower), upper=min(high, limit.upper))
             found = True
     if not found:
-        dae.named(name)  # says which names there are
+        dae.named(name)  # raises an error with the known names
 
 
 def _smooth_limit(limit: Limit) -> Limit:
     """Return a limit on a square root that is differentiable where its argument vanishes.
 
-    ``sqrt(e) <= b`` is ``sqrt(e + d^2) <= sqrt(b^2 + d^2)``, for every ``d``.
+    ``sqrt(e) <= b`` is equivalent to ``sqrt(e + d^2) <= sqrt(b^2 + d^2)`` for every ``d``.
     """
     if limit.expression.op() != ca.OP_SQRT or limit.upper <= 0:
         return limit
@@ -136,10 +140,12 @@ def places_of(
     goal: Mapping[str, float | Range] | Sequence[Limit],
     way_points: Mapping[float, Mapping[str, float | Range]],
 ) -> Iterator[TimedCondition]:
-    """Yield the conditions at way-points and goal."""
+    """Yield the conditions at the way-points in order of time, then those at the goal."""
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
-            raise ModelError(f"plan: way-points lie between 0 and 1, found {fraction}")
+            raise ModelError(
+                f"plan: expected way-points between 0 and 1 (start and end), found {fraction}"
+            )
         yield TimedCondition(fraction, _to_limits(dae, wanted))
     yield TimedCondition(1.0, _to_limits(dae, goal))
 
@@ -153,14 +159,16 @@ def _to_limits(
 
 
 def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
-    """Return bounds by name as rows, one for each input; infinite where none are given."""
+    """Return the bounds of all inputs, infinite for inputs without bounds, shape (n_u, 2)."""
     names = [label.full for label in leaves(dae.labels.u)]
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
     for name, (low, high) in given.items():
         if name not in names:
-            raise ModelError(f"plan: {name!r} is not an input; inputs are {', '.join(names)}")
+            raise ModelError(f"plan: expected one of the inputs {', '.join(names)}, found {name!r}")
         if not low <= high:
-            raise ModelError(f"plan: bounds of {name} must ascend, found {low} to {high}")
+            raise ModelError(
+                f"plan: bounds of {name!r} must ascend, found {low} to {high}; exchange them"
+            )
         bounds[names.index(name)] = low, high
     return bounds
 
@@ -179,16 +187,16 @@ def task_of(
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
 ) -> PlanTask:
-    """Return the optimal control problem of a plan; arguments are those of ``plan``.
+    """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`.
 
     Raises
     ------
     ModelError
-        If a name is not known, the goal is empty, or start, goal and limits
+        If a name is unknown, the goal is empty, a number is out of range, or start, goal and limits
         contradict each other.
     """
     if not goal:
-        raise ModelError("plan: expected a goal, values or ranges by name, found none")
+        raise ModelError("plan: expected a goal (values or ranges by name), found an empty one")
     task = PlanTask(
         dae,
         dae.rows("x", start, -1),

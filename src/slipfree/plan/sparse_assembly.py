@@ -158,7 +158,7 @@ def _split_columns(rows: ca.MX) -> Columns:
 
 
 def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
-    """Return the results of a function of a block, each as one column: entry by entry, by point."""
+    """Return each result of a function of a block as a column: entry by entry, for all points."""
     count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
         # Ten times as fast as CasADi's interpreter called point by point.

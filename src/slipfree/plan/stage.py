@@ -1,8 +1,9 @@
-"""Equations, limits and costs of a model at one point of time.
+"""Build the equations, limits and costs of a model at one collocation point.
 
-Where a cost is a sum of squares, as that of slip is, the roots are unknowns of the program as well,
-with an equation each. Newton's method then sees a cost that is quadratic, and takes a third of the
-iterations (Albersmeyer and Diehl, The lifted Newton method, SIAM J. Optim. 20, 2010).
+For each squared term in a cost, such as slip, the squared expression (the root of the term) becomes
+an additional unknown with an equation. The cost is then quadratic in the unknowns, and IPOPT
+needs a third of the iterations (Albersmeyer and Diehl, The lifted Newton method, SIAM J. Optim. 20,
+2010).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from slipfree.solve.system import Block, System
 
 
 class Cost(NamedTuple):
-    """A term of the cost of a plan, integrated over time.
+    """Term of the cost of a plan: an expression integrated over time.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class Cost(NamedTuple):
     words : str
         Description of the term.
     weight : float
-        Cost of a unit of the integral.
+        Factor of the integral in the cost.
 
     Examples
     --------
@@ -56,30 +57,31 @@ class Cost(NamedTuple):
 
     @property
     def label(self) -> Label:
-        """Name, unit and words."""
+        """Label with the name, unit and description of the term."""
         return Label(self.name, self.unit, self.words)
 
 
 class StageFunctions(NamedTuple):
-    """Equations, limits and costs at a point of time.
+    """Equations, limits and costs of a model at one collocation point.
 
     Attributes
     ----------
     function : casadi Function
-        ``(t, x, z, r, u, c) -> (rates of the states, rows, costs)``, with the unknowns that matter
-        and results of lookups ``c``.
+        Function ``(t, x, z, r, u, c) -> (rates of the states, rows, costs)`` of time, states,
+        algebraic unknowns on which the plan depends, roots, inputs, and lookup results.
     symbols : tuple of SX
-        ``t, x, z, r, u``.
+        Symbols ``t, x, z, r, u``.
     lookups : tuple of Lookup
-        In these symbols.
+        Lookups whose results are ``c``, with arguments in these symbols.
     sizes : tuple of 3 ints
-        Numbers of states, unknowns and inputs.
+        Numbers of states, algebraic unknowns and inputs.
     roots : int
-        Number of roots, whose equations are behind those of the model, before the limits.
-    labels : tuple of Label
-        Of the rows, those of the states' motion first.
+        Number of roots of squared cost terms.
+    labels : tuple of Label, length n_rows
+        Labels of the rows at a point: collocation equations of the states, equations of the model,
+        equations of the roots, limits.
     lower, upper : ndarray, shape (n_rows,)
-        Their bounds.
+        Bounds of these rows.
     """
 
     function: ca.Function
@@ -95,16 +97,19 @@ class StageFunctions(NamedTuple):
 def stage_functions(
     system: System, costs: Sequence[Cost], limits: Sequence[Limit], asked: Sequence[ca.SX]
 ) -> StageFunctions:
-    """Return the functions of a stage, with the unknowns on which they depend.
+    """Return the equations, limits and costs at a collocation point.
 
     Parameters
     ----------
     system : System
-        The model.
-    costs, limits : sequence of Cost and of Limit
-        The limits take a row each.
+        System of the model.
+    costs : sequence of Cost
+        Terms of the cost.
+    limits : sequence of Limit
+        Limits that become a row each, without bounds of single states and unknowns.
     asked : sequence of SX
-        All of which there are conditions, also elsewhere.
+        Expressions of all limits, way-points and goal. If one of them or a cost contains dependent
+        unknowns of the model, these are unknowns of the plan too.
     """
     given = [*asked, *(cost.expression for cost in costs)]
     dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *given))
@@ -138,7 +143,7 @@ def stage_functions(
 
 
 def _needed_blocks(system: System, asked: ca.SX) -> tuple[Block, ...]:
-    """Return the blocks of the motion, and the dependent ones if expressions contain them."""
+    """Return the blocks of the motion, with the dependent blocks if expressions need them."""
     z = system.dae.columns()[1][system.motion_size :]
     follows = ca.depends_on(asked, z) if z.numel() else False
     return (*system.blocks, *system.dependent_blocks) if follows else system.blocks
@@ -147,7 +152,7 @@ def _needed_blocks(system: System, asked: ca.SX) -> tuple[Block, ...]:
 def _split_costs(
     costs: Sequence[Cost], motion: ca.SX
 ) -> tuple[ca.SX, list[tuple[Label, ca.SX]], ca.SX]:
-    """Return the roots, an equation for each with the label of its cost, and costs with roots."""
+    """Return symbols of roots, their equations with labels of the costs, and costs by roots."""
     roots, equations, paid = ca.SX(0, 1), list[tuple[Label, ca.SX]](), ca.SX(0, 1)
     for cost in costs:
         terms = ca.SX(0)
@@ -171,7 +176,7 @@ def _summands(expression: ca.SX) -> list[ca.SX]:
 
 
 def _squared_term(term: ca.SX, motion: ca.SX) -> ca.SX | None:
-    """Return the argument of a square if it is a formula of the motion."""
+    """Return the argument of a square if it is a formula of states or unknowns, otherwise None."""
     if term.op() != ca.OP_SQ:
         return None
     inner = term.dep(0)

@@ -1,4 +1,4 @@
-"""Several starts of a search: further initial guesses, and the table of local optima."""
+"""Create further initial guesses for a plan, and compare the local optima found from them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
-PERTURBATION = 0.3  # standard deviation of the perturbation of an input [its rms, or that of all]
-MODES = 4  # cosines of a perturbation over the duration
-MAX_HALVINGS = 4  # of a perturbation under which the motion ends early
-SHORTEST = 0.5  # motion that is long enough for a guess [duration]
-GUESS_TOLERANCE = 1e-5  # of the simulation of guesses [m, rad]
+PERTURBATION = 0.3  # standard deviation of a perturbed input [rms of the input]
+MODES = 4  # number of cosines in a perturbation
+MAX_HALVINGS = 4  # of a perturbation whose motion ends early
+SHORTEST = 0.5  # shortest motion that is used as a guess [duration]
+GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 PATH_SAMPLES = 201  # samples at which the paths of two plans are compared
 SAME_PATH = 1e-3  # largest distance of paths that count as one optimum [m]
 VERIFIED, INACCURATE, SOLVED, NOT_SOLVED = "verified", "inaccurate", "solved", "not solved"
@@ -25,25 +25,26 @@ RANKS = (VERIFIED, SOLVED, INACCURATE, NOT_SOLVED)
 
 
 class LocalOptimum(NamedTuple):
-    """Plan of one start of a search.
+    """Result of the search from one initial guess.
 
     Attributes
     ----------
     start : str
-        The initial guess, such as ``"guess 1"``, ``"reversed"`` or ``"perturbed 2"``.
+        Name of the initial guess, such as ``"guess 1"``, ``"reversed"`` or ``"perturbed 2"``.
     outcome : str
-        ``"verified"`` by a simulation, ``"inaccurate"`` in it, ``"solved"`` and not simulated since
-        another plan is better, or ``"not solved"``.
+        ``"verified"`` (the simulation agrees with the plan), ``"inaccurate"`` (it does not),
+        ``"solved"`` (not simulated) or ``"not solved"``.
     cost : float
-        Cost reached, all terms weighted.
+        Cost of the plan, the sum of all weighted terms.
     terms : dict of str to float
-        Integrals of the terms of the cost, in their units.
+        Unweighted integrals of the terms of the cost, in their units, by name.
     duration : float
         Duration of the plan. [s]
     seconds : float
         Wall time of the search. [s]
     path : ndarray, shape (2, n)
-        Places at equal fractions of the duration, local; shape (0, n) without ``x`` and ``y``. [m]
+        Positions ``x``, ``y`` at n equally spaced times, in local coordinates; shape (0, n) if the
+        model has no such states. [m]
     """
 
     start: str
@@ -59,27 +60,29 @@ class LocalOptimum(NamedTuple):
 
     @property
     def rank(self) -> tuple[int, float]:
-        """Key that is least for the best plan."""
+        """Sort key, smallest for the best plan: rank of the outcome, then cost."""
         return RANKS.index(self.outcome), self.cost
 
 
 def further_guesses(
     dae: Dae, start: Trajectory, guess: Trajectory, bounds: Array, count: int, seed: int
 ) -> Iterator[tuple[str, Trajectory]]:
-    """Yield names and motions of further guesses: reversed gears, then perturbed inputs.
+    """Yield names and motions of further guesses: reversed inputs, then perturbed inputs.
 
     Parameters
     ----------
     dae, start : Dae, Trajectory
-        The model and its start.
+        Model, and trajectory whose last sample is the start.
     guess : Trajectory
-        The motion whose inputs are changed.
+        Motion whose inputs are changed.
     bounds : ndarray, shape (n_u, 2)
-        Bounds of the inputs; gears are reversed if they let every input change its sign.
+        Bounds of the inputs. The reversed guess is left out if the bounds of an input that is not
+        zero exclude positive or negative values.
     count : int
-        Largest number of guesses; perturbations that cannot be simulated are left out.
+        Largest number of guesses. A perturbed guess is left out if its motion ends before half of
+        the duration, even with the perturbation halved four times.
     seed : int
-        Of the perturbations.
+        Seed of the random perturbations.
     """
     t = guess.t - guess.t[0]
     inputs = np.array([guess.of(label) for label in leaves(dae.labels.u)])
@@ -105,7 +108,7 @@ def further_guesses(
 
 
 def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajectory:
-    """Return the motion under inputs, given at times, up to its end or a failure."""
+    """Simulate inputs given at times ``t``, to the last time or to the first failure."""
     names = [label.full for label in leaves(dae.labels.u)]
     middles = (inputs[:, 1:] + inputs[:, :-1]) / 2
     rough = SolverOptions(tolerance=GUESS_TOLERANCE)
@@ -120,7 +123,7 @@ def _simulated(dae: Dae, start: Trajectory, inputs: Array, t: Array) -> Trajecto
 
 
 def count_distinct(optima: Sequence[LocalOptimum]) -> int:
-    """Return the number of solved plans whose paths differ by more than `SAME_PATH`."""
+    """Return the number of solved plans whose paths differ by more than 1 mm."""
     kept: list[Array] = []
     for each in optima:
         apart = (np.linalg.norm(each.path - path, axis=0).max(initial=0.0) for path in kept)
@@ -130,16 +133,17 @@ def count_distinct(optima: Sequence[LocalOptimum]) -> int:
 
 
 def distances(optima: Sequence[LocalOptimum]) -> list[float]:
-    """Return the largest distance of each path from that of the first at equal fractions [m]."""
+    """Return the largest distance of each path from the first path in m, at equal fractions."""
     first = optima[0].path
     return [float(np.linalg.norm(each.path - first, axis=0).max(initial=0.0)) for each in optima]
 
 
 def optima_words(optima: Sequence[LocalOptimum]) -> str:
-    """Return a table of local optima, a line each: start, cost, terms, distance from the first."""
+    """Return a text table of local optima, one line each: guess, outcome, cost, duration, path."""
     return "\n".join(
         f"{each.start}: {each.outcome}, cost {each.cost:.6g} ("
         + ", ".join(f"{name} {value:.4g}" for name, value in each.terms.items())
-        + f"), {each.duration:.4g} s, {away:.2g} m from the best; {each.seconds:.2g} s of search"
+        + f"), duration {each.duration:.4g} s, path up to {away:.2g} m from the best one; "
+        f"{each.seconds:.2g} s of search"
         for each, away in zip(optima, distances(optima), strict=True)
     )

@@ -2,9 +2,9 @@
 
 Time is divided into intervals. On each interval the states are polynomials of the given degree,
 represented by their values at its beginning and at the Radau points, the last of which is its end;
-the algebraic unknowns are represented by their values at the points. Equations, limits and costs of
-a point are a symbolic function of its own unknowns and of the state values of its interval; rates
-of the inputs are a function of the inputs of an interval.
+the algebraic unknowns are represented by their values at the points. Equations, limits and costs at
+a point are functions of the unknowns at this point and of the states at all points of its interval;
+input rates are functions of the inputs of an interval.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ class TimedCondition(NamedTuple):
     Attributes
     ----------
     fraction : float
-        Of the duration; one is the end. The nearest end of an interval counts.
+        Time as a fraction of the duration, 1 for the goal. The conditions are imposed at the
+        nearest end of a mesh interval.
     limits : tuple of Limit
-        Conditions in the symbols of the model; equal bounds for an equation.
+        Bounds of expressions in the symbols of the model, local; equal bounds fix a value.
     """
 
     fraction: float
@@ -46,30 +47,31 @@ class TimedCondition(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PlanTask:
-    """An optimal control problem.
+    """Optimal control problem of a plan.
 
     Attributes
     ----------
     dae : Dae
-        The model.
+        Model of the vehicle on its ground.
     start : ndarray, shape (n_x,)
-        States at the beginning, local.
+        States at the beginning, in local coordinates.
     duration : tuple of 2 floats
-        Least and largest duration; equal for a fixed one. [s]
+        Smallest and largest duration; equal for a fixed duration. [s]
     costs : tuple of Cost
-        Their sum is least.
+        Terms of the cost; their weighted sum is minimised.
     conditions : tuple of TimedCondition
-        Goal and way-points.
+        Way-points, then the goal.
     limits : tuple of Limit
-        Along the way.
+        Limits at all times, in local coordinates.
     inputs : ndarray, shape (n_u, 2)
-        Least and largest inputs.
+        Smallest and largest value of each input.
     accelerations : ndarray, shape (n_u, 2)
-        Least and largest rates of the inputs, infinite if they may change at will. [1/s2]
+        Smallest and largest rate of each input, infinite without limit. [1/s2]
     smooth : float
         Weight of the squared rates of the inputs, integrated over time.
     continuous : bool
-        Whether inputs are continuous and linear on every interval, else constant on it.
+        True for inputs that are continuous and linear on every interval; False for inputs that are
+        constant on every interval.
     """
 
     dae: Dae
@@ -88,14 +90,14 @@ class PlanTask:
 
 
 class CollocationMesh(NamedTuple):
-    """Intervals and the points on each.
+    """Mesh of n intervals with the same number of Radau points each.
 
     Attributes
     ----------
     ends : ndarray, shape (n + 1,)
-        Fractions of the duration, from zero to one.
+        Ends of the intervals as fractions of the duration, from 0 to 1.
     degree : int
-        Number of points of an interval.
+        Degree of the polynomials and number of points per interval.
     """
 
     ends: Array
@@ -103,25 +105,25 @@ class CollocationMesh(NamedTuple):
 
     @property
     def points(self) -> Array:
-        """Radau points of (0, 1], shape (degree,)."""
+        """Radau points of an interval as fractions of its length, shape (degree,)."""
         return np.array(ca.collocation_points(self.degree, "radau"))
 
     @property
     def nodes(self) -> Array:
-        """Fractions of the duration: the beginning and all points, shape (1 + n degree,)."""
+        """Beginning and all points as fractions of the duration, shape (1 + n degree,)."""
         inner = self.ends[:-1, None] + np.diff(self.ends)[:, None] * self.points
         return np.append(0.0, inner.ravel())
 
 
 class RowBlock(NamedTuple):
-    """Rows that the program repeats at several points.
+    """Rows (constraint functions) that the program repeats on several intervals.
 
     Attributes
     ----------
     where : ndarray, shape (count, n_v)
-        On which unknowns of the program they depend.
-    labels : tuple of Label
-        Of the rows.
+        Indices of the unknowns on which each repetition depends.
+    labels : tuple of Label, length n_rows
+        Labels of the rows.
     lower, upper : ndarray, shape (n_rows,)
         Bounds of the rows.
     """
@@ -133,20 +135,23 @@ class RowBlock(NamedTuple):
 
 
 class VariableLayout(NamedTuple):
-    """Indices of the unknowns of the program: states, inputs, unknowns by point, and duration.
+    """Indices of states, inputs, algebraic unknowns, roots and duration among all unknowns.
 
     Attributes
     ----------
     first : ndarray, shape (n_x,)
-        States at the beginning.
+        Indices of the states at the beginning.
     inputs : ndarray, shape (n, n_u) or (n + 1, n_u)
-        Inputs of every interval; continuous ones at all ends of intervals.
-    states, unknowns : ndarray, shape (n, degree, n_x) and (n, degree, n_z)
-        At all points.
+        Indices of the inputs of each interval, or of continuous inputs at the ends of intervals.
+    states : ndarray, shape (n, degree, n_x)
+        Indices of the states at all points.
+    unknowns : ndarray, shape (n, degree, n_z)
+        Indices of the algebraic unknowns at all points.
     duration : int
-        Behind all of them.
+        Index of the duration, after all of these.
     roots : ndarray, shape (n, degree, n_r)
-        Behind the duration: roots of the squares in the costs, at all points.
+        Indices, after the duration, of the roots of squared cost terms (see `stage_functions`) at
+        all points.
     """
 
     first: Index
@@ -159,30 +164,34 @@ class VariableLayout(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A nonlinear program: ``f(w, p)`` is least within ``lower <= w <= upper`` and rows' bounds.
+    """Nonlinear program: minimise ``f(x, p)`` within bounds of the unknowns and of ``g(x, p)``.
 
-    Unknowns are divided by ``scale``; ``p`` are the weights of the costs, the smoothness last.
+    The unknowns ``x`` are divided by ``scale``; the parameters ``p`` are the weights of the costs,
+    with the weight of the smoothness last.
 
     Attributes
     ----------
     task, mesh, layout : PlanTask, CollocationMesh, VariableLayout
-        The problem, the intervals, and the indices of the unknowns.
+        Optimal control problem, mesh, and indices of the unknowns.
     options : SolverOptions
-        Options under which its functions were made and its solution is simulated.
+        Options for the construction of the functions and for the simulation of the solution.
     row_blocks : tuple of RowBlock
-        Its rows, in their order.
-    problem : dict
-        ``x, p, f, g`` for CasADi.
+        Rows in their order: those of the intervals, then those of way-points and goal.
+    problem : dict of str to MX
+        Symbols ``x``, ``p`` and expressions ``f``, ``g``, as ``casadi.nlpsol`` takes them.
     gradient, jacobian, hessian : casadi Function
-        Exact derivatives, in the form that its interface to IPOPT takes.
-    scale, lower, upper : ndarray, shape (n_w,)
-        Sizes of the unknowns, and their bounds, not scaled.
+        Exact derivatives, as the options ``grad_f``, ``jac_g`` and ``hess_lag`` take them.
+    scale : ndarray, shape (n_w,)
+        Typical sizes of the unknowns.
+    lower, upper : ndarray, shape (n_w,)
+        Bounds of the unknowns, not scaled.
     g_lower, g_upper : ndarray, shape (n_g,)
         Bounds of the rows.
     roots : casadi Function
-        ``x ->`` roots of the squares in the costs, from the other unknowns, as in the layout.
+        Function ``x ->`` roots of squared cost terms, from the other unknowns, in the order of the
+        layout.
     compiled : bool
-        Whether its functions are compiled, not interpreted.
+        Whether the functions at the points are compiled; otherwise CasADi interprets them.
     """
 
     task: PlanTask
@@ -209,12 +218,12 @@ class Program:
 def transcribe(
     task: PlanTask, mesh: CollocationMesh, options: SolverOptions = SolverOptions()
 ) -> Program:
-    """Return the nonlinear program of a task on a mesh.
+    """Return the nonlinear program of an optimal control problem on a mesh.
 
     Raises
     ------
     ModelError
-        If the degree is not one of 1 to 5.
+        If the degree of the mesh is not 1 to 5.
     """
     if mesh.degree not in ALLOWED_DEGREES:
         raise ModelError(f"plan: expected a degree of 1 to 5, found {mesh.degree}")
@@ -266,7 +275,7 @@ def transcribe(
 
 
 def completed(program: Program, unknowns: Array) -> Array:
-    """Return the unscaled unknowns of a program, with roots computed from the others."""
+    """Return unscaled unknowns with their roots recomputed from the other unknowns."""
     full, n_w = unknowns.copy(), program.roots.size1_in(0)
     found = program.roots(unknowns[:n_w] / program.scale[:n_w])
     full[program.layout.roots.ravel()] = np.array(found).ravel()
@@ -274,7 +283,7 @@ def completed(program: Program, unknowns: Array) -> Array:
 
 
 def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLayout) -> ca.Function:
-    """Return the function of the roots: their values plus residuals."""
+    """Return the function from the unknowns to the roots: values plus residuals of their rows."""
     n_x, n_r = layout.first.size, layout.roots.shape[2]
     begin = n_x + layout.unknowns.shape[2]
     rows = points.row_indices[:, begin : begin + n_r].ravel().tolist()
@@ -285,7 +294,7 @@ def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLay
 def positions(
     mesh: CollocationMesh, counts: tuple[int, int, int], *, continuous: bool
 ) -> VariableLayout:
-    """Return the indices of the unknowns for numbers of states, unknowns and inputs."""
+    """Return the layout without roots for numbers of states, algebraic unknowns and inputs."""
     n_x, n_z, n_u = counts
     count, degree = mesh.ends.size - 1, mesh.degree
     block = n_u + degree * (n_x + n_z)
@@ -302,7 +311,7 @@ def positions(
 def _split(
     task: PlanTask, system: System
 ) -> tuple[dict[tuple[str, int], tuple[float, float]], list[Limit]]:
-    """Return limits that bound a state or an unknown alone, and those that take a row."""
+    """Return bounds of single states and unknowns, by record and index, and all other limits."""
     x, z, _ = system.dae.columns()
     simple: dict[tuple[str, int], tuple[float, float]] = {}
     rows = []
@@ -330,7 +339,7 @@ def _with_roots(layout: VariableLayout, point: StageFunctions) -> VariableLayout
 def _interval_rows(
     task: PlanTask, point: StageFunctions, mesh: CollocationMesh, layout: VariableLayout
 ) -> RowBlock:
-    """Return the rows of every interval: those of its points, then rates of the inputs."""
+    """Return the rows of the intervals: those of the points, then the bounded input rates."""
     names = [label.full for label in leaves(task.dae.labels.u)]
     jumps = _bounded(task)
     rates = [Label(f"{names[k]}_change", "s-2", f"rate of {names[k]}") for k in jumps]
@@ -342,12 +351,12 @@ def _interval_rows(
 
 
 def _bounded(task: PlanTask) -> list[int]:
-    """Return the inputs whose rates are bounded."""
+    """Return the indices of the inputs whose rates are bounded."""
     return [k for k, bounds in enumerate(task.accelerations) if np.isfinite(bounds).any()]
 
 
 def _whole(layout: VariableLayout, mesh: CollocationMesh) -> Index:
-    """Return the unknowns of every interval: states, inputs, unknowns, roots and the duration."""
+    """Return the indices of all unknowns of every interval, one row per interval."""
     count = mesh.ends.size - 1
     inner = [each.reshape(count, -1) for each in (layout.unknowns, layout.roots)]
     last = np.full((count, 1), layout.duration)
@@ -355,15 +364,15 @@ def _whole(layout: VariableLayout, mesh: CollocationMesh) -> Index:
 
 
 def _nodes(layout: VariableLayout) -> Index:
-    """Return the states at the beginning and at the points of every interval, node by node."""
+    """Return the indices of the states at the beginning and the points of every interval."""
     first = np.vstack([layout.first, layout.states[:-1, -1]])
     return np.hstack([first, layout.states.reshape(len(first), -1)])
 
 
 def _ends(layout: VariableLayout, mesh: CollocationMesh) -> tuple[Index, Index]:
-    """Return the inputs of every interval and those that follow."""
+    """Return the indices of the inputs of every interval, and of the inputs that follow them."""
     count = mesh.ends.size - 1
-    # Behind the last interval a constant input keeps its value.
+    # After the last interval, inputs that are constant on intervals keep their values.
     after = np.vstack([layout.inputs[1:], layout.inputs[-1:]])
     return layout.inputs[:count], after[:count]
 
@@ -376,7 +385,7 @@ def _stage_block(
     *,
     compiled: bool,
 ) -> NlpBlock:
-    """Return the block of collocation points: motion, equations, limits and costs."""
+    """Return the block of the collocation points: collocation, equations, limits and costs."""
     n_x, n_z, n_u = point.sizes
     count, degree = mesh.ends.size - 1, mesh.degree
     nodes, x, z = (ca.SX.sym(*of) for of in (("nodes", n_x, 1 + degree), ("x", n_x), ("z", n_z)))
@@ -417,8 +426,9 @@ def _stage_block(
 def _point_constants(mesh: CollocationMesh) -> Array:
     """Return the constants of each point, shape (n degree, 5 + degree).
 
-    Begin and length of the interval, position of the point on it, weight of its value in an
-    integral, and weights of the values at all nodes in the slope.
+    Columns: beginning and length of the interval as fractions of the duration, position of the
+    point as a fraction of the interval, its quadrature weight, and the weights of the values at all
+    nodes in the derivative at the point.
     """
     lagrange, _, weights = ca.collocation_coeff(mesh.points.tolist())
     own = np.column_stack([mesh.points, weights.nonzeros(), np.array(lagrange).T])
@@ -429,7 +439,7 @@ def _point_constants(mesh: CollocationMesh) -> Array:
 def _rate_block(
     task: PlanTask, mesh: CollocationMesh, layout: VariableLayout, each: int
 ) -> NlpBlock:
-    """Return the block of rates of the inputs, behind the points of every interval."""
+    """Return the block of input rates: smoothness cost, and rows after those of the points."""
     n_u, jumps = layout.inputs.shape[1], _bounded(task)
     u, after, duration = ca.SX.sym("u", n_u), ca.SX.sym("after", n_u), ca.SX.sym("duration")
     length, p = ca.SX.sym("length"), ca.SX.sym("p", len(task.costs) + 1)
@@ -469,7 +479,7 @@ def _condition_rows(
 
 
 def _nearest_interval(condition: TimedCondition, mesh: CollocationMesh) -> int:
-    """Return the interval nearest to whose end a condition is."""
+    """Return the index of the interval whose end is nearest to a condition."""
     return max(int(np.abs(mesh.ends - condition.fraction).argmin()) - 1, 0)
 
 
@@ -480,7 +490,7 @@ def _condition_block(
     row_block: RowBlock,
     begin: int,
 ) -> NlpBlock:
-    """Return the block of a goal or a way-point, with the index of its first row."""
+    """Return the block of a goal or a way-point, whose first row has the index ``begin``."""
     x, z, u = task.dae.columns()
     p, duration = ca.SX.sym("p", len(task.costs) + 1), ca.SX.sym("duration")
     rows = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in condition.limits))
@@ -512,7 +522,7 @@ def _variable_bounds(
     simple: dict[tuple[str, int], tuple[float, float]],
     size: int,
 ) -> tuple[Array, Array]:
-    """Return the bounds of the unknowns."""
+    """Return lower and upper bounds of the unknowns, not scaled, shape (n_w,) each."""
     lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
     lower[layout.first] = upper[layout.first] = task.start
     lower[layout.inputs], upper[layout.inputs] = task.inputs[:, 0], task.inputs[:, 1]

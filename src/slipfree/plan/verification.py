@@ -1,4 +1,4 @@
-"""Verify plans by simulation: differences, violations of limits, intervals to refine."""
+"""Verify plans by simulation: differences, violated limits, and intervals to refine."""
 
 from __future__ import annotations
 
@@ -17,33 +17,30 @@ from slipfree.solve.options import MIN_TOLERANCE, SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory
 
-LIMIT_WIDTH_FRACTION = (
-    0.01  # of the width between the bounds of a limit that counts, if that is less
-)
-REFINED_FRACTION = (
-    0.25  # part of the accuracy that a violation must exceed to count, if one exceeds it
-)
+LIMIT_WIDTH_FRACTION = 0.01  # largest tolerance of a limit [range of its bounds]
+REFINED_FRACTION = 0.25  # smallest violation on intervals refined with a violated one [tolerance]
 VERIFICATION_TOLERANCE = 0.01  # tolerance of the simulation [accuracy of the plan]
-MIN_INTERVAL_SAMPLES = 8  # smallest number of samples per interval, denser near its ends
+MIN_INTERVAL_SAMPLES = 8  # samples per interval, denser near its ends
 
 
 class Verification(NamedTuple):
-    """Simulation of the inputs of a plan, compared to the plan.
+    """Comparison of a plan with the simulation of its inputs.
 
     Attributes
     ----------
     replay : Trajectory
-        The simulation, several samples on every interval.
+        Simulated motion, with at least 8 samples on every interval.
     difference : dict of str to float
-        Largest difference of every state from the plan. [m, rad]
+        Largest difference of each state from the plan, in its unit, by name.
     violation : dict of str to float
-        Violations of limits, goal and way-points of the plan by the simulation, each in its unit.
+        Largest violation of each limit, goal and way-point by the simulation, in its unit, by name.
     units : dict of str to str
         Units of differences and violations, by name.
     worse : ndarray of bool, shape (n,)
-        Intervals on which the accuracy is missed, to be refined.
+        True for the n intervals of the mesh that must be refined to reach the accuracy.
     accurate : bool
-        Whether the accuracy is reached: by states, limits and goal.
+        Whether states, limits, way-points and goal are within the accuracy and the simulation
+        reaches the end of the plan.
     """
 
     replay: Trajectory
@@ -62,20 +59,20 @@ def verify_plan(
     accuracy: float,
     step: float,
 ) -> Verification:
-    """Simulate a plan and compare it with the simulation.
+    """Simulate the inputs of a plan and compare the simulation with the plan.
 
     Parameters
     ----------
     program : Program
-        The program that was solved.
+        Nonlinear program of the plan.
     unknowns : ndarray, shape (n_w,)
-        Its solution.
+        Solution of the program, not scaled.
     start : Trajectory
-        Its last sample is where the plan begins.
+        Trajectory whose last sample is the start of the plan.
     accuracy : float
-        Largest admissible differences and violations, each in its unit.
+        Largest admissible difference and violation, each in its unit.
     step : float
-        Between samples at most. [s]
+        Largest time between samples of the simulation. [s]
     """
     found = motion_of(program, unknowns)
     dae, limits = program.task.dae, program.task.limits
@@ -93,11 +90,11 @@ def verify_plan(
     ends = program.mesh.ends
     where = np.clip(np.searchsorted(ends, parts - FRACTION_TOLERANCE) - 1, 0, ends.size - 2)
     worse = np.zeros(ends.size - 1, dtype=bool)
-    if (over > allowed).any():  # a finer mesh bulges elsewhere: neighbours are refined too
+    if (over > allowed).any():  # refinement moves violations to neighbours
         worse[where[(over > allowed * REFINED_FRACTION).any(axis=0)]] = True
     worse |= _error_sources(gaps, where, accuracy, ends.size - 1)
     if replay.stop is not None:
-        # Where a limit ends it that the program does not know, a finer mesh is of no use.
+        # A finer mesh helps only if the simulation ended at a limit that the program contains.
         worse[where[-1]] |= replay.stop.name in {limit.label.full for limit in limits}
     missed = _condition_excess(program, samples, parts)
     violation = _excess_by_name(limits, over.max(axis=1)) | missed
@@ -135,7 +132,7 @@ def _role(fraction: float) -> str:
 
 
 def _excess_by_name(limits: Sequence[Limit], most: Array) -> dict[str, float]:
-    """Return the violations by name, the largest of those that share one."""
+    """Return the positive violations by name of the limit, the largest for each name."""
     found: dict[str, float] = {}
     for limit, size in zip(limits, most, strict=True):
         if size > 0:
@@ -163,7 +160,7 @@ def _condition_excess(
 
 
 def _tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
-    """Return the tolerance of each limit: the accuracy, or less for a narrow limit."""
+    """Return the tolerance of each limit: the accuracy or 1 % of its range, if that is smaller."""
     widths = np.array([limit.upper - limit.lower for limit in limits])
     return np.where(
         widths > 0, np.minimum(accuracy, LIMIT_WIDTH_FRACTION * np.abs(widths)), accuracy
@@ -171,7 +168,7 @@ def _tolerated_excess(limits: Sequence[Limit], accuracy: float) -> Array:
 
 
 def _local_rows(dae: Dae, record: str, run: Trajectory) -> Array:
-    """Return states, unknowns or inputs of all samples in local coordinates, in columns."""
+    """Return a record (x, z or u) of all samples in local coordinates, one column per sample."""
     shift = {"x": dae.shift[0], "z": dae.shift[1]}.get(record)
     rows = np.array([run.of(label) for label in leaves(getattr(dae.labels, record))])
     return rows if shift is None else rows - shift[:, None]
@@ -199,10 +196,11 @@ def _limit_values(
 
 
 def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Mask:
-    """Return the mask of intervals in which a too large difference arises.
+    """Return the mask of intervals that cause a difference above the accuracy.
 
-    A difference persists, so that an interval counts by how much the difference changes on it; all
-    of them together make no more than the accuracy if each makes its share.
+    A difference persists after the interval that causes it. Therefore an interval is marked if the
+    difference changes on it by more than its share, the accuracy over the number of intervals. The
+    interval with the largest change is always marked.
     """
     if np.abs(gaps).max(initial=0.0) <= accuracy:
         return np.zeros(count, dtype=bool)
@@ -215,13 +213,13 @@ def _error_sources(gaps: Array, where: Index, accuracy: float, count: int) -> Ma
 
 
 def refine_mesh(mesh: CollocationMesh, worse: Mask) -> CollocationMesh:
-    """Return a mesh with some of its intervals halved."""
+    """Return a mesh with the intervals marked in ``worse`` halved."""
     middles = (mesh.ends[1:] + mesh.ends[:-1]) / 2
     return mesh._replace(ends=np.sort(np.concatenate([mesh.ends, middles[worse]])))
 
 
 def inputs_along(dae: Dae, found: PolynomialMotion, times: Array) -> Any:
-    """Return the inputs of a plan for ``simulate``, at times that include all ends of intervals."""
+    """Return the inputs of a plan for ``simulate``; ``times`` must include all interval ends."""
     names = [label.full for label in leaves(dae.labels.u)]
     ends, values = found.ends, found.unknowns[found.layout.inputs].T
     k = np.searchsorted(ends, (times[1:] + times[:-1]) / 2) - 1
@@ -241,8 +239,8 @@ def simulate_plan(
     step: float,
     options: SolverOptions = SolverOptions(),
 ) -> Trajectory:
-    """Return the motion of a model under the inputs of a plan, up to a failure."""
-    # Limits are crossed just behind the kinks of the inputs: samples of Chebyshev's.
+    """Simulate a model under the inputs of a plan, to its end or to the first failure."""
+    # Limits are often violated just after kinks of the inputs: Chebyshev points are dense there.
     lengths = np.diff(found.ends)
     counts = np.maximum(np.ceil(np.pi / 2 * lengths / step - 1e-9), MIN_INTERVAL_SAMPLES).astype(
         int

@@ -1,4 +1,4 @@
-"""Save the unknowns and multipliers of a plan for a warm start of the next one."""
+"""Save the unknowns and multipliers of a plan for a warm start of another plan."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from slipfree.plan.polynomial_motion import PolynomialMotion
 from slipfree.plan.transcription import CollocationMesh, Program, VariableLayout, positions
 from slipfree.records import Array, field_overview, leaves
 
-ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays
+ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
 
 
 class SavedPlan(NamedTuple):
@@ -26,15 +26,18 @@ class SavedPlan(NamedTuple):
     ends : ndarray, shape (n + 1,)
         Ends of the intervals, as fractions of the duration.
     sizes : ndarray, shape (5,)
-        Degree, numbers of states, algebraic unknowns and inputs, and one if inputs are continuous.
-    unknowns, bound_multipliers : ndarray, shape (n_w,)
-        Unknowns, not scaled, and multipliers of their bounds.
+        Degree; numbers of states, algebraic unknowns and inputs; 1 if inputs are continuous,
+        otherwise 0.
+    unknowns : ndarray, shape (n_w,)
+        Unknowns, not scaled, in local coordinates.
+    bound_multipliers : ndarray, shape (n_w,)
+        Multipliers of the bounds of the scaled unknowns.
     row_multipliers : ndarray, shape (n_g,)
         Multipliers of the rows.
     shift : ndarray, shape (n_x + n_z,)
-        Map minus local values of states and algebraic unknowns, which are saved as local values.
+        Map coordinates minus local coordinates of the states and algebraic unknowns.
     model : ndarray, shape (1,)
-        A hash of the names of states, unknowns and inputs.
+        CRC-32 of the names of the states, algebraic unknowns and inputs.
     """
 
     ends: Array
@@ -50,7 +53,7 @@ class SavedPlan(NamedTuple):
 
     @property
     def motion(self) -> PolynomialMotion:
-        """The motion."""
+        """Motion of the plan, in the local coordinates of its model."""
         degree, n_x, n_z, n_u, continuous = (int(value) for value in self.sizes)
         mesh = CollocationMesh(self.ends, degree)
         layout = positions(mesh, (n_x, n_z, n_u), continuous=bool(continuous))
@@ -63,7 +66,7 @@ class SavedPlan(NamedTuple):
 
 
 def save_plan(program: Program, found: Solution) -> SavedPlan:
-    """Return a solution in the form in which plans are saved."""
+    """Return the arrays of a solution for a later warm start."""
     layout: VariableLayout = program.layout
     sizes = [
         program.mesh.degree,
@@ -96,12 +99,12 @@ def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
     Raises
     ------
     ModelError
-        If the model has other states, unknowns or inputs.
+        If the model and the saved plan have different states, algebraic unknowns or inputs.
     """
     if not np.array_equal(former.model, _model_number(dae)):
         raise ModelError(
-            "plan: expected the plan of a vehicle with the same wheels and joints, and of the same "
-            "law of slip, to start from, found another one's; start without it"
+            "plan: expected a saved plan of a vehicle with the same wheels, joints and slip law, "
+            "found a plan of another vehicle or slip law; plan without the saved plan"
         )
     found, away = former.motion, former.shift - np.concatenate(dae.shift)
     unknowns, n_x = found.unknowns.copy(), dae.shift[0].size
@@ -113,17 +116,17 @@ def local_motion(former: SavedPlan, dae: Dae) -> PolynomialMotion:
 
 
 def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
-    """Return the plan saved in the arrays of a file.
+    """Return the saved plan from the arrays of a file; ``where`` names it in the error message.
 
     Raises
     ------
     DataError
-        If it holds no plan.
+        If an array of a plan is missing.
     """
     names = [f"{ARRAY_PREFIX}{name}" for name in SavedPlan._fields]
     if not set(names) <= set(arrays):
         raise DataError(
-            f"{where}: expected the result of a plan, found none in it; give a file that slipfree "
-            'run wrote for a problem of verb = "plan"'
+            f"{where}: expected the result of a plan, found no plan in it; give a file that "
+            'slipfree run wrote for a problem with verb = "plan"'
         )
     return SavedPlan(*(arrays[name] for name in names))
