@@ -64,7 +64,7 @@ def test_a_goal_beyond_the_reach_of_the_input_names_what_must_give():
     (one,) = given.relaxed
     assert (one.label.full, one.role, one.bound) == ("drive", "input", 1.0)
     assert one.size == pytest.approx(3.0, abs=1e-4)
-    held = {(each.label.full, each.role, each.side): each for each in given.held}
+    held = {(each.label.full, each.role, each.side): each for each in given.opposing}
     assert set(held) == {("x0", "goal", ""), ("duration", "duration", "at most")}
     # A metre less of the goal takes 1 / 2 off; 4 m in 1 s (1 + d) take 4 / 2 d off.
     assert held["x0", "goal", ""].share == pytest.approx(0.5, rel=1e-2)
@@ -200,7 +200,7 @@ def test_what_is_solved_violates_nothing_and_gives_nothing_up():
     given = relax(program, first)
     assert given.success
     assert given.relaxed == []
-    assert given.held == []
+    assert given.opposing == []
     assert explanation(program, found, first).words.startswith(
         "the plan is solved (IPOPT: Solve_Succeeded"
     )

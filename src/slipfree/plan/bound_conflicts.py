@@ -87,7 +87,7 @@ def conflicts(task: PlanTask, start: Trajectory | None) -> list[str]:
 
 
 def _all_bounds(task: PlanTask) -> Iterator[_Bounds]:
-    """Yield the bounds of goal, way-points, limits and inputs, without those of input rates."""
+    """Yield the bounds of way-points, goal, limits, model and inputs, but not of input rates."""
     for condition in task.conditions:
         for limit in condition.limits:
             yield _to_bounds(task, limit, role_of(condition.fraction), condition.fraction)

@@ -63,7 +63,7 @@ class Relaxation(NamedTuple):
         Unknowns, not scaled, that satisfy the equations and the relaxed bounds.
     relaxed : list of Violation
         Largest violation of each relaxed bound, the largest relative violation first.
-    held : list of OpposingBound
+    opposing : list of OpposingBound
         Bounds that were not relaxed and conflict with the relaxed ones, the largest share first.
     success : bool
         Whether the search for the smallest relaxation converged.
@@ -73,7 +73,7 @@ class Relaxation(NamedTuple):
 
     solution: Array
     relaxed: list[Violation]
-    held: list[OpposingBound]
+    opposing: list[OpposingBound]
     success: bool
     status: str
 
@@ -121,7 +121,7 @@ def relax(
         worst_violations(program, values, VIOLATION_TOLERANCE), key=lambda pair: -pair[0]
     )
     gave = {(each.role, each.label.full) for _, each in relaxed}
-    held = [
+    opposing = [
         each
         for each in _opposing_bounds(program, soft, found)
         if each.share > MIN_SHARE and (each.role, each.label.full) not in gave
@@ -129,7 +129,7 @@ def relax(
     return Relaxation(
         unknowns,
         [each for _, each in relaxed],
-        sorted(held, key=lambda each: -each.share) if relaxed else [],
+        sorted(opposing, key=lambda each: -each.share) if relaxed else [],
         found.success,
         found.status,
     )

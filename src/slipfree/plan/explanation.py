@@ -121,11 +121,11 @@ def _relaxation_lines(relaxation: Relaxation) -> list[str]:
         lines.append(
             f"  {subject(each.label, each.role)}: {needed} instead of {given} at t = {each.t:.4g} s"
         )
-    if relaxation.held:
+    if relaxation.opposing:
         lines.append(
             "these bounds were not relaxed; relaxing one of them reduces the relaxations above:"
         )
-    for held in relaxation.held:
-        bound = f"{held.side} {number(held.label, held.bound)}".lstrip()
-        lines.append(f"  {subject(held.label, held.role)}: {bound}")
+    for other in relaxation.opposing:
+        bound = f"{other.side} {number(other.label, other.bound)}".lstrip()
+        lines.append(f"  {subject(other.label, other.role)}: {bound}")
     return lines

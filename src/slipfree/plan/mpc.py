@@ -277,9 +277,7 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     return Cycle(t, motion_of(program, unknowns * scale), rows, bounds, largest_violation(asked, g))
 
 
-def cycle_inputs(
-    window: Horizon, cycle: Cycle, first_cycle: float, end: float
-) -> tuple[Any, Array]:
+def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tuple[Any, Array]:
     """Return the inputs of a cycle between two times, and sample times for ``simulate``.
 
     Parameters
@@ -288,7 +286,7 @@ def cycle_inputs(
         Moving window.
     cycle : Cycle
         Cycle whose inputs are returned.
-    first_cycle, end : float
+    begin, end : float
         First and last time, since the beginning of the plan; inputs end with the motion of the
         cycle if it is shorter. [s]
 
@@ -305,11 +303,11 @@ def cycle_inputs(
         If the first time is before the cycle or not before the last time.
     """
     ends = cycle.motion.ends
-    first, last = first_cycle - cycle.t, min(end - cycle.t, ends[-1])
+    first, last = begin - cycle.t, min(end - cycle.t, ends[-1])
     if not -TIME_TOLERANCE <= first < last:
         raise ModelError(
             f"cycle_inputs: expected two ascending times from {cycle.t:g} to "
-            f"{cycle.t + ends[-1]:g} s, found {first_cycle:g} and {end:g} s"
+            f"{cycle.t + ends[-1]:g} s, found {begin:g} and {end:g} s"
         )
     inside = ends[(ends > first + TIME_TOLERANCE) & (ends < last - TIME_TOLERANCE)]
     times = np.concatenate([[first], inside, [last]])

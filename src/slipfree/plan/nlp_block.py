@@ -21,19 +21,19 @@ Index = npt.NDArray[np.intp]
 DERIVATIVE_ORDER = 4  # of the ground height: two in the model, two more in the Hessian
 
 
-class Question(NamedTuple):
+class BlockLookup(NamedTuple):
     """Ground lookup of a block: a function, and the expression of its argument.
 
     Attributes
     ----------
-    question : casadi Function
+    argument : casadi Function
         Function ``(v, q, p, c) ->`` argument of the lookup; ``c`` are the results of the preceding
         lookups of the block.
     function : casadi Function
         Function from the argument to the result of the lookup.
     """
 
-    question: ca.Function
+    argument: ca.Function
     function: ca.Function
 
 
@@ -55,7 +55,7 @@ class NlpBlock(NamedTuple):
         Function ``(v, q, p, c) -> (rows, Jacobian of the rows)``.
     hessian : casadi Function
         Function ``(v, q, p, c, s, l) ->`` upper triangle of the Hessian of ``s cost + l' rows``.
-    questions : tuple of Question
+    lookups : tuple of BlockLookup
         Lookups in the order of their evaluation.
     variable_indices : ndarray, shape (n, n_v)
         Indices of ``v`` among the unknowns of the program, for each point.
@@ -70,7 +70,7 @@ class NlpBlock(NamedTuple):
     rows: ca.Function
     jacobian: ca.Function
     hessian: ca.Function
-    questions: tuple[Question, ...]
+    lookups: tuple[BlockLookup, ...]
     variable_indices: Index
     row_indices: Index
     constants: Array
@@ -125,9 +125,9 @@ def nlp_block(
         ]
 
     key = ca.Function("values", given, [cost, rows], shared)
-    questions = tuple(
-        Question(
-            ca.Function("question", [*symbols, found_column(lookups[:k])], [each.argument]),
+    block_lookups = tuple(
+        BlockLookup(
+            ca.Function("argument", [*symbols, found_column(lookups[:k])], [each.argument]),
             each.function,
         )
         for k, each in enumerate(lookups)
@@ -140,7 +140,7 @@ def nlp_block(
         of_rows,
         jacobian,
         hessian,
-        questions,
+        block_lookups,
         *indices,
         constants,
     )

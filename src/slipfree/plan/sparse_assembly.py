@@ -95,9 +95,9 @@ def _arguments(each: NlpBlock, v: ca.MX, p: ca.MX) -> list[ca.MX]:
         [_gather(v, each.variable_indices), ca.MX(ca.DM(each.constants)), p.T],
         ca.MX(count, 0),
     )
-    for question, function in each.questions:
+    for argument, function in each.lookups:
         asked = _repeat_constants(
-            _evaluate_by_columns(question, [*map(_split_columns, [*given, found])]), count
+            _evaluate_by_columns(argument, [*map(_split_columns, [*given, found])]), count
         )[0]
         results = function.map(count)(ca.reshape(asked, count, -1).T)
         found = ca.horzcat(found, results.T)
