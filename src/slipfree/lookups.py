@@ -175,7 +175,7 @@ def lookup_results(
 
 
 def _stages(lookups: Sequence[Lookup]) -> Iterator[range]:
-    """Yield ranges of lookups whose arguments contain no results of the same range."""
+    """Yield consecutive ranges of lookups, none of which needs a result of its own range."""
     start, found = 0, set[int]()
     for k, lookup in enumerate(lookups):
         if not found.isdisjoint(_symbols(lookup.argument)):

@@ -133,7 +133,10 @@ def test_examples_that_are_none() -> None:
     assert result.exit_code == 2
     assert "did you mean 'paper_direct'?" in result.stderr
     assert "slipfree examples lists them" in _invoke("examples", "xyz").stderr
-    assert "expected a folder to write to" in _invoke("examples", "--to", "p.toml").stderr
+    assert (
+        "expected a folder that exists or can be made"
+        in _invoke("examples", "--to", "p.toml").stderr
+    )
 
 
 def test_quiet_prints_errors_alone() -> None:

@@ -284,6 +284,7 @@ def test_a_saved_page_plays_from_disk(files: list[Path], browser: Any, tmp_path:
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert done.stdout == f"wrote {out}, {len(out.read_text(encoding='utf-8')) / 1e6:.1f} MB\n"
+    browser.get("about:blank")  # ends the other page, whose server is gone
     asked(browser), complaints(browser)  # those of the other page
     browser.get(out.as_uri())
     assert missing(watched(browser)) == []

@@ -66,7 +66,7 @@ def test_the_normal_is_the_gradient_and_continuous():
     ("points", "words"),
     [
         (((0, 0), (1, 0)), "three or more"),
-        (((0, 0), (1, 0), (np.nan, 1)), "within 10000 m"),
+        (((0, 0), (1, 0), (np.nan, 1)), "from -10000 to 10000 m"),
         (((0, 0), (1, 0), (1, 0), (0, 1)), "points 1 and 2 coincide"),
         (((0, 0), (1, 0), (2, 0), (0, 1)), "point 1, .* is not a corner"),
         (((0, 0), (1, 0), (0.2, 0.2), (0, 1)), "not convex at point 2"),

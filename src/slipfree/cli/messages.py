@@ -221,7 +221,7 @@ def put_lines(name: str, words: str) -> None:
 
 
 def warn(words: str) -> None:
-    """Print a warning on stderr, unless ``--quiet`` is given."""
+    """Print a warning on stderr, unless ``--quiet`` is given, and add it to the JSON object."""
     put_lines("warnings", words)
     if not _current_output().options.quiet:
         say(f"warning: {words}", err=True)

@@ -202,7 +202,10 @@ def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Ar
         method="highs",
     )
     if found.status != 0:
-        raise SolverError(f"climb: the equations of equilibrium have no solution: {found.message}")
+        raise SolverError(
+            "climb: expected forces in equilibrium with the least friction, found none: "
+            f"{found.message} (linear program); check masses and dimensions of the vehicle"
+        )
     values = found.x.reshape(count, 7)
     return values[:, :6] * size, values[:, 6]
 

@@ -131,7 +131,7 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     ends at (-0.01, 3.98)
     """
     if not np.isfinite(speed) or speed == 0:
-        raise ModelError(f"driver: the speed must be finite and nonzero, found {speed} m/s")
+        raise ModelError(f"speed: expected a finite speed other than zero, found {speed} m/s")
     states = dict(zip((label.name for label in dae.labels.x.joints), dae.x.joints, strict=True))
     plan = _planar_geometry(vehicle, {c.name: states[c.name] for c in vehicle.of("commanded")})
     v, wanted = _guidance_rates(dae, path, plan, speed)

@@ -80,7 +80,8 @@ class Press(NamedTuple):
     load : SX
         Normal force over the weight of the vehicle. [1]
     touch : SX
-        Derivative of the load law: one under load, zero in the air. [1]
+        Share of contact, the derivative of the load with respect to the depth over its value under
+        large loads: one under load, zero in the air. [1]
     viscosity : SX
         Viscosity of the contact in the relaxation: normal force per unit of normal velocity,
         divided by the weight. [s/m]

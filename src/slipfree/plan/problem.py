@@ -164,7 +164,9 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     bounds = np.tile([-np.inf, np.inf], (len(names), 1))
     for name, (low, high) in given.items():
         if name not in names:
-            raise ModelError(f"plan: expected one of the inputs {', '.join(names)}, found {name!r}")
+            raise ModelError(
+                f"plan: bounds: expected one of the inputs {', '.join(names)}, found {name!r}"
+            )
         if not low <= high:
             raise ModelError(
                 f"plan: bounds of {name!r} must ascend, found {low} to {high}; exchange them"

@@ -109,7 +109,7 @@ def routes(
     layers, start, goal, turning_radius
         As for `route`.
     count : int
-        Largest number of routes. At some point, an alternative is farther from every other
+        Largest number of routes. Every alternative has a point that is farther from every other
         route than the diameter of the vehicle's circle. It costs at most twice as much as the
         cheapest route.
 

@@ -51,12 +51,12 @@ def simulate_sampled(
     start : Trajectory
         Trajectory whose last sample is the start; the time of this sample is ignored.
     inputs : record
-        From ``dae.inputs(...)``. Expressions may contain time, states and numeric inputs; they
+        From ``dae.inputs(...)``. Expressions of time, states and those inputs that are numbers
         are evaluated at every sample and constant until the next one.
     t : ndarray, shape (n,)
         Times at which the controller samples, evenly spaced. [s]
     options : SolverOptions
-        Options of the solvers; the method is CVODES.
+        Options of the solvers; the method must be CVODES.
 
     Raises
     ------

@@ -134,7 +134,7 @@ def seed_facts(sweep: Sweep) -> Iterator[tuple[str, str]]:
 
 
 def _within_limits(count: int, kept: Swept | None) -> Iterator[tuple[str, str]]:
-    """Yield the number and share of plans that satisfy goal and limits."""
+    """Yield the number and share of runs that satisfy goal and limits, if there are any plans."""
     if kept is None:
         return
     good = np.nansum(kept.values)
