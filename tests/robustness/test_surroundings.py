@@ -95,8 +95,8 @@ def test_a_current_folder_that_is_gone(words: str) -> None:
     code, shown, told = _shell(f"mkdir gone; cd gone; rmdir ../gone; slipfree {words}")
     assert (code, shown) == (2, "")
     assert told == (
-        "expected a current folder, found none (No such file or directory): it was removed; "
-        "change to another one\n"
+        "expected an existing current folder, found a removed one (No such file or directory); "
+        "change to another folder\n"
     )
 
 
