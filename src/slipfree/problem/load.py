@@ -1,28 +1,21 @@
-"""Loading of problem files: TOML to validated records, with all errors at once."""
+"""Loading of problem files by their verb."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
-
-from pydantic import ValidationError
 
 from slipfree.files.toml.errors import (
     Fault,
     format_value,
     problem_error,
-    validation_fault,
-    value_errors,
 )
-from slipfree.files.toml.reader import parse_toml, read_text
-from slipfree.files.toml.settings import replace_values
-from slipfree.files.toml.source_lines import Source, key_lines
-from slipfree.problem.old_keys import upgrade_keys
+from slipfree.files.toml.reader import read_text
+from slipfree.files.toml.source_lines import Source
 from slipfree.problem.problem import Problem
 from slipfree.problem.schema import CommonKeys
+from slipfree.problem.validation import validated_problem
 from slipfree.problem.verbs.base import Verb
 from slipfree.problem.verbs.registry import find_verb, verbs_of
 
@@ -111,42 +104,11 @@ def _from_text(
     earlier: bool = False,
 ) -> Problem[Any]:
     """Return the problem in a text; see `_load` and `load_variants`."""
-    data = _copy(_parsed(path, text))
-    places = replace_values(data, settings)
-    varied_places = replace_values(data, varied, "--vary")
-    source = Source(path, text, key_lines(text), places | varied_places, frozenset(varied_places))
-    schema = _by_verb(verbs, data, source).schema
-    data, replaced = upgrade_keys(data)
-    faults = [*_alternatives(schema, data), *([] if earlier else _with_remedy(source, replaced))]
-    try:
-        spec = schema.model_validate(data)
-    except ValidationError as error:
-        faults += [validation_fault(schema, dict(each)) for each in error.errors(include_url=False)]
-    else:
-        faults += [*value_errors(data), *spec.faults()]
-        if not faults:
-            return Problem(spec, source)
-    raise problem_error(source, faults)
 
+    def schema_of(data: Mapping[str, Any], source: Source) -> type[CommonKeys]:
+        return _by_verb(verbs, data, source).schema
 
-@lru_cache(maxsize=1)
-def _parsed(path: Path, text: str) -> dict[str, Any]:
-    """Return the data in a text; variants of one problem share it."""
-    return parse_toml(path, text)
-
-
-def _copy(value: Any) -> Any:
-    """Return a copy of parsed TOML."""
-    if isinstance(value, dict):
-        return {key: _copy(each) for key, each in value.items()}
-    return [*map(_copy, value)] if isinstance(value, list) else value
-
-
-def _with_remedy(source: Source, faults: Sequence[Fault]) -> Iterator[Fault]:
-    """Yield errors of old keys with the command that rewrites the file, if they are in the file."""
-    remedy = f"; rewrite the file: slipfree migrate {shlex.quote(str(source.path))}"
-    for fault in faults:
-        yield fault if source.is_set(fault.place) else fault._replace(found=fault.found + remedy)
+    return validated_problem(schema_of, path, text, settings, varied, earlier=earlier)
 
 
 def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> Verb:
@@ -160,17 +122,3 @@ def _by_verb(verbs: Sequence[Verb], data: Mapping[str, Any], source: Source) -> 
     hint = f"; use slipfree {other.commands[0]} {source.path}" if other else ""
     expected = f"{' or '.join(repr(verb.name) for verb in verbs)} for this command"
     raise problem_error(source, [Fault(("verb",), expected, format_value(data["verb"]) + hint)])
-
-
-def _alternatives(schema: type[CommonKeys], data: dict[str, Any]) -> Iterator[Fault]:
-    """Yield an error for a table with none or several of mutually exclusive keys."""
-    for place, keys in schema.alternatives.items():
-        table: Any = data
-        for part in place:
-            table = table.get(part)
-        if not isinstance(table, Mapping):
-            continue
-        given = [key for key in keys if key in table]
-        expected = f"exactly one of {', '.join(keys)}"
-        if len(given) != 1:
-            yield Fault((*place, *given[-1:]), expected, " and ".join(given) or "none")

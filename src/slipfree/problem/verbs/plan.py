@@ -40,6 +40,7 @@ from slipfree.problem.build_ground import at, build_ground
 from slipfree.problem.build_model import build_model
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts
+from slipfree.problem.validation import validated_problem
 from slipfree.problem.verbs import plan_schema
 from slipfree.problem.verbs.base import RESUME, Quantity, Result, Watch, differences
 from slipfree.problem.verbs.driving import DriveVerb, model_attributes
@@ -448,11 +449,9 @@ def _best_start(
 
 def solve_start(task: StartTask) -> StartResult:
     """Return the plan of one of several starts of a problem."""
-    from slipfree.problem.load import load_again  # which knows all verbs, this one too
-
     path, text, settings, number = task
     try:
-        problem = load_again(path, text, settings)
+        problem = validated_problem(lambda *_: PlanVerb.schema, path, text, settings)
         setup = PlanVerb().build(problem)
         first = _guess(setup, setup.starts[0])
         missing = problem.spec.plan.starts - len(setup.starts)
