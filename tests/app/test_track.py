@@ -85,6 +85,14 @@ def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
     assert read(out).t[-1] == pytest.approx(4.0)
 
 
+def test_the_exit_code_reports_a_motion_that_ends_early(folder: Path) -> None:
+    """The changed map ends before the front wheel reaches its place at the goal."""
+    window = ["--set", "terrain.synthetic.y=[-2.5,1.5]", "--set", "terrain.synthetic.spacing=0.5"]
+    result = CliRunner().invoke(app, ["track", str(folder / "p.nc"), *window])
+    assert result.exit_code == 1, result.output
+    assert "leaves the map" in result.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -94,6 +102,7 @@ def test_three_ways_to_follow_a_plan_are_compared(folder: Path) -> None:
             ["p.nc", "--period", "9"],
             "period: expected above 0 and at most 4 s, the duration of the plan, found 9 s",
         ),
+        (["p.nc", "--window", "0"], "expected a window"),
         (["p.nc", "--window", "5"], "expected a window of at most the duration of the plan"),
         (["p.nc", "--set", "terrain.frictoin=1"], "did you mean 'friction'"),
     ],

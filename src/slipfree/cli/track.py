@@ -35,7 +35,7 @@ def track(
 ) -> None:
     """Follow a plan in a changed world, by replanning.
 
-    Print the error at the end and the slip beside those of the plan's inputs as they are and of
+    Compare the final error and the slip with those of the plan's inputs without feedback and of
     the driving law. Changes are given by --set, as in terrain.error.rms=0.02.
     """
     with reported(), about(file):
@@ -60,3 +60,5 @@ def track(
             write(out, run)
             put_file(out)
             say(f"wrote {out}")
+        if run is not None and run.outcome.exit_code:
+            raise typer.Exit(run.outcome.exit_code)

@@ -164,10 +164,11 @@ def tracked(
     velocities: PerAxle,
     speed: ca.SX,
 ) -> Commands:
-    """Return references and torques that track a planned climb.
+    """Return reference rates of the wheels and motor torques that track a planned climb.
 
-    Before the beginning and behind the end of the plan, all wheels have the speed of the vehicle.
-    They brake before the beginning, since plans begin at rest.
+    The plan is a function of the position of the axles. Before its first and after its last
+    position, all wheels have the same reference speed; it falls to zero towards the first position,
+    since plans begin at rest.
 
     Parameters
     ----------

@@ -90,10 +90,10 @@ def follow(dae: Dae, vehicle: Vehicle, path: Path, *, speed: float) -> Any:
     """Return inputs that keep the platform's centre on a path.
 
     A reference point moves along the path at the given speed, from its beginning at t = 0. The
-    heading, cross-track and along-track errors decay within a base length. The wheel rates are
-    those of the plane motion with the current steering. A correction makes the mean of the passive
-    tilts decay: tilts absorb the mismatch of the rates, and without the correction they would
-    drift until the wheels lie flat.
+    heading, cross-track and along-track errors decay over a distance of the size of the vehicle.
+    The wheel rates are those of planar motion with the current steering angles. On uneven ground
+    these rates do not fit each other exactly, and passive tilt joints take up the difference; a
+    correction makes the mean tilt decay, which would otherwise drift until the wheels lie flat.
 
     Parameters
     ----------

@@ -50,10 +50,9 @@ def wheel_rates(
     joints: Mapping[str, float] | None = None,
     **given: float,
 ) -> dict[str, float]:
-    """Return the inputs of least slip with the given rates of the platform, at one configuration.
+    """Return the inputs with which the platform has given rates at least slip, at a configuration.
 
-    Of inputs with the same slip, those of least norm are returned. Singular values below
-    `MIN_RELATIVE_SINGULAR_VALUE` of the largest count as zero.
+    Of inputs with the same slip, those of least norm are returned.
 
     Parameters
     ----------

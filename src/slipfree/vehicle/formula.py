@@ -112,7 +112,7 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
 
 
 def _is_number(value: float) -> bool:
-    """Return whether a constant is a number within limits; integers may exceed all floats."""
+    """Return whether a constant is a finite number of at most `MAX_NUMBER`, and not a bool."""
     return not isinstance(value, bool) and abs(value) < math.inf and abs(value) <= MAX_NUMBER
 
 

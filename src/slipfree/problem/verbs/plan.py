@@ -37,7 +37,7 @@ from slipfree.problem.build_common import (
 )
 from slipfree.problem.build_driver import build_law
 from slipfree.problem.build_ground import at, build_ground
-from slipfree.problem.build_model import build_model
+from slipfree.problem.build_model import build_model, slip_law
 from slipfree.problem.problem import Problem, S
 from slipfree.problem.summary import Facts
 from slipfree.problem.validation import validated_problem
@@ -211,7 +211,7 @@ class PlanVerb(DriveVerb):
             **_violations(found, spec.plan.accuracy),
             **_optimality(found),
             **_by_friction(setup, found),
-            **_by_stiffness(setup, found),
+            **_by_stiffness(problem, setup, found),
             **({"plan_starts": table} if table else {}),
         }
         statistics = {**run.statistics, **_statistics(found)}
@@ -497,7 +497,7 @@ def find_plan(
     Each plan starts from the one before. If a sharper law fails, the plan before it is returned.
     """
     spec, found, saved = problem.spec, None, resume
-    for dae in (*([] if resume else _smoother(setup)), setup.dae):
+    for dae in (*([] if resume else _smoothed_models(problem, setup)), setup.dae):
         start = setup.start if dae is setup.dae else _settled_at(dae, setup)
         with at(problem, ("plan",)):
             now = plan(
@@ -521,7 +521,7 @@ def find_plan(
                 progress=progress,
             )
         if found is not None:
-            if not now.success and now.run.stop is None:
+            if not now.success and now.run.outcome is not Outcome.INTERRUPTED:
                 return found
             now = replace(now, stages=(*found.stages, *now.stages))
         if not now.success or dae is setup.dae:
@@ -530,12 +530,17 @@ def find_plan(
     return now
 
 
-def _smoother(setup: Planning) -> list[Dae]:
-    """Return models of pressed wheels with smoother load laws than the vehicle's."""
+def _smoothed_models(problem: Problem[plan_schema.Plan], setup: Planning) -> list[Dae]:
+    """Return models of a rigid vehicle whose wheels lose their load over wider depths.
+
+    The list is empty for a vehicle with exact contact.
+    """
     if has_exact_closure(setup.vehicle):
         return []
+    slip = slip_law(problem, problem.spec)
     return [
-        direct_kinematics(setup.vehicle, setup.terrain, smoothing=width) for width in SMOOTHINGS
+        direct_kinematics(setup.vehicle, setup.terrain, slip=slip, smoothing=width)
+        for width in SMOOTHINGS
     ]
 
 
@@ -583,12 +588,15 @@ def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
     return {"by_friction": words}
 
 
-def _by_stiffness(setup: Planning, found: Plan) -> dict[str, str]:
+def _by_stiffness(
+    problem: Problem[plan_schema.Plan], setup: Planning, found: Plan
+) -> dict[str, str]:
     """Return how far the motion with stiffer wheels ends from a plan with pressed wheels."""
     if has_exact_closure(setup.vehicle) or not found.success:
         return {}
     wheels = tuple(replace(w, static_depth=w.depth / STIFFER) for w in setup.vehicle.wheels)
-    model: Dae = direct_kinematics(replace(setup.vehicle, wheels=wheels), setup.terrain)
+    stiff, slip = replace(setup.vehicle, wheels=wheels), slip_law(problem, problem.spec)
+    model: Dae = direct_kinematics(stiff, setup.terrain, slip=slip)
     step, options = setup.spec.time.step, setup.spec.solver.options
     try:
         start = _settled_at(model, setup)

@@ -27,18 +27,18 @@ class StartTask(NamedTuple):
 
 
 class StartResult(NamedTuple):
-    """Plan of a start.
+    """Plan from one initial guess.
 
     Attributes
     ----------
     number : int
-        Number of the start.
+        Index of the initial guess.
     optimum : LocalOptimum or None
-        Its row in the table of optima; None if there is no such start or it fails.
+        Its row in the table of optima; None if the guess does not exist or cannot be used.
     saved : SavedPlan or None
-        The plan.
+        The plan; None without optimum.
     words : str
-        The error, if it fails.
+        Error message; empty without error.
     """
 
     number: int

@@ -24,6 +24,7 @@ from slipfree.problem.build_model import build_model
 from slipfree.problem.problem import Problem
 from slipfree.problem.result import problem_of
 from slipfree.problem.verbs.plan import PlanVerb, find_plan
+from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Trajectory, path_length
 from slipfree.vehicle.tree import Vehicle
@@ -104,14 +105,15 @@ def follow_plan(
     duration = saved.motion.duration
     found = find_plan(planned, setup, [], saved, lambda *_: True, duration)
     vehicle, world, start = _world(real)
-    window = window or duration / WINDOWS_PER_PLAN
+    window = duration / WINDOWS_PER_PLAN if window is None else window
+    period = window / CYCLES_PER_WINDOW if period is None else period
     frame = horizon(found, span=window)
     options = planned.spec.solver.options
     tracked = track_plan(
         frame,
         world,
         start,
-        period=period or window / CYCLES_PER_WINDOW,
+        period=period,
         options=options,
         progress=progress,
     )
@@ -124,7 +126,7 @@ def follow_plan(
                 simulate_plan(world, start, found.motion, step=step, options=options),
                 "inputs of the plan",
             ),
-            _followed(found, vehicle, world, start, step),
+            _followed(found, vehicle, world, start, step, options),
             Followed(
                 "replanned",
                 tracked.run,
@@ -145,7 +147,12 @@ def _world(problem: Problem[Any]) -> tuple[Vehicle, Dae, Trajectory]:
 
 
 def _followed(
-    found: Plan, vehicle: Vehicle, world: Dae, start: Trajectory, step: float
+    found: Plan,
+    vehicle: Vehicle,
+    world: Dae,
+    start: Trajectory,
+    step: float,
+    options: SolverOptions,
 ) -> Followed:
     """Return the motion under the driving law along the plan's path at its mean speed."""
     run, name = found.replay, "follow"
@@ -156,7 +163,8 @@ def _followed(
     try:
         path = GroundPath(points)
         law = follow(world, vehicle, path, speed=path.length / duration)
-        return Followed(name, simulate(world, start, law, times), "along the path of the plan")
+        run = simulate(world, start, law, times, options=options)
+        return Followed(name, run, "along the path of the plan")
     except SolverError as error:
         return Followed(name, error.trajectory, str(error))
     except ModelError as error:
@@ -164,7 +172,7 @@ def _followed(
 
 
 def tracking_rows(test: TrackingTest) -> Iterator[tuple[str, str]]:
-    """Yield end error, largest distance from the path, slip and outcome of each motion."""
+    """Yield the name of each motion with its end error, slip, path length and outcome."""
     for name, run, words in (Followed("plan", test.plan, "on its own ground"), *test.motions):
         if run is None:
             yield name, words

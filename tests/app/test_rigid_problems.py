@@ -1,0 +1,129 @@
+"""Problems of rigid vehicles: summary of a drive, and plans by sharper and sharper load laws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.files.netcdf import read
+from slipfree.outcome import Outcome
+from slipfree.plan.plan import Plan
+from slipfree.problem.verbs import plan as module
+from slipfree.trajectory import PLAN, Stop
+
+DRIVE = """\
+verb = "direct"
+
+[terrain.synthetic]
+x = [-2, 2]
+y = [-2, 4]
+spacing = 0.1
+
+[terrain.synthetic.power_law]
+rms = 0.04
+hurst = 0.9
+longest = 3.0
+shortest = 1.0
+seed = 4
+
+[vehicle]
+catalog = "rigid_skid_steer"
+
+[start]
+
+[inputs]
+front_right_rate = 4.0
+front_left_rate = 4.0
+rear_right_rate = 4.0
+rear_left_rate = 4.0
+
+[time]
+duration = 2.0
+step = 0.05
+"""
+GOAL = """
+[goal]
+y = 1.2
+
+[costs]
+slip = 100.0
+effort = 0.001
+
+[plan]
+intervals = 12
+smooth = 1e-4
+accuracy = 0.01
+"""
+
+
+@pytest.fixture
+def plan_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Write the problem of a plan into an empty current folder."""
+    monkeypatch.chdir(tmp_path)
+    Path("p.toml").write_text(DRIVE.replace('"direct"', '"plan"') + GOAL)
+    return "p.toml"
+
+
+def run(file: str, *words: str, code: int = 0) -> str:
+    result = CliRunner().invoke(app, ["run", file, "--no-draw", *words])
+    assert result.exit_code == code, result.output
+    return result.stdout
+
+
+def test_a_summary_has_wheels_in_the_air_and_rocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("d.toml").write_text(DRIVE)
+    facts = run("d.toml")
+    for name in ("pressed wheels", "wheels in the air", "lightest wheel"):
+        assert f"\n{name} " in facts
+    assert "x the tolerance" not in facts  # the error test ignores the unknowns
+
+
+def test_a_plan_is_made_with_three_widths_and_simulated_with_stiffer_wheels(
+    plan_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = observed(monkeypatch)
+    assert "with wheels ten times stiffer" in run(plan_file)
+    assert len(models) == 1 + len(module.SMOOTHINGS)
+    assert read(Path("p.nc")).outcome is Outcome.COMPLETE
+
+
+def test_a_plan_survives_the_failure_of_a_sharper_law(
+    plan_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = observed(monkeypatch, fails=Outcome.SOLVER_FAILURE)
+    run(plan_file)
+    assert len(models) == 2
+    assert read(Path("p.nc")).outcome is Outcome.COMPLETE
+
+
+def test_an_interrupted_sharper_law_is_reported(
+    plan_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    observed(monkeypatch, fails=Outcome.INTERRUPTED)
+    run(plan_file, code=130)
+    assert read(Path("p.nc")).outcome is Outcome.INTERRUPTED
+
+
+def observed(monkeypatch: pytest.MonkeyPatch, fails: Outcome | None = None) -> list[Any]:
+    """Record the models of all plans; the second one ends with an outcome."""
+    models, plans, plan = list[Any](), list[Plan](), module.plan
+
+    def planned(dae: Any, *words: Any, **more: Any) -> Plan:
+        models.append(dae)
+        if fails is None or not plans:
+            plans.append(plan(dae, *words, **more))
+            return plans[-1]
+        run = plans[-1].run
+        stop = Stop(PLAN, float(run.t[-1]), "made up", fails)
+        return replace(plans[-1], success=False, run=replace(run, stop=stop))
+
+    monkeypatch.setattr(module, "plan", planned)
+    return models
