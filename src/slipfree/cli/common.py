@@ -43,6 +43,16 @@ Settings = Annotated[
 ]
 
 
+InputFolder = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder of the input files of the problem; default: that of the problem, of the "
+        "result, or the current one.",
+    ),
+]
+
+
 @contextmanager
 def reported() -> Iterator[None]:
     """Report errors of the package by a message and an exit code."""

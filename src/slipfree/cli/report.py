@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import about, check_page, reported
+from slipfree.cli.common import InputFolder, about, check_page, reported
 from slipfree.cli.messages import detail, put_file, say, warn
 from slipfree.regular_files import regular_file
 
@@ -20,10 +20,7 @@ def report(
             "-o", "--output", metavar="OUT.html", help="Page to write; default: OUT.html."
         ),
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the input files of the problem."),
-    ] = None,
+    folder: InputFolder = None,
 ) -> None:
     """Write a result as one HTML page.
 

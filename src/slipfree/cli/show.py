@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slipfree.cli.common import about, check_apart, check_page, check_place, reported
+from slipfree.cli.common import InputFolder, about, check_apart, check_page, check_place, reported
 from slipfree.cli.messages import put_file, say, warn
 from slipfree.errors import DataError
 from slipfree.regular_files import escape_name
@@ -38,14 +38,7 @@ def show(
         Layer,
         typer.Option(metavar="LAYER", help="Initial colours: height, slope or traversability."),
     ] = "height",
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of the input files of the problem; default: that of the problem, of the "
-            "result, or the current one.",
-        ),
-    ] = None,
+    folder: InputFolder = None,
     port: Annotated[
         int,
         typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free one."),

@@ -7,7 +7,15 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import Settings, about, check_apart, check_place, reported, tell
+from slipfree.cli.common import (
+    InputFolder,
+    Settings,
+    about,
+    check_apart,
+    check_place,
+    reported,
+    tell,
+)
 from slipfree.cli.messages import detail, put_file, say
 from slipfree.regular_files import regular_file
 
@@ -28,10 +36,7 @@ def track(
             "-o", "--output", metavar="OUT.nc", help="File for the replanned motion; default: none."
         ),
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the input files of the problem."),
-    ] = None,
+    folder: InputFolder = None,
 ) -> None:
     """Follow a plan in a changed world, by replanning.
 
