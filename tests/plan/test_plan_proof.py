@@ -19,6 +19,7 @@ from slipfree import (
 from slipfree.catalog import three_wheeler
 from slipfree.dae import Limit
 from slipfree.plan import plan as planning
+from slipfree.plan.ipopt import MAX_VIOLATION_GROWTH
 from slipfree.plan.plan import plan
 from slipfree.plan.polynomial_motion import motion_of, transfer_motion
 from slipfree.plan.transcription import CollocationMesh
@@ -124,10 +125,10 @@ def test_an_accuracy_that_is_not_reached_is_said(model, monkeypatch):
     assert not found.accurate
 
 
-def test_a_search_that_gets_stuck_is_made_again_with_a_tighter_filter(model, monkeypatch):
+def test_a_search_that_gets_stuck_is_made_again_with_a_wider_filter(model, monkeypatch):
     growths, solve = [], planning.solve_program
 
-    def stuck(*args, growth=100.0, **options):
+    def stuck(*args, growth=MAX_VIOLATION_GROWTH, **options):
         growths.append(growth)
         found = solve(*args, growth=growth, **options)
         failed = {"status": "Restoration_Failed", "success": False}
@@ -135,7 +136,7 @@ def test_a_search_that_gets_stuck_is_made_again_with_a_tighter_filter(model, mon
 
     monkeypatch.setattr(planning, "solve_program", stuck)
     plan = asked(model)
-    assert growths[:2] == [100.0, planning.CAUTIOUS_VIOLATION_GROWTH]
+    assert growths[:2] == [MAX_VIOLATION_GROWTH, planning.OTHER_VIOLATION_GROWTH]
     assert [stage.words for stage in plan.stages[:2]] == ["slip left out", "slip left out, again"]
     assert plan.stages[0].status == "Restoration_Failed"
     assert plan.run.stop is None

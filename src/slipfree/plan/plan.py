@@ -25,7 +25,7 @@ from slipfree.interrupt import with_interrupt_guard
 from slipfree.plan.constraints import VIOLATION_TOLERANCE
 from slipfree.plan.explanation import explanation
 from slipfree.plan.ipopt import (
-    CAUTIOUS_VIOLATION_GROWTH,
+    OTHER_VIOLATION_GROWTH,
     STOPPED_STATUS,
     STUCK_STATUSES,
     Iterate,
@@ -516,7 +516,7 @@ def _solve_stage(
     stages = [SolvedStage(words, found.iterations, found.status, found.seconds, found.cost)]
     if found.status in STUCK_STATUSES:  # rounding decides whether searches for long plans succeed
         again = solve_program(
-            program, weights, first, warm=warm, look=look, growth=CAUTIOUS_VIOLATION_GROWTH
+            program, weights, first, warm=warm, look=look, growth=OTHER_VIOLATION_GROWTH
         )
         words = f"{words}, again"
         stages.append(SolvedStage(words, again.iterations, again.status, again.seconds, again.cost))
