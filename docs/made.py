@@ -41,6 +41,7 @@ TAKES = {
     "dict[str, Quantity]": 'a table of numbers by name; angles also as `"30 deg"`',
     "Angles": '`[numbers]`, or text as in `"30 deg"`',
     "dict[str, NonNegative]": "a table of numbers by name",
+    "dict[str, Positive]": "a table of positive numbers by name",
     "dict[str, Range]": "a table by name: numbers, or `[low, high]`",
     "dict[str, PiecewiseConstant]": "a table by name: numbers, or `[[time, value], ...]`",
     "dict[str, TimeFunction]": (

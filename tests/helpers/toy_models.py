@@ -90,6 +90,7 @@ def task(
     rates=FREE,
     smooth=0.0,
     continuous=False,
+    cost_limits=(),
 ):
     span = (duration, duration) if isinstance(duration, float) else duration
     return PlanTask(
@@ -103,4 +104,5 @@ def task(
         np.array([rates]),
         smooth,
         continuous,
+        cost_limits,
     )

@@ -58,3 +58,24 @@ def test_elements_add_up_where_they_share_unknowns(rng):
     found = [*values, made.jacobian(*at)[1], made.hessian(*at, sigma, prices)]
     for one, other in zip(found, expected(*at), strict=True):
         assert_allclose(np.array(ca.DM(one)), np.array(ca.DM(other)), atol=1e-14)
+
+
+def test_rows_with_the_same_index_are_summed(rng):
+    """Sum of q v^3 over three points, as one row, beside a row of each point."""
+    v, q, p = ca.SX.sym("v"), ca.SX.sym("q"), ca.SX.sym("p", 0)
+    rows = ca.vertcat(ca.sin(v), q * v**3)
+    indices = np.arange(3)[:, None], np.array([[0, 3], [1, 3], [2, 3]])
+    constants = np.array([1.0, -2.0, 0.5])
+    made = assemble(
+        [nlp_block((v, q, p), v**2, rows, (), indices, constants[:, None])], np.ones(3), 0
+    )
+    w, prices = rng.normal(size=3), rng.normal(size=4)
+    g = np.append(np.sin(w), constants @ w**3)
+    slopes = np.vstack([np.diag(np.cos(w)), 3 * constants * w**2])
+    curvature = np.diag(2 - prices[:3] * np.sin(w) + 6 * prices[3] * constants * w)
+    values = ca.Function("v", [made.w, made.p], [made.g])(w, [])
+    assert_allclose(np.array(values).ravel(), g, atol=1e-14)
+    found, jacobian = made.jacobian(w, [])
+    assert_allclose(np.array(found).ravel(), g, atol=1e-14)
+    assert_allclose(np.array(ca.DM(jacobian)), slopes, atol=1e-14)
+    assert_allclose(np.array(ca.DM(made.hessian(w, [], 1.0, prices))), curvature, atol=1e-14)

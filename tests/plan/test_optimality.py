@@ -14,7 +14,7 @@ from slipfree.dae import Limit
 from slipfree.plan.ipopt import Solution, solve_program
 from slipfree.plan.optimality import check_optimality
 from slipfree.plan.plan import plan
-from slipfree.plan.prices import prices_words
+from slipfree.plan.prices import limit_prices, prices_words
 from slipfree.plan.stage import Cost
 from slipfree.plan.transcription import CollocationMesh, TimedCondition, transcribe
 from slipfree.records import Label
@@ -149,6 +149,31 @@ def test_prices_are_the_derivatives_of_the_least_cost(model):
         assert less.success
         slope = (more.solution.cost - less.solution.cost) / (2 * step)
         assert rates[key] == pytest.approx(slope, rel=2e-3), key
+
+
+@pytest.mark.parametrize("k", [0.5, 3.0])
+def test_price_of_a_limited_cost_is_its_lagrange_multiplier(k):
+    """The integral of x^2 from 0 to 1 is least for x = sinh kt / sinh k at a price of 1/k^2."""
+    dae = toy(1, lambda _t, _x, _z, u: [u])
+    x, u, size = dae.x.values[0], dae.u.values[0], np.sinh(k) ** 2
+    end = TimedCondition(1.0, (Limit(Label("end", "m", ""), x, 1.0, 1.0),))
+    asked = task(
+        dae,
+        [0.0],
+        costs=[Cost("area", x**2, "m2 s", ""), Cost("work", u**2, "m2 s-1", "", 0.0)],
+        places=[end],
+        continuous=True,
+        cost_limits=((1, k**2 * (0.5 + np.sinh(2 * k) / (4 * k)) / size),),
+    )
+    program = transcribe(asked, CollocationMesh(np.linspace(0, 1, 21), 3))
+    first = np.zeros(program.scale.size)
+    first[program.layout.duration] = 1.0
+    found = solve_program(program, np.array([1.0, 0.0, 0.0]), first)
+    assert found.success
+    assert found.cost == pytest.approx((np.sinh(2 * k) / (4 * k) - 0.5) / size, rel=1e-5)
+    (price,) = (each for each in limit_prices(program, found) if each.role == "cost")
+    assert price.rate == pytest.approx(-1 / k**2, rel=1e-3)
+    assert price.words.startswith(f"cost work at most {price.bound:.4g} m2/s: ")
 
 
 def test_prices_are_told_in_units_and_shares(model):

@@ -141,6 +141,8 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
         ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
         ({"costs": {"slop": 1.0}}, "found 'slop'; the model has"),
         ({"costs": {"slip": -1.0}}, "a weight of 'slip' of at least 0, found -1"),
+        ({"cost_limits": {"slop": 1.0}}, "found 'slop'; the model has"),
+        ({"cost_limits": {"effort": 0.0}}, "a positive limit of the cost 'effort', found 0"),
         ({"duration": 0.0}, "expected a positive duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "bounds of 'steer' must ascend"),
         ({"way_points": {1.0: {"x": 0.0}}}, "expected way-points between 0 and 1"),
@@ -150,6 +152,22 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
 def test_what_is_wrong_is_said(options, words):
     with pytest.raises(ModelError, match=words):
         asked(three_wheeler(axle="fixed"), **options)
+
+
+def test_a_limited_cost_is_at_its_limit():
+    """A limit on a term without weight; below the least value the explanation names the cost."""
+    _, _, free = asked(three_wheeler(axle="fixed"), costs={"effort": 1.0})
+    least, costs = free.costs["effort"], {"slip": 1e3}
+    _, _, found = asked(
+        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 1.03 * least}
+    )
+    assert found.success
+    assert found.costs["effort"] == pytest.approx(1.03 * least, rel=1e-6)
+    _, _, none = asked(
+        three_wheeler(axle="fixed"), costs=costs, cost_limits={"effort": 0.5 * least}
+    )
+    assert none.run.outcome is Outcome.INFEASIBLE
+    assert "cost effort: " in none.run.stop.words
 
 
 def test_a_stopped_search_keeps_its_iterate():

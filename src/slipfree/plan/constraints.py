@@ -14,6 +14,7 @@ from slipfree.records import Array, Label, leaves
 
 VIOLATION_TOLERANCE = 1e-6  # smaller violations are rounding [unit of the quantity]
 EQUATION, LIMIT, INPUT, GOAL, WAY_POINT = "equation", "limit", "input", "goal", "way-point"
+COST = "cost"
 
 
 class Violation(NamedTuple):
@@ -97,6 +98,9 @@ def constraint_groups(program: Program) -> Iterator[ConstraintGroup]:
                 shift_of(task, limit.expression),
             )
         begin += len(row_block.labels)
+    for r, (k, highest) in enumerate(task.cost_limits):
+        at, last, end = np.array([begin + r]), np.array([count - 1]), mesh.ends[-1:]
+        yield ConstraintGroup(task.costs[k].label, COST, at, last, end, -np.inf, highest, 0.0)
     intervals, parts = np.repeat(np.arange(count), mesh.degree), mesh.nodes[1:]
     for limit in task.limits:
         plain = variable_of(task, limit.expression)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from slipfree.plan.constraints import EQUATION, INPUT, LIMIT
+from slipfree.plan.constraints import COST, EQUATION, INPUT, LIMIT
 from slipfree.records import Label
 
 MODEL = "model"  # role of limits of the model that the program does not contain yet
@@ -27,6 +27,8 @@ def subject(label: Label, role: str) -> str:
         return f"input {label.full}"
     if role == DURATION:
         return "duration"
+    if role == COST:
+        return f"cost {label.name}"
     if role in (LIMIT, EQUATION, MODEL):
         kind = "equation " if role == EQUATION else "model's own " if role == MODEL else ""
         return f"{kind}{label.name} of {whose}"

@@ -111,7 +111,7 @@ def horizon(
     ----------
     plan : Plan
         Plan to follow. The window has its costs, limits, goal and solver options, not its
-        way-points.
+        way-points and cost limits.
     span : float
         Length of the window. [s]
     intervals : int
@@ -134,7 +134,7 @@ def horizon(
             f"horizon: expected a window of at most the duration of the plan, {length:g} s, found "
             f"{span} s"
         )
-    own = replace(task, conditions=task.conditions[-1:], duration=(span, span))
+    own = replace(task, conditions=task.conditions[-1:], duration=(span, span), cost_limits=())
     mesh = CollocationMesh(np.linspace(0, 1, intervals + 1), degree)
     program = transcribe(own, mesh, plan.program.options)
     x, z, u = task.dae.columns()

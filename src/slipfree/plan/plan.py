@@ -209,6 +209,7 @@ def plan(
     way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
+    cost_limits: Mapping[str, float] | None = None,
     intervals: int = 40,
     degree: int = 3,
     accuracy: float = 1e-3,
@@ -254,6 +255,9 @@ def plan(
     inputs, accelerations : mapping of str to (low, high), optional
         Bounds of inputs and of their rates by name. The initial inputs are free within their
         bounds. [1/s, 1/s2]
+    cost_limits : mapping of str to float, optional
+        Largest integrals of terms of the cost, by name as in ``costs``, in the units of the terms;
+        terms without a weight are limited only.
     intervals, degree : int
         Initial number of intervals, and number of collocation points per interval.
     accuracy : float
@@ -328,6 +332,7 @@ def plan(
         way_points=way_points,
         inputs=inputs,
         accelerations=accelerations,
+        cost_limits=cost_limits,
     )
     for name, number in (("interval", intervals), ("start", starts)):
         if number < 1:

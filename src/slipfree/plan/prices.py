@@ -13,7 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slipfree.plan.constraints import EQUATION, INPUT, LIMIT, ConstraintGroup, constraint_groups
+from slipfree.plan.constraints import (
+    COST,
+    EQUATION,
+    INPUT,
+    LIMIT,
+    ConstraintGroup,
+    constraint_groups,
+)
 from slipfree.plan.ipopt import IPOPT_TOLERANCE, Solution
 from slipfree.plan.messages import DURATION, number, subject
 from slipfree.plan.optimality import active_set
@@ -34,7 +41,7 @@ class Price(NamedTuple):
     label : Label
         Label of the limited quantity, without wheel: the price is the sum over all wheels.
     role : str
-        Kind of limit: ``"limit"``, ``"input"``, ``"goal"``, ``"duration"``, or such as
+        Kind of limit: ``"limit"``, ``"input"``, ``"goal"``, ``"duration"``, ``"cost"``, or such as
         ``"way-point at 0.5"``.
     side : str
         Side of the bound: ``"at most"``, ``"at least"``, or ``"value"`` for equal bounds.
@@ -62,7 +69,7 @@ class Price(NamedTuple):
     @property
     def step(self) -> float:
         """Small change of the bound for which `words` gives the saving, in the label's unit."""
-        if self.role not in (LIMIT, INPUT, DURATION) or not self.bound:
+        if self.role not in (LIMIT, INPUT, DURATION, COST) or not self.bound:
             return STEP_FRACTION
         return float(STEP_FRACTION * 10.0 ** np.floor(np.log10(abs(self.bound))))
 

@@ -44,6 +44,27 @@ def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cos
     return tuple(costs)
 
 
+def cost_limits_of(
+    dae: Dae, costs: Sequence[Cost], given: Mapping[str, float]
+) -> tuple[tuple[Cost, ...], tuple[tuple[int, float], ...]]:
+    """Return the terms of the cost and the limits of their integrals, by index of the term.
+
+    Limited terms that are not among the costs are added with weight 0.
+    """
+    names, terms = [cost.name for cost in costs], list(costs)
+    limits = []
+    for name, highest in given.items():
+        if not 0 < highest < np.inf:
+            raise ModelError(
+                f"plan: expected a positive limit of the cost {name!r}, found {highest}"
+            )
+        if name not in names:
+            names.append(name)
+            terms.append(_cost_term(dae, name)._replace(weight=0.0))
+        limits.append((names.index(name), float(highest)))
+    return tuple(terms), tuple(limits)
+
+
 def _cost_term(dae: Dae, name: str) -> Cost:
     """Return the term of the cost with a name, such as ``"time"``, with weight 1."""
     if name == "time":
@@ -188,6 +209,7 @@ def task_of(
     way_points: Mapping[float, Mapping[str, float | Range]] | None = None,
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
+    cost_limits: Mapping[str, float] | None = None,
 ) -> PlanTask:
     """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`.
 
@@ -199,17 +221,19 @@ def task_of(
     """
     if not goal:
         raise ModelError("plan: expected a goal (values or ranges by name), found an empty one")
+    terms, highest = cost_limits_of(dae, costs_of(dae, costs), cost_limits or {})
     task = PlanTask(
         dae,
         dae.rows("x", start, -1),
         duration_of(duration),
-        costs_of(dae, costs),
+        terms,
         tuple(places_of(dae, goal, way_points or {})),
         limits_of(dae, limits),
         bounds_of(dae, inputs or {}),
         bounds_of(dae, accelerations or {}),
         smooth,
         continuous,
+        highest,
     )
     if wrong := conflicts(task, start):
         raise ModelError("plan: " + "; ".join(wrong))

@@ -59,13 +59,13 @@ def assemble(blocks: Sequence[NlpBlock], scale: Array, n_p: int) -> ProgramFunct
     Parameters
     ----------
     blocks : sequence of NlpBlock
-        Blocks; each row of the program belongs to exactly one of them.
+        Blocks; a row of the program is the sum of all rows of blocks with its index.
     scale : ndarray, shape (n_w,)
         Scale of the unknowns; the blocks take the unknowns of the program times this scale.
     n_p : int
         Number of parameters.
     """
-    n_g = sum(each.row_indices.size for each in blocks)
+    n_g = 1 + max(each.row_indices.max(initial=-1) for each in blocks)
     w, p = ca.MX.sym("w", scale.size), ca.MX.sym("p", n_p)
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lambda", n_g)
     v = w * scale
@@ -179,7 +179,7 @@ def _total_cost(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
 
 
 def _all_rows(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
-    return _in_row_order(
+    return _sum_rows(
         blocks,
         [_evaluate_everywhere(each.rows, each, _arguments(each, v, p))[0] for each in blocks],
     )
@@ -201,10 +201,14 @@ def _cost_and_gradient(
     return cost, ca.densify(_sum_entries(values, entries, factors, (scale.size, 1)))
 
 
-def _in_row_order(blocks: Sequence[NlpBlock], parts: Sequence[ca.MX]) -> ca.MX:
-    """Return the rows of all blocks in the order of the program."""
-    order = np.argsort(np.concatenate([each.row_indices.T.ravel() for each in blocks]))
-    return ca.vertcat(*parts)[order.tolist()]
+def _sum_rows(blocks: Sequence[NlpBlock], parts: Sequence[ca.MX]) -> ca.MX:
+    """Return the rows of the program from the rows of all blocks."""
+    where = np.concatenate([each.row_indices.T.ravel() for each in blocks])
+    if np.unique(where).size == where.size:
+        return ca.vertcat(*parts)[np.argsort(where).tolist()]
+    entries = [(where, np.zeros_like(where))]
+    shape = (int(where.max()) + 1, 1)
+    return ca.densify(_sum_entries([ca.vertcat(*parts)], entries, [np.ones(where.size)], shape))
 
 
 def _rows_and_jacobian(
@@ -220,7 +224,7 @@ def _rows_and_jacobian(
         values.append(found)
         entries.append((rows, columns))
         factors.append(scale[columns])
-    g = _in_row_order(blocks, parts)
+    g = _sum_rows(blocks, parts)
     return g, _sum_entries(values, entries, factors, (g.numel(), scale.size))
 
 

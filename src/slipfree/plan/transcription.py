@@ -72,6 +72,8 @@ class PlanTask:
     continuous : bool
         True for inputs that are continuous and linear on every interval; False for inputs that are
         constant on every interval.
+    cost_limits : tuple of (int, float)
+        Indices of terms of the cost with a limit, and the largest values of their integrals.
     """
 
     dae: Dae
@@ -84,6 +86,7 @@ class PlanTask:
     accelerations: Array
     smooth: float
     continuous: bool = False
+    cost_limits: tuple[tuple[int, float], ...] = ()
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -241,8 +244,10 @@ def transcribe(
         *(_condition_rows(task, condition, mesh, layout) for condition in task.conditions),
     )
     begins = np.cumsum([0, *(len(each.where) * len(each.labels) for each in row_blocks)]).tolist()
+    highest = np.array([value for _, value in task.cost_limits])
+    lowest = np.full(highest.size, -np.inf)
     blocks = [
-        _stage_block(task, point, mesh, layout, compiled=options.compiled),
+        _stage_block(task, point, mesh, layout, begins[-1], compiled=options.compiled),
         _rate_block(task, mesh, layout, len(row_blocks[0].labels)),
         *(
             _condition_block(task, condition, mesh, row_block, begin)
@@ -267,8 +272,8 @@ def transcribe(
         scale,
         lower,
         upper,
-        np.concatenate([np.tile(each.lower, len(each.where)) for each in row_blocks]),
-        np.concatenate([np.tile(each.upper, len(each.where)) for each in row_blocks]),
+        np.concatenate([*(np.tile(each.lower, len(each.where)) for each in row_blocks), lowest]),
+        np.concatenate([*(np.tile(each.upper, len(each.where)) for each in row_blocks), highest]),
         _root_function(blocks[0], made, layout),
         not blocks[0].rows.is_a("SXFunction"),
     )
@@ -382,10 +387,14 @@ def _stage_block(
     point: StageFunctions,
     mesh: CollocationMesh,
     layout: VariableLayout,
+    first_limit: int,
     *,
     compiled: bool,
 ) -> NlpBlock:
-    """Return the block of the collocation points: collocation, equations, limits and costs."""
+    """Return the block of the collocation points: collocation, equations, limits and costs.
+
+    Limited costs are rows from the index ``first_limit`` on, to which all points contribute.
+    """
     n_x, n_z, n_u = point.sizes
     count, degree = mesh.ends.size - 1, mesh.degree
     nodes, x, z = (ca.SX.sym(*of) for of in (("nodes", n_x, 1 + degree), ("x", n_x), ("z", n_z)))
@@ -412,12 +421,15 @@ def _stage_block(
     each = len(point.labels)
     jumps = inner[:, None] * len(_bounded(task))
     row_indices = each * np.arange(inner.size)[:, None] + jumps + np.arange(each)
+    limited = [k for k, _ in task.cost_limits]
+    shared = np.tile(first_limit + np.arange(len(limited)), (inner.size, 1))
+    integrals = [weight * h * paid[k] for k in limited]
     return nlp_block(
         (ca.vertcat(ca.vec(nodes), x, z, r, u, after, duration), q, p),
         weight * h * sum((p[k] * paid[k] for k in range(len(task.costs))), ca.SX(0)),
-        ca.vertcat(nodes @ slopes - h * ode, rows),
+        ca.vertcat(nodes @ slopes - h * ode, rows, *integrals),
         lookups,
-        (where, row_indices),
+        (where, np.hstack([row_indices, shared])),
         _point_constants(mesh),
         compiled=compiled,
     )

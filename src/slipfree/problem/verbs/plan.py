@@ -324,6 +324,7 @@ def _plan_arguments(
         "way_points": between,
         "inputs": spec.bounds,
         "accelerations": spec.accelerations,
+        "cost_limits": spec.cost_limits,
     }
 
 

@@ -95,6 +95,9 @@ class Plan(Modelled):
         description="weights of integrals over time: slip, effort, time, energy, or any quantity "
         "squared [1]"
     )
+    cost_limits: dict[str, Positive] = Field(
+        default={}, description="largest integrals over time, by name as in costs [1]"
+    )
     limits: dict[str, Range] = Field(
         default={}, description="ranges of quantities during the motion, in their units [m, rad, 1]"
     )
