@@ -118,7 +118,7 @@ def test_what_is_wrong_with_places_and_ways_is_told(settings, words):
 
 def test_several_routes_start_the_search():
     setup = build(load_problem(FIELD, ["driver.count=2"]))
-    assert len(setup.ways) == len(setup.starts) == 2
+    assert len(setup.paths) == len(setup.starts) == 2
 
 
 def test_friction_too_low_for_the_slope_is_refused_before_anything_is_solved():

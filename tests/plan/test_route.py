@@ -16,6 +16,7 @@ from slipfree.catalog import three_wheeler
 from slipfree.errors import ModelError
 from slipfree.routing import search as search
 from slipfree.routing import smoothing
+from slipfree.routing.homotopy import homotopy_class, obstacle_points
 from slipfree.routing.regions import Region
 from slipfree.routing.search import route, routes
 from slipfree.routing.traversability import MAX_SLOPE, blocking_reasons, traversability
@@ -434,23 +435,63 @@ def test_a_vehicle_follows_its_route_through_craters():
 # Several routes
 
 
-def test_alternatives_are_different_and_not_absurd():
-    terrain = Bicubic(blank((0, 40), (0, 40), 0.5))
-    layers = traversability(terrain, ROVER, keep_out=[Region.disc(20.0, 21.0, 6.0)])
-    found = routes(layers, (5.0, 20.0), (35.0, 20.0), 3, turning_radius=2.0)
-    assert len(found) == 3
-    assert [each.cost for each in found] == sorted(each.cost for each in found)
-    sides = {bool(each.points[len(each.points) // 2, 1] > 21) for each in found[:2]}
+def discs(*each, size=40.0):
+    terrain = Bicubic(blank((0, size), (0, size), 0.5))
+    return traversability(terrain, ROVER, keep_out=[Region.disc(*disc) for disc in each])
+
+
+@pytest.mark.parametrize("y", [20.0, 20.7])
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_a_disc_makes_two_classes(y, is_turned):
+    layers = discs((y, 20.0, 6.0) if is_turned else (20.0, y, 6.0))
+    start, goal = ((20.0, 5.0), (20.0, 35.0)) if is_turned else ((5.0, 20.0), (35.0, 20.0))
+    found = routes(layers, start, goal, 5, turning_radius=2.0)
+    assert len(found) == 2
+    assert found[0].cost <= found[1].cost
+    sides = {bool(each.points[len(each.points) // 2, int(not is_turned)] > y) for each in found}
     assert sides == {True, False}
-    best = route(layers, (5.0, 20.0), (35.0, 20.0), turning_radius=2.0)
-    assert_allclose(found[0].points, best)
-    for k, one in enumerate(found):
-        assert_allclose(one.length, length(one.points))
-        assert one.cost == pytest.approx(one.length, rel=1e-3)  # flat ground
-        assert one.length < 2 * found[0].length
-        for other in found[:k]:
-            gaps = np.linalg.norm(one.points[:, None] - other.points[None], axis=2).min(axis=1)
-            assert gaps.max() > 2 * REACH
+    assert_allclose(found[0].points, route(layers, start, goal, turning_radius=2.0))
+    for each in found:
+        assert_allclose(each.length, length(each.points))
+        assert each.cost == pytest.approx(each.length, rel=1e-3)  # flat ground
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        ((), 1),
+        (((13.0, 20.5, 3.0), (27.0, 19.5, 3.0)), 4),  # one after the other
+        (((20.0, 13.0, 3.0), (20.0, 27.0, 3.0)), 3),  # side by side
+        (((20.0, 33.0, 5.0),), 1),  # joined to the border
+        (((20.0, 20.0, 14.0),), 1),  # no route around it on the map
+    ],
+)
+def test_classes_are_those_of_the_obstacles(places, expected):
+    layers = discs(*places)
+    ends = ((3.0, 20.0), (37.0, 20.0)) if expected > 1 else ((3.0, 3.0), (37.0, 3.0))
+    found = routes(layers, *ends, 6)
+    assert len(found) == expected
+    classes = {homotopy_class(each.points, obstacle_points(layers)) for each in found}
+    assert len(classes) == expected
+
+
+def test_a_class_does_not_change_with_the_path_between_obstacles(rng):
+    obstacles = np.array([(1.0, 0.0), (2.0, 0.5), (3.0, -0.3)])
+    around = np.array([(0.0, 0.0), (1.0, 1.0), (2.0, -1.0), (3.0, 1.0), (4.0, 0.0)])
+    assert homotopy_class(around, obstacles) == (1, 3)
+    for _ in range(20):
+        there = around[:3] + 0.2 * rng.standard_normal((3, 2))  # a dead end that turns back
+        detour = np.concatenate([around[:3], there[::-1], there, around[2:]])
+        assert homotopy_class(detour, obstacles) == (1, 3)
+    loop = np.array([(0.0, 0.0), (1.5, 1.0), (1.5, -1.0), (0.0, -1.0), (0.5, 1.0), (4.0, 1.0)])
+    assert homotopy_class(loop, obstacles) == (1, 1, 2, 3)
+    assert homotopy_class(np.array([(0.0, 0.0), (4.0, -1.0)]), obstacles) == ()
+
+
+def test_small_obstacles_make_no_classes():
+    layers = discs()
+    layers.cost[40:43, 38:42] = np.inf
+    assert len(routes(layers, (3.0, 20.0), (37.0, 20.0), 3)) == 1
 
 
 def test_where_there_is_one_way_one_is_found():

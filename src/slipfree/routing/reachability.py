@@ -84,19 +84,18 @@ def unreachable(
     return found
 
 
-def no_route_words(layers: Traversability, reached: Mask, start: Array, goal: Array) -> str:
+def no_route_words(layers: Traversability, start: Array, goal: Array) -> str:
     """Return the text of an error for a goal that cannot be reached.
 
     Parameters
     ----------
     layers : Traversability
         The map.
-    reached : ndarray of bool, shape (n_x, n_y)
-        Nodes that can be reached from the start.
     start, goal : ndarray, shape (2,)
         Map coordinates. [m]
     """
-    i, j = np.nonzero(reached)
+    regions = _labels(np.isfinite(layers.cost))
+    i, j = np.nonzero(regions == regions[node_at(layers, *start)])
     gaps = np.hypot(layers.x[i] - goal[0], layers.y[j] - goal[1])
     best = int(gaps.argmin())
     nearest = np.array([layers.x[i[best]], layers.y[j[best]]])
@@ -151,9 +150,7 @@ def _separation_objection(
         return Objection(last[0], words, True)
     if not is_judged:
         return None
-    reached = _labels(np.isfinite(layers.cost))
-    words = no_route_words(layers, reached == reached[ends[0]], start, goal)
-    return Objection(last[0], words, False)
+    return Objection(last[0], no_route_words(layers, start, goal), False)
 
 
 def _keep_out_words(layers: Traversability, ends: Ends) -> str:

@@ -6,7 +6,7 @@ A route is an initial guess of a plan, not a plan.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from operator import attrgetter, itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,13 @@ import scipy
 
 from slipfree.errors import ModelError
 from slipfree.records import Array, field_overview
+from slipfree.routing.homotopy import (
+    Ray,
+    close_rays,
+    crossed_rays,
+    homotopy_class,
+    obstacle_points,
+)
 from slipfree.routing.reachability import no_route_words
 from slipfree.routing.smoothing import polyline_length, resample_polyline, smooth
 from slipfree.routing.traversability import (
@@ -34,9 +41,7 @@ MOVES = tuple(
     if max(abs(i), abs(j)) and (math.gcd(i, j) == 1)
 )
 
-COST_FACTOR = 4.0  # on the cost near earlier routes when the next one is searched
-MAX_REPEATS = 4  # searches in succession without a new route
-HALF_WIDTH = 0.1  # half-width of the surroundings of a route [distance from start to goal]
+MAX_SEARCHES = 4  # largest number of searches per route
 MAX_COST_RATIO = 2.0  # largest cost of an alternative [cost of the cheapest route]
 
 
@@ -90,7 +95,10 @@ def route(
         is negative or not finite.
     """
     _check_ends(layers, start, goal, turning_radius)
-    rough = _search(layers, layers.cost, np.asarray(start, float), np.asarray(goal, float))
+    ends = np.asarray(start, float), np.asarray(goal, float)
+    rough = _search(layers, layers.cost, *ends)
+    if not len(rough):
+        raise ModelError(f"route: {no_route_words(layers, *ends)}")
     return smooth(layers, rough, turning_radius)
 
 
@@ -102,16 +110,19 @@ def routes(
     *,
     turning_radius: float = 0.0,
 ) -> list[Route]:
-    """Return several routes from a start to a goal, in order of cost.
+    """Return several routes of different homotopy classes, in order of cost.
+
+    An alternative is the cheapest route that does not cross one of the rays from obstacles that
+    an earlier route crosses, so that it passes the obstacle on the other side; nearest first.
 
     Parameters
     ----------
     layers, start, goal, turning_radius
         As for `route`.
     count : int
-        Largest number of routes. Every alternative has a point that is farther from every other
-        route than the diameter of the vehicle's circle. It costs at most twice as much as the
-        cheapest route.
+        Largest number of routes. They belong to different homotopy classes: none can be deformed
+        into another without crossing an obstacle (`slipfree.routing.homotopy`). Every alternative
+        costs at most twice as much as the cheapest route.
 
     Raises
     ------
@@ -122,20 +133,28 @@ def routes(
         raise ModelError(f"routes: count must be at least 1, found {count}")
     _check_ends(layers, start, goal, turning_radius)
     ends = np.asarray(start, float), np.asarray(goal, float)
-    found: list[Route] = []
-    near = np.zeros_like(layers.cost)
-    failed = 0
-    while len(found) < count and failed < MAX_REPEATS:
-        # smooth with the raised cost as well, or the route would return to its neighbour
-        raised = layers._replace(cost=layers.cost * (1 + COST_FACTOR * near))
-        rough = _search(layers, raised.cost, *ends)
-        points = smooth(raised, rough, turning_radius)
-        new = Route(points, _integral(layers, points), polyline_length(points))
-        is_new = _is_another(layers, new, found)
-        found += [new] if is_new else []
-        failed = 0 if is_new else failed + 1
-        near += _surroundings(layers, rough, *ends)
-    return sorted(found, key=lambda each: each.cost)
+    obstacles = obstacle_points(layers)
+    found: dict[tuple[int, ...], Route] = {}
+    pending: list[tuple[float, tuple[Ray, ...]]] = [(0.0, ())]
+    for _ in range(MAX_SEARCHES * count):
+        if not pending or len(found) == count:
+            break
+        _, closed = pending.pop(0)
+        rough = _search(layers, close_rays(layers.cost, closed), *ends)
+        if not len(rough):
+            if not found:
+                raise ModelError(f"route: {no_route_words(layers, *ends)}")
+            continue
+        points = smooth(layers, rough, turning_radius)
+        kind = homotopy_class(points, obstacles)
+        if kind not in found:
+            found[kind] = Route(points, _integral(layers, points), polyline_length(points))
+        further = crossed_rays(layers, rough, obstacles)
+        pending += [(detour, (*closed, ray)) for detour, ray in further]
+        pending.sort(key=itemgetter(0))
+    least = min(each.cost for each in found.values())
+    cheap = [each for each in found.values() if each.cost <= MAX_COST_RATIO * least]
+    return sorted(cheap, key=attrgetter("cost"))
 
 
 # Search
@@ -163,7 +182,10 @@ def _check_ends(layers: Traversability, start: Point, goal: Point, turning_radiu
 
 
 def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> Array:
-    """Return the points of the cheapest path on the grid, with start and goal, shape (n, 2) [m]."""
+    """Return the points of the cheapest path on the grid, with start and goal, shape (n, 2) [m].
+
+    The result is empty if there is no path.
+    """
     first, last = (
         int(np.ravel_multi_index(node_at(layers, *point), cost.shape)) for point in (start, goal)
     )
@@ -171,8 +193,7 @@ def _search(layers: Traversability, cost: Array, start: Array, goal: Array) -> A
         _graph(cost, layers.spacing), indices=first, return_predecessors=True
     )
     if not math.isfinite(lengths[last]):
-        reached = np.isfinite(lengths).reshape(cost.shape)
-        raise ModelError(f"route: {no_route_words(layers, reached, start, goal)}")
+        return np.empty((0, 2))
     nodes = [last]
     while nodes[-1] != first:
         nodes.append(int(before[nodes[-1]]))
@@ -221,32 +242,6 @@ def _shifted(padded: npt.NDArray[np.float32], i: int, j: int) -> npt.NDArray[np.
 
 
 # Several routes
-
-
-def _is_another(layers: Traversability, new: Route, found: Sequence[Route]) -> bool:
-    """Return whether a route differs from all earlier ones and is not too expensive."""
-    fine, width = 0.25 * layers.limits.half, 2 * layers.limits.reach
-    for old in found:
-        gaps, _ = scipy.spatial.cKDTree(resample_polyline(old.points, fine)).query(
-            resample_polyline(new.points, fine)
-        )
-        if gaps.max() <= width:
-            return False
-    return not found or new.cost <= MAX_COST_RATIO * min(each.cost for each in found)
-
-
-def _surroundings(layers: Traversability, points: Array, start: Array, goal: Array) -> Array:
-    """Return the proximity of all nodes to a route: 1 on it, 0 far from it and at its ends."""
-    width = max(2 * layers.limits.reach, HALF_WIDTH * float(np.linalg.norm(goal - start)))
-    off = np.ones(layers.cost.shape, dtype=bool)
-    off[nodes_at(layers, resample_polyline(points, 0.5 * min(layers.spacing)))] = False
-    near = np.exp(
-        -((scipy.ndimage.distance_transform_edt(off, sampling=layers.spacing) / width) ** 2)
-    )
-    for end in (start, goal):  # all routes have their ends in common
-        away = np.hypot(layers.x[:, None] - end[0], layers.y[None, :] - end[1])
-        near *= np.minimum(away / (2 * width), 1)
-    return np.asarray(near)
 
 
 def _integral(layers: Traversability, points: Array) -> float:

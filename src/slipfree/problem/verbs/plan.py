@@ -49,12 +49,12 @@ from slipfree.problem.verbs.plan_goals import (
     Place,
     Ranges,
     facing,
+    initial_paths,
     key_of,
     places_of,
     regions,
     spelled,
     way_points_of,
-    ways_of,
 )
 from slipfree.problem.verbs.plan_starts import (
     StartResult,
@@ -109,7 +109,7 @@ class Planning(Setup):
         Names and map coordinates of start, way-points and goal. [m]
     keep_out : tuple of Region
         Keep-out regions.
-    ways : tuple of ndarray, shape (n, 2)
+    paths : tuple of ndarray, shape (n, 2)
         Paths of the initial guesses; empty if the guesses follow no path. [m]
     starts : tuple of (record, float)
         Inputs and duration of each initial guess. [rad/s, s]
@@ -122,7 +122,7 @@ class Planning(Setup):
     layers: Traversability
     places: tuple[Place, ...]
     keep_out: tuple[Region, ...]
-    ways: tuple[Array, ...]
+    paths: tuple[Array, ...]
     starts: tuple[tuple[Any, float], ...]
     spec: plan_schema.Plan
     between: Mapping[float, Ranges]
@@ -154,8 +154,8 @@ class PlanVerb(DriveVerb):
             where = problem.source.where((key_of(wrong[0].place),))
             raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
         start, (t, _) = build_start(problem, dae), samples(spec.time, spec.inputs or {})
-        ways = ways_of(problem, spec, layers, places)
-        starts = _starts(problem, dae, vehicle, start, ways)
+        paths = initial_paths(problem, spec, layers, places)
+        starts = _starts(problem, dae, vehicle, start, paths)
         _check_quantities(problem, dae)
         with at(problem, ("plan",)):
             task_of(
@@ -178,7 +178,7 @@ class PlanVerb(DriveVerb):
             layers,
             places,
             keep_out,
-            ways,
+            paths,
             starts,
             spec,
             between,
@@ -275,7 +275,7 @@ def _starts(
     dae: Dae,
     vehicle: Vehicle,
     start: Trajectory,
-    ways: tuple[Array, ...],
+    paths: tuple[Array, ...],
 ) -> tuple[tuple[Any, float], ...]:
     """Return inputs and duration [s] of each initial guess."""
     spec = problem.spec
@@ -283,10 +283,10 @@ def _starts(
     if spec.driver is None:
         with at(problem, ("inputs",)):
             return ((dae.inputs(**rates), float(t[-1])),)
-    if not ways:
+    if not paths:
         return ((build_law(problem, spec.driver, dae, vehicle, start), float(t[-1])),)
     with at(problem, ("driver",)):
-        return tuple(_path_guess(dae, vehicle, way, spec.driver.speed) for way in ways)
+        return tuple(_path_guess(dae, vehicle, path, spec.driver.speed) for path in paths)
 
 
 def _path_guess(dae: Dae, vehicle: Vehicle, points: Array, speed: float) -> tuple[Any, float]:
@@ -300,7 +300,7 @@ def figure_options(setup: Planning) -> dict[str, Any]:
     unbounded = {label.name: (-np.inf, np.inf) for label in leaves(setup.dae.labels.u)}
     return {
         "places": setup.places,
-        "found": setup.ways,
+        "found": setup.paths,
         "bounds": unbounded | setup.spec.bounds,
         "limits": setup.spec.limits,
     }
@@ -400,7 +400,7 @@ def _guess(setup: Planning, start: tuple[Any, float]) -> Trajectory:
         if error.trajectory is None:
             raise
         run = error.trajectory
-    if not setup.ways or setup.places[-1][0] != "goal":
+    if not setup.paths or setup.places[-1][0] != "goal":
         return run
     _, x, y = setup.places[-1]
     away = np.hypot(run["x"] - x, run["y"] - y)

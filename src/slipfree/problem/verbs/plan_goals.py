@@ -96,7 +96,7 @@ def facing(problem: Problem[S], wanted: Ranges) -> Ranges:
     }
 
 
-def ways_of(
+def initial_paths(
     problem: Problem[S], spec: Plan, layers: Traversability, places: tuple[Place, ...]
 ) -> tuple[Array, ...]:
     """Return the paths of the initial guesses: given paths, or routes over the ground."""

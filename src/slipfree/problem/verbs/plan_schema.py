@@ -36,7 +36,9 @@ class Guide(Driver):
         description="several paths of way-points; the plan of least cost is returned [m]",
     )
     count: Annotated[int, Field(ge=1)] = Field(
-        default=1, description="number of routes; the plan of least cost is returned"
+        default=1,
+        description="number of routes, which pass obstacles on different sides; the plan of least "
+        "cost is returned",
     )
 
 
