@@ -261,14 +261,25 @@ class SolverError(SlipfreeError, RuntimeError):
 
 
 def joined(*runs: Trajectory) -> Trajectory:
-    """Return consecutive motions of one model as one motion, with the stop of the last."""
+    """Return consecutive motions of one model as one motion, with the stop of the last.
+
+    Counts and times in the statistics are sums; the tolerance is that of the first motion.
+    """
     columns = {
         name: Column(column.label, np.concatenate([run[name] for run in runs]))
         for name, column in runs[0].columns.items()
     }
     t = np.concatenate([run.t for run in runs])
     events = {k: np.concatenate([run.events[k] for run in runs]) for k in runs[0].events}
-    return replace(runs[0], t=t, columns=columns, stop=runs[-1].stop, events=events)
+    statistics = {
+        name: value
+        if name == "tolerance"
+        else float(sum(run.statistics.get(name, 0.0) for run in runs))
+        for name, value in runs[0].statistics.items()
+    }
+    return replace(
+        runs[0], t=t, columns=columns, stop=runs[-1].stop, events=events, statistics=statistics
+    )
 
 
 def outcome_title(run: Trajectory) -> str:

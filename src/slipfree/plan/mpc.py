@@ -134,7 +134,13 @@ def horizon(
             f"horizon: expected a window of at most the duration of the plan, {length:g} s, found "
             f"{span} s"
         )
-    own = replace(task, conditions=task.conditions[-1:], duration=(span, span), cost_limits=())
+    own = replace(
+        task,
+        conditions=task.conditions[-1:],
+        duration=(span, span),
+        cost_limits=(),
+        initial_inputs=None,
+    )
     mesh = CollocationMesh(np.linspace(0, 1, intervals + 1), degree)
     program = transcribe(own, mesh, plan.program.options)
     x, z, u = task.dae.columns()

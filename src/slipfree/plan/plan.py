@@ -210,6 +210,7 @@ def plan(
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
     cost_limits: Mapping[str, float] | None = None,
+    initial_inputs: Mapping[str, float] | None = None,
     intervals: int = 40,
     degree: int = 3,
     accuracy: float = 1e-3,
@@ -253,11 +254,13 @@ def plan(
     way_points : mapping of float to mapping, optional
         Conditions like those of the goal at fractions of the duration.
     inputs, accelerations : mapping of str to (low, high), optional
-        Bounds of inputs and of their rates by name. The initial inputs are free within their
-        bounds. [1/s, 1/s2]
+        Bounds of inputs and of their rates by name. [1/s, 1/s2]
     cost_limits : mapping of str to float, optional
         Largest integrals of terms of the cost, by name as in ``costs``, in the units of the terms;
         terms without a weight are limited only.
+    initial_inputs : mapping of str to float, optional
+        Values of inputs at the beginning by name, for example zero for a vehicle at rest; the
+        others are free within their bounds. [1/s]
     intervals, degree : int
         Initial number of intervals, and number of collocation points per interval.
     accuracy : float
@@ -333,6 +336,7 @@ def plan(
         inputs=inputs,
         accelerations=accelerations,
         cost_limits=cost_limits,
+        initial_inputs=initial_inputs,
     )
     for name, number in (("interval", intervals), ("start", starts)):
         if number < 1:
@@ -433,7 +437,7 @@ def _local_optimum(search: _SearchState, accurate: bool | None) -> LocalOptimum:
         search.name,
         outcomes[accurate] if found.success else NOT_SOLVED,
         found.cost,
-        _cost_terms(program, found),
+        cost_terms(program, found.unknowns),
         motion.duration,
         sum(stage.seconds["total"] for stage in search.stages),
         motion.states(np.linspace(0, 1, PATH_SAMPLES))[rows],
@@ -642,7 +646,7 @@ def _to_plan(search: _SearchState, verification: Verification) -> Plan:
         verification.difference,
         verification.violation,
         verification.units,
-        _cost_terms(program, found),
+        cost_terms(program, found.unknowns),
         found.success,
         verification.accurate,
         program,
@@ -652,14 +656,17 @@ def _to_plan(search: _SearchState, verification: Verification) -> Plan:
     )
 
 
-def _cost_terms(program: Program, found: Solution) -> dict[str, float]:
-    """Return the integrals of the terms of the cost by name, in their units."""
+def cost_terms(program: Program, unknowns: Array) -> dict[str, float]:
+    """Return the integrals of the terms of the cost by name, in their units.
+
+    The unknowns are not scaled.
+    """
     values = ca.Function("f", [program.problem["x"], program.problem["p"]], [program.problem["f"]])
     units = np.eye(program.problem["p"].numel())
     costs = {
-        cost.label.name: float(values(found.unknowns / program.scale, unit))
+        cost.label.name: float(values(unknowns / program.scale, unit))
         for cost, unit in zip(program.task.costs, units, strict=False)
     }
     if program.task.smooth:
-        costs["smoothness"] = float(values(found.unknowns / program.scale, units[-1]))
+        costs["smoothness"] = float(values(unknowns / program.scale, units[-1]))
     return costs

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from slipfree.errors import ModelError
-from slipfree.plan.transcription import CollocationMesh, Index, Program, VariableLayout, completed
+from slipfree.plan.transcription import (
+    CollocationMesh,
+    Index,
+    Program,
+    VariableLayout,
+    completed,
+    positions,
+)
 from slipfree.records import Array, field_overview, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.radau import radau_basis
@@ -92,6 +100,47 @@ class PolynomialMotion(NamedTuple):
 def motion_of(program: Program, unknowns: Array) -> PolynomialMotion:
     """Return the motion for unknowns of a program that are not scaled."""
     return PolynomialMotion(program.mesh, program.layout, unknowns)
+
+
+def first_intervals(motion: PolynomialMotion, count: int) -> PolynomialMotion:
+    """Return a motion up to the end of one of its intervals, given by the number of intervals."""
+    mesh, old, values = motion.mesh, motion.layout, motion.unknowns
+    n_u = old.inputs.shape[1]
+    own = mesh._replace(ends=mesh.ends[: count + 1] / mesh.ends[count])
+    sizes = old.first.size, old.unknowns.shape[2], n_u
+    layout = positions(own, sizes, continuous=motion.continuous)
+    unknowns = np.zeros(layout.duration + 1)
+    unknowns[layout.first] = values[old.first]
+    unknowns[layout.states] = values[old.states[:count]]
+    unknowns[layout.unknowns] = values[old.unknowns[:count]]
+    unknowns[layout.inputs] = values[old.inputs[: len(layout.inputs)]]
+    unknowns[layout.duration] = mesh.ends[count] * motion.duration
+    return PolynomialMotion(own, layout, unknowns)
+
+
+def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
+    """Return consecutive motions of one model as one motion.
+
+    All motions must have the same degree and the same kind of inputs. At a junction, states and
+    continuous inputs are those of the former motion.
+    """
+    times = np.cumsum([0.0, *(each.duration for each in motions)])
+    ends = [t + each.ends[1:] for t, each in zip(times, motions, strict=False)]
+    mesh = CollocationMesh(np.concatenate([[0.0], *ends]) / times[-1], motions[0].mesh.degree)
+    first = motions[0].layout
+    sizes = first.first.size, first.unknowns.shape[2], first.inputs.shape[1]
+    layout = positions(mesh, sizes, continuous=motions[0].continuous)
+    unknowns = np.zeros(layout.duration + 1)
+    unknowns[layout.first] = motions[0].unknowns[first.first]
+    for where, name in ((layout.states, "states"), (layout.unknowns, "unknowns")):
+        values = [each.unknowns[getattr(each.layout, name)] for each in motions]
+        unknowns[where] = np.concatenate(values)
+    skipped = int(motions[0].continuous)  # inputs at a junction belong to both motions
+    inputs = [each.unknowns[each.layout.inputs[skipped:]] for each in motions]
+    start = motions[0].unknowns[first.inputs[:skipped]]
+    unknowns[layout.inputs] = np.concatenate([start, *inputs])
+    unknowns[layout.duration] = times[-1]
+    return PolynomialMotion(mesh, layout, unknowns)
 
 
 def transfer_motion(former: PolynomialMotion, program: Program, after: float = 0.0) -> Array:

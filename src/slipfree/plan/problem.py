@@ -196,6 +196,21 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     return bounds
 
 
+def _initial_bounds(dae: Dae, given: Mapping[str, Range], initial: Mapping[str, float]) -> Array:
+    """Return the bounds of all inputs at the beginning, equal for given values, shape (n_u, 2)."""
+    bounds = bounds_of(dae, given)
+    values = bounds_of(dae, {name: (value, value) for name, value in initial.items()})
+    fixed = np.clip(values, bounds[:, :1], bounds[:, 1:])
+    for name, value in initial.items():
+        low, high = given.get(name, (-np.inf, np.inf))
+        if not low <= value <= high:
+            raise ModelError(
+                f"plan: expected the initial value of {name!r} between its bounds {low:g} and "
+                f"{high:g}, found {value:g}; change the value or the bounds"
+            )
+    return fixed
+
+
 def task_of(
     dae: Dae,
     start: Trajectory,
@@ -210,6 +225,7 @@ def task_of(
     inputs: Mapping[str, Range] | None = None,
     accelerations: Mapping[str, Range] | None = None,
     cost_limits: Mapping[str, float] | None = None,
+    initial_inputs: Mapping[str, float] | None = None,
 ) -> PlanTask:
     """Return the optimal control problem of a plan; arguments as in `slipfree.plan.plan.plan`.
 
@@ -234,6 +250,7 @@ def task_of(
         smooth,
         continuous,
         highest,
+        _initial_bounds(dae, inputs or {}, initial_inputs or {}),
     )
     if wrong := conflicts(task, start):
         raise ModelError("plan: " + "; ".join(wrong))

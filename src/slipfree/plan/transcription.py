@@ -74,6 +74,8 @@ class PlanTask:
         constant on every interval.
     cost_limits : tuple of (int, float)
         Indices of terms of the cost with a limit, and the largest values of their integrals.
+    initial_inputs : ndarray, shape (n_u, 2), optional
+        Smallest and largest value of each input at the beginning; by default those of ``inputs``.
     """
 
     dae: Dae
@@ -87,6 +89,7 @@ class PlanTask:
     smooth: float
     continuous: bool = False
     cost_limits: tuple[tuple[int, float], ...] = ()
+    initial_inputs: Array | None = None
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -538,6 +541,9 @@ def _variable_bounds(
     lower, upper = np.full(size, -np.inf), np.full(size, np.inf)
     lower[layout.first] = upper[layout.first] = task.start
     lower[layout.inputs], upper[layout.inputs] = task.inputs[:, 0], task.inputs[:, 1]
+    if task.initial_inputs is not None:
+        begin = layout.inputs[0]
+        lower[begin], upper[begin] = task.initial_inputs[:, 0], task.initial_inputs[:, 1]
     for (kind, k), (low, high) in simple.items():
         where = (layout.states if kind == "x" else layout.unknowns)[:, :, k]
         lower[where], upper[where] = low, high

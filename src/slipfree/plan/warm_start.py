@@ -11,8 +11,8 @@ import numpy as np
 from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.plan.ipopt import Solution
-from slipfree.plan.polynomial_motion import PolynomialMotion
-from slipfree.plan.transcription import CollocationMesh, Program, VariableLayout, positions
+from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
+from slipfree.plan.transcription import CollocationMesh, Program, positions
 from slipfree.records import Array, field_overview, leaves
 
 ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
@@ -31,9 +31,9 @@ class SavedPlan(NamedTuple):
     unknowns : ndarray, shape (n_w,)
         Unknowns, not scaled, in local coordinates.
     bound_multipliers : ndarray, shape (n_w,)
-        Multipliers of the bounds of the scaled unknowns.
+        Multipliers of the bounds of the scaled unknowns; empty if not known.
     row_multipliers : ndarray, shape (n_g,)
-        Multipliers of the rows.
+        Multipliers of the rows; empty if not known.
     shift : ndarray, shape (n_x + n_z,)
         Map coordinates minus local coordinates of the states and algebraic unknowns.
     model : ndarray, shape (1,)
@@ -67,22 +67,30 @@ class SavedPlan(NamedTuple):
 
 def save_plan(program: Program, found: Solution) -> SavedPlan:
     """Return the arrays of a solution for a later warm start."""
-    layout: VariableLayout = program.layout
+    motion = motion_of(program, found.unknowns)
+    return save_motion(motion, program.task.dae)._replace(
+        bound_multipliers=found.bound_multipliers, row_multipliers=found.row_multipliers
+    )
+
+
+def save_motion(motion: PolynomialMotion, dae: Dae) -> SavedPlan:
+    """Return the arrays of a motion of a model, without multipliers."""
+    layout = motion.layout
     sizes = [
-        program.mesh.degree,
+        motion.mesh.degree,
         layout.first.size,
         layout.unknowns.shape[2],
         layout.inputs.shape[1],
-        len(layout.inputs) == program.mesh.ends.size,
+        motion.continuous,
     ]
     return SavedPlan(
-        program.mesh.ends,
+        motion.mesh.ends,
         np.array(sizes, dtype=float),
-        found.unknowns,
-        found.bound_multipliers,
-        found.row_multipliers,
-        np.concatenate(program.task.dae.shift),
-        _model_number(program.task.dae),
+        motion.unknowns,
+        np.zeros(0),
+        np.zeros(0),
+        np.concatenate(dae.shift),
+        _model_number(dae),
     )
 
 

@@ -1,0 +1,441 @@
+"""Plan long motions along a route in consecutive windows.
+
+Each window begins at a simulated state of the plan before, and extends beyond the next hand-over by
+an overlap, which is planned again in the next window. A program therefore never has more unknowns
+than those of one window, and the parts before the hand-overs join to one motion, which is simulated
+without a jump of states or continuous inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.control.path_following import follow
+from slipfree.dae import Dae, Limit
+from slipfree.errors import ModelError
+from slipfree.forks import computing
+from slipfree.geometry.path import Path
+from slipfree.outcome import Outcome
+from slipfree.plan.plan import SAMPLE_STEP, Plan, PlanProgress, cost_terms, plan
+from slipfree.plan.polynomial_motion import (
+    PolynomialMotion,
+    first_intervals,
+    joined_motions,
+    transfer_motion,
+)
+from slipfree.plan.problem import Range
+from slipfree.plan.transcription import PlanTask, transcribe
+from slipfree.plan.verification import simulate_plan
+from slipfree.plan.warm_start import SavedPlan, local_motion, save_motion
+from slipfree.records import Label, field_overview, leaves, overview
+from slipfree.solve.options import SolverOptions
+from slipfree.solve.simulate import simulate
+from slipfree.trajectory import SolverError, Stop, Trajectory, joined
+from slipfree.vehicle.tree import Vehicle
+
+GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
+WINDOW_POINTS = 400  # points of the route in a guess
+POINTS_PER_METRE = 4  # of the route, where the nearest one is searched
+ASIDE = 0.25  # largest distance from the route at the end of a window [overlap]
+MIN_REST = 1e-6  # shortest part of a route that is planned [m]
+TIME_TOLERANCE = 1e-9  # largest difference of times that count as equal [s]
+GOAL_SUFFIX = " at the goal"  # of the violations of conditions at the end of a plan
+
+
+class Window(NamedTuple):
+    """One window of a long plan.
+
+    Attributes
+    ----------
+    begin, end : float
+        Arc lengths of the route between which the window was planned. [m]
+    t : float
+        Time at which the window begins. [s]
+    duration : float
+        Duration of the part before the hand-over. [s]
+    iterations : int
+        Number of iterations of all its programs.
+    seconds : float
+        Wall time of the search. [s]
+    accurate : bool
+        Whether differences and violations of its simulation are within the accuracy.
+    """
+
+    begin: float
+    end: float
+    t: float
+    duration: float
+    iterations: int
+    seconds: float
+    accurate: bool
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+
+@dataclass(frozen=True, eq=False)
+class LongPlan:
+    """Plan of a long motion, composed of the parts of windows before their hand-overs.
+
+    Attributes
+    ----------
+    motion : PolynomialMotion
+        Planned motion as polynomials of time. The states at a hand-over jump by the difference
+        between plan and simulation.
+    replay : Trajectory
+        Simulated motion under the planned inputs, up to the goal or to the last hand-over before a
+        window that was not solved.
+    windows : tuple of Window
+        Windows in order.
+    difference, violation, units, costs : dict
+        As for `Plan`: largest differences and violations of all windows, and total costs.
+    success, accurate : bool
+        Whether all windows were solved, and whether all of them are accurate.
+    saved : SavedPlan
+        The motion, from which the search may continue or another one may start.
+    """
+
+    motion: PolynomialMotion
+    replay: Trajectory
+    windows: tuple[Window, ...]
+    difference: dict[str, float]
+    violation: dict[str, float]
+    units: dict[str, str]
+    costs: dict[str, float]
+    success: bool
+    accurate: bool
+    saved: SavedPlan
+
+    def __repr__(self) -> str:
+        solved = "accurate" if self.accurate else "not accurate"
+        end = self.windows[-1].end if self.windows else 0.0
+        return overview(
+            f"LongPlan: {solved if self.success else 'not solved'}; {self.motion.duration:.6g} s "
+            f"in {len(self.windows)} windows, up to {end:.6g} m of the route",
+            costs=(f"{name} {cost:.4g}" for name, cost in self.costs.items()),
+            differences=(f"{name} {size:.1e}" for name, size in self.difference.items()),
+            violations=(f"{name} {size:.1e}" for name, size in self.violation.items() if size),
+        )
+
+
+class _Part(NamedTuple):
+    """Part of a window before its hand-over, or a former plan from which the search continues.
+
+    The dictionaries are those of `Plan`.
+    """
+
+    window: Window
+    motion: PolynomialMotion
+    replay: Trajectory
+    difference: dict[str, float]
+    violation: dict[str, float]
+    units: dict[str, str]
+
+
+class _HandOver(NamedTuple):
+    """State in which a window begins.
+
+    Attributes
+    ----------
+    run : Trajectory
+        Trajectory whose last sample is the state.
+    inputs : dict of str to float
+        Inputs at this state; empty if they may jump.
+    ahead : Trajectory or None
+        Motion planned beyond this state, with times since then. [s]
+    begin, reached : float
+        Arc lengths of the route at the state and at the end of ``ahead``. [m]
+    """
+
+    run: Trajectory
+    inputs: dict[str, float]
+    ahead: Trajectory | None
+    begin: float
+    reached: float
+
+
+class _RouteLaw(NamedTuple):
+    """Driving law along a route, for initial guesses; speed in m/s, largest step in s."""
+
+    dae: Dae
+    vehicle: Vehicle
+    route: Path
+    speed: float
+    step: float
+
+    def guess(self, here: _HandOver, end: float) -> Trajectory:
+        """Return the motion ahead of a hand-over, continued along the route to an arc length."""
+        at = self.route.at(np.linspace(here.reached, end, WINDOW_POINTS))
+        path = Path(np.column_stack([at.x, at.y]))
+        duration = (end - here.reached) / self.speed
+        t = np.linspace(0, duration, max(int(np.ceil(duration / self.step)), 1) + 1)
+        law = follow(self.dae, self.vehicle, path, speed=self.speed)
+        rough = SolverOptions(tolerance=GUESS_TOLERANCE)
+        try:
+            run = simulate(self.dae, here.ahead or here.run, law, t, options=rough)
+        except SolverError as error:
+            if error.trajectory is None or error.trajectory.t.size < 2:
+                raise
+            run = error.trajectory
+        return _chained([here.ahead, run]) if here.ahead else run
+
+    def gate(self, guess: Trajectory, half: float) -> tuple[Limit, Limit]:
+        """Return conditions for an end on a line across a motion's end, of a half-width in m."""
+        dae = self.dae
+        x, y, heading = (float(guess[name][-1]) for name in ("x", "y", "heading"))
+        right, forward = dae.x.x - (x - dae.shift[0][0]), dae.x.y - (y - dae.shift[0][1])
+        ahead = forward * np.cos(heading) - right * np.sin(heading)
+        aside = right * np.cos(heading) + forward * np.sin(heading)
+        return (
+            Limit(Label("ahead", "m", "distance beyond the end of the window"), ahead, 0.0, 0.0),
+            Limit(Label("aside", "m", "distance to the right of the route"), aside, -half, half),
+        )
+
+    def nearest(self, here: _HandOver) -> _HandOver:
+        """Return a hand-over without the motion ahead, at the nearest point of the route."""
+        x, y = (float(here.run[name][-1]) for name in "xy")
+        s = np.linspace(0, self.route.length, int(self.route.length * POINTS_PER_METRE) + 2)
+        at = self.route.at(s)
+        nearest = float(s[np.hypot(at.x - x, at.y - y).argmin()])
+        return here._replace(ahead=None, begin=nearest, reached=nearest)
+
+
+@computing
+def plan_windows(
+    dae: Dae,
+    vehicle: Vehicle,
+    start: Trajectory,
+    route: Path,
+    *,
+    speed: float,
+    length: float,
+    overlap: float,
+    goal: Mapping[str, float | Range],
+    step: float = SAMPLE_STEP,
+    options: SolverOptions = SolverOptions(),
+    resume: SavedPlan | None = None,
+    progress: PlanProgress | None = None,
+    solve: Callable[..., Plan] = plan,
+    **arguments: Any,
+) -> LongPlan:
+    """Return a plan along a long route, planned in windows that overlap.
+
+    Parameters
+    ----------
+    dae, vehicle : Dae, Vehicle
+        Model of the vehicle, and the vehicle, which the driving law `follow` moves along the route
+        in the initial guesses.
+    start : Trajectory
+        Trajectory whose last sample is the start of the plan.
+    route : Path
+        Route from the start to the goal. At the end of each window but the last, the position is
+        that of the driving law; between these ends the motion may leave the route.
+    speed : float
+        Mean speed along the route. [m/s]
+    length, overlap : float
+        Length of a window, and length at its end that is planned again in the next window, along
+        the route. [m]
+    goal : mapping of str to float or (low, high)
+        Goal of the last window, as for `plan`.
+    step : float
+        Largest time between samples of the simulation. [s]
+    options : SolverOptions
+        As for `plan`.
+    resume : SavedPlan, optional
+        Former result of this function that ended before the goal; its motion is kept, and the
+        search continues at its end.
+    progress : callable, optional
+        As for `plan`; the description of each program begins with the position of the window.
+    solve : callable
+        Function with the arguments of `plan` that solves a window.
+    **arguments
+        Further arguments of `plan`: ``costs`` and optionally ``limits``, ``inputs``, ``intervals``
+        (of a window) and others, but neither ``duration`` nor ``way_points``.
+
+    Returns
+    -------
+    LongPlan
+        Plan up to the goal, or up to the last hand-over before a window without solution; the stop
+        of ``replay`` then names that window.
+
+    Raises
+    ------
+    ModelError
+        If speed or lengths are out of range, or an argument of `plan` is not valid.
+    SolverError
+        If no motion along the route can be simulated from the start.
+    """
+    if not (0 < overlap < length and speed > 0):
+        raise ModelError(
+            "plan_windows: expected a positive speed and a positive overlap shorter than the "
+            f"window, found {speed:g} m/s, a window of {length:g} m, an overlap of {overlap:g} m"
+        )
+    law, task, stop = _RouteLaw(dae, vehicle, route, speed, step), None, None
+    here, parts = _HandOver(start, {}, None, 0.0, 0.0), list[_Part]()
+    if resume is not None:
+        parts.append(_former_part(dae, start, resume, step, options))
+        here = law.nearest(here._replace(run=parts[0].replay))
+
+    def attempt(here: _HandOver, end: float) -> Plan:
+        guess = law.guess(here, end)
+        of = f"{here.begin:.0f} to {end:.0f} m of {route.length:.0f} m"
+        return solve(
+            dae,
+            here.run,
+            guess,
+            goal=goal if end == route.length else law.gate(guess, ASIDE * overlap),
+            duration=float(guess.t[-1]),
+            initial_inputs=here.inputs,
+            step=step,
+            options=options,
+            progress=progress and (lambda words, iterate: progress(f"{of}: {words}", iterate)),
+            **arguments,
+        )
+
+    while stop is None and here.reached < route.length - MIN_REST:
+        end = here.begin + length
+        end = route.length if route.length - end < overlap else end
+        found = attempt(here, end)
+        if not found.success and here.ahead and found.run.outcome is not Outcome.INTERRUPTED:
+            here = law.nearest(here)
+            found = attempt(here, end)
+        stop, task = _stop_of(found, here, end), found.program.task
+        if found.success or not parts:
+            t = sum(part.window.duration for part in parts)
+            rest = 0.0 if end == route.length or stop else overlap / speed
+            part, here = _hand_over(found, here, end, t, rest)
+            parts.append(part)
+    return _join(parts, task, stop, dae, options)
+
+
+def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
+    """Return the stop of a window that is not solved or whose simulation stops."""
+    stop = found.replay.stop if found.success else found.run.stop
+    if stop is None:
+        return None
+    words = f"the plan from {here.begin:.4g} to {end:.4g} m of the route: {stop.words}"
+    return stop._replace(words=words)
+
+
+def _hand_over(
+    found: Plan, here: _HandOver, end: float, t: float, rest: float
+) -> tuple[_Part, _HandOver]:
+    """Return the part of a window before its hand-over, and the hand-over.
+
+    Parameters
+    ----------
+    found : Plan
+        Plan of the window.
+    here : _HandOver
+        Beginning of the window.
+    end : float
+        Arc length at the end of the window. [m]
+    t : float
+        Time at the beginning of the window since the start. [s]
+    rest : float
+        Smallest duration of the motion after the hand-over. [s]
+    """
+    motion, run, dae = found.motion, found.replay, found.program.task.dae
+    times = motion.ends
+    count = int(np.searchsorted(times, times[-1] - rest + TIME_TOLERANCE)) - 1
+    count = max(count, 1)
+    last = min(int(np.searchsorted(run.t, times[count] - TIME_TOLERANCE)), run.t.size - 1)
+    own, ahead = run.part(slice(last + 1)), run.part(slice(last, None))
+    violation = {
+        name: size
+        for name, size in found.violation.items()
+        if not (rest and name.endswith(GOAL_SUFFIX))
+    }
+    iterations = sum(stage.iterations for stage in found.stages)
+    seconds = sum(stage.seconds["total"] for stage in found.stages)
+    window = Window(here.begin, end, t, float(own.t[-1]), iterations, seconds, found.accurate)
+    part = _Part(
+        window, first_intervals(motion, count), own, found.difference, violation, found.units
+    )
+    names = [label.full for label in leaves(dae.labels.u)]
+    values = motion.inputs(motion.mesh.ends[[count]]).ravel()
+    values = np.clip(values, *found.program.task.inputs.T)  # IPOPT relaxes bounds
+    return part, _HandOver(
+        own,
+        dict(zip(names, values.tolist(), strict=True)) if motion.continuous else {},
+        replace(ahead, t=ahead.t - ahead.t[0]) if ahead.t.size > 1 else None,
+        here.begin + (end - here.begin) * float(motion.mesh.ends[count]),
+        end,
+    )
+
+
+def _former_part(
+    dae: Dae, start: Trajectory, saved: SavedPlan, step: float, options: SolverOptions
+) -> _Part:
+    """Return a former plan as a part, simulated anew."""
+    motion = local_motion(saved, dae)
+    replay = simulate_plan(dae, start, motion, step=step, options=options)
+    if replay.stop is not None:
+        raise ModelError(
+            "plan: expected a saved plan that can be simulated to its end, found one that stops at "
+            f"{replay.t[-1]:.6g} s: {replay.stop.words}; plan without the saved plan"
+        )
+    window = Window(0.0, 0.0, 0.0, motion.duration, 0, 0.0, True)
+    return _Part(window, motion, replay, {}, {}, {})
+
+
+def _join(
+    parts: list[_Part],
+    task: PlanTask | None,
+    stop: Stop | None,
+    dae: Dae,
+    options: SolverOptions,
+) -> LongPlan:
+    """Return the plan composed of parts; ``task`` has the terms of its cost."""
+    motion = joined_motions([part.motion for part in parts])
+    replay = _chained([part.replay for part in parts])
+    windows = tuple(part.window for part in parts)
+    stop = stop and stop._replace(t=float(replay.t[-1]))
+    costs = [_costs(task, part.motion, options) for part in parts] if task else []
+    return LongPlan(
+        motion,
+        replace(replay, stop=stop),
+        windows,
+        _largest(part.difference for part in parts),
+        _largest(part.violation for part in parts),
+        {name: unit for part in parts for name, unit in part.units.items()},
+        {name: sum(each[name] for each in costs) for name in (costs[0] if costs else ())},
+        stop is None,
+        stop is None and all(window.accurate for window in windows),
+        save_motion(motion, dae),
+    )
+
+
+def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> dict[str, float]:
+    """Return the integrals of the terms of the cost over a motion, in their units."""
+    own = replace(
+        task,
+        start=motion.unknowns[motion.layout.first],
+        duration=(motion.duration, motion.duration),
+        conditions=(),
+        limits=(),
+    )
+    program = transcribe(own, motion.mesh, replace(options, compiled=False))
+    return cost_terms(program, transfer_motion(motion, program))
+
+
+def _largest(sizes: Iterable[dict[str, float]]) -> dict[str, float]:
+    """Return the largest value of each name."""
+    found: dict[str, float] = {}
+    for each in sizes:
+        found |= {name: max(size, found.get(name, 0.0)) for name, size in each.items()}
+    return found
+
+
+def _chained(runs: Sequence[Trajectory]) -> Trajectory:
+    """Return consecutive motions, each with times since its beginning, as one motion."""
+    ends = np.cumsum([0.0, *(run.t[-1] for run in runs)])
+    later = [
+        replace(run, t=run.t + t, events={k: v + t for k, v in run.events.items()})
+        for run, t in zip(runs, ends, strict=False)
+    ]
+    return joined(*(run.part(slice(-1)) for run in later[:-1]), later[-1])
