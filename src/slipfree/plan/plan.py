@@ -164,6 +164,11 @@ class Plan:
             inputs=(label.full for label in leaves(self.program.task.dae.labels.u)),
         )
 
+    @property
+    def compiled(self) -> bool:
+        """Whether the functions of the program are compiled."""
+        return self.program.compiled
+
     @cached_property
     def optimality(self) -> Optimality | None:
         """Second-order conditions at the solution; None if the program was not solved."""

@@ -14,13 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slipfree.control.path_following import follow
 from slipfree.dae import Dae, Limit
 from slipfree.errors import ModelError
 from slipfree.forks import computing
 from slipfree.geometry.path import Path
 from slipfree.outcome import Outcome
-from slipfree.plan.plan import SAMPLE_STEP, Plan, PlanProgress, cost_terms, plan
+from slipfree.plan.plan import SAMPLE_STEP, Plan, PlanProgress, SolvedStage, cost_terms, plan
 from slipfree.plan.polynomial_motion import (
     PolynomialMotion,
     first_intervals,
@@ -35,12 +34,12 @@ from slipfree.records import Label, field_overview, leaves, overview
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.simulate import simulate
 from slipfree.trajectory import SolverError, Stop, Trajectory, joined
-from slipfree.vehicle.tree import Vehicle
 
 GUESS_TOLERANCE = 1e-5  # tolerance of the simulation of guesses [m, rad]
 WINDOW_POINTS = 400  # points of the route in a guess
 POINTS_PER_METRE = 4  # of the route, where the nearest one is searched
 ASIDE = 0.25  # largest distance from the route at the end of a window [overlap]
+OTHER_LENGTHS = (0.5, -0.5)  # changes of the length of a window without solution [overlap]
 MIN_REST = 1e-6  # shortest part of a route that is planned [m]
 TIME_TOLERANCE = 1e-9  # largest difference of times that count as equal [s]
 GOAL_SUFFIX = " at the goal"  # of the violations of conditions at the end of a plan
@@ -95,6 +94,10 @@ class LongPlan:
         As for `Plan`: largest differences and violations of all windows, and total costs.
     success, accurate : bool
         Whether all windows were solved, and whether all of them are accurate.
+    stages : tuple of SolvedStage
+        Programs of all windows that were solved, in order.
+    compiled : bool
+        Whether the functions of the programs are compiled.
     saved : SavedPlan
         The motion, from which the search may continue or another one may start.
     """
@@ -108,6 +111,8 @@ class LongPlan:
     costs: dict[str, float]
     success: bool
     accurate: bool
+    stages: tuple[SolvedStage, ...]
+    compiled: bool
     saved: SavedPlan
 
     def __repr__(self) -> str:
@@ -125,7 +130,7 @@ class LongPlan:
 class _Part(NamedTuple):
     """Part of a window before its hand-over, or a former plan from which the search continues.
 
-    The dictionaries are those of `Plan`.
+    The last five values are those of `Plan`.
     """
 
     window: Window
@@ -134,6 +139,8 @@ class _Part(NamedTuple):
     difference: dict[str, float]
     violation: dict[str, float]
     units: dict[str, str]
+    stages: tuple[SolvedStage, ...]
+    compiled: bool
 
 
 class _HandOver(NamedTuple):
@@ -145,43 +152,46 @@ class _HandOver(NamedTuple):
         Trajectory whose last sample is the state.
     inputs : dict of str to float
         Inputs at this state; empty if they may jump.
-    ahead : Trajectory or None
-        Motion planned beyond this state, with times since then. [s]
-    begin, reached : float
-        Arc lengths of the route at the state and at the end of ``ahead``. [m]
+    reached : float
+        Arc length of the nearest point of the route. [m]
     """
 
     run: Trajectory
     inputs: dict[str, float]
-    ahead: Trajectory | None
-    begin: float
     reached: float
 
 
 class _RouteLaw(NamedTuple):
-    """Driving law along a route, for initial guesses; speed in m/s, largest step in s."""
+    """Driving law along a route, for initial guesses.
+
+    ``speed`` is in m/s, the largest step of samples in s; a motion that begins beside the route
+    approaches it over the length ``approach`` in m.
+    """
 
     dae: Dae
-    vehicle: Vehicle
+    law: Callable[[Path], Any]
     route: Path
     speed: float
     step: float
+    approach: float
 
     def guess(self, here: _HandOver, end: float) -> Trajectory:
-        """Return the motion ahead of a hand-over, continued along the route to an arc length."""
-        at = self.route.at(np.linspace(here.reached, end, WINDOW_POINTS))
-        path = Path(np.column_stack([at.x, at.y]))
+        """Return the motion along the route from a hand-over to an arc length."""
+        s = np.linspace(here.reached, end, WINDOW_POINTS)
+        at = self.route.at(s)
+        points = np.column_stack([at.x, at.y])
+        away = np.array([float(here.run[name][-1]) for name in "xy"]) - points[0]
+        left = np.clip(1 - (s - here.reached) / min(self.approach, end - here.reached), 0, 1)
+        path = Path(points + away * (left**2 * (3 - 2 * left))[:, None])
         duration = (end - here.reached) / self.speed
         t = np.linspace(0, duration, max(int(np.ceil(duration / self.step)), 1) + 1)
-        law = follow(self.dae, self.vehicle, path, speed=self.speed)
         rough = SolverOptions(tolerance=GUESS_TOLERANCE)
         try:
-            run = simulate(self.dae, here.ahead or here.run, law, t, options=rough)
+            return simulate(self.dae, here.run, self.law(path), t, options=rough)
         except SolverError as error:
             if error.trajectory is None or error.trajectory.t.size < 2:
                 raise
-            run = error.trajectory
-        return _chained([here.ahead, run]) if here.ahead else run
+            return error.trajectory
 
     def gate(self, guess: Trajectory, half: float) -> tuple[Limit, Limit]:
         """Return conditions for an end on a line across a motion's end, of a half-width in m."""
@@ -195,19 +205,18 @@ class _RouteLaw(NamedTuple):
             Limit(Label("aside", "m", "distance to the right of the route"), aside, -half, half),
         )
 
-    def nearest(self, here: _HandOver) -> _HandOver:
-        """Return a hand-over without the motion ahead, at the nearest point of the route."""
-        x, y = (float(here.run[name][-1]) for name in "xy")
-        s = np.linspace(0, self.route.length, int(self.route.length * POINTS_PER_METRE) + 2)
+    def nearest(self, run: Trajectory, low: float, high: float) -> float:
+        """Return the arc length between two that is nearest to the end of a motion."""
+        x, y = (float(run[name][-1]) for name in "xy")
+        s = np.linspace(low, high, int((high - low) * POINTS_PER_METRE) + 2)
         at = self.route.at(s)
-        nearest = float(s[np.hypot(at.x - x, at.y - y).argmin()])
-        return here._replace(ahead=None, begin=nearest, reached=nearest)
+        return float(s[np.hypot(at.x - x, at.y - y).argmin()])
 
 
 @computing
 def plan_windows(
     dae: Dae,
-    vehicle: Vehicle,
+    law: Callable[[Path], Any],
     start: Trajectory,
     route: Path,
     *,
@@ -219,16 +228,17 @@ def plan_windows(
     options: SolverOptions = SolverOptions(),
     resume: SavedPlan | None = None,
     progress: PlanProgress | None = None,
-    solve: Callable[..., Plan] = plan,
     **arguments: Any,
 ) -> LongPlan:
     """Return a plan along a long route, planned in windows that overlap.
 
     Parameters
     ----------
-    dae, vehicle : Dae, Vehicle
-        Model of the vehicle, and the vehicle, which the driving law `follow` moves along the route
-        in the initial guesses.
+    dae : Dae
+        Model of the vehicle.
+    law : callable
+        Function that returns inputs which move the vehicle along a path from its beginning, for the
+        initial guesses, such as ``partial(follow, dae, vehicle, speed=speed)``.
     start : Trajectory
         Trajectory whose last sample is the start of the plan.
     route : Path
@@ -250,11 +260,10 @@ def plan_windows(
         search continues at its end.
     progress : callable, optional
         As for `plan`; the description of each program begins with the position of the window.
-    solve : callable
-        Function with the arguments of `plan` that solves a window.
     **arguments
         Further arguments of `plan`: ``costs`` and optionally ``limits``, ``inputs``, ``intervals``
-        (of a window) and others, but neither ``duration`` nor ``way_points``.
+        (of a window) and others, but neither ``duration``,
+        ``way_points`` nor ``cost_limits``.
 
     Returns
     -------
@@ -274,20 +283,21 @@ def plan_windows(
             "plan_windows: expected a positive speed and a positive overlap shorter than the "
             f"window, found {speed:g} m/s, a window of {length:g} m, an overlap of {overlap:g} m"
         )
-    law, task, stop = _RouteLaw(dae, vehicle, route, speed, step), None, None
-    here, parts = _HandOver(start, {}, None, 0.0, 0.0), list[_Part]()
+    guide, task, stop = _RouteLaw(dae, law, route, speed, step, overlap), None, None
+    here, parts = _HandOver(start, {}, 0.0), list[_Part]()
     if resume is not None:
         parts.append(_former_part(dae, start, resume, step, options))
-        here = law.nearest(here._replace(run=parts[0].replay))
+        run = parts[0].replay
+        here = here._replace(run=run, reached=guide.nearest(run, 0.0, route.length))
 
     def attempt(here: _HandOver, end: float) -> Plan:
-        guess = law.guess(here, end)
-        of = f"{here.begin:.0f} to {end:.0f} m of {route.length:.0f} m"
-        return solve(
+        guess = guide.guess(here, end)
+        of = f"{here.reached:.0f} to {end:.0f} m of {route.length:.0f} m"
+        return plan(
             dae,
             here.run,
             guess,
-            goal=goal if end == route.length else law.gate(guess, ASIDE * overlap),
+            goal=goal if end == route.length else guide.gate(guess, ASIDE * overlap),
             duration=float(guess.t[-1]),
             initial_inputs=here.inputs,
             step=step,
@@ -297,18 +307,20 @@ def plan_windows(
         )
 
     while stop is None and here.reached < route.length - MIN_REST:
-        end = here.begin + length
-        end = route.length if route.length - end < overlap else end
-        found = attempt(here, end)
-        if not found.success and here.ahead and found.run.outcome is not Outcome.INTERRUPTED:
-            here = law.nearest(here)
+        for length_now in (length, *(length + part * overlap for part in OTHER_LENGTHS)):
+            end = here.reached + length_now
+            end = route.length if route.length - end < overlap else end
             found = attempt(here, end)
+            if found.success or found.run.outcome is Outcome.INTERRUPTED:
+                break
         stop, task = _stop_of(found, here, end), found.program.task
         if found.success or not parts:
             t = sum(part.window.duration for part in parts)
             rest = 0.0 if end == route.length or stop else overlap / speed
-            part, here = _hand_over(found, here, end, t, rest)
+            part, inputs = _first_part(found, here.reached, end, t, rest)
             parts.append(part)
+            reached = guide.nearest(part.replay, here.reached, end) if rest else end
+            here = _HandOver(part.replay, inputs, reached)
     return _join(parts, task, stop, dae, options)
 
 
@@ -317,34 +329,32 @@ def _stop_of(found: Plan, here: _HandOver, end: float) -> Stop | None:
     stop = found.replay.stop if found.success else found.run.stop
     if stop is None:
         return None
-    words = f"the plan from {here.begin:.4g} to {end:.4g} m of the route: {stop.words}"
+    words = f"the plan from {here.reached:.4g} to {end:.4g} m of the route: {stop.words}"
     return stop._replace(words=words)
 
 
-def _hand_over(
-    found: Plan, here: _HandOver, end: float, t: float, rest: float
-) -> tuple[_Part, _HandOver]:
-    """Return the part of a window before its hand-over, and the hand-over.
+def _first_part(
+    found: Plan, begin: float, end: float, t: float, rest: float
+) -> tuple[_Part, dict[str, float]]:
+    """Return the part of a window before its hand-over, and the inputs at the hand-over.
 
     Parameters
     ----------
     found : Plan
         Plan of the window.
-    here : _HandOver
-        Beginning of the window.
-    end : float
-        Arc length at the end of the window. [m]
+    begin, end : float
+        Arc lengths of the route at the beginning and at the end of the window. [m]
     t : float
         Time at the beginning of the window since the start. [s]
     rest : float
         Smallest duration of the motion after the hand-over. [s]
     """
-    motion, run, dae = found.motion, found.replay, found.program.task.dae
+    motion, run = found.motion, found.replay
     times = motion.ends
     count = int(np.searchsorted(times, times[-1] - rest + TIME_TOLERANCE)) - 1
     count = max(count, 1)
     last = min(int(np.searchsorted(run.t, times[count] - TIME_TOLERANCE)), run.t.size - 1)
-    own, ahead = run.part(slice(last + 1)), run.part(slice(last, None))
+    own = run.part(slice(last + 1))
     violation = {
         name: size
         for name, size in found.violation.items()
@@ -352,20 +362,23 @@ def _hand_over(
     }
     iterations = sum(stage.iterations for stage in found.stages)
     seconds = sum(stage.seconds["total"] for stage in found.stages)
-    window = Window(here.begin, end, t, float(own.t[-1]), iterations, seconds, found.accurate)
+    duration = float(own.t[-1])
     part = _Part(
-        window, first_intervals(motion, count), own, found.difference, violation, found.units
+        Window(begin, end, t, duration, iterations, seconds, found.accurate),
+        first_intervals(motion, count),
+        own,
+        found.difference,
+        violation,
+        found.units,
+        found.stages,
+        found.compiled,
     )
-    names = [label.full for label in leaves(dae.labels.u)]
+    if not motion.continuous:  # the inputs may jump
+        return part, {}
+    names = [label.full for label in leaves(found.program.task.dae.labels.u)]
     values = motion.inputs(motion.mesh.ends[[count]]).ravel()
     values = np.clip(values, *found.program.task.inputs.T)  # IPOPT relaxes bounds
-    return part, _HandOver(
-        own,
-        dict(zip(names, values.tolist(), strict=True)) if motion.continuous else {},
-        replace(ahead, t=ahead.t - ahead.t[0]) if ahead.t.size > 1 else None,
-        here.begin + (end - here.begin) * float(motion.mesh.ends[count]),
-        end,
-    )
+    return part, dict(zip(names, values.tolist(), strict=True))
 
 
 def _former_part(
@@ -380,7 +393,7 @@ def _former_part(
             f"{replay.t[-1]:.6g} s: {replay.stop.words}; plan without the saved plan"
         )
     window = Window(0.0, 0.0, 0.0, motion.duration, 0, 0.0, True)
-    return _Part(window, motion, replay, {}, {}, {})
+    return _Part(window, motion, replay, {}, {}, {}, (), False)
 
 
 def _join(
@@ -406,6 +419,8 @@ def _join(
         {name: sum(each[name] for each in costs) for name in (costs[0] if costs else ())},
         stop is None,
         stop is None and all(window.accurate for window in windows),
+        tuple(stage for part in parts for stage in part.stages),
+        parts[-1].compiled,
         save_motion(motion, dae),
     )
 
@@ -418,6 +433,7 @@ def _costs(task: PlanTask, motion: PolynomialMotion, options: SolverOptions) -> 
         duration=(motion.duration, motion.duration),
         conditions=(),
         limits=(),
+        cost_limits=(),
     )
     program = transcribe(own, motion.mesh, replace(options, compiled=False))
     return cost_terms(program, transfer_motion(motion, program))

@@ -20,12 +20,13 @@ from slipfree.models.quasi_statics import quasi_statics
 from slipfree.outcome import Outcome
 from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
 from slipfree.plan.messages import missed_words
-from slipfree.plan.plan import Plan, plan
+from slipfree.plan.plan import Plan, PlanProgress, plan
 from slipfree.plan.prices import prices_words
 from slipfree.plan.problem import bounds_of, limits_of, task_of
 from slipfree.plan.starts import further_guesses
 from slipfree.plan.verification import simulate_plan
 from slipfree.plan.warm_start import ARRAY_PREFIX, SavedPlan, from_arrays
+from slipfree.plan.windows import LongPlan
 from slipfree.problem.build_common import (
     Setup,
     build_start,
@@ -64,6 +65,7 @@ from slipfree.problem.verbs.plan_starts import (
     start_result,
     starts_words,
 )
+from slipfree.problem.verbs.plan_windows import check_windows, long_plan, windows_words
 from slipfree.records import Array, Label, leaves
 from slipfree.routing.reachability import unreachable
 from slipfree.routing.regions import Region
@@ -155,6 +157,7 @@ class PlanVerb(DriveVerb):
             raise ProblemError(f"{where}: {'; '.join(each.words for each in wrong)}")
         start, (t, _) = build_start(problem, dae), samples(spec.time, spec.inputs or {})
         paths = initial_paths(problem, spec, layers, places)
+        check_windows(problem, spec, vehicle, paths)
         starts = _starts(problem, dae, vehicle, start, paths)
         _check_quantities(problem, dae)
         with at(problem, ("plan",)):
@@ -194,6 +197,8 @@ class PlanVerb(DriveVerb):
         """Return the simulated motion of a plan, and the plan as arrays for a warm start."""
         spec = problem.spec
         progress, table = _iterate_reporter(watch.line), ""
+        if spec.plan.window is not None:
+            return self._drive_windows(problem, setup, progress, resume)
         if resume is None and spec.plan.starts > 1:
             resume, table, is_interrupted = _best_start(problem, setup, watch)
             progress = _stopped if is_interrupted else progress
@@ -204,18 +209,26 @@ class PlanVerb(DriveVerb):
         run, stop = found.replay, found.run.stop
         if stop is not None and not found.success:
             run = replace(run, stop=stop._replace(t=float(run.t[-1])))
-        elif run.stop is None and not found.accurate:
-            run = replace(run, stop=_inaccurate(spec, found))
         attributes = {
-            **run.attributes,
-            **_violations(found, spec.plan.accuracy),
             **_optimality(found),
-            **_by_friction(setup, found),
             **_by_stiffness(problem, setup, found),
             **({"plan_starts": table} if table else {}),
         }
-        statistics = {**run.statistics, **_statistics(found)}
-        return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
+        return _described(spec, setup, found, run, attributes)
+
+    def _drive_windows(
+        self,
+        problem: Problem[plan_schema.Plan],
+        setup: Planning,
+        progress: PlanProgress,
+        resume: SavedPlan | None,
+    ) -> tuple[Trajectory, Mapping[str, Array]]:
+        """Return the simulated motion of a plan in windows, and the plan as arrays."""
+        spec, model = problem.spec, (setup.dae, setup.vehicle, setup.terrain)
+        arguments = _plan_arguments(problem, spec, setup.keep_out, model, setup.between)
+        found = long_plan(problem, setup, arguments, resume, progress)
+        attributes = {"plan_windows": windows_words(found)}
+        return _described(spec, setup, found, found.replay, attributes)
 
     def attributes(self, problem: Problem[Any], setup: Setup) -> dict[str, str]:
         """Return the attributes of the result, including model and law."""
@@ -258,6 +271,26 @@ class PlanVerb(DriveVerb):
         found, problem = super().shown(result, name), result.problem
         planned = poses_of_plan(result.trajectory, result.arrays, found.terrain)
         return found._replace(keep_out=regions(problem, problem.spec), plan=planned)
+
+
+def _described(
+    spec: plan_schema.Plan,
+    setup: Planning,
+    found: Plan | LongPlan,
+    run: Trajectory,
+    attributes: Mapping[str, str],
+) -> tuple[Trajectory, Mapping[str, Array]]:
+    """Return the simulation of a plan with its attributes and statistics, and the saved plan."""
+    if run.stop is None and not found.accurate:
+        run = replace(run, stop=_inaccurate(spec, found))
+    attributes = {
+        **run.attributes,
+        **_violations(found, spec.plan.accuracy),
+        **_by_friction(setup, found),
+        **attributes,
+    }
+    statistics = {**run.statistics, **_statistics(found)}
+    return replace(run, attributes=attributes, statistics=statistics), found.saved.arrays
 
 
 def _check_quantities(problem: Problem[plan_schema.Plan], dae: Dae) -> None:
@@ -346,7 +379,7 @@ def _kept_out(
     ]
 
 
-def _violations(found: Plan, accuracy: float) -> dict[str, str]:
+def _violations(found: Plan | LongPlan, accuracy: float) -> dict[str, str]:
     """Return the description of violations in the simulation, as an attribute if there are any."""
     sizes = {name: size for name, size in found.violation.items() if size > ROUNDING}
     if not sizes:
@@ -365,7 +398,7 @@ def _optimality(found: Plan) -> dict[str, str]:
     }
 
 
-def _inaccurate(spec: plan_schema.Plan, found: Plan) -> Stop:
+def _inaccurate(spec: plan_schema.Plan, found: Plan | LongPlan) -> Stop:
     """Return the stop of a solved plan whose simulation misses the required accuracy."""
     sizes = found.difference | found.violation
     parts = {name: size for name, size in sizes.items() if size > spec.plan.accuracy}
@@ -553,7 +586,7 @@ def _settled_at(dae: Dae, setup: Planning) -> Trajectory:
     return settle(dae, options=setup.spec.solver.options, **values)
 
 
-def _by_friction(setup: Planning, found: Plan) -> dict[str, str]:
+def _by_friction(setup: Planning, found: Plan | LongPlan) -> dict[str, str]:
     """Return the description of the quasi-static motion under the plan's inputs, if possible."""
     able = has_exact_closure(setup.vehicle) and setup.vehicle.mass and setup.terrain.has_friction
     if not (found.success and able and setup.spec.model != "quasi-static"):
@@ -610,7 +643,7 @@ def _by_stiffness(
     return {"by_stiffness": f"ends {apart:.3g} m from the plan"}
 
 
-def _statistics(found: Plan) -> dict[str, float]:
+def _statistics(found: Plan | LongPlan) -> dict[str, float]:
     """Return the costs of a plan, and the errors of its simulation."""
     times = [stage.seconds for stage in found.stages]
     return {
@@ -623,7 +656,7 @@ def _statistics(found: Plan) -> dict[str, float]:
             f"plan_violation_{re.sub('[^a-zA-Z0-9.]+', '_', name).strip('_')}": size
             for name, size in found.violation.items()
         },
-        "plan_compiled": float(found.program.compiled),
+        "plan_compiled": float(found.compiled),
         "plan_intervals": float(found.motion.mesh.ends.size - 1),
     }
 

@@ -34,6 +34,8 @@ def plan_facts(run: Trajectory) -> Iterator[tuple[str, str]]:
             f"of which {counts['plan_seconds_functions']:.3g} s in functions"
         ),
     )
+    if "plan_windows" in run.attributes:
+        yield "windows", run.attributes["plan_windows"]
     if "plan_starts" in run.attributes:
         head, *rows = run.attributes["plan_starts"].splitlines()
         yield "starts", head

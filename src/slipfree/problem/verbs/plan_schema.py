@@ -80,6 +80,16 @@ class Search(Record):
     seed: Annotated[int, Field(ge=0)] = Field(
         default=0, description="seed of the perturbations of the starts"
     )
+    window: Positive | None = Field(
+        default=None,
+        description="length of the windows of a long plan along its route, with 'intervals' each; "
+        "default: one plan for the whole motion [m]",
+    )
+    overlap: Positive | None = Field(
+        default=None,
+        description="length at the end of a window that is planned again in the next window; "
+        "default: a third of the window [m]",
+    )
     accuracy: Positive = Field(
         default=1e-3,
         description="largest deviation of the simulation from the plan and its limits [m, rad]",

@@ -1,0 +1,157 @@
+"""Long plans of planning problems: windows along a route."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slipfree.contact.closure import has_exact_closure
+from slipfree.control.path_following import follow
+from slipfree.errors import ModelError
+from slipfree.geometry.path import Path
+from slipfree.plan.plan import PlanProgress
+from slipfree.plan.warm_start import SavedPlan
+from slipfree.plan.windows import LongPlan, plan_windows
+from slipfree.problem.build_ground import at
+from slipfree.problem.problem import Problem
+from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.records import Array
+from slipfree.vehicle.tree import Vehicle
+
+if TYPE_CHECKING:
+    from slipfree.problem.verbs.plan import Planning
+
+OVERLAP = 1 / 3  # default length that is planned again [window]
+
+
+def check_windows(
+    problem: Problem[Plan], spec: Plan, vehicle: Vehicle, paths: tuple[Array, ...]
+) -> None:
+    """Raise ProblemError if a problem with windows has keys or a vehicle that do not suit them."""
+    window = spec.plan.window
+    if window is None:
+        if spec.plan.overlap is not None:
+            with at(problem, ("plan", "overlap")):
+                raise ModelError(
+                    "plan.overlap: expected it together with plan.window, found it alone; add "
+                    "plan.window or remove plan.overlap"
+                )
+        return
+    for key, words in _contradictions(spec, vehicle, paths, window):
+        with at(problem, key):
+            raise ModelError(words)
+
+
+def _contradictions(
+    spec: Plan, vehicle: Vehicle, paths: tuple[Array, ...], window: float
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield key and message of each reason why a problem cannot be planned in windows."""
+    if len(paths) != 1:
+        yield (
+            ("plan", "window"),
+            "plan.window: expected a driver that follows one path (name = 'route' with count = 1, "
+            f"or 'follow' with path or file), found {len(paths)} paths; change the driver or "
+            "remove plan.window",
+        )
+        return
+    if _overlap(spec, window) >= window:
+        yield (
+            ("plan", "overlap"),
+            f"plan.overlap: expected less than the window, {window:g} m, found "
+            f"{_overlap(spec, window):g} m; reduce it",
+        )
+    for name, is_given in (
+        ("duration", spec.plan.duration is not None),
+        ("starts", spec.plan.starts > 1),
+    ):
+        if is_given:
+            yield (
+                ("plan", name),
+                f"plan.{name}: not possible together with plan.window; remove one of them",
+            )
+    for name, advice in (
+        ("way_points", "remove them, or lead the driver's path through them"),
+        ("cost_limits", "remove them"),
+    ):
+        if getattr(spec, name):
+            yield (name,), f"{name}: not possible together with plan.window; {advice}"
+    if not has_exact_closure(vehicle):
+        yield (
+            ("plan", "window"),
+            f"plan.window: expected a vehicle whose wheels all touch the ground by its kinematics, "
+            f"found {vehicle.name}, whose wheels are pressed into it; remove plan.window",
+        )
+    speed = abs(spec.driver.speed) if spec.driver else 1.0
+    least = Path(paths[0]).length / speed
+    if spec.time.duration < least:
+        yield (
+            ("time", "duration"),
+            f"time.duration: expected at least {least:.6g} s, which the path takes at "
+            f"{speed:g} m/s, found {spec.time.duration:g} s; raise it",
+        )
+
+
+def _overlap(spec: Plan, window: float) -> float:
+    """Return the overlap of the windows [m]."""
+    return OVERLAP * window if spec.plan.overlap is None else spec.plan.overlap
+
+
+def long_plan(
+    problem: Problem[Plan],
+    setup: Planning,
+    arguments: Mapping[str, Any],
+    resume: SavedPlan | None,
+    progress: PlanProgress,
+) -> LongPlan:
+    """Return the plan of a problem in windows.
+
+    Parameters
+    ----------
+    problem, setup : Problem, Planning
+        The problem and its set-up.
+    arguments : mapping
+        Arguments of `plan` for the problem.
+    resume : SavedPlan or None
+        Plan in windows from which the search continues.
+    progress : callable
+        As for `plan_windows`.
+    """
+    spec = setup.spec
+    window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
+    options = {name: value for name, value in arguments.items() if name != "way_points"}
+    with at(problem, ("plan",)):
+        return plan_windows(
+            setup.dae,
+            partial(follow, setup.dae, setup.vehicle, speed=speed),
+            setup.start,
+            Path(setup.paths[0]),
+            speed=abs(speed),
+            length=window,
+            overlap=_overlap(spec, window),
+            intervals=spec.plan.intervals,
+            degree=spec.plan.degree,
+            accuracy=spec.plan.accuracy,
+            step=spec.time.step,
+            options=spec.solver.options,
+            resume=resume,
+            progress=progress,
+            **options,
+        )
+
+
+def windows_words(found: LongPlan) -> str:
+    """Return number, size and time of the windows of a plan."""
+    windows, metres = found.windows, found.windows[-1].end
+    counts = [window.iterations for window in windows]
+    seconds = sum(window.seconds for window in windows)
+    inaccurate = [f"{window.t:.6g} s" for window in windows if not window.accurate]
+    number = "one window" if len(windows) == 1 else f"{len(windows)} windows"
+    return (
+        f"{number} up to {metres:.6g} m of the route, {min(counts)} to {max(counts)} iterations "
+        f"each (median {np.median(counts):.0f}), {1e3 * seconds / metres:.3g} s of search per "
+        "kilometre"
+        + (f"; not accurate: those that begin at {', '.join(inaccurate)}" if inaccurate else "")
+    )
