@@ -61,8 +61,10 @@ class SavedPlan(NamedTuple):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """Arrays to write to a file, by name."""
-        return {f"{ARRAY_PREFIX}{name}": value for name, value in self._asdict().items()}
+        """Arrays to write to a file, by name; files have no empty arrays."""
+        return {
+            f"{ARRAY_PREFIX}{name}": value for name, value in self._asdict().items() if value.size
+        }
 
 
 def save_plan(program: Program, found: Solution) -> SavedPlan:
@@ -131,10 +133,11 @@ def from_arrays(arrays: Mapping[str, Array], where: str) -> SavedPlan:
     DataError
         If an array of a plan is missing.
     """
-    names = [f"{ARRAY_PREFIX}{name}" for name in SavedPlan._fields]
-    if not set(names) <= set(arrays):
+    multipliers = {"bound_multipliers", "row_multipliers"}
+    found = {name: arrays.get(f"{ARRAY_PREFIX}{name}") for name in SavedPlan._fields}
+    if any(value is None for name, value in found.items() if name not in multipliers):
         raise DataError(
             f"{where}: expected the result of a plan, found no plan in it; give a file that "
             'slipfree run wrote for a problem with verb = "plan"'
         )
-    return SavedPlan(*(arrays[name] for name in names))
+    return SavedPlan(*(np.zeros(0) if value is None else value for value in found.values()))

@@ -286,9 +286,10 @@ def plan_windows(
     guide, task, stop = _RouteLaw(dae, law, route, speed, step, overlap), None, None
     here, parts = _HandOver(start, {}, 0.0), list[_Part]()
     if resume is not None:
-        parts.append(_former_part(dae, start, resume, step, options))
-        run = parts[0].replay
-        here = here._replace(run=run, reached=guide.nearest(run, 0.0, route.length))
+        former = _former_part(dae, start, resume, step, options)
+        reached = guide.nearest(former.replay, 0.0, route.length)
+        parts.append(former._replace(window=former.window._replace(end=reached)))
+        here = here._replace(run=former.replay, reached=reached)
 
     def attempt(here: _HandOver, end: float) -> Plan:
         guess = guide.guess(here, end)

@@ -1,0 +1,85 @@
+"""Problems planned in windows: result, summary, continuation, and keys that do not suit them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+from slipfree.files.toml.errors import ProblemError
+from slipfree.outcome import Outcome
+from slipfree.plan.warm_start import from_arrays
+from slipfree.problem.load import load_problem
+from slipfree.problem.solve import build, run_problem
+
+HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+WINDOWS = (
+    "inputs=",
+    "driver={name='follow', speed=0.25, path=[[0.0, 0.0], [0.2, 1.5], [0.6, 2.6]]}",
+    "plan.window=1.2",
+    "plan.overlap=0.4",
+    "plan.intervals=8",
+)
+
+
+def test_the_summary_tells_of_the_windows_and_the_result_can_be_resumed(tmp_path):
+    file = tmp_path / "windows.nc"
+    settings = [word for setting in WINDOWS for word in ("--set", setting)]
+    command = ["run", str(HILLS), "-o", str(file), "--no-draw", *settings]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    assert "outcome  " in result.stdout
+    assert "windows up to 2.68" in result.stdout
+    assert "iterations each" in result.stdout
+    resumed = CliRunner().invoke(app, [*command, "--resume", str(file)])
+    assert resumed.exit_code == 0, resumed.output
+
+
+def test_ctrl_c_keeps_the_windows_before_it():
+    problem = load_problem(HILLS, WINDOWS)
+
+    def interrupt(phase, _):
+        if not phase.startswith("0 to"):
+            raise KeyboardInterrupt
+
+    kept = run_problem(problem, tell=interrupt)
+    run = kept.trajectory
+    assert run.outcome is Outcome.INTERRUPTED
+    assert "m of the route" in run.stop.words
+    assert 0 < run.t[-1] < 10
+    rest = run_problem(problem, resume=from_arrays(kept.arrays, "kept"))
+    assert rest.trajectory.outcome is Outcome.COMPLETE
+    assert np.hypot(rest.trajectory["x"][-1] - 0.6, rest.trajectory["y"][-1] - 2.6) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (("plan.window=",), "plan.overlap: expected it together with plan.window"),
+        (("plan.overlap=1.2",), "plan.overlap: expected less than the window, 1.2 m, found 1.2 m"),
+        (("plan.duration=10.0",), "plan.duration: not possible together with plan.window"),
+        (("plan.starts=2",), "plan.starts: not possible together with plan.window"),
+        (("way_points=[{at=0.5, x=0.2}]",), "way_points: not possible together with plan.window"),
+        (("time.duration=5.0",), "time.duration: expected at least 10.7"),
+        (("driver=", "inputs={right_rate=0.4, left_rate=0.4, steer_rate=0.0}"), "expected a driver that follows"),
+    ],
+)
+def test_keys_that_do_not_suit_windows_are_refused(settings, words):
+    with pytest.raises(ProblemError) as error:
+        build(load_problem(HILLS, (*WINDOWS, *settings)))
+    assert words in str(error.value)
+
+
+def test_wheels_pressed_into_the_ground_are_refused():
+    settings = (
+        "inputs=",
+        "driver={name='follow', speed=0.5, path=[[0.0, 0.0], [5.0, 0.5]]}",
+        "plan.window=2.0",
+        "time.duration=12.0",
+    )
+    problem = load_problem(HILLS.with_name("plan_rigid_robot.toml"), settings)
+    with pytest.raises(ProblemError, match="found rigid_skid_steer, whose wheels are pressed"):
+        build(problem)
