@@ -28,9 +28,10 @@ GOALS = {"0.4 km": (900.0, 2900.0), "1.3 km": (1400.0, 2000.0), "3.5 km": (2600.
 def words(run: Trajectory) -> str:
     """Return slip and utilisation of a motion."""
     slip = np.trapezoid(np.hypot(run["slip_along"], run["slip_across"]), run.t, axis=0).mean()
+    slip = 1e3 * slip / path_length(run)
     return (
-        f"{run.outcome.name.lower()}, {path_length(run):.0f} m, slip "
-        f"{1e3 * slip / path_length(run):.4f} mm/m, utilisation at most {run['utilisation'].max():.3f}"
+        f"{run.outcome.name.lower()}, {path_length(run):.0f} m, slip {slip:.4f} mm/m, "
+        f"utilisation at most {run['utilisation'].max():.3f}"
     )
 
 

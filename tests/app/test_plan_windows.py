@@ -62,9 +62,13 @@ def test_ctrl_c_keeps_the_windows_before_it():
         (("plan.overlap=1.2",), "plan.overlap: expected less than the window, 1.2 m, found 1.2 m"),
         (("plan.duration=10.0",), "plan.duration: not possible together with plan.window"),
         (("plan.starts=2",), "plan.starts: not possible together with plan.window"),
+        (("cost_limits={effort=9.0}",), "cost_limits: not possible together with plan.window"),
         (("way_points=[{at=0.5, x=0.2}]",), "way_points: not possible together with plan.window"),
         (("time.duration=5.0",), "time.duration: expected at least 10.7"),
-        (("driver=", "inputs={right_rate=0.4, left_rate=0.4, steer_rate=0.0}"), "expected a driver that follows"),
+        (
+            ("driver=", "inputs={right_rate=0.4, left_rate=0.4, steer_rate=0.0}"),
+            "expected a driver that follows",
+        ),
     ],
 )
 def test_keys_that_do_not_suit_windows_are_refused(settings, words):

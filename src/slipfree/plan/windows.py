@@ -262,8 +262,7 @@ def plan_windows(
         As for `plan`; the description of each program begins with the position of the window.
     **arguments
         Further arguments of `plan`: ``costs`` and optionally ``limits``, ``inputs``, ``intervals``
-        (of a window) and others, but neither ``duration``,
-        ``way_points`` nor ``cost_limits``.
+        (of a window) and others, but neither ``duration``, ``way_points`` nor ``cost_limits``.
 
     Returns
     -------
