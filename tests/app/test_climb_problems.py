@@ -319,7 +319,7 @@ def test_the_least_friction_takes_no_coefficient():
             "kinetic = 0.675",
             "kinetic = 1",
             "p.toml:16: friction: contact: expected a damping of at "
-            "least 0 and a static friction not below the dynamic friction",
+            "least 0 and a static friction not below the kinetic friction",
         ),
         (
             "speed = 0.25",

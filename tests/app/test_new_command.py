@@ -14,7 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 from slipfree import cli
-from slipfree.cli.common import reported, tell
+from slipfree.cli.common import print_facts, reported
 from slipfree.cli.messages import with_output_options
 
 
@@ -23,7 +23,7 @@ def count(file: Annotated[Path, typer.Argument(metavar="OUT.nc", help="Result fi
     with reported():
         from slipfree.files.netcdf import read
 
-        tell([("samples", str(read(file).t.size))])
+        print_facts([("samples", str(read(file).t.size))])
 
 
 @pytest.fixture

@@ -132,7 +132,7 @@ def test_examples_that_are_none() -> None:
     result = _invoke("examples", "paper_dirct")
     assert result.exit_code == 2
     assert "did you mean 'paper_direct'?" in result.stderr
-    assert "slipfree examples lists them" in _invoke("examples", "xyz").stderr
+    assert "list them with slipfree examples" in _invoke("examples", "xyz").stderr
     assert (
         "expected a folder that exists or can be made"
         in _invoke("examples", "--to", "p.toml").stderr
@@ -170,7 +170,7 @@ def test_verbose_says_what_is_done_and_when() -> None:
     assert names[0] == names[1]
     both = _invoke("run", "p.toml", "-v", "-q")
     assert both.exit_code == 2
-    assert both.stderr == "expected --quiet or --verbose, found both\n"
+    assert both.stderr == "expected --quiet or --verbose, found both; remove one of them\n"
 
 
 def test_run_in_json() -> None:
@@ -282,7 +282,7 @@ def test_numbers_that_json_does_not_have_become_null() -> None:
 
 def test_facts_below_others_are_named_with_them() -> None:
     with messages._collecting("test", messages.OutputOptions(quiet=True)):
-        messages.put_facts([("a", "1"), ("  b", "2"), ("c", "3"), ("c", "4")])
+        messages.add_json_facts([("a", "1"), ("  b", "2"), ("c", "3"), ("c", "4")])
         assert messages._current_output().content["facts"] == {"a": "1", "a: b": "2", "c": "3\n4"}
 
 

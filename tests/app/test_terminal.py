@@ -103,7 +103,7 @@ def test_warnings_and_details() -> None:
     ):
         messages.warn(NASTY)
         messages.detail(NASTY)
-        messages.complain(NASTY)
+        messages.print_error(NASTY)
         shown = stderr.getvalue().decode()
     assert shown.count(SHOWN) == 3
     assert not RAW.search(shown)

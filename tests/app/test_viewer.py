@@ -334,7 +334,7 @@ def test_a_quiet_page_says_where_it_is(
     monkeypatch.setattr(viewer, "serve", serve)
     done = CliRunner().invoke(app, ["show", str(files[0]), "--no-browser", option])
     assert done.exit_code == 0
-    assert done.stderr == "http://127.0.0.1:1 shows it; Ctrl-C ends it\n"
+    assert done.stderr == "http://127.0.0.1:1 shows the motions; Ctrl-C ends the server\n"
 
 
 def test_the_colors_of_a_page_are_those_asked_for(files: list[Path], tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_nodes_are_the_middles_of_pixels_whatever_their_registration(tmp_path):
         assert_array_equal(found.grid.y, NORTH - CELL * (np.arange(32) + 0.5)[::-1])
         assert_array_equal(found.grid.z, ROWS[::-1].T)
         assert found.crs == UTM
-        words = dict(found.told)["ground map"]
+        words = dict(found.facts)["ground map"]
         assert f"pixel is {registration.lower()}" in words
         assert UTM in words
 
@@ -220,7 +220,7 @@ def test_files_beside_a_raster_do_not_change_it(tmp_path):
     found = read_map(path)
     assert_array_equal(found.grid.x, alone.grid.x)
     assert_array_equal(found.grid.z, alone.grid.z)
-    assert (found.crs, found.told) == (alone.crs, alone.told)
+    assert (found.crs, found.facts) == (alone.crs, alone.facts)
     path = plain(tmp_path / "bare.tif")
     (tmp_path / "bare.tfw").write_text("0.5\n0\n0\n-0.5\n1000\n2000\n")
     with pytest.raises(
@@ -299,10 +299,10 @@ def test_holes_scales_and_offsets_of_a_geotiff(tmp_path):
         read_grid(path)
     found = read_map(path, fill="linear")
     assert (
-        "1 nodes in 1 holes, the largest 0.25 x 0.25 m" in dict(found.told)["ground holes filled"]
+        "1 nodes in 1 holes, the largest 0.25 x 0.25 m" in dict(found.facts)["ground holes filled"]
     )
     assert_allclose(found.grid.z[0], 3 + 0.01 * rows[::-1, 0], rtol=1e-15)
-    assert dict(found.told)["ground map heights"] == "values of the file x 0.01 + 3 m"
+    assert dict(found.facts)["ground map heights"] == "values of the file x 0.01 + 3 m"
 
 
 def test_tiles_in_degrees(tmp_path):
@@ -321,8 +321,8 @@ def test_tiles_in_degrees(tmp_path):
         window=(-70.5, -70.4, -11.3, -11.2),
         fill="linear",
     )
-    assert "SRTM tile of int16, EPSG:4326, heights at nodes" in dict(found.told)["ground map"]
-    assert dict(found.told)["ground holes filled"].startswith("1 nodes in 1 holes")
+    assert "SRTM tile of int16, EPSG:4326, heights at nodes" in dict(found.facts)["ground map"]
+    assert dict(found.facts)["ground holes filled"].startswith("1 nodes in 1 holes")
     hole = found.grid.filled
     assert np.argwhere(hole).tolist() == [[100, 60]]
     whole = heights[240:361, 600:721][::-1].T
@@ -378,7 +378,7 @@ def test_geotiffs_refused(tmp_path, options, words):
 
 def test_a_metre_of_the_map_is_one_on_the_ground(tmp_path):
     """UTM shrinks its central meridian by 0.9996; Mercator stretches by 1 / cos(latitude)."""
-    told = dict(read_map(geotiff(tmp_path / "map.tif")).told)["ground map scale"]
+    told = dict(read_map(geotiff(tmp_path / "map.tif")).facts)["ground map scale"]
     assert told.startswith(f"1 m of the map is {1 / 0.9996:.5f} m along x and {1 / 0.9996:.5f} m")
     north = 6378137 * np.arctanh(np.sin(np.pi / 3))  # of 60 degrees
     path = geotiff(tmp_path / "map.tif", crs="EPSG:3857", transform=from_origin(0, north, 0.25))

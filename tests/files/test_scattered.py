@@ -38,7 +38,7 @@ def test_a_plane_is_exact(tmp_path, name, delimiter, header):
     assert_allclose(x, np.arange(0, 10.1, 0.5), atol=1e-9)
     assert_allclose(y, np.arange(0, 10.1, 0.5), atol=1e-9)
     assert_allclose(found.grid.z, 3 + 0.2 * x[:, None] - 0.1 * y, atol=1e-8)
-    told = dict(found.told)["ground points"]
+    told = dict(found.facts)["ground points"]
     assert told.startswith("404, a median of 0.2")
     assert told.endswith("for 441 nodes 0.5 m apart")
 
@@ -72,10 +72,10 @@ def test_points_on_a_grid_keep_their_values(tmp_path):
 def test_repeated_points_are_averaged_and_told(tmp_path):
     points = np.vstack([scattered(), scattered()[:5] + np.array([0, 0, 0.04])])
     found = read_map(written(tmp_path / "p.xyz", points), spacing=1.0)
-    assert "404, a median" in dict(found.told)["ground points"]
+    assert "404, a median" in dict(found.facts)["ground points"]
     assert (
         "5 at repeated positions averaged, with height differences of at most 0.04 m"
-        in dict(found.told)["ground points"]
+        in dict(found.facts)["ground points"]
     )
 
 

@@ -97,7 +97,7 @@ def test_degrees_taken_for_metres_are_refused(tmp_path):
         read_grid(tmp_path / "map.npz")
     found = read_map(tmp_path / "map.npz", geographic="local")
     assert_allclose(found.grid.x, geographic_to_metric(x, y, z).x)
-    assert "errors of distances are up to" in dict(found.told)["ground degrees"]
+    assert "errors of distances are up to" in dict(found.facts)["ground degrees"]
     np.savez(tmp_path / "map.npz", x=1e3 * x, y=1e3 * y, z=z)
     with pytest.raises(DataError, match="expected a map in degrees, found one in metres"):
         read_map(tmp_path / "map.npz", geographic="local")
@@ -112,7 +112,7 @@ def test_the_error_told_of_local_metres_is_that_of_the_ellipsoid(tmp_path):
     lengths = np.array(found.grid.spacing) * 3600
     wrong = np.abs(lengths / [78847, 111132] - 1).max()
     assert 0.002 < wrong < 0.0028
-    assert "up to 0.28 % everywhere" in dict(found.told)["ground degrees"]
+    assert "up to 0.28 % everywhere" in dict(found.facts)["ground degrees"]
 
 
 def test_keys_that_a_file_has_no_use_for(tmp_path):

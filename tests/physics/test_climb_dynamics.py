@@ -400,9 +400,9 @@ def test_what_touches_only_the_floor_has_no_climb():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"stiffness": 0.0}, "stiffness must be positive"),
+        ({"stiffness": 0.0}, "positive number as 'stiffness'"),
         ({"damping": -1.0}, "damping of at least 0"),
-        ({"static": 0.2}, "not below the dynamic"),
+        ({"static": 0.2}, "not below the kinetic"),
     ],
 )
 def test_unusable_contacts_are_refused(values, words):

@@ -99,7 +99,7 @@ def test_at_a_wall_the_front_axle_goes_alone():
 def test_unknown_laws_are_refused():
     with pytest.raises(ModelError, match="expected one of projective, fixed"):
         reference(seven_wheels(), TILTS, PerAxle(0, 0, 0), law="best")
-    with pytest.raises(ModelError, match=r"at least 1, found 0\.5"):
+    with pytest.raises(ModelError, match=r"at least 1 as 'cap', found 0\.5"):
         reference(seven_wheels(), TILTS, PerAxle(0, 0, 0), cap=0.5)
 
 
@@ -202,11 +202,11 @@ def test_largest_period_of_a_sampled_controller():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"law": "best"}, "law must be one of projective"),
-        ({"directions": "eyes"}, "directions must be one of"),
-        ({"smoothing": 0.0}, "smoothing must be positive"),
-        ({"unwinding": -1.0}, "unwinding must not be negative"),
-        ({"cap": 0.9}, "a cap of at least 1"),
+        ({"law": "best"}, "expected one of projective, .* as 'law'"),
+        ({"directions": "eyes"}, "expected one of contact, sensors as 'directions'"),
+        ({"smoothing": 0.0}, "positive number as 'smoothing'"),
+        ({"unwinding": -1.0}, "at least 0 as 'unwinding'"),
+        ({"cap": 0.9}, "'cap' >= 1"),
     ],
 )
 def test_unusable_controls_are_refused(values, words):

@@ -110,7 +110,7 @@ def test_what_leads_down_is_refused():
 def test_unusable_trackings_are_refused():
     track = tracked_plan(plans())
     for name in ("proportional", "spare", "lead"):
-        with pytest.raises(ModelError, match=f"tracking: {name} must be positive, found 0"):
+        with pytest.raises(ModelError, match=f"tracking: .* number as '{name}', found 0"):
             Tracking(track, **{name: 0.0})
     with pytest.raises(ModelError, match=r"between 0 and 0\.0005 s = 2 J / \(n kp\)"):
         climbing(CLIMBER, STEP, Tracking(track), period=1e-3)
@@ -187,7 +187,7 @@ def test_noise_is_of_its_size_and_band_and_seed():
     assert strength[:, above].sum() < 1e-4 * strength.sum()
     assert_allclose(series(noise), found)
     assert np.abs(series(replace(noise, seed=5)) - found).max() > 0.1
-    with pytest.raises(ModelError, match="noise: band must be finite and positive, found 0"):
+    with pytest.raises(ModelError, match="noise: expected a finite number > 0 as 'band', found 0"):
         Noise(band=0.0)
 
 

@@ -18,6 +18,7 @@ from slipfree.show.plots import Plot, save
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
 FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+CHECK = "check disk, folder and permissions"
 
 
 @pytest.fixture(autouse=True)
@@ -45,14 +46,17 @@ def _shell(line: str, **more: str) -> tuple[int, str, str]:
 @FULL
 @pytest.mark.parametrize("words", ["examples", "examples --json", "--version"])
 def test_a_full_stdout(words: str) -> None:
-    told = "stdout: reading or writing failed (No space left on device)\n"
+    told = f"stdout: reading or writing failed (No space left on device); {CHECK}\n"
     assert _shell(f"slipfree {words} > /dev/full") == (1, "", told)
 
 
 @FULL
 def test_a_full_stdout_for_help() -> None:
     code, _, told = _shell("slipfree --help > /dev/full")
-    assert (code, told) == (1, "reading or writing failed (No space left on device)\n")
+    assert (code, told) == (
+        1,
+        f"reading or writing failed (No space left on device); {CHECK}\n",
+    )
 
 
 @FULL
@@ -108,7 +112,7 @@ def test_a_medium_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     found = CliRunner().invoke(app, ["check", "p.toml"])
     assert (found.exit_code, found.output) == (
         1,
-        "p.toml: reading or writing failed (Input/output error)\n",
+        f"p.toml: reading or writing failed (Input/output error); {CHECK}\n",
     )
 
 

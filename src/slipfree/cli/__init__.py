@@ -24,10 +24,10 @@ from slipfree.cli.messages import (
     Json,
     Quiet,
     Verbose,
-    complain,
     fail,
+    print_error,
     print_json,
-    say,
+    print_line,
     store_options,
     visible,
     with_output_options,
@@ -46,7 +46,7 @@ UsageError: Any = typer.BadParameter.__bases__[
 
 
 class _Commands(TyperGroup):
-    """Group of the commands, which reports errors of the command line also as JSON."""
+    """Group of the commands; with ``--json`` it prints errors of the command line as JSON."""
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **more: Any) -> Any:
         words = tuple(args)  # parsing consumes the list
@@ -62,7 +62,7 @@ class _Commands(TyperGroup):
         try:
             yield
         except KeyboardInterrupt as error:  # before or after the command
-            complain("interrupted")
+            print_error("interrupted")
             raise typer.Exit(INTERRUPTED) from error
         except OSError as error:  # of stdout or stderr
             fail(error)
@@ -113,7 +113,7 @@ def _version(ctx: typer.Context, wanted: bool) -> None:
     if "--json" in ctx.obj:
         print_json("--version", DONE, {"version": slipfree.__version__})
     else:
-        say(f"slipfree {slipfree.__version__}")
+        print_line(f"slipfree {slipfree.__version__}")
     raise typer.Exit
 
 

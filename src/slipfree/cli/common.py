@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli.messages import BAD_INPUT as BAD_INPUT
-from slipfree.cli.messages import INTERRUPTED, complain, detail, fail, put_facts, say, visible
+from slipfree.cli.messages import (
+    INTERRUPTED,
+    add_json_facts,
+    detail,
+    fail,
+    print_error,
+    print_line,
+    visible,
+)
 from slipfree.cli.messages import STOPPED as STOPPED
 from slipfree.errors import DataError, ModelError, SlipfreeError
 from slipfree.regular_files import check_name, regular_file, resolve_links
@@ -47,36 +55,36 @@ InputFolder = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Folder of the input files of the problem; default: that of the problem, of the "
-        "result, or the current one.",
+        help="Folder of the input files of the problem; default: the folder of the problem file, "
+        "the folder of the result, or the current folder.",
     ),
 ]
 
 
 @contextmanager
 def reported() -> Iterator[None]:
-    """Report errors of the package by a message and an exit code."""
+    """Print an error that is raised in the block, and exit with its exit code."""
     try:
         yield
     except (DataError, ModelError) as error:
-        complain(str(error))
+        print_error(str(error))
         raise typer.Exit(BAD_INPUT) from error
     except SlipfreeError as error:
-        complain(str(error))
+        print_error(str(error))
         raise typer.Exit(STOPPED) from error
     except OSError as error:
         fail(error)
     except MemoryError as error:
-        complain(NO_MEMORY)
+        print_error(NO_MEMORY)
         raise typer.Exit(STOPPED) from error
     except KeyboardInterrupt as error:
-        complain("interrupted")
+        print_error("interrupted")
         raise typer.Exit(INTERRUPTED) from error
 
 
 @contextmanager
 def about(file: Path) -> Iterator[None]:
-    """Add the name of the result file to errors."""
+    """Raise errors of the block as DataError whose message begins with the result file."""
     try:
         yield
     except (ModelError, DataError) as error:
@@ -85,13 +93,13 @@ def about(file: Path) -> Iterator[None]:
         raise DataError(f"{file}: {error}") from error
     except KeyError as error:  # every result has this quantity, statistic or attribute
         raise DataError(
-            f"{file}: expected a result of slipfree run, found no {error} in it; run the problem "
-            "again"
+            f"{file}: expected a result of slipfree run, found no quantity {error} in it; run the "
+            "problem again"
         ) from error
 
 
 def read_problem(file: Path, settings: list[str] | None) -> Problem[Any]:
-    """Return the validated problem in a file, with values replaced by settings."""
+    """Return the validated problem of a file, with the settings ``KEY=VALUE`` applied."""
     from slipfree.problem.load import load_problem
 
     refuse_result(file)
@@ -118,17 +126,17 @@ def _begins_with(file: Path, head: bytes) -> bool:
         return False
 
 
-def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) -> None:
+def check_default_outputs(out: Path, folder: Path | None, problem: Problem[Any]) -> None:
     """Raise DataError for default output paths that could overwrite other files of the user.
 
     Parameters
     ----------
     out : Path
-        Result file that the problem names, or the default.
+        Result file: the ``[output] file`` of the problem, or the problem's name with ``.nc``.
     folder : Path or None
         Default folder for figures; None if no default folder is used.
     problem : Problem
-        The problem.
+        Problem whose results are written.
 
     Raises
     ------
@@ -163,12 +171,12 @@ def check_default_places(out: Path, folder: Path | None, problem: Problem[Any]) 
     for path in figures[1:]:
         if not _begins_with(path, FIGURE):
             raise DataError(
-                f"{where}: expected no file {path}, or a figure of an earlier run, found another "
-                "file; choose another folder: --figures DIR"
+                f"{where}: expected no file {path}, or a figure of an earlier run, found "
+                "another file; choose another folder: --figures DIR"
             )
 
 
-def check_places(files: list[Path | None], folder: Path | None, problem: Problem[Any]) -> None:
+def check_outputs(files: list[Path | None], folder: Path | None, problem: Problem[Any]) -> None:
     """Raise DataError for outputs that cannot be written or coincide with other files."""
     from slipfree.problem.input_files import input_names
 
@@ -186,7 +194,7 @@ def check_places(files: list[Path | None], folder: Path | None, problem: Problem
                 f"{path}: expected a separate file, found {taken[target]}; choose another name"
             )
         taken[target] = "another output"
-        check_place(path)
+        check_output(path)
     if folder is not None:
         check_name(folder)
         if folder.exists() and not folder.is_dir():
@@ -199,11 +207,11 @@ def check_places(files: list[Path | None], folder: Path | None, problem: Problem
 
 
 def check_page(out: Path, files: Sequence[Path]) -> None:
-    """Raise DataError for a page that cannot be written or is one of the results."""
+    """Raise DataError for an HTML page that cannot be written or is one of the result files."""
     check_apart(out, files)
     if out.suffix.lower() not in (".html", ".htm"):
-        raise DataError(f"{out}: expected a name that ends in .html")
-    check_place(out)
+        raise DataError(f"{out}: expected a name that ends in .html; choose another name")
+    check_output(out)
 
 
 def check_apart(out: Path, files: Sequence[Path]) -> None:
@@ -214,7 +222,7 @@ def check_apart(out: Path, files: Sequence[Path]) -> None:
         )
 
 
-def check_place(path: Path) -> None:
+def check_output(path: Path) -> None:
     """Raise DataError for a file that cannot be written, before any computation."""
     check_name(path)
     if path.is_dir():
@@ -228,7 +236,8 @@ def check_place(path: Path) -> None:
         )
     if not path.parent.is_dir():
         raise DataError(
-            f"{path}: expected a folder {path.parent} to write to, found none; create it"
+            f"{path}: expected a folder {path.parent} to write to, found none; create it, or "
+            "choose another folder"
         )
     _check_writable(path, path.parent)
 
@@ -273,7 +282,7 @@ def interruptible() -> Iterator[Callable[[], None]]:
 
 
 def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[Any], None]:
-    """Return a callback that calls ``show`` at most once in ``apart`` seconds."""
+    """Return a callback that calls ``show`` at most once per ``apart`` seconds."""
     last = 0.0
 
     def throttle(value: Any) -> None:
@@ -286,9 +295,9 @@ def throttled(show: Callable[[Any], None], apart: float = REFRESH) -> Callable[[
     return throttle
 
 
-def tell(facts: list[tuple[str, str]]) -> None:
+def print_facts(facts: list[tuple[str, str]]) -> None:
     """Print facts, and add them to the JSON object."""
-    put_facts(facts)
+    add_json_facts(facts)
     show(facts)
 
 
@@ -297,7 +306,7 @@ def show(facts: list[tuple[str, str]]) -> None:
     if not sys.stdout.isatty():
         width = max(len(name) for name, _ in facts)
         for name, value in facts:
-            say(f"{name:{width}}  {value}")
+            print_line(f"{name:{width}}  {value}")
         return
     from rich.console import Console
     from rich.table import Table

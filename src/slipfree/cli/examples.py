@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipfree.cli.common import reported
-from slipfree.cli.messages import put, say
-from slipfree.cli.new import place
+from slipfree.cli.messages import add_json, print_line
+from slipfree.cli.new import write_new_file
 from slipfree.errors import DataError
 from slipfree.regular_files import check_name
 
@@ -81,17 +81,17 @@ def _list(shipped: Mapping[str, Traversable]) -> None:
     for name, file in shipped.items():
         data = tomllib.loads(file.read_text(encoding="utf-8"))
         rows.append((name, data.get("verb", "vehicle"), data.get("title") or data.get("name", "")))
-    put(
+    add_json(
         "examples", lambda: [dict(zip(("name", "verb", "title"), row, strict=True)) for row in rows]
     )
     width = max(len(name) for name, *_ in rows)
     for name, verb, title in rows:
-        say(f"{name:{width}}  {verb:8} {title}")
-    say("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
+        print_line(f"{name:{width}}  {verb:8} {title}")
+    print_line("\ncopy one: slipfree examples NAME; all: slipfree examples --to DIR")
 
 
 def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force: bool) -> None:
-    """Copy problems with their input files to a folder."""
+    """Copy shipped problems with their input files to a folder."""
     texts = {}
     while wanted:
         name = wanted.pop()
@@ -107,8 +107,8 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
     taken = [str(out) for out in places if out.exists()]
     if taken and not force:
         raise DataError(
-            f"expected new files, found existing ones: {', '.join(taken)}; replace them with "
-            "--force"
+            f"examples: expected new files, found existing ones: {', '.join(taken)}; replace them "
+            "with --force"
         )
     for out, text in places.items():
         try:
@@ -118,12 +118,12 @@ def _copy(wanted: list[str], shipped: Mapping[str, Traversable], to: Path, force
                 f"{out.parent}: expected a folder that exists or can be made, found that it "
                 f"cannot be made ({error.strerror}); choose another folder: --to DIR"
             ) from error
-        place(text, out, force)
-        say(f"wrote {out}")
+        write_new_file(text, out, force)
+        print_line(f"wrote {out}")
 
 
 def _files(table: Any) -> Iterator[str]:
-    """Yield the values of all keys of a problem that name an input file."""
+    """Yield the names of the input files of a problem, from its parsed TOML table."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _files(value) if key != "output" else ()
@@ -135,5 +135,8 @@ def _unknown(name: str, known: list[str]) -> str:
     from difflib import get_close_matches
 
     near = get_close_matches(name, known, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else "; slipfree examples lists them"
-    return f"expected the name of a shipped problem, found {name!r}{hint}"
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return (
+        f"NAME: expected the name of a shipped problem, found {name!r}; {hint}list them with "
+        "slipfree examples"
+    )

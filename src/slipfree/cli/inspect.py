@@ -13,15 +13,23 @@ from slipfree.cli.common import (
     File,
     Settings,
     about,
-    check_place,
+    check_output,
+    print_facts,
     read_problem,
     refuse_result,
     reported,
     show,
-    tell,
 )
-from slipfree.cli.json_output import motion_answer, quantities, row_answer
-from slipfree.cli.messages import complain, detail, has_bar, put, put_file, say, visible
+from slipfree.cli.json_output import motion_json, quantities, row_json
+from slipfree.cli.messages import (
+    add_json,
+    add_json_file,
+    detail,
+    has_bar,
+    print_error,
+    print_line,
+    visible,
+)
 from slipfree.cli.outcomes import resume_command
 from slipfree.errors import DataError
 
@@ -30,9 +38,9 @@ if TYPE_CHECKING:
 
 
 def check(file: File, settings: Settings = None) -> None:
-    """Check a problem and settle the vehicle at its start.
+    """Check a problem, and settle the vehicle on the ground at its start.
 
-    The motion is not computed.
+    Print facts of the start; the motion is not computed.
     """
     with reported():
         from slipfree.problem.solve import build
@@ -42,9 +50,9 @@ def check(file: File, settings: Settings = None) -> None:
         setup = build(problem)
         detail("settled the vehicle at its start")
         start, facts = verb_of(problem).describe_start(problem, setup)
-        put("start", lambda: quantities(start))
-        tell([*setup.facts, *facts])
-        say("ok")
+        add_json("start", lambda: quantities(start))
+        print_facts([*setup.facts, *facts])
+        print_line("ok")
 
 
 def vehicle(
@@ -55,17 +63,17 @@ def vehicle(
 ) -> None:
     """Describe the vehicle of a problem or of a vehicle file.
 
-    Print its parts, unknowns, equations, rolling conditions and condition numbers.
+    Print its parts, unknowns, equations, rolling conditions and condition numbers, and its errors.
     """
     with reported():
         from slipfree.problem.vehicle_report import describe
 
         found = describe(file, settings or [])
-        say("\n".join([*found.tree, ""]))
-        put("tree", lambda: found.tree)
-        tell(found.facts)
+        print_line("\n".join([*found.tree, ""]))
+        add_json("tree", lambda: found.tree)
+        print_facts(found.facts)
         if found.faults:
-            complain("\n".join(found.faults))
+            print_error("\n".join(found.faults))
             raise typer.Exit(BAD_INPUT)
 
 
@@ -79,27 +87,27 @@ def compare(file: File, settings: Settings = None) -> None:
         from slipfree.problem.load import load_problem
         from slipfree.problem.verbs.compare import compare as solve
 
-        def told(name: str) -> None:
+        def print_progress(name: str) -> None:
             if sys.stderr.isatty() and has_bar():
-                say(f"  {name}", err=True)
+                print_line(f"  {name}", err=True)
             detail(f"vehicle {name}")
 
         refuse_result(file)
-        ground, rows = solve(load_problem(file, settings or [], command="compare"), told)
-        tell(ground_facts(ground))
-        put("vehicles", lambda: [row_answer(row) for row in rows])
+        ground, rows = solve(load_problem(file, settings or [], command="compare"), print_progress)
+        print_facts(ground_facts(ground))
+        add_json("vehicles", lambda: [row_json(row) for row in rows])
         width = max(len(row.name) for row in rows)
         for words, drives in (
             ("at the same rates", [row.same for row in rows]),
             ("at the rates of the driving law", [row.fitting for row in rows]),
         ):
-            say(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
+            print_line(f"\n{words}: largest slip of the wheels {', '.join(rows[0].wheels)} [mm/s]")
             head = f"{'rank':6}{'along':18}{'across':18}{'measured on the poses':27}"
-            say(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
+            print_line(f"{'':{width}}  {head}{'friction*':10}{'tilt [rad]':12}axle [m]")
             for row, drive in zip(rows, drives, strict=True):
                 rank = f"{row.rank}/{row.conditions}"
-                say(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
-        say("\n* largest coefficient of friction that a wheel needs, load-weighted")
+                print_line(f"{row.name:{width}}  {rank:6}{_drive(drive)}")
+        print_line("\n* largest coefficient of friction that a wheel needs, load-weighted")
 
 
 def _drive(drive: Drive) -> str:
@@ -119,7 +127,7 @@ def info(
         bool, typer.Option("--problem", help="Print the stored problem file instead.")
     ] = False,
 ) -> None:
-    """Print the contents of a result file."""
+    """Print outcome, attributes and ranges of the quantities of a result file."""
     with reported(), about(file):
         from slipfree.files.netcdf import read
         from slipfree.problem.result import motion_facts
@@ -134,18 +142,18 @@ def info(
                     f"{file}: expected a result with its problem file, found none; use a file of "
                     "slipfree run"
                 )
-            put("problem", lambda: text)
+            add_json("problem", lambda: text)
             typer.echo(visible(text) if sys.stdout.isatty() else text, nl=False)
             return
         facts = motion_facts(motion)
         words = [(name.replace("_", " "), value) for name, value in attributes.items()]
-        tell([outcome_fact(motion), *(each for each in words if each not in facts), *facts])
+        print_facts([outcome_fact(motion), *(each for each in words if each not in facts), *facts])
         if go_on := resume_command(motion, file):
-            say(f"to resume: {go_on}")
-        say()
-        put("outcome", motion.outcome.name.lower)
-        put("attributes", lambda: attributes)
-        put("result", lambda: motion_answer(motion))
+            print_line(f"to resume: {go_on}")
+        print_line()
+        add_json("outcome", motion.outcome.name.lower)
+        add_json("attributes", lambda: attributes)
+        add_json("result", lambda: motion_json(motion))
         show(ranges(motion))
 
 
@@ -167,10 +175,12 @@ def export(
         from slipfree.files.export import export_path, export_rates
 
         if path is None and rates is None:
-            raise DataError("export: expected --path, --rates or both, found neither")
+            raise DataError(
+                "export: expected --path, --rates or both, found neither; add one of them"
+            )
         for out, write in ((path, export_path), (rates, export_rates)):
             if out is not None:
-                check_place(out)
+                check_output(out)
                 write(file, out)
-                put_file(out)
-                say(f"wrote {out}")
+                add_json_file(out)
+                print_line(f"wrote {out}")

@@ -9,25 +9,25 @@ if TYPE_CHECKING:
     from slipfree.trajectory import Stop, Trajectory
 
 
-def motion_answer(run: Trajectory) -> dict[str, Any]:
-    """Return the JSON of a motion: samples, stop, statistics and ranges of its quantities."""
+def motion_json(run: Trajectory) -> dict[str, Any]:
+    """Return the JSON object of a motion: samples, stop, statistics and ranges of quantities."""
     return {
         "samples": run.t.size,
         "time": {"unit": "s", "first": run.t[0], "last": run.t[-1]},
-        "stop": stop_answer(run.stop),
+        "stop": stop_json(run.stop),
         "wheels": run.wheels,
         "quantities": quantities(run),
         "statistics": run.statistics,
     }
 
 
-def stop_answer(stop: Stop | None) -> dict[str, Any] | None:
-    """Return the JSON of an early stop; None without one."""
+def stop_json(stop: Stop | None) -> dict[str, Any] | None:
+    """Return name, time [s] and description of an early stop; None for a complete motion."""
     return None if stop is None else {"name": stop.name, "time": stop.t, "words": stop.words}
 
 
 def quantities(run: Trajectory) -> dict[str, Any]:
-    """Return description, unit, first, last, smallest and largest value of every quantity.
+    """Return description, unit, first, last, smallest and largest value of each quantity by name.
 
     For quantities of wheels, first and last values are arrays of shape (n_wheels,).
     """
@@ -46,8 +46,8 @@ def quantities(run: Trajectory) -> dict[str, Any]:
     }
 
 
-def row_answer(row: Row) -> dict[str, Any]:
-    """Return the JSON of one vehicle of a comparison."""
+def row_json(row: Row) -> dict[str, Any]:
+    """Return the JSON object of one vehicle of a comparison."""
     return {
         "name": row.name,
         "wheels": row.wheels,
@@ -59,7 +59,7 @@ def row_answer(row: Row) -> dict[str, Any]:
 
 
 def _drive(drive: Drive) -> dict[str, Any]:
-    """Return the JSON of one motion of a vehicle, with the largest slip of every wheel."""
+    """Return the JSON object of one motion of a vehicle, with the largest slip of each wheel."""
     return {
         "slip_along": {"unit": "m s-1", "max": drive.along},
         "slip_across": {"unit": "m s-1", "max": drive.across},
@@ -67,5 +67,5 @@ def _drive(drive: Drive) -> dict[str, Any]:
         "friction_needed": {"unit": "1", "max": drive.friction},
         "tilt": {"unit": "rad", "max": drive.tilt},
         "axle": {"unit": "m", "min": drive.width[0], "max": drive.width[1]},
-        "stop": stop_answer(drive.stop),
+        "stop": stop_json(drive.stop),
     }

@@ -1,9 +1,9 @@
 """Output of the commands: common options, messages, details and JSON.
 
 Commands print to stdout: text by default, nothing with ``--quiet``, and with ``--json`` one object
-with facts, values added by `put`, and the meaning of the exit code. Errors, warnings and details
-are lines on stderr. `say` escapes the control characters of all texts, since names and titles in
-files must not control the terminal.
+with facts, values added by `add_json`, and the meaning of the exit code. Errors, warnings and
+details are lines on stderr. `print_line` escapes the control characters of all texts, since names
+and titles in files must not control the terminal.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class OutputOptions(NamedTuple):
     Attributes
     ----------
     quiet, verbose, json : bool
-        Values of the options of these names.
+        Whether ``--quiet``, ``--verbose`` and ``--json`` are given.
     """
 
     quiet: bool = False
@@ -74,7 +74,7 @@ class _CommandOutput:
     began : float
         Start of the command by `time.perf_counter`. [s]
     content : dict
-        Content of the JSON object.
+        Keys and values of the JSON object.
     """
 
     options: OutputOptions
@@ -88,7 +88,7 @@ _running: list[_CommandOutput] = []  # output of the running command, if there i
 
 
 def _current_output() -> _CommandOutput:
-    """Return the output of the running command; a new one outside commands."""
+    """Return the output of the running command; outside commands, a new output."""
     return _running[-1] if _running else _CommandOutput(OutputOptions())
 
 
@@ -98,7 +98,7 @@ def store_options(quiet: bool, verbose: bool, json: bool) -> None:
 
 
 def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with the options ``--quiet``, ``--verbose`` and ``--json``."""
+    """Return the command with the additional options ``--quiet``, ``--verbose`` and ``--json``."""
     hints = get_type_hints(command, include_extras=True)
     own = inspect.signature(command).parameters.values()
     annotations = {"quiet": Quiet, "verbose": Verbose, "json": Json}
@@ -116,7 +116,7 @@ def with_output_options(command: Callable[..., None]) -> Callable[..., None]:
         with _collecting(command.__name__, options):
             _check_folder()
             if options.quiet and options.verbose:
-                complain("expected --quiet or --verbose, found both")
+                print_error("expected --quiet or --verbose, found both; remove one of them")
                 raise typer.Exit(BAD_INPUT)
             command(**values)
 
@@ -157,7 +157,7 @@ def _check_folder() -> None:
     try:
         Path.cwd()
     except OSError as error:
-        complain(
+        print_error(
             f"expected an existing current folder, found a removed one ({error.strerror}); change "
             "to another folder"
         )
@@ -169,8 +169,14 @@ def visible(text: str) -> str:
     return CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
-def say(words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | None = None) -> None:
-    """Print text with escaped control characters on stdout, stderr or another stream."""
+def print_line(
+    words: str = "", *, nl: bool = True, err: bool = False, file: TextIO | None = None
+) -> None:
+    """Print a line, with control characters escaped, on stdout, stderr or another stream.
+
+    The line ends with a newline unless ``nl`` is False. ``file`` is the stream; without it, ``err``
+    selects stderr.
+    """
     try:
         typer.echo(visible(words), nl=nl, err=err, file=file)
     except OSError as error:
@@ -183,7 +189,10 @@ def fail(error: OSError) -> NoReturn:
     if error.errno == errno.EPIPE:  # the reader of the output is gone: typer ends silently
         raise error
     name = f"{error.filename}: " if error.filename else ""
-    complain(f"{name}reading or writing failed ({error.strerror or error})")
+    print_error(
+        f"{name}reading or writing failed ({error.strerror or error}); check disk, folder and "
+        "permissions"
+    )
     raise typer.Exit(STOPPED) from error
 
 
@@ -191,18 +200,21 @@ def print_json(command: str, code: int, content: Mapping[str, Any]) -> None:
     """Print the JSON object of a command."""
     head = {"command": command, "exit_code": code, "meaning": MEANINGS[code]}
     text = to_json.dumps(plain({**head, **content}))
-    say(text.replace("\x7f", r"\u007f"))
+    print_line(text.replace("\x7f", r"\u007f"))
 
 
-def put(name: str, make: Callable[[], Any]) -> None:
+def add_json(name: str, make: Callable[[], Any]) -> None:
     """Add a value to the JSON object; ``make`` is called only with ``--json``."""
     output = _current_output()
     if output.options.json:
         output.content[name] = make()
 
 
-def put_facts(facts: list[tuple[str, str]]) -> None:
-    """Add facts to the JSON object, with indented names below the names before them."""
+def add_json_facts(facts: list[tuple[str, str]]) -> None:
+    """Add facts, pairs of name and text, to the JSON object.
+
+    An indented name belongs to the last name that is not indented: its key is "name: indented".
+    """
     found, above = _current_output().content.setdefault("facts", {}), ""
     for name, words in facts:
         above = above if name.startswith(" ") else name
@@ -210,21 +222,21 @@ def put_facts(facts: list[tuple[str, str]]) -> None:
         found[key] = f"{found[key]}\n{words}" if key in found else words
 
 
-def put_file(file: object) -> None:
+def add_json_file(file: object) -> None:
     """Add the name of a written file to the JSON object."""
     _current_output().content.setdefault("files", []).append(str(file))
 
 
-def put_lines(name: str, words: str) -> None:
+def add_json_lines(name: str, words: str) -> None:
     """Add lines of text to the JSON object."""
     _current_output().content.setdefault(name, []).extend(words.splitlines())
 
 
 def warn(words: str) -> None:
     """Print a warning on stderr, unless ``--quiet`` is given, and add it to the JSON object."""
-    put_lines("warnings", words)
+    add_json_lines("warnings", words)
     if not _current_output().options.quiet:
-        say(f"warning: {words}", err=True)
+        print_line(f"warning: {words}", err=True)
 
 
 def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -233,11 +245,11 @@ def _warn_once(message: Warning | str, *_: Any, **__: Any) -> None:
         warn(str(message))
 
 
-def complain(words: str) -> None:
-    """Print an error on stderr."""
-    put_lines("errors", words)
+def print_error(words: str) -> None:
+    """Print an error on stderr, also with ``--quiet``, and add it to the JSON object."""
+    add_json_lines("errors", words)
     with suppress(OSError):  # stderr may be full: the exit code still reports the error
-        say(words, err=True)
+        print_line(words, err=True)
 
 
 def detail(words: str) -> None:
@@ -245,16 +257,19 @@ def detail(words: str) -> None:
     output = _current_output()
     if output.options.verbose:
         elapsed = time.perf_counter() - output.began
-        say(f"[{elapsed:8.3f} s] {words}", file=output.stderr)
+        print_line(f"[{elapsed:8.3f} s] {words}", file=output.stderr)
 
 
 def has_bar() -> bool:
-    """Return whether a progress bar may be shown: without --quiet, --verbose and --json."""
+    """Return whether a progress bar may be shown.
+
+    It is not shown with ``--quiet``, ``--verbose`` or ``--json``.
+    """
     return not any(_current_output().options)
 
 
 def is_quiet() -> bool:
-    """Return whether ``--quiet`` or ``--json`` suppresses text."""
+    """Return whether ``--quiet`` is given."""
     return _current_output().options.quiet
 
 
@@ -264,7 +279,7 @@ def is_verbose() -> bool:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as types that JSON has; numbers that are not finite become None."""
+    """Return a value converted to JSON types; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
     if isinstance(value, str) or value is None:

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import check_place, refuse_result, reported
-from slipfree.cli.messages import put, put_file, say, warn
+from slipfree.cli.common import check_output, refuse_result, reported
+from slipfree.cli.messages import add_json, add_json_file, print_line, warn
 from slipfree.errors import DataError
 from slipfree.regular_files import resolve_links
 
@@ -40,27 +40,27 @@ def migrate(
 
         refuse_result(file)
         found = migrate_text(file, read_text(file))
-        put("changes", lambda: found.changes)
+        add_json("changes", lambda: found.changes)
         if found.note:
             warn(found.note)
         if not found.changes:
-            say(f"{file}: nothing to change")
+            print_line(f"{file}: nothing to change, all keys are current")
             return
         old = file.with_name(f"{file.name}{SUFFIX}")
         _check_new(old if out is None else out, file)
         if out is None:
-            check_place(file)
+            check_output(file)
             _write(old, file, file.read_bytes())
         target = out or file
         _write(target, file, found.text.encode())
         for words in found.changes:
-            say(words)
-        say(f"wrote {target}" + ("" if out else f"; the old file is {old}"))
+            print_line(words)
+        print_line(f"wrote {target}" + ("" if out else f"; the old file is {old}"))
 
 
 def _check_new(path: Path, file: Path) -> None:
-    """Raise DataError if the output file exists or is the input file."""
-    check_place(path)
+    """Raise DataError if the output file ``path`` exists or is the input file ``file``."""
+    check_output(path)
     if resolve_links(path) == resolve_links(file):
         raise DataError(
             f"{path}: expected another file than FILE, found FILE itself; omit -o to rewrite it"
@@ -73,7 +73,7 @@ def _check_new(path: Path, file: Path) -> None:
 
 
 def _write(path: Path, like: Path, content: bytes) -> None:
-    """Write a file with the permissions of another file."""
+    """Write content to ``path``, with the permissions of the file ``like``."""
     from slipfree.atomic_files import replace_file
 
     def fill(part: Path) -> None:
@@ -81,4 +81,4 @@ def _write(path: Path, like: Path, content: bytes) -> None:
         shutil.copymode(like, part)
 
     replace_file(path, fill)
-    put_file(path)
+    add_json_file(path)

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from slipfree.cli.common import check_place, reported
-from slipfree.cli.messages import put_file, say
+from slipfree.cli.common import check_output, reported
+from slipfree.cli.messages import add_json_file, print_line
 from slipfree.errors import DataError
 
 FOLDER = "starters"  # folder of the templates in the package
@@ -39,17 +39,20 @@ def new(
         from importlib.resources import files
 
         if not (name.name and str(name).isprintable()):
-            raise DataError(f"expected a name for the problem, found {str(name)!r}")
+            raise DataError(
+                f"NAME: expected a printable name for the problem, found {str(name)!r}; choose "
+                "another name"
+            )
         out = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
         text = (files("slipfree") / FOLDER / f"{kind}.toml").read_text(encoding="utf-8")
         word = shlex.quote(str(out))
-        place(text.replace(f" {HOLE}", f" {word}"), out, force)
-        say(f"wrote {out}: slipfree check {word} && slipfree run {word}")
+        write_new_file(text.replace(f" {HOLE}", f" {word}"), out, force)
+        print_line(f"wrote {out}: slipfree check {word} && slipfree run {word}")
 
 
-def place(text: str, out: Path, force: bool) -> None:
+def write_new_file(text: str, out: Path, force: bool) -> None:
     """Write a new file; raise DataError if it exists and ``force`` is not set."""
-    check_place(out)
+    check_output(out)
     if out.exists() and not force:
         raise DataError(
             f"{out}: expected a new file, found an existing one; replace it with --force"
@@ -57,4 +60,4 @@ def place(text: str, out: Path, force: bool) -> None:
     from slipfree.atomic_files import replace_file
 
     replace_file(out, lambda part: part.write_text(text, encoding="utf-8"))
-    put_file(out)
+    add_json_file(out)

@@ -6,24 +6,25 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slipfree.cli.messages import complain, is_quiet
+from slipfree.cli.messages import is_quiet, print_error
 from slipfree.outcome import Outcome
 
 if TYPE_CHECKING:
     from slipfree.trajectory import Trajectory
 
 
-def say_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
+def print_incomplete(run: Trajectory, out: Path, go_on: str) -> None:
     """Print the outcome of an incomplete motion, its file, and the command that resumes it.
 
-    With ``--quiet``, which omits the summary, the reason of the outcome is printed too.
+    With ``--quiet``, which omits the summary, print also the reason of the outcome. An empty
+    command is not printed.
     """
     from slipfree.trajectory import outcome_title, outcome_words
 
     words = outcome_words(run) if is_quiet() else outcome_title(run)
-    complain(f"{words}; {out} contains the result so far")
+    print_error(f"{words}; {out} contains the result so far")
     if go_on:
-        complain(f"to resume: {go_on}")
+        print_error(f"to resume: {go_on}")
 
 
 def resume_command(run: Trajectory, out: Path, *options: str) -> str:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from slipfree.cli.common import interruptible, throttled
-from slipfree.cli.messages import detail, has_bar, is_verbose, say, visible
+from slipfree.cli.messages import detail, has_bar, is_verbose, print_line, visible
 
 FIRST_LINE = 2.0  # time before the first line of a computation [s]
 NEW_PHASE = 1.0  # shortest time between lines of different phases [s]
@@ -53,7 +53,7 @@ def reporting(duration: float | None) -> Iterator[Reports]:
                 yield reports
         else:
             stderr = sys.stderr  # the current one: integrators redirect sys.stderr
-            show = _sparse(lambda line: say(line, file=stderr), SAME_PHASE)
+            show = _sparse(lambda line: print_line(line, file=stderr), SAME_PHASE)
             yield _reports(poll, show, show, duration)
 
 
@@ -77,7 +77,7 @@ def _reports(
 
 
 def _detailed() -> Callable[[str, str], None]:
-    """Return a callback that prints the start of the integration, then the time reached."""
+    """Return a callback for ``--verbose``: it prints the start of the integration, then times."""
     seldom, begun = _sparse(detail, NEW_PHASE), False
 
     def integrated(phase: str, line: str) -> None:
@@ -91,7 +91,10 @@ def _detailed() -> Callable[[str, str], None]:
 
 
 def _sparse(show: Callable[[str], None], apart: float) -> Callable[[str, str], None]:
-    """Return a callback that limits the lines of a phase to one per `apart` seconds."""
+    """Return a callback for lines of phases that shows at most one line per ``apart`` seconds.
+
+    A new phase is shown after a shorter time.
+    """
     last, former = time.monotonic() + FIRST_LINE - NEW_PHASE, ""
 
     def seldom(phase: str, line: str) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from slipfree.cli.common import InputFolder, about, check_page, reported
-from slipfree.cli.messages import detail, put_file, say, warn
+from slipfree.cli.messages import add_json_file, detail, print_line, warn
 from slipfree.regular_files import regular_file
 
 
@@ -40,8 +40,8 @@ def report(
             warn(f"figures: {found.note}")
         text = page(found)
         replace_file(target, lambda part: _write(part, text))
-        put_file(target)
-        say(f"wrote {target}")
+        add_json_file(target)
+        print_line(f"wrote {target}")
 
 
 def _write(part: Path, text: str) -> None:

@@ -11,22 +11,22 @@ from slipfree.cli.common import (
     OUTPUT,
     File,
     Settings,
-    check_default_places,
-    check_places,
+    check_default_outputs,
+    check_outputs,
+    print_facts,
     read_problem,
     reported,
     show,
-    tell,
 )
-from slipfree.cli.json_output import motion_answer
+from slipfree.cli.json_output import motion_json
 from slipfree.cli.messages import (
+    add_json,
+    add_json_file,
     detail,
-    put,
-    put_file,
-    say,
+    print_line,
     warn,
 )
-from slipfree.cli.outcomes import resume_command, say_incomplete
+from slipfree.cli.outcomes import print_incomplete, resume_command
 from slipfree.cli.progress import reporting
 from slipfree.errors import DataError
 
@@ -63,7 +63,8 @@ CrossCheck = Annotated[
     bool,
     typer.Option(
         "--cross-check",
-        help="Solve also with the other formulation of contact, and print differences.",
+        help="Solve also with the other formulation of contact (closure or montana), and print the "
+        "largest differences.",
     ),
 ]
 Resume = Annotated[
@@ -101,27 +102,27 @@ def run(
         verb = verb_of(problem)
         options = [] if out is None else ["-o", str(out)]
         options += [] if draw else ["--no-draw"]
-        out, folder = _places(problem, out, figures, draw=draw)
-        check_places([out, csv, animation], folder, problem)
+        out, folder = _output_paths(problem, out, figures, draw=draw)
+        check_outputs([out, csv, animation], folder, problem)
         _check_options(problem, cross_check, resume, animation)
-        result = _solve(problem, verb, _former(resume))
+        result = _solve(problem, verb, _resumed_plan(resume))
         _save(result, out, csv)
         _print_summary(result, verb)
-        _wrote(out, *([csv] if csv else []))
+        _print_written(out, *([csv] if csv else []))
         if cross_check:
             _cross_check(result)
         if folder is not None:
             _draw(verb.figures(result), folder, every=figures_all)
         if animation is not None:
             verb.animate(result, animation)
-            _wrote(animation)
+            _print_written(animation)
         if result.outcome.exit_code:
             go_on = resume_command(result.trajectory, out, *options)
-            say_incomplete(result.trajectory, out, go_on)
+            print_incomplete(result.trajectory, out, go_on)
             raise typer.Exit(result.outcome.exit_code)
 
 
-def _places(
+def _output_paths(
     problem: Problem[Any], out: Path | None, figures: Path | None, *, draw: bool
 ) -> tuple[Path, Path | None]:
     """Return the result file and the folder for figures, with default paths checked."""
@@ -129,7 +130,7 @@ def _places(
     out = out or Path(output_of(problem))
     folder = (figures or out.parent / f"{out.stem}_figures") if draw else None
     if not is_named:
-        check_default_places(out, None if figures else folder, problem)
+        check_default_outputs(out, None if figures else folder, problem)
     return out, folder
 
 
@@ -145,17 +146,19 @@ def _check_options(
         if value:
             check_option(problem, option)
     if animation is not None and animation.suffix != ".gif":
-        raise DataError(f"{animation}: expected a name that ends in .gif for an animation")
+        raise DataError(
+            f"{animation}: expected a name that ends in .gif for an animation; choose another name"
+        )
 
 
 def output_of(problem: Problem[Any]) -> str:
-    """Return the name of the result file: that of the problem, or the default."""
+    """Return the name of the result file: ``[output] file`` or the problem's name with ``.nc``."""
     spec = problem.spec.output
     return spec.file if spec else f"{problem.source.path.stem}.nc"
 
 
 def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) -> Result:
-    """Return the result, and report the progress."""
+    """Return the result of a problem, solved with reports of the progress."""
     from slipfree.problem.solve import run_problem
 
     duration = problem.spec.time.duration if verb.is_timed else None
@@ -164,13 +167,13 @@ def _solve(problem: Problem[Any], verb: MotionVerb, former: SavedPlan | None) ->
 
 
 def _report_counts(result: Result) -> Result:
-    """Print the counts of the solver as a detail."""
+    """Return the result unchanged; print the solver's statistics with ``--verbose``."""
     counts = result.trajectory.statistics.items()
     detail("solved: " + ", ".join(f"{name} {value:.6g}" for name, value in counts))
     return result
 
 
-def _former(file: Path | None) -> SavedPlan | None:
+def _resumed_plan(file: Path | None) -> SavedPlan | None:
     """Return the plan in the file of ``--resume``; None without the option."""
     from slipfree.files.netcdf import read_arrays
     from slipfree.plan.warm_start import from_arrays
@@ -178,12 +181,12 @@ def _former(file: Path | None) -> SavedPlan | None:
     return None if file is None else from_arrays(read_arrays(file), str(file))
 
 
-def _wrote(*files: Path) -> None:
-    """Print the names of written files."""
+def _print_written(*files: Path) -> None:
+    """Print the names of written files, and add them to the JSON object."""
     for file in files:
-        put_file(file)
+        add_json_file(file)
     names = ", ".join(map(str, files))
-    say(f"wrote {names}")
+    print_line(f"wrote {names}")
     detail(f"wrote {names}")
 
 
@@ -196,26 +199,28 @@ def _save(result: Result, out: Path, csv: Path | None) -> None:
 
 
 def _draw(plots: Sequence[Plot], folder: Path, *, every: bool) -> None:
-    """Draw the main figures, or all of them."""
+    """Draw the main figures, or with ``every`` all figures, and print their names."""
     from slipfree.show.plots import main_plots, save
 
     files = save(plots if every else main_plots(plots), folder)
     for file in files:
-        put_file(file)
+        add_json_file(file)
     names, rest = ", ".join(file.stem for file in files), len(plots) - len(files)
     more = f"; {rest} more with --figures-all" if rest else ""
-    say(f"drew {names} in {folder}{more}")
+    print_line(f"drew {names} in {folder}{more}")
     detail(f"drew {len(files)} figures in {folder}")
 
 
 def _cross_check(result: Result) -> None:
-    """Print the differences of the two formulations of contact, the largest first."""
+    """Print the eight largest differences between the two formulations of contact."""
     from slipfree.problem.solve import cross_check
 
     other, found = cross_check(result)
     differences = sorted(found, key=lambda each: -each.size)
-    say(f"largest differences from formulation = {other!r}, of {len(differences)} quantities:")
-    put(
+    print_line(
+        f"largest differences from formulation = {other!r}, of {len(differences)} quantities:"
+    )
+    add_json(
         "cross_check",
         lambda: [
             {
@@ -239,8 +244,8 @@ def _print_summary(result: Result, verb: MotionVerb) -> None:
     from slipfree.problem.summary import outcome_fact
 
     motion = result.trajectory
-    tell([outcome_fact(motion), *result.setup.facts, *verb.facts(motion)])
-    put("outcome", motion.outcome.name.lower)
-    put("result", lambda: motion_answer(motion))
+    print_facts([outcome_fact(motion), *result.setup.facts, *verb.facts(motion)])
+    add_json("outcome", motion.outcome.name.lower)
+    add_json("result", lambda: motion_json(motion))
     for words in verb.warnings(motion):
         warn(words)

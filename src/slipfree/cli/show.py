@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slipfree.cli.common import InputFolder, about, check_apart, check_page, check_place, reported
-from slipfree.cli.messages import put_file, say, warn
+from slipfree.cli.common import InputFolder, about, check_apart, check_output, check_page, reported
+from slipfree.cli.messages import add_json_file, print_line, warn
 from slipfree.errors import DataError
 from slipfree.regular_files import escape_name
 
@@ -41,7 +41,7 @@ def show(
     folder: InputFolder = None,
     port: Annotated[
         int,
-        typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free one."),
+        typer.Option(metavar="PORT", min=0, max=65535, help="Port of the page; 0: any free port."),
     ] = 0,
     browser: Annotated[bool, typer.Option(help="Open a browser.")] = True,
 ) -> None:
@@ -50,7 +50,7 @@ def show(
     The page shows ground, vehicles, contact points, slip and forces in three dimensions.
     """
     with reported():
-        _check_places(files, html, animation)
+        _check_outputs(files, html, animation)
         viewer, found = _read(files, folder)
         with about(files[0]):
             scene = viewer.scene(found)
@@ -58,23 +58,23 @@ def show(
             warn(words)
         if animation is not None:
             _film(scene, _title(found), animation)
-            put_file(animation)
+            add_json_file(animation)
         if html is not None:
             from slipfree.atomic_files import replace_file
             from slipfree.show.viewer import page
 
             text = page(scene, _title(found), color)
             replace_file(html, lambda part: _write(part, text))
-            put_file(html)
-            say(f"wrote {html}, {len(text) / 1e6:.1f} MB")
+            add_json_file(html)
+            print_line(f"wrote {html}, {len(text) / 1e6:.1f} MB")
         if html is None and animation is None:
             from slipfree.show.viewer import serve
 
-            serve(scene, _title(found), color, port, warn, lambda url: _ready(url, browser))
+            serve(scene, _title(found), color, port, warn, lambda url: _open_page(url, browser))
 
 
-def _check_places(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
-    """Raise DataError for output files that cannot be written."""
+def _check_outputs(files: Sequence[Path], html: Path | None, animation: Path | None) -> None:
+    """Raise DataError for a page or an animation that cannot be written."""
     if html is not None:
         check_page(html, files)
     if animation is not None:
@@ -82,7 +82,7 @@ def _check_places(files: Sequence[Path], html: Path | None, animation: Path | No
 
         check_apart(animation, files)
         film_writer(animation, FRAMES)
-        check_place(animation)
+        check_output(animation)
 
 
 def _write(part: Path, text: str) -> None:
@@ -92,7 +92,7 @@ def _write(part: Path, text: str) -> None:
 
 
 def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]]:
-    """Return the motions of result files, and the functions that draw them."""
+    """Return the viewer of the kind of motions, and the motions of the result files."""
     from slipfree.problem.result import open_result
     from slipfree.problem.verbs.registry import verb_of
     from slipfree.show.thinning import SCENE_SAMPLES
@@ -107,14 +107,14 @@ def _read(files: Sequence[Path], folder: Path | None) -> tuple[Viewer, list[Any]
             viewers.setdefault(verb.viewer().noun, verb.viewer())
     if len(viewers) > 1:
         raise DataError(
-            f"show: expected results of one kind, found {' and '.join(viewers)}; show "
-            "them separately"
+            f"show: expected results of one kind, found {' and '.join(viewers)}; run slipfree "
+            "show for each kind separately"
         )
     return next(iter(viewers.values())), found
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """Return the shortest distinct names of files."""
+    """Return the file names without suffix, or the whole paths if names coincide."""
     names = [file.stem for file in files]
     names = names if len({*names}) == len(names) else [str(file) for file in files]
     return [escape_name(name) for name in names]
@@ -128,12 +128,12 @@ def _title(found: Sequence[Any]) -> str:
 def _film(scene: Scene, title: str, file: Path) -> None:
     from slipfree.show.film import animate
 
-    say(f"wrote {file}, {animate(scene, file, title)}")
+    print_line(f"wrote {file}, {animate(scene, file, title)}")
 
 
-def _ready(url: str, browser: bool) -> None:
+def _open_page(url: str, browser: bool) -> None:
     """Print the address of the page, and open it if ``browser`` is set and a display exists."""
-    say(f"{url} shows it; Ctrl-C ends it", err=True)
+    print_line(f"{url} shows the motions; Ctrl-C ends the server", err=True)
     seen = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slipfree.cli.common import STOPPED, File, Settings, interruptible, reported, tell
-from slipfree.cli.messages import detail, has_bar, put_file, say, warn
+from slipfree.cli.common import STOPPED, File, Settings, interruptible, print_facts, reported
+from slipfree.cli.messages import add_json_file, detail, has_bar, print_line, warn
 from slipfree.errors import DataError
 from slipfree.regular_files import check_name
 
@@ -95,7 +95,7 @@ def sweep(
             plan = sweep_of(file, vary or [], settings or [], repeat, seed, checked)
         folder = out or Path(f"{plan.problem.source.path.stem}_sweep")
         if dry_run:
-            _tell_plan(plan, folder, processes or available_cores())
+            _print_plan(plan, folder, processes or available_cores())
             return
         if draw:
             _check_figures(folder / FIGURES)
@@ -104,14 +104,14 @@ def sweep(
                 f"compiled = true: {why}; equations that are not in the cache are interpreted, "
                 "which is slower"
             )
-        rows = _done(plan, folder, _pool(processes, scheduler), keep, again)
+        rows = _run_all(plan, folder, _pool(processes, scheduler), keep, again)
         names = choose_figures(plan, rows, figures or [])
         found = grids(plan, rows, names)
-        tell(sweep_facts(plan, rows, found, names))
-        put_file(folder / NAME)
-        say(f"wrote {folder / NAME}")
+        print_facts(sweep_facts(plan, rows, found, names))
+        add_json_file(folder / NAME)
+        print_line(f"wrote {folder / NAME}")
         if keep:
-            _tell_missing(plan, rows, folder)
+            _warn_missing(plan, rows, folder)
         if draw:
             _draw(plan, drawn_grids(rows, found, names), folder / FIGURES)
         if rows.ended(FAILED, LOST):
@@ -119,7 +119,7 @@ def sweep(
 
 
 def _check_figures(folder: Path) -> None:
-    """Raise DataError for an invalid folder for figures, before any run."""
+    """Raise DataError if the folder for figures has an invalid name or is a file."""
     check_name(folder)
     if folder.exists() and not folder.is_dir():
         raise DataError(
@@ -128,7 +128,7 @@ def _check_figures(folder: Path) -> None:
         )
 
 
-def _tell_plan(plan: Sweep, folder: Path, processes: int) -> None:
+def _print_plan(plan: Sweep, folder: Path, processes: int) -> None:
     """Print the facts of a sweep, and its remaining time, estimated from finished runs."""
     from slipfree.sweep.log import NAME, Log
     from slipfree.sweep.table import plan_facts
@@ -144,7 +144,7 @@ def _tell_plan(plan: Sweep, folder: Path, processes: int) -> None:
                 each = sum(row.seconds for row in rows) / len(rows)
                 about_all = duration(left * each / processes)
                 words = f"about {about_all}: {each:.3g} s per run on {processes} processes"
-    tell([*facts, ("time", words if left else "nothing is left to run")])
+    print_facts([*facts, ("time", words if left else "nothing is left to run")])
 
 
 def duration(seconds: float) -> str:
@@ -155,8 +155,8 @@ def duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def _tell_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
-    """Warn about finished runs without result files."""
+def _warn_missing(plan: Sweep, rows: Rows, folder: Path) -> None:
+    """Warn about finished runs without result file, which were run without ``--keep``."""
     from slipfree.sweep.run import missing_results, result_path
 
     if missing := missing_results(folder, plan, rows):
@@ -179,13 +179,13 @@ def _pool(count: int | None, scheduler: str | None) -> Callable[[], Pool]:
         return lambda: ProcessPool(count or available_cores())
     if count is not None:
         raise DataError(
-            "--scheduler: expected --scheduler or --processes, found both; a cluster has as many "
-            "processes as workers"
+            "--scheduler: expected --scheduler or --processes, found both; remove --processes: a "
+            "cluster has as many processes as workers"
         )
     return lambda: Cluster(scheduler, warn)
 
 
-def _done(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:
+def _run_all(plan: Sweep, folder: Path, pool: Callable[[], Pool], keep: bool, again: bool) -> Rows:
     """Run the sweep, show its progress, and return the rows of all runs."""
     from slipfree.sweep.log import FAILED, LOST
     from slipfree.sweep.run import run_sweep
@@ -219,7 +219,7 @@ def _progress(words: str) -> Iterator[Callable[..., None]]:
             nonlocal due
             if has_bar() and (elapsed := time.monotonic() - begun) > due:
                 due = elapsed + min(elapsed / 2, LINES_APART)
-                say(f"{words}: {done} of {count}", err=True)
+                print_line(f"{words}: {done} of {count}", err=True)
 
         yield line
         return
@@ -235,10 +235,10 @@ def _draw(plan: Sweep, grids: Sequence[Swept], folder: Path) -> None:
     from slipfree.show.sweep_figures import save_sweep_figures
 
     if len(plan.axes) > MOST_KEYS:
-        say(f"no figures: {len(plan.axes)} keys are varied, and figures show at most two")
+        print_line(f"no figures: {len(plan.axes)} keys are varied, and figures show at most two")
         return
     if plan.count > 1:
         paths = save_sweep_figures(grids, folder)
         for path in paths:
-            put_file(path)
-        say(f"drew {len(paths)} files in {folder}")
+            add_json_file(path)
+        print_line(f"drew {len(paths)} files in {folder}")

@@ -12,11 +12,11 @@ from slipfree.cli.common import (
     Settings,
     about,
     check_apart,
-    check_place,
+    check_output,
+    print_facts,
     reported,
-    tell,
 )
-from slipfree.cli.messages import detail, put_file, say
+from slipfree.cli.messages import add_json_file, detail, print_line
 from slipfree.regular_files import regular_file
 
 
@@ -24,11 +24,18 @@ def track(
     file: Annotated[Path, typer.Argument(metavar="PLAN.nc", help="Result file of a plan.")],
     settings: Settings = None,
     period: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Time between two cycles.")
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Time between two replannings; default: a twentieth of the window.",
+        ),
     ] = None,
     window: Annotated[
         float | None,
-        typer.Option(metavar="SECONDS", help="Length of the window that is replanned."),
+        typer.Option(
+            metavar="SECONDS",
+            help="Length of the window that is replanned; default: a fifth of the plan's duration.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -40,8 +47,9 @@ def track(
 ) -> None:
     """Follow a plan in a changed world, by replanning.
 
-    Compare the final error and the slip with those of the plan's inputs without feedback and of
-    the driving law. Changes are given by --set, as in terrain.error.rms=0.02.
+    Print the final error and the slip, and compare them with those of two other controllers: the
+    plan's inputs without feedback, and the driving law. Changes of the world are given by --set, as
+    in terrain.error.rms=0.02.
     """
     with reported(), about(file):
         from slipfree.files.netcdf import write
@@ -49,7 +57,7 @@ def track(
 
         with regular_file(file, "a result file of slipfree"):
             if out is not None:
-                check_place(out)
+                check_output(out)
                 check_apart(out, [file])
         test = follow_plan(
             file,
@@ -59,11 +67,11 @@ def track(
             folder=folder,
             progress=lambda t: detail(f"replanned at {t:.4g} s"),
         )
-        tell(list(tracking_rows(test)))
+        print_facts(list(tracking_rows(test)))
         run = test.motions[-1].run
         if out is not None and run is not None:
             write(out, run)
-            put_file(out)
-            say(f"wrote {out}")
+            add_json_file(out)
+            print_line(f"wrote {out}")
         if run is not None and run.outcome.exit_code:
             raise typer.Exit(run.outcome.exit_code)

@@ -48,11 +48,14 @@ class CompliantContact:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not value > 0 and name != "damping":
-                raise ModelError(f"contact: {name} must be positive, found {value}")
+                raise ModelError(
+                    f"contact: expected a positive number as {name!r}, found {value}; increase it"
+                )
         if not (self.damping >= 0 and self.static >= self.dynamic):
             raise ModelError(
                 "contact: expected a damping of at least 0 and a static friction not below the "
-                f"dynamic friction, found {self.damping} s/m, {self.static} and {self.dynamic}"
+                f"kinetic friction, found damping {self.damping} s/m, static {self.static}, "
+                f"kinetic {self.dynamic}; change these numbers"
             )
 
 
@@ -129,10 +132,11 @@ def wheel_contacts(
 
 
 def direction(contacts: tuple[SolidContact, ...]) -> ca.SX:
-    """Return the direction in which a wheel can move forward over its contacts [rad].
+    """Return the direction in which a wheel can move forward, upward from the horizontal [rad].
 
-    It is the steepest tangent of the near solids: a wheel on the floor at a wall moves up the wall.
-    A wheel moves downhill, as over an edge, only if no other solid supports it.
+    It is the steepest upward tangent of the solids near the wheel: a wheel that touches floor and
+    wall moves up the wall. A wheel moves downhill, as over an edge, only if no other solid supports
+    it.
     """
     up, down, free = ca.SX(0), ca.SX(0), ca.SX(1)
     for each in contacts:

@@ -32,21 +32,23 @@ MIN_STEPS_PER_RADIUS = 4  # smallest number of steps per wheel radius, so that n
 
 
 class Leg(NamedTuple):
-    """A smooth part of the path, between two instants at which a wheel meets a solid.
+    """Smooth section of the contact path, between two points at which a wheel meets a solid.
 
     Attributes
     ----------
-    axle : str
-        Name of the climbing axle, whose wheels have met a solid.
+    axle : {"rear", "middle", "front"}
+        Axle whose wheels meet a solid at the start of the leg, and then climb it.
     solids : tuple of 3 int
-        Indices of the solids on which the axles stand.
+        Index in ``Profile.solids`` of the solid on which the rear, the middle and the front axle
+        stand.
     length : float
-        Length in terms of the path parameter. [m]
+        Path parameter s at the end of the leg; s is zero at its start. [m]
     top : float
         Path parameter at which the climbing wheels move horizontally again; equal to ``length`` if
         they do not. [m]
     curve : callable
-        Function from path parameters, shape (n,), to configurations, shape (4, n).
+        Function from path parameters, shape (n,) [m], to configurations (x, z, rear tilt, front
+        tilt), shape (4, n) [m, rad].
     """
 
     axle: str
@@ -64,7 +66,8 @@ class PathSamples(NamedTuple):
     s : ndarray, shape (n,)
         Path parameter. [m]
     q, first, second : ndarray, shape (n, 4)
-        Configurations, and their first and second derivatives with respect to s. [m, rad]
+        Configurations (x, z, rear tilt, front tilt) [m, rad], and their first and second
+        derivatives with respect to s.
     normals : ndarray, shape (n, 3, 2)
         Unit normals of the ground at the contacts of the rear, middle and front axle.
     speeds, slopes : ndarray, shape (n, 3)
@@ -88,7 +91,8 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
     ------
     ModelError
         If the floor is not level, if there is no obstacle, or if the vehicle gets stuck: a body
-        would have to stand upright, or a wheel would have to leave the ground.
+        would have to stand upright, a wheel is caught between two solids, or a leg is longer than
+        the limit.
     """
     corners = [x for solid in profile.solids[1:] for x, _ in solid.points]
     ends = [x for x in corners if x < max(x for x, _ in profile.solids[0].points)]
@@ -112,7 +116,7 @@ def legs(climber: Climber, profile: Profile) -> tuple[Leg, ...]:
 
 
 def sample(climber: Climber, profile: Profile, leg: Leg, s: Array) -> PathSamples:
-    """Return the configurations of a leg at path parameters, shape (n,)."""
+    """Return the configurations of a leg, and their derivatives, at path parameters ``s``, (n,)."""
     q = _closest_configurations(climber, profile, leg.curve(s).T, leg.solids)
     arms = axle_arms(climber, q)
     _, normals, curvature = _contacts(climber, profile, q, leg.solids)
@@ -148,7 +152,10 @@ def rotate_nose_up(vectors: Array) -> Array:
 
 
 def _speed_jacobian(directions: Array, arms: Array) -> Array:
-    """Return the Jacobian of the axles' speeds in given directions, shape (n, 3, 4)."""
+    """Return the derivatives of the axles' speeds by the rates of q, shape (n, 3, 4).
+
+    The speeds are components along unit vectors, shape (n, 3, 2).
+    """
     rows = np.zeros((*directions.shape[:2], 4))
     rows[..., :2] = directions
     lever = (directions * rotate_nose_up(arms)).sum(axis=-1)
@@ -167,7 +174,11 @@ def _direction(normals: Array, arms: Array) -> Array:
 def _contacts(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array, Array]:
-    """Return gaps (n, 3), normals (n, 3, 2) and curvatures of the axles' paths (n, 3)."""
+    """Return gaps, unit normals and curvatures of the axles' paths for n configurations.
+
+    The gaps (n, 3) [m] and normals (n, 3, 2) are those of the axles' wheels and the solids on which
+    they stand; the shape of the curvatures is (n, 3) [1/m].
+    """
     places = q[:, None, :2] + axle_arms(climber, q)
     gaps, curvature = np.empty(places.shape[:2]), np.empty(places.shape[:2])
     normals = np.empty(places.shape)
@@ -182,7 +193,7 @@ def _contacts(
 
 
 def _closest_configurations(climber: Climber, profile: Profile, q: Array, solids: Solids) -> Array:
-    """Return the nearest configurations with all axles in contact, shape (n, 4)."""
+    """Return configurations near q, shape (n, 4), in which all axles touch their solids."""
     for _ in range(3):
         gaps, normals, _ = _contacts(climber, profile, q, solids)
         rows = _speed_jacobian(normals, axle_arms(climber, q))
@@ -191,7 +202,7 @@ def _closest_configurations(climber: Climber, profile: Profile, q: Array, solids
 
 
 def _start(climber: Climber, profile: Profile, first: float) -> Array:
-    """Return a configuration on the floor before all obstacles."""
+    """Return a configuration on the floor, shape (4,), with all wheels before x = ``first``."""
     level = max(z for _, z in profile.solids[0].points) + climber.radius
     x = first - 2 * climber.radius - climber.front.ahead
     q = np.array([x, level, 0.0, 0.0])
@@ -282,9 +293,9 @@ def _march(
 def _other_gaps(
     climber: Climber, profile: Profile, q: Array, solids: Solids
 ) -> tuple[Array, Array]:
-    """Return the gaps between wheels and solids, and their derivatives by s, shape (3, n_solids).
+    """Return the gaps between axles' wheels and solids [m], and their derivatives by s [1].
 
-    The gap of a wheel to the solid on which it stands is infinite.
+    Both have shape (3, n_solids). The gap of a wheel to the solid on which it stands is infinite.
     """
     arms = axle_arms(climber, q[None])
     x, z = (q[:2] + arms[0]).T

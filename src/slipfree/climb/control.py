@@ -20,35 +20,37 @@ Directions = Literal["contact", "sensors"]
 
 
 class Driver(Protocol):
-    """Protocol of the controllers of a climb: the gains, which determine the controller's states.
+    """Protocol of the controllers of a climb.
+
+    The properties determine which states the controller adds to the model.
 
     `Control` and `slipfree.climb.plan_tracking.Tracking` implement it.
     """
 
     @property
     def senses(self) -> bool:
-        """Whether the estimated directions of the axles are states."""
+        """Whether the controller uses directions estimated from sensors, which are states."""
 
     @property
     def proportional(self) -> float:
-        """Gain of the errors of the wheel rates [N m s/rad]."""
+        """Proportional gain of the wheel-rate control [N m s/rad]."""
 
     @property
     def integral(self) -> float:
-        """Gain of the integrated errors, which are states if it is not zero [N m/rad]."""
+        """Integral gain [N m/rad]; if it is not zero, the integrated errors are states."""
 
     @property
     def derivative(self) -> float:
-        """Gain of the derivatives; filtered errors are states if it is not zero [N m s2/rad]."""
+        """Derivative gain [N m s2/rad]; if it is not zero, the filtered errors are states."""
 
     @property
     def lag(self) -> float:
-        """Time constant of the filters of the errors [s]."""
+        """Time constant of the low-pass filter of the errors, for the derivative gain [s]."""
 
 
 @dataclass(frozen=True)
 class Control:
-    """Control of the wheel rates by reference speeds.
+    """PID controller of the wheel rates, whose references follow from axle speeds without slip.
 
     Attributes
     ----------
@@ -60,10 +62,10 @@ class Control:
     smoothing : float
         Time constant of the low-pass filter of the estimated directions. [s]
     share : float
-        Factor on the true directions if ``directions="contact"``; below one, the law uses too
-        small directions.
+        Factor by which the true directions are multiplied if ``directions="contact"``; a value
+        below one simulates directions that are estimated too small. [1]
     cap : float
-        Largest reference speed of an axle, relative to the speed of the vehicle.
+        Largest reference speed of an axle, relative to the speed of the vehicle; at least 1. [1]
     proportional, integral, derivative : float
         PID gains of each wheel rate, (17). [N m s/rad, N m/rad, N m s2/rad]
     lag : float
@@ -96,21 +98,25 @@ class Control:
         for name, known in (("law", Law), ("directions", Directions)):
             if getattr(self, name) not in get_args(known):
                 raise ModelError(
-                    f"control: {name} must be one of {', '.join(get_args(known))}, "
-                    f"found {getattr(self, name)!r}"
+                    f"control: expected one of {', '.join(get_args(known))} as {name!r}, "
+                    f"found {getattr(self, name)!r}; choose one of these names"
                 )
         for name in ("smoothing", "proportional", "integral", "lag"):
             if not getattr(self, name) > 0:
-                raise ModelError(f"control: {name} must be positive, found {getattr(self, name)}")
+                raise ModelError(
+                    f"control: expected a positive number as {name!r}, found "
+                    f"{getattr(self, name)}; increase it"
+                )
         for name in ("derivative", "unwinding"):
             if not getattr(self, name) >= 0:
                 raise ModelError(
-                    f"control: {name} must not be negative, found {getattr(self, name)}"
+                    f"control: expected a number of at least 0 as {name!r}, found "
+                    f"{getattr(self, name)}; increase it"
                 )
         if not (0 <= self.share < math.inf and self.cap >= 1):
             raise ModelError(
-                f"control: expected a share of at least 0 and a cap of at least 1, found "
-                f"{self.share} and {self.cap}"
+                "control: expected a finite 'share' >= 0 and 'cap' >= 1, found share = "
+                f"{self.share}, cap = {self.cap}; change these numbers"
             )
 
     @property

@@ -24,11 +24,20 @@ MAX_TILT = 1.4  # a body with a larger tilt has overturned [rad]
 
 
 class Frame(NamedTuple):
-    """Kinematics and dynamics of the two bodies.
+    """Kinematics and dynamics of the two bodies in a state.
 
-    ``q`` are the position of the joint and the tilts [m, rad], ``v`` their rates, ``axles`` the
-    positions of the axles [m], ``mass`` the mass matrix, ``energy`` the kinetic and gravitational
-    energy [J], and ``force`` the generalised forces of gravity and inertia [N, N m].
+    Attributes
+    ----------
+    q, v : SX, shape (4, 1)
+        Position of the joint and tilts (x, z, rear, front) [m, rad], and their rates.
+    axles : PerAxle of SX, shape (2, 1)
+        Positions of the axles. [m]
+    mass : SX, shape (4, 4)
+        Mass matrix. [kg, kg m, kg m2]
+    energy : SX
+        Kinetic and gravitational energy. [J]
+    force : SX, shape (4, 1)
+        Generalised forces of gravity and inertia. [N, N m]
     """
 
     q: ca.SX
@@ -77,7 +86,7 @@ def climbing(
     Raises
     ------
     ModelError
-        If the sample time is not positive, or too long for a stable controller.
+        If the sample time is not positive, or not below `slipfree.climb.control.largest_period`.
 
     Notes
     -----
@@ -196,7 +205,11 @@ def _as_measured(noise: Noise | None, t: ca.SX, x: State) -> State:
 def _commands(
     climber: Climber, control: Control, x: State, seen: PerAxle, speed: ca.SX
 ) -> Commands:
-    """Return references and torques, and the rates of the controller's states."""
+    """Return reference rates, torques and the rates of the controller's states.
+
+    ``seen`` are the directions of the axles [rad], ``speed`` the reference speed of the vehicle
+    [m/s].
+    """
     used = x.directions if control.senses else PerAxle(*(control.share * each for each in seen))
     relative = reference(climber, x.tilts, PerAxle(*used), control.law, control.cap)
     wanted = PerAxle(*(speed / climber.radius * each for each in relative))

@@ -28,7 +28,7 @@ class ClimbEnding(NamedTuple):
     t : float
         Time at which the rear axle reaches the top, the vehicle stalls, or the motion ends. [s]
     words : str
-        Explanation for users, with time and position.
+        Sentence on the reason, with time and position.
     """
 
     name: Ending
@@ -54,9 +54,9 @@ def climb_ending(run: Trajectory, climber: Climber, profile: Profile) -> ClimbEn
     run : Trajectory
         A motion of `slipfree.climb.dynamics.climbing`.
     climber : Climber
-        Its vehicle.
+        Vehicle of the motion.
     profile : Profile
-        Its ground.
+        Ground of the motion.
     """
     end = float(run.t[-1])
     if run.stop is not None and run.stop.name.endswith("_overturned"):

@@ -63,11 +63,11 @@ class Demand(NamedTuple):
     Attributes
     ----------
     leg : Leg
-        The leg.
+        Leg of the contact path.
     s : ndarray, shape (n,)
         Path parameters on the leg. [m]
     hold : HoldingForces
-        Friction and forces at these path parameters.
+        Least coefficient of friction and contact forces at these path parameters.
     """
 
     leg: Leg
@@ -138,7 +138,7 @@ def center(body: Body, tilt: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the nose-up moments of vectors b (..., 2) at positions a (..., 2)."""
+    """Return the nose-up moments of forces b (..., 2) at positions a (..., 2), shape (...)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
@@ -178,10 +178,10 @@ def least_friction_forces(matrix: Array, load: Array) -> HoldingForces:
 
 
 def _reserve(matrix: Array, load: Array, mu: Array, relative: Array) -> tuple[Array, Array]:
-    """Return the contact forces with the largest minimal friction reserve, and the reserve.
+    """Return the contact forces whose smallest friction reserve is largest, and that reserve.
 
-    The reserve of an axle is ``(mu N - |T|) / relative``, with the normal force N and the
-    tangential force T.
+    The forces (n, 6) [N] satisfy ``matrix @ f = load``. The reserve of an axle, shape (n,), is
+    ``(mu N - |T|) / relative``, with the normal force N and the tangential force T.
     """
     from scipy.optimize import linprog  # imported here: the import takes 0.2 s
 
@@ -241,7 +241,7 @@ def least_friction(climber: Climber, profile: Profile, samples: int = 41) -> Fri
 
 
 def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, ...]:
-    """Return the demands of all legs at equally spaced points and around each leg's worst point."""
+    """Return the demands of all legs, at equally spaced samples and around the largest demand."""
     found = legs(climber, profile)
     places = [np.linspace(0, leg.length, samples) for leg in found]
     holds = _holds(climber, profile, found, places)
@@ -262,7 +262,7 @@ def _demands(climber: Climber, profile: Profile, samples: int) -> tuple[Demand, 
 
 
 def _points_around(s: Array, k: int) -> Array:
-    """Return path parameters between sample `k` and its neighbours."""
+    """Return more path parameters, between sample ``k`` and its neighbours [m]."""
     between = [
         np.linspace(a, b, REFINED_POINTS + 2)[1:-1] for a, b in pairwise(s[max(k - 1, 0) : k + 2])
     ]

@@ -41,12 +41,14 @@ class Window(NamedTuple):
 
 
 class Metrics(NamedTuple):
-    """Averages over the window; arrays have shape (3,): rear, middle and front axle.
+    """Averages over the time window of a climb.
+
+    Arrays have shape (3,), for rear, middle and front axle.
 
     Attributes
     ----------
     window : Window
-        The window.
+        Time window of the averages.
     slip : ndarray
         Absolute value of the slip ratio, equation (20) of Chugo et al. (2009). It uses the speed of
         the middle axle for all wheels, so that it is not zero for wheels that roll without slip.
@@ -123,7 +125,7 @@ def climb_window(run: Trajectory, climber: Climber, profile: Profile) -> Window:
     if not touching.any():
         raise ModelError(
             "metrics: the front wheel touches only the floor until "
-            f"t = {run.t[-1]:g} s; simulate longer or start nearer"
+            f"t = {run.t[-1]:g} s; simulate longer or start nearer to the obstacle"
         )
     up = has_reached_top(run, climber, profile)
     climbed = bool(up.any())

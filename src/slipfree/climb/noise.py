@@ -51,8 +51,11 @@ class Noise:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not (0 <= value < math.inf and (value > 0 or name != "band")):
-                bound = "positive" if name == "band" else "not negative"
-                raise ModelError(f"noise: {name} must be finite and {bound}, found {value}")
+                sign = ">" if name == "band" else ">="
+                raise ModelError(
+                    f"noise: expected a finite number {sign} 0 as {name!r}, found {value}; "
+                    "change it"
+                )
 
 
 def measured(
@@ -84,7 +87,7 @@ def measured(
 
 
 def _unit(rng: np.random.Generator, band: float, t: Any) -> Any:
-    """Return the value at time t of random noise with root mean square one."""
+    """Return the value at time t of noise with root mean square one and largest frequency band."""
     edges = np.linspace(0.01 * band, band, TONES + 1)
     turning = 2 * np.pi * rng.uniform(edges[:-1], edges[1:])
     phases = rng.uniform(0, 2 * np.pi, TONES)

@@ -61,7 +61,21 @@ class TrackedPlan:
 
 
 class _PlanPoint(NamedTuple):
-    """Plan at the position of the vehicle, and whether it is before or behind the plan."""
+    """Values of a `TrackedPlan` at the progress of the vehicle.
+
+    Attributes
+    ----------
+    square : SX
+        Square of the speed along the path. [m2/s2]
+    speeds : PerAxle of SX
+        Speeds of the axles divided by the speed along the path. [1]
+    directions : PerAxle of SX
+        Directions of the axles' motion, upward from the horizontal. [rad]
+    torques : PerAxle of SX
+        Torque of each wheel's motor. [N m]
+    before, behind : SX
+        One if the progress is below the first, or above the last point of the plan, else zero.
+    """
 
     square: ca.SX
     speeds: PerAxle
@@ -80,11 +94,12 @@ class Tracking:
     Attributes
     ----------
     plan : TrackedPlan
-        The plan.
+        Planned speeds, directions and torques as functions of the progress.
     proportional : float
-        Gain of the errors of the wheel rates. [N m s/rad]
+        Proportional gain of the wheel-rate control. [N m s/rad]
     spare : float
-        Slip speed that the references allow, about the slip speed of the largest friction. [m/s]
+        Largest excess of a wheel's reference rim speed over the speed of its axle. A good value is
+        the slip speed at which friction is largest. [m/s]
     lead : float
         Distance added to the progress when the plan is evaluated. It must exceed the depth of the
         contacts; otherwise the plan stops a wheel before it touches the next solid. [m]
@@ -108,7 +123,10 @@ class Tracking:
     def __post_init__(self) -> None:
         for name in ("proportional", "spare", "lead"):
             if not getattr(self, name) > 0:
-                raise ModelError(f"tracking: {name} must be positive, found {getattr(self, name)}")
+                raise ModelError(
+                    f"tracking: expected a positive number as {name!r}, found "
+                    f"{getattr(self, name)}; increase it"
+                )
 
 
 def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
@@ -138,7 +156,7 @@ def tracked_plan(plans: Sequence[tuple[Climb, Array]]) -> TrackedPlan:
 
 
 def _leg(plan_and_unknowns: tuple[Climb, Array]) -> tuple[Array, ...]:
-    """Return the fields of a leg's plan, at its nodes and interval midpoints."""
+    """Return the fields of `TrackedPlan` for one leg, at its nodes and interval midpoints."""
     plan, unknowns = plan_and_unknowns
     nodes, middles, torque = plan.nodes, plan.middles, history(plan, unknowns)["torque"]
     square = np.maximum(unknowns[plan.nlp.where["b"]], 0)
@@ -166,9 +184,9 @@ def tracked(
 ) -> Commands:
     """Return reference rates of the wheels and motor torques that track a planned climb.
 
-    The plan is a function of the position of the axles. Before its first and after its last
-    position, all wheels have the same reference speed; it falls to zero towards the first position,
-    since plans begin at rest.
+    The plan is evaluated at the progress p of the vehicle. Below the first and above the last p of
+    the plan, all wheels have the same reference speed. Below the first p, this speed decreases to
+    zero towards the plan's start, since plans begin at rest.
 
     Parameters
     ----------
@@ -177,7 +195,7 @@ def tracked(
     climber : Climber
         The vehicle.
     x : State
-        State of the motion.
+        States of the vehicle.
     axles, velocities : PerAxle of SX, shape (2, 1)
         Positions and velocities of the axles. [m, m/s]
     speed : SX
@@ -212,7 +230,10 @@ def _plan_at(plan: TrackedPlan, p: ca.SX) -> _PlanPoint:
 
 
 def _reference_speed(plan: TrackedPlan, p: ca.SX, at: _PlanPoint, speed: ca.SX) -> ca.SX:
-    """Return the reference speed along the path, before, on and behind the plan [m/s]."""
+    """Return the reference speed along the path at progress ``p`` [m/s].
+
+    Outside the plan, the speed changes with constant acceleration and does not exceed ``speed``.
+    """
     arriving = 2 * ACCELERATION * ca.fmax(plan.p[0] - p, 0)
     leaving = at.square + 2 * ACCELERATION * ca.fmax(p - plan.p[-1], 0)
     square = ca.if_else(at.before, arriving, ca.if_else(at.behind, leaving, at.square))

@@ -157,7 +157,7 @@ class Profile:
     Attributes
     ----------
     solids : tuple of Solid
-        One or more; they may overlap.
+        The floor, and the obstacles, which may overlap it and each other.
 
     Raises
     ------
@@ -169,7 +169,10 @@ class Profile:
 
     def __post_init__(self) -> None:
         if not self.solids:
-            raise ModelError("profile: expected one solid or more, found none")
+            raise ModelError(
+                "profile: expected one solid or more, found none; give at least a floor, as in "
+                "Profile((Solid(points),))"
+            )
 
     @property
     def summit(self) -> Point:
@@ -278,7 +281,10 @@ def _block(start: float, height: float, length: float) -> Solid:
 def _positive(**sizes: float) -> None:
     for name, value in sizes.items():
         if not (value > 0 and math.isfinite(value)):
-            raise ModelError(f"profile: {name} must be positive and finite, found {value}")
+            raise ModelError(
+                f"profile: expected a positive and finite number as {name!r}, found {value}; "
+                "change it"
+            )
 
 
 def _counter_clockwise(points: Array) -> Sequence[Array]:

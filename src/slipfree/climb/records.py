@@ -50,8 +50,14 @@ class State(NamedTuple):
 class Totals(NamedTuple):
     """Time integrals along a motion.
 
-    These are the rotation angles of the wheels [rad], the work of the motors, and the energy
-    dissipated by friction (``rubbed``) and by damping (``damped``) [J].
+    Attributes
+    ----------
+    wheel_angles : PerAxle
+        Rotation angles of the wheels. [rad]
+    work : scalar
+        Work of the motors. [J]
+    rubbed, damped : scalar
+        Energy dissipated by friction and by damping of the contacts. [J]
     """
 
     wheel_angles: PerAxle
@@ -68,7 +74,7 @@ class Inputs(NamedTuple):
 
 
 class OnSolid(NamedTuple):
-    """Contacts of all axles with one solid; see `slipfree.climb.contact.SolidContact`."""
+    """Contacts of all axles with one solid, with the fields of `SolidContact` of these names."""
 
     gap: PerAxle
     load: PerAxle

@@ -79,9 +79,11 @@ def ratios(climber: Climber, tilts: Tilts, directions: PerAxle) -> PerAxle:
 
 
 def capped(speeds: PerAxle, cap: float) -> PerAxle:
-    """Return speeds scaled such that the middle axle has speed one and no axle exceeds ``cap``.
+    """Return axle speeds relative to that of the middle axle, none above ``cap``.
 
-    If the middle axle cannot move, as with the front axle at a wall, its speed is zero.
+    If the speed of another axle exceeds ``cap`` times that of the middle axle, all speeds are
+    reduced by a common factor; the middle axle's is zero if it cannot move, as with the front axle
+    at a wall.
     """
     column = ca.vertcat(*speeds)
     size = ca.fmax(ca.fabs(column[1]), ca.mmax(ca.fabs(column)) / cap)
@@ -114,9 +116,14 @@ def reference(
         If the law is unknown or the cap is below one.
     """
     if law not in get_args(Law):
-        raise ModelError(f"reference: expected one of {', '.join(get_args(Law))}, found {law!r}")
+        raise ModelError(
+            f"reference: expected one of {', '.join(get_args(Law))} as 'law', found {law!r}; "
+            "choose one of these names"
+        )
     if not cap >= 1:
-        raise ModelError(f"reference: cap must be at least 1, found {cap}")
+        raise ModelError(
+            f"reference: expected a number of at least 1 as 'cap', found {cap}; increase it"
+        )
     if law == "fixed":
         return PerAxle(ca.SX(1), ca.SX(1), ca.SX(1))
     if law == "projective":
@@ -137,7 +144,7 @@ class _Cosines(NamedTuple):
 
 
 def _cosines(tilts: Tilts, alpha: Any) -> _Cosines:
-    """Return the cosines of (6) and (8): th_b is the rear tilt, th_a + th_b the front one."""
+    """Return the cosines of (6) and (8), with rear tilt th_b and front tilt th_a + th_b."""
     return _Cosines(
         ca.cos(alpha - tilts.rear),
         ca.cos(tilts.rear),
@@ -152,7 +159,7 @@ def _printed_6_8(tilts: Tilts, alpha: Any, cap: float) -> PerAxle:
 
 
 def _printed_14(tilts: Tilts, alpha: Any, _cap: float) -> PerAxle:
-    """Return the first column of the Moore-Penrose inverse of (14), whose rows are orthogonal."""
+    """Return the speed ratios of the axles from the pseudo-inverse (15) of the printed (14)."""
     a, b, c, d = _cosines(tilts, alpha)
     first, square = a / b, d**2
     size = 5 / (2 * first**2 * square + square + 2 * c**2)

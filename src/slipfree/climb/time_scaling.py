@@ -91,7 +91,8 @@ def inertia(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
     Returns
     -------
     G, H : ndarray, shape (n, 4)
-        Coefficients of the second derivative of s, and of the square of its first derivative.
+        Coefficients of the second time derivative of s, and of the square of the first. Rows are
+        those of `equilibrium`. [N s2/m, N s2]
     """
     linear, square = np.zeros((2, len(path.q), 4))
     bodies = (climber.rear_body, climber.front_body)
@@ -112,7 +113,7 @@ def inertia(climber: Climber, path: PathSamples) -> tuple[Array, Array]:
 
 
 def spin_inertia(climber: Climber) -> Array:
-    """Return the torques that accelerate the axles' wheels, per acceleration of the axle, (3,)."""
+    """Return the torque on an axle's wheels per acceleration of the axle, shape (3,) [N m s2/m]."""
     return np.array([axle.inertia for axle in climber.axles]) / climber.radius
 
 
@@ -157,19 +158,28 @@ def climb(
         they do not increase.
     """
     if cost not in COSTS:
-        raise ModelError(f"climb: expected a cost of {', '.join(COSTS)}, found {cost!r}")
+        raise ModelError(
+            f"climb: expected one of {', '.join(COSTS)} as 'cost', found {cost!r}; choose one of "
+            "these names"
+        )
     if (mu is None) != (cost == "friction"):
         raise ModelError(
-            "climb: expected a coefficient of friction mu for the costs time and slip, and none "
-            f"for the cost friction, which minimises it; found mu = {mu} for {cost}"
+            "climb: expected a coefficient of friction 'mu' for the costs time and slip, and none "
+            f"for the cost friction, which minimises it; found mu = {mu} for the cost {cost}; "
+            + ("give 'mu'" if mu is None else "remove 'mu'")
         )
     if not speed > 0:
-        raise ModelError(f"climb: expected a positive speed, found {speed} m/s")
+        raise ModelError(
+            f"climb: expected a positive number as 'speed', found {speed} m/s; increase it"
+        )
     if mu is not None and not mu > 0:
-        raise ModelError(f"climb: expected a positive coefficient of friction mu, found {mu}")
+        raise ModelError(f"climb: expected a positive number as 'mu', found {mu}; increase it")
     ends = _mesh(leg, s, halt=halt) if isinstance(s, int) else np.asarray(s, dtype=float)
     if ends.ndim != 1 or ends.size < 3 or (np.diff(ends) <= 0).any():
-        raise ModelError(f"climb: expected three or more increasing nodes s, found {ends}")
+        raise ModelError(
+            f"climb: expected three or more increasing nodes as 's', found {ends}; give more "
+            "nodes, in increasing order"
+        )
     nodes = sample(climber, profile, leg, ends)
     middles = sample(climber, profile, leg, (ends[:-1] + ends[1:]) / 2)
     nlp = _program(climber, nodes, middles, cost, mu, speed, halt=halt)
@@ -246,7 +256,7 @@ def _cost(
 def _slow_climb(
     climber: Climber, middles: PathSamples, mu: float | None
 ) -> tuple[Array, Array, Array]:
-    """Return the initial guess of forces and friction, those of a slow climb.
+    """Return the forces and the friction coefficient of a slow climb, as initial guess.
 
     The minimisation of friction is quasi-convex, not convex: from a poor initial guess IPOPT may
     stop at a point that is not a minimum.
@@ -261,7 +271,7 @@ def _slow_climb(
 
 
 def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, Array]:
-    """Return bounds of b at the nodes."""
+    """Return lower and upper bounds of the squared path speed b at the nodes, shape (n + 1,)."""
     upper = fastest / (nodes.speeds**2).max(axis=1)
     upper[[0, -1] if halt else [0]] = 0.0
     away = nodes.s - nodes.s[0]
@@ -274,7 +284,10 @@ def _speeds(nodes: PathSamples, fastest: float, *, halt: bool) -> tuple[Array, A
 def _constraint_rows(
     climber: Climber, middles: PathSamples, steps: Array, unknowns: Sequence[ca.MX]
 ) -> tuple[list[ca.MX], list[Array], list[Array]]:
-    """Return the constraints with their bounds: motion, friction cones and torques."""
+    """Return the blocks of constraints, and their lower and upper bounds.
+
+    The constraints are the equations of motion, friction cones and torque limits at the midpoints.
+    """
     b, normal, tangential, mu = unknowns
     count, weight = steps.size, GRAVITY * climber.mass
     matrix, load = equilibrium(climber, middles)
@@ -308,13 +321,13 @@ def _torques(
 
 
 def _difference_matrix(steps: Array) -> scipy.sparse.csr_matrix:
-    """Return the matrix from b at the nodes to a on the intervals."""
+    """Return the matrix that maps b at the n + 1 nodes to a on the n intervals, (n, n + 1)."""
     factors = 1 / (2 * steps)
     return scipy.sparse.diags([-factors, factors], [0, 1], (steps.size, steps.size + 1)).tocsr()
 
 
 def _midpoint_matrix(count: int) -> scipy.sparse.csr_matrix:
-    """Return the matrix from b at the nodes to b at the midpoints."""
+    """Return the matrix that maps b at the n + 1 nodes to b at the n midpoints, (n, n + 1)."""
     return scipy.sparse.diags([0.5, 0.5], [0, 1], (count, count + 1)).tocsr()
 
 

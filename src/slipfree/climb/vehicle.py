@@ -103,7 +103,9 @@ class Climber:
             sizes |= {f"{name}.inertia": axle.inertia, f"{name}.wheels": axle.wheels}
         for name, value in sizes.items():
             if not value > 0:
-                raise ModelError(f"climber: {name} must be positive, found {value}")
+                raise ModelError(
+                    f"climber: expected a positive number as {name!r}, found {value}; increase it"
+                )
         if not self.radius < self.front.ahead - self.rear.ahead:
             raise ModelError(
                 "climber: expected a radius below the distance of front and rear axle, "
@@ -115,7 +117,7 @@ class Climber:
             raise ModelError(
                 "climber: expected the rear axle behind the middle axle, the middle axle not ahead "
                 "of the joint and the front axle ahead of the joint, found axles "
-                f"{order} m ahead of the joint"
+                f"{order} m ahead of the joint; correct 'ahead' of the axles"
             )
 
     @property
@@ -194,7 +196,7 @@ def planar(
             if abs(z) > LENGTH_TOLERANCE:
                 raise ModelError(
                     "planar: expected all wheels at the height of the joint, found wheel "
-                    f"{wheel.name} {z:g} m above it"
+                    f"{wheel.name!r} {z:g} m above it; move the wheel or the joint"
                 )
             axles.setdefault((round(y, 9), wheel.parent in carried), []).append(wheel)
     places = sorted(axles)
@@ -202,7 +204,8 @@ def planar(
     if [front for _, front in places] != [False, False, True] or len(radii) != 1:
         raise ModelError(
             "planar: expected three axles of equal wheels, two of them on the rear body, found "
-            f"{[y for y, _ in places]} m ahead of the joint, radii {sorted(radii)} m"
+            f"axles {[y for y, _ in places]} m ahead of the joint, radii {sorted(radii)} m; change "
+            "the positions or radii of the wheels"
         )
     rear, middle, front = (
         Axle(y, len(axles[y, on_front]), spin)
@@ -230,7 +233,8 @@ def _front_body(vehicle: Vehicle) -> tuple[Joint, set[str]]:
     if len(pitching) != 1:
         raise ModelError(
             "planar: expected one joint of the suspension that pitches a front body, found "
-            f"{[joint.name for joint in pitching] or 'none'} in {vehicle.name}"
+            f"{[joint.name for joint in pitching] or 'none'} in {vehicle.name!r}; give the vehicle "
+            "one such joint, with a sideways axis"
         )
     carried = {pitching[0].name}
     for joint in vehicle.joints:

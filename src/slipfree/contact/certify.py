@@ -69,8 +69,9 @@ class SecondContact:
         """Return a message that locates the second contact, in map coordinates."""
         spot = self._nearest(x[:, None], z[:, None])[1][0]
         return (
-            f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m; "
-            "terrain.rolled(radius) fills the hollows that are too narrow for the wheel"
+            f"wheel {self.wheel.name} touches a second time at ({spot[0]:.3f}, {spot[1]:.3f}) m, "
+            "apart from its contact point; fill hollows narrower than the wheel with "
+            "terrain.rolled(radius), or choose another path"
         )
 
     def _nearest(self, x: Array, z: Array) -> tuple[Array, Array]:
@@ -89,7 +90,10 @@ class SecondContact:
         return flat[rows, best] + touching, points.reshape(len(values), -1, 3)[rows, best]
 
     def _surface(self, x: Array, z: Array) -> Array:
-        """Return points on the tread in map coordinates, shape (n, rim, section, 3)."""
+        """Return points on the tread in map coordinates, shape (n, rim, section, 3) [m].
+
+        They form a grid around the rim and across the section.
+        """
         center, rotation, normal = (out.full() for out in self.pose.map(x.shape[1])(x, z))
         axes = rotation.T.reshape(-1, 3, 3)  # axle, forward, up; column by column
         down = -(axes @ normal.T[..., None])[..., 0]
@@ -102,7 +106,10 @@ class SecondContact:
         return np.asarray(middles[:, None] + rho[:, None, :, None] * spokes[:, :, None])
 
     def _angles(self, u_0: Array) -> Array:
-        """Return normal angles equally spaced in arc length around ``u_0``, shape (n, section)."""
+        """Return points of the tread's section around ``u_0``, as angles of their normals [rad].
+
+        The points have equal distances along the section; the shape is (n, section).
+        """
         angles, lengths = arc_lengths(self.wheel.section)
         half = int(np.ceil(lengths[-1] / 2 / (SPACING * self.wheel.radius)))
         steps = np.linspace(-0.5, 0.5, 2 * half + 1) * lengths[-1] if half else np.zeros(1)
@@ -111,7 +118,7 @@ class SecondContact:
 
 
 def _second_minima(gap: Array) -> Mask:
-    """Return the mask of local minima of the gap, without the contact point itself."""
+    """Return the mask of local minima of gaps (n, rim, section), without the contact point."""
     rim, tube = gap.shape[1:]
     padded = np.pad(gap, ((0, 0), (1, 1), (1, 1)), constant_values=np.inf)
     low = np.ones(gap.shape, dtype=bool)
@@ -123,7 +130,10 @@ def _second_minima(gap: Array) -> Mask:
 
 
 def _vertex(gap: Array, i: int, j: int) -> float:
-    """Return the minimum of the parabola through a local minimum and its neighbours."""
+    """Return the refined value of the gap's local minimum at (i, j) [m].
+
+    The value is the vertex of parabolas through the minimum and its neighbours.
+    """
     drop = 0.0
     for line, k in ((gap[:, j], i), (gap[i, :], j)):
         if 0 < k < line.size - 1:

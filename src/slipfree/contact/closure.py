@@ -58,7 +58,10 @@ def has_exact_closure(vehicle: Vehicle) -> bool:
 
 
 def check_exact_closure(vehicle: Vehicle, model: str) -> None:
-    """Raise ModelError if a model needs exact closure and the vehicle does not have it."""
+    """Raise ModelError if not all wheels of a vehicle can touch a rigid ground.
+
+    The message begins with ``model``, the name of the model that requires it.
+    """
     if not has_exact_closure(vehicle):
         wheels, given = len(vehicle.wheels), len(vehicle.of("suspension"))
         raise ModelError(

@@ -28,9 +28,14 @@ from slipfree.vehicle.wheel import Wheel
 class ContactCoordinates(NamedTuple):
     """Coordinates of a contact on both surfaces, and the angle between their Gauss frames.
 
-    ``x, y`` are the ground's coordinates ``u_g, v_g`` [m]; ``u, v`` those of the wheel
-    ``u_w, v_w`` (``Section.point``); ``psi`` is the angle from the wheel's Gauss x axis to the
-    ground's Gauss x axis, about the ground's normal [rad].
+    Attributes
+    ----------
+    x, y : SX
+        Coordinates ``u_g, v_g`` of the contact on the ground. [m]
+    u, v : SX
+        Coordinates ``u_w, v_w`` of the contact on the wheel, see ``Section.point``.
+    psi : SX
+        Angle from the wheel's Gauss x axis to the ground's, about the ground's normal. [rad]
     """
 
     x: Any
@@ -120,8 +125,8 @@ def contact_rates(wheel: Forms, ground: Forms, psi: ca.SX, v: ca.SX, omega: ca.S
     psi : SX, shape (1, 1)
         Angle from the wheel's Gauss x axis to the ground's. [rad]
     v, omega : SX, shape (3, 1)
-        Velocity of the wheel's material contact point relative to the ground, and angular
-        velocity of the wheel, in the wheel's Gauss frame; ``v[2]`` is zero. [m/s, rad/s]
+        Velocity of the wheel's material point at the contact, and angular velocity of the wheel,
+        relative to the ground and in the wheel's Gauss frame; ``v[2]`` is zero. [m/s, rad/s]
     """
     turn = alignment(psi)[:2, :2]
     from_ground = turn @ ground.curvature @ turn

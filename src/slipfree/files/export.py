@@ -29,11 +29,11 @@ class MapCoordinate(NamedTuple):
     Attributes
     ----------
     name : str
-        ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``.
+        Name of the map coordinate: ``"x"``, ``"y"``, ``"z"``, ``"longitude"`` or ``"latitude"``.
     offset : float
-        Value at the origin of the motion's coordinates. [m] or [deg]
+        Value of the map coordinate at the origin of the motion's coordinates. [m] or [deg]
     factor : float
-        Change of the coordinate, in its unit, per metre of the motion.
+        Change of the map coordinate per metre of the motion. [1] or [deg/m]
     axis : str
         Coordinate of the motion: ``"x"``, ``"y"`` or ``"z"``.
     """
@@ -95,7 +95,7 @@ def export_rates(file: Path, out: Path) -> None:
 
 
 def _read_motion(file: Path, needed: Iterable[str]) -> Trajectory:
-    """Return the motion in a result file; raise DataError if a needed quantity is missing."""
+    """Return the motion in a result file; raise DataError if a ``needed`` quantity is missing."""
     run = read(file)
     missing = [name for name in needed if name not in run.columns]
     if missing:
@@ -126,7 +126,7 @@ def encode_map_coordinates(coordinates: Iterable[MapCoordinate]) -> str:
 
 
 def _map_coordinates(run: Trajectory) -> list[MapCoordinate]:
-    """Return the coordinates of the map file; by default those of the motion."""
+    """Return the coordinates of the map file; without them, those of the motion."""
     text = run.attributes.get(MAP_TRANSFORM)
     if text is None:
         return [MapCoordinate(name, 0.0, 1.0, name) for name in "xyz"]
@@ -134,8 +134,8 @@ def _map_coordinates(run: Trajectory) -> list[MapCoordinate]:
         return [MapCoordinate(*row) for row in json.loads(text)]
     except (ValueError, TypeError) as error:
         raise DataError(
-            f"attribute {MAP_TRANSFORM!r}: expected rows of name, offset, factor and axis as JSON, "
-            f"found {text!r}; run the problem again"
+            f"attribute {MAP_TRANSFORM!r} of the result: expected rows of name, offset, factor and "
+            f"axis as JSON, found {text!r}; run the problem again"
         ) from error
 
 
@@ -192,6 +192,6 @@ def _write_geojson(run: Trajectory, out: Path) -> None:
 
 
 def _urn(crs: str) -> str:
-    """Return the URN of an EPSG code; other names of reference systems unchanged."""
+    """Return the name of a coordinate reference system, an EPSG code as URN."""
     code = re.fullmatch(r"EPSG:(\d+)", crs)
     return f"urn:ogc:def:crs:EPSG::{code[1]}" if code else crs

@@ -75,7 +75,7 @@ def write(
         The motion. Versions and date are added to its attributes, unless it was read from a result
         file and has them.
     arrays : mapping of str to ndarray of shape (n,), optional
-        Further arrays by name, read by `read_arrays`; lengths may differ.
+        Further arrays by name, which `read_arrays` returns; lengths may differ.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def read(path: str | os.PathLike[str], *, lazy: bool = False) -> Trajectory:
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, npt.NDArray[np.float64]]:
-    """Return the further arrays of a result file by name, as passed to `write`.
+    """Return by name the arrays that `write` stored in addition to the trajectory.
 
     Raises
     ------
@@ -175,7 +175,10 @@ def is_result(path: str | os.PathLike[str]) -> bool:
 def _check(run: Trajectory) -> None:
     """Raise ModelError for a trajectory without samples or with a reserved name."""
     if run.t.size == 0:
-        raise ModelError("expected a trajectory with at least one sample, found none")
+        raise ModelError(
+            "expected a trajectory with at least one sample, found none; write a motion that has "
+            "begun"
+        )
     taken = RESERVED & {*run.columns, *run.attributes}
     taken |= {name for name in run.attributes if name.startswith(STATISTICS)}
     if taken:
@@ -259,7 +262,7 @@ class _Variable(NamedTuple):
 
 
 class _File(NamedTuple):
-    """An open netCDF file with its header."""
+    """An open netCDF file: path, stream, global attributes and headers of variables by name."""
 
     path: Path
     stream: BinaryIO
@@ -274,7 +277,7 @@ class _File(NamedTuple):
         return np.fromfile(self.stream, variable.dtype, size).reshape(variable.shape)
 
     def number(self, attribute: str) -> float:
-        """Return a global attribute that is a number; raise DataError if it is text."""
+        """Return the value of a numeric global attribute; raise DataError if it is text."""
         value = self.attributes[attribute]
         if isinstance(value, str):
             raise _fault(
@@ -289,7 +292,7 @@ def _fault(path: Path, found: str, remedy: str = REMEDY) -> DataError:
 
 
 def _open(path: Path) -> _File:
-    """Return a result file opened for reading; raise DataError if it is not complete."""
+    """Return a result file opened for reading; raise DataError if it is damaged or of others."""
     with regular_file(path, "a result file of slipfree"):
         with path.open("rb") as stream:
             head = stream.read(4)

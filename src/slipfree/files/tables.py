@@ -92,7 +92,8 @@ def read_columns(
         text = read_bytes(path, f"{expected} as CSV").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(
-            f"{path}: expected {expected} as CSV, found a file that is not text"
+            f"{path}: expected {expected} as CSV, found a file that is not UTF-8 text; give a text "
+            "file"
         ) from error
     rows, order, width = [], list(range(len(columns))), len(columns)
     wanted = f"{COUNTS.get(width, width)} numbers {','.join(columns)}"
@@ -108,6 +109,8 @@ def read_columns(
         except ValueError:
             row = []
         if not row or not all(map(isfinite, row)):
-            raise DataError(f"{path}:{number}: expected {wanted}, found {line.strip()!r}")
+            raise DataError(
+                f"{path}:{number}: expected {wanted}, found {line.strip()!r}; correct the line"
+            )
         rows.append(tuple(row))
     return rows

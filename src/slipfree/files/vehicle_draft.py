@@ -26,12 +26,12 @@ FORWARD_UP = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 @dataclass(frozen=True)
 class Draft:
-    """Parts of a vehicle that may not fit together.
+    """Parts of a vehicle from a file, not yet checked to form a vehicle.
 
     Attributes
     ----------
     name, coordinates, joints, wheels, body, notes
-        Fields of `slipfree.vehicle.tree.Vehicle`.
+        Fields of `slipfree.vehicle.tree.Vehicle` with the same names and types.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Draft:
     notes: tuple[str, ...] = ()
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
-        """Return the coordinates of one kind, in order."""
+        """Return the coordinates of a kind, in the order of the file."""
         return tuple(c for c in self.coordinates if c.kind == kind)
 
     def vehicle(self) -> Vehicle:
@@ -51,7 +51,7 @@ class Draft:
 
 
 class UnfitError(DataError):
-    """File that does not contain a valid vehicle.
+    """Error in a URDF file that does not contain a valid vehicle.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ def misfits(draft: Draft) -> Iterator[tuple[str, str]]:
     Yields
     ------
     expected, found : str
-        Parts of the error message.
+        Descriptions of the expected number, and of the found number with a remedy.
     """
     count, given = len(draft.wheels), [c.name for c in draft.of("suspension")]
     if count < 3:
@@ -130,7 +130,7 @@ def in_order(parents: Mapping[str, str], root: str) -> tuple[tuple[str, ...], tu
 
 
 def loop_of(name: str, parents: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names in the loop of parents above a name; empty without a loop.
+    """Return the loop that is reached by repeated steps from a name to its parent; empty if none.
 
     Each name in the result is followed by its parent.
     """
@@ -174,7 +174,7 @@ def _body(body: Body) -> Body:
 
 
 def _angles_right(turned: Vector) -> Vector:
-    """Return roll, pitch and yaw [rad], converted to axes x right, y forward."""
+    """Return roll, pitch and yaw [rad], converted from axes x forward to axes x right."""
     if not any(turned[:2]):
         return turned
     rotation = FORWARD_UP @ rotation_of(turned) @ FORWARD_UP.T

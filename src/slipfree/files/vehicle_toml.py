@@ -70,7 +70,7 @@ T = TypeVar("T")
 
 
 class VehicleError(ProblemError):
-    """Vehicle file in TOML that does not contain a valid vehicle.
+    """Error in a vehicle file in TOML, with one message per error.
 
     Attributes
     ----------
@@ -100,19 +100,19 @@ def _place(value: Vector) -> Vector:
 
 
 def _radians(value: Vector) -> Vector:
-    """Return three angles unchanged; raise an error for a bare number beyond a full turn."""
+    """Return three angles unchanged; raise an error if one has no unit and exceeds a full turn."""
     for each in value:
         in_radians(each)
     return value
 
 
 def _expected(words: str) -> PydanticCustomError:
-    """Return the validation error with the description of the expected value."""
+    """Return a validation error of pydantic with a description of the expected value."""
     return PydanticCustomError("expected", "{words}", {"words": words})
 
 
 def _axis(value: Any) -> str | Vector:
-    """Return an axis: the name of an axis of the frame, or a vector."""
+    """Return a valid axis: "x", "y", "z" or a nonzero vector; raise an error for others."""
     if isinstance(value, str) and value in ("x", "y", "z"):
         return value
     numbers = value if isinstance(value, list) else []
@@ -126,7 +126,7 @@ def _axis(value: Any) -> str | Vector:
 
 
 def _known_section(_: Any) -> None:
-    """Raise the validation error for an unknown section."""
+    """Raise a validation error with the names of the known sections."""
     raise PydanticCustomError("expected", "{words}", {"words": f"one of {', '.join(SECTIONS)}"})
 
 
@@ -245,7 +245,7 @@ TABLES: Tables = {
 
 
 class File(NamedTuple):
-    """Text, line numbers and values of a vehicle file."""
+    """Contents of a vehicle file: text with line numbers, and values."""
 
     source: Source
     data: dict[str, Any]
@@ -256,7 +256,7 @@ class File(NamedTuple):
         return f"{where}: {fault.hint}expected {fault.expected}, found {fault.found}"
 
     def _who(self, place: Place) -> str:
-        """Return the name of the element with a key, as in `` (joint 'boom')``, or empty text."""
+        """Return the element with a key, as in `` (joint 'boom')``; empty text without a name."""
         if len(place) < 2 or not isinstance(place[1], int):
             return ""
         element = self.data[str(place[0])][place[1]]
@@ -325,7 +325,7 @@ def validated(model: type[Record], parts: Tables, file: File) -> Any:
 def _worded(
     model: type[BaseModel], parts: Tables, data: dict[str, Any], error: dict[str, Any]
 ) -> Fault:
-    """Return a validation error of pydantic in the words of the package."""
+    """Return a validation error of pydantic as a `Fault`, with descriptions for this file."""
     place, kind = tuple(error["loc"]), error["type"]
     if kind == "extra_forbidden":
         table = parts[place[0]](data[place[0]][place[1]]) if len(place) > 1 else model
@@ -364,7 +364,7 @@ def read_toml(file: File) -> Draft:
 
 
 def _counted(table: VehicleTable) -> str:
-    """Return the key that messages about the number of wheels or coordinates refer to."""
+    """Return the table that messages about too few wheels or too many coordinates name."""
     return "coordinates" if table.coordinates and len(table.wheels) > 2 else "wheels"
 
 
@@ -378,7 +378,8 @@ def _name_errors(table: VehicleTable) -> Iterator[Fault]:
             place = (part, index, "name")
             if each.name in seen:
                 expected = "a unique name"
-                yield Fault(place, expected, f"{each.name!r}, also the name of {seen[each.name]}")
+                found = f"{each.name!r}, also the name of {seen[each.name]}; rename one of them"
+                yield Fault(place, expected, found)
             seen.setdefault(each.name, spelled((part, index)))
             if part == "wheels" and not re.fullmatch(r"[\w-]+", each.name):
                 yield Fault(place, "a name of letters, digits, _ and -", repr(each.name))
@@ -433,14 +434,15 @@ def _value_errors(table: VehicleTable) -> Iterator[Fault]:
             motions.setdefault(name, set()).add(joint.motion)
     for index, c in enumerate(table.coordinates):
         if not motions[c.name]:
-            yield Fault(("coordinates", index), "a joint whose value uses it", "none")
+            expected, found = "a joint whose value uses it", "none; remove it, or add such a joint"
+            yield Fault(("coordinates", index), expected, found)
         if len(motions[c.name]) > 1:
             expected = "only turning or only sliding joints whose value uses the coordinate"
-            yield Fault(("coordinates", index), expected, "both")
+            yield Fault(("coordinates", index), expected, "both; use two coordinates")
 
 
 def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
-    """Yield errors in stops, rates and their units, and in the dimensions of wheels."""
+    """Yield errors in the limits of coordinates and their units, and in dimensions of wheels."""
     slides = {
         name for joint in table.joints if joint.motion == "slide" for name in _names_in(joint.value)
     }
@@ -468,7 +470,7 @@ def _dimension_errors(table: VehicleTable) -> Iterator[Fault]:
 
 
 def _names_in(formula: str) -> frozenset[str]:
-    """Return the names in a formula; none for an invalid formula."""
+    """Return the names of coordinates in a formula; an empty set if the formula is invalid."""
     try:
         return names_in(formula)
     except ModelError:
@@ -503,7 +505,7 @@ def _build_draft(table: VehicleTable) -> tuple[Draft, list[Fault]]:
 
 
 def _coordinate(table: CoordinateTable) -> Coordinate:
-    """Return the coordinate of a table."""
+    """Return the coordinate that a table describes."""
     given = table.model_dump(exclude_none=True)
     return Coordinate(**{"words": table.name.replace("_", " "), **given})
 
@@ -515,14 +517,14 @@ def _joint(table: JointTable) -> Joint:
 
 
 def _wheel(table: AnyWheelTable, sideways: Vector) -> Wheel:
-    """Return the wheel of a table; its axle is ``sideways`` by default."""
+    """Return the wheel that a table describes; its axle is ``sideways`` by default."""
     names = {"name", "parent", "at", "driven", "grip", "mass", "static_depth"}
     axle = sideways if table.axle is None else table.axle
     return Wheel(**table.model_dump(include=names), section=_section_of(table), axle=axle)
 
 
 def _section_of(table: AnyWheelTable) -> Section:
-    """Return the section of a wheel; raise ModelError for invalid dimensions."""
+    """Return the section of the wheel in a table; raise ModelError for invalid dimensions."""
     if isinstance(table, WheelTable):
         tube, rollers = table.tube, table.rollers
         return section_of_radii(tube, table.radius - tube, rollers=rollers)

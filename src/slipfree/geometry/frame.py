@@ -26,15 +26,18 @@ def unit_vector(axis: Axis) -> Vector:
     given = AXES.get(axis) if isinstance(axis, str) else axis
     size = hypot(*given) if given is not None and len(given) == 3 else 0.0
     if given is None or not 0 < size < inf:
-        raise ModelError(f"an axis must be x, y, z or a nonzero vector, found {axis!r}")
+        raise ModelError(
+            f"expected x, y, z or a nonzero vector of three numbers as an axis, found {axis!r}; "
+            "correct it"
+        )
     x, y, z = (each / size for each in given)
     return x, y, z
 
 
 def check_vector(name: str, vector: Sequence[float]) -> None:
-    """Raise ModelError if a vector is not three finite numbers."""
+    """Raise ModelError, with ``name`` in the message, if a vector is not three finite numbers."""
     if len(vector) != 3 or not all(map(isfinite, vector)):
-        raise ModelError(f"{name} must be three finite numbers, found {vector}")
+        raise ModelError(f"{name} must be three finite numbers, found {vector}; correct it")
 
 
 class Twist(NamedTuple):
@@ -67,11 +70,11 @@ class Pose(NamedTuple):
     origin: ca.SX
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Return a pose given in this frame in fixed axes."""
+        """Return the pose ``other``, given relative to this frame, in fixed axes."""
         return Pose(self.rotation @ other.rotation, self.origin + self.rotation @ other.origin)
 
     def twist(self, q: ca.SX, rates: ca.SX) -> Twist:
-        """Return the twist of a pose that depends on ``q``, for given rates of ``q``."""
+        """Return the twist of a pose that depends on ``q`` (n, 1), for rates of ``q`` (n, 1)."""
         turning = ca.jtimes(self.rotation, q, rates) @ self.rotation.T
         return Twist(ca.jtimes(self.origin, q, rates), ca.inv_skew(turning))
 

@@ -33,7 +33,7 @@ def sheet(points: Array, closed: tuple[bool, bool] = (False, False)) -> Mesh:
     Parameters
     ----------
     points : ndarray, shape (n, m, 3)
-        The grid. [m]
+        Points of the grid. [m]
     closed : tuple of 2 bools
         Whether the last line of points connects to the first, for each direction of the grid.
     """

@@ -132,7 +132,7 @@ class Coulomb:
         )
 
     def _continuation(self) -> Continuation:
-        """Return the decreasing creep speeds from nearly viscous to the given friction."""
+        """Return the continuation from nearly viscous friction to ``creep``, by creep speeds."""
         values = [MAX_CREEP]
         while values[-1] > self.creep:
             values.append(max(values[-1] * CREEP_RATIO, self.creep))
@@ -149,7 +149,10 @@ def _equation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
 
 
 def no_equilibrium(contacts: SlidingContacts) -> Limit:
-    """Return the slip limit beyond which friction cannot hold the vehicle."""
+    """Return the limit of the slip velocity: ten times the largest rim speed plus a constant.
+
+    A wheel that slips faster shows that friction cannot hold the vehicle: there is no equilibrium.
+    """
     driven = [wheel for wheel in contacts.vehicle.wheels if wheel.driven]
     fastest, most = ca.SX(0), ca.SX(0)
     for rate, wheel in zip(contacts.driven, driven, strict=True):

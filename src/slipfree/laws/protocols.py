@@ -83,7 +83,7 @@ class SlipLaw(Protocol):
     """
 
     def check(self, vehicle: Vehicle) -> None:
-        """Raise ModelError if the law does not suit the vehicle."""
+        """Raise ModelError if the law cannot be used with the vehicle."""
 
     def unknowns(self, vehicle: Vehicle, constraints: tuple[Label, ...]) -> Any:
         """Return the labels of the unknowns that the law adds to the rates."""
@@ -151,7 +151,7 @@ class GroundLaw(Protocol):
     """
 
     def check(self, vehicle: Vehicle, terrain: Terrain) -> None:
-        """Raise ModelError if the law does not suit the vehicle or the ground."""
+        """Raise ModelError if the law cannot be used with the vehicle or the ground."""
 
     def unknowns(self, vehicle: Vehicle) -> Any:
         """Return the labels of the unknowns that the law adds to the rates."""
@@ -166,7 +166,7 @@ def wheel_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[La
 
 
 def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tuple[Label, ...]:
-    """Return the labels of the components of a vector, wheel by wheel."""
+    """Return the labels of the x, y and z component of a vector of each wheel, wheel by wheel."""
     return tuple(
         Label(name, unit, f"{axis} component of the {words}", wheel.name)
         for wheel in vehicle.wheels
@@ -177,7 +177,7 @@ def component_labels(vehicle: Vehicle, name: str, unit: str, words: str) -> tupl
 def check_law(law: object, protocol: type, expected: str) -> None:
     """Raise ModelError if an argument does not implement the protocol of a law."""
     if not isinstance(law, protocol) or isinstance(law, type):
-        raise ModelError(f"expected {expected}, found {law!r}")
+        raise ModelError(f"expected {expected}, found {law!r}; give an object of such a class")
 
 
 def check_bounds(law: Any) -> None:
@@ -190,4 +190,6 @@ def check_bounds(law: Any) -> None:
                 edge = getattr(bound, key, None)
                 if edge is not None and not holds(value, edge):
                     name = f"{type(law).__name__}: {field.name}"
-                    raise ModelError(f"{name}: expected a number {sign} {edge:g}, found {value}")
+                    raise ModelError(
+                        f"{name}: expected a number {sign} {edge:g}, found {value}; change it"
+                    )

@@ -42,7 +42,7 @@ class Ground(NamedTuple):
         Coefficient of friction, or a map of it. [1]
     friction : str
         Description of the friction; empty without friction.
-    told : list of (str, str)
+    facts : list of (str, str)
         Further facts: the map, the changes, and the transformation to coordinates of the map.
     coordinates : tuple of MapCoordinate
         Coordinates of the map file; empty if they are those of motions.
@@ -53,7 +53,7 @@ class Ground(NamedTuple):
     rolled: Rolled | None
     mu: float | Grid | None
     friction: str
-    told: Facts
+    facts: Facts
     coordinates: tuple[MapCoordinate, ...]
 
 
@@ -86,15 +86,15 @@ def build_ground(problem: Problem[S]) -> Ground:
             grid = cut(grid, spec.window)
     grid, changes = _changed(problem, grid)
     coordinates = _map_coordinates(found, horizontal, vertical)
-    told = [*found.told, *changes, *_map_facts(found.crs, coordinates)]
+    facts = [*found.facts, *changes, *_map_facts(found.crs, coordinates)]
     mu, friction = _friction(problem, found)
     if spec.rolled is None:
-        return Ground(grid, source + _scale_words(spec), None, mu, friction, told, coordinates)
+        return Ground(grid, source + _scale_words(spec), None, mu, friction, facts, coordinates)
     with at(problem, ("terrain", "rolled")):
         _check_size(np.ptp(grid.x), np.ptp(grid.y), spec.rolled / NODES)
         changed = rolled(grid, spec.rolled)
     return Ground(
-        changed.grid, source + _scale_words(spec), changed, mu, friction, told, coordinates
+        changed.grid, source + _scale_words(spec), changed, mu, friction, facts, coordinates
     )
 
 
@@ -124,26 +124,26 @@ def _scale_words(spec: schema.Terrain) -> str:
 
 def _changed(problem: Problem[S], grid: Grid) -> tuple[Grid, Facts]:
     """Return the ground after optional smoothing and elevation error, and facts about them."""
-    spec, told = problem.spec.terrain, []
+    spec, facts = problem.spec.terrain, []
     if spec.smooth is not None:
         with at(problem, ("terrain", "smooth")):
             smooth = smoothed(grid, spec.smooth)
         grid = smooth.grid
         change = f"at most {smooth.largest:.3g} m, rms {smooth.rms:.3g} m"
-        told.append(("ground changed by smooth", f"{change} (Gaussian of {spec.smooth:g} m)"))
+        facts.append(("ground changed by smooth", f"{change} (Gaussian of {spec.smooth:g} m)"))
     if (error := spec.error) is not None:
         before = grid.z
         with at(problem, ("terrain", "error")):
             grid = disturbed(grid, error.rms, error.correlation, error.seed)
         rms = float(np.sqrt(np.mean((grid.z - before) ** 2)))
-        told.append(
+        facts.append(
             (
                 "ground error added",
                 f"random heights, rms {error.rms:g} m (on this ground {rms:.3g} m), correlated "
                 f"over {error.correlation:g} m, seed {error.seed}",
             )
         )
-    return grid, told
+    return grid, facts
 
 
 def _map_coordinates(found: Map, horizontal: float, vertical: float) -> tuple[MapCoordinate, ...]:
@@ -218,12 +218,12 @@ def _friction(problem: Problem[S], ground: Map) -> tuple[float | Grid | None, st
         check_friction(found.grid)  # before scaling: the message has coordinates of the file
     # both files describe the same area, so that both are scaled; coefficients are not
     mu = scaled(found.grid, horizontal, 1.0)
-    told = "".join(
+    details = "".join(
         f"; {key.removeprefix('ground ')} {words}"
-        for key, words in found.told
+        for key, words in found.facts
         if not key.startswith("ground map")
     )
-    return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{told}"
+    return mu, f"{name}, {mu.z.min():g} to {mu.z.max():g}{details}"
 
 
 def _synthetic(spec: schema.Synthetic) -> Grid:
@@ -261,7 +261,7 @@ def ground_facts(ground: Ground) -> Facts:
     (n_x, n_y), (h_x, h_y) = grid.z.shape, grid.spacing
     facts = [
         ("ground", ground.source),
-        *ground.told,
+        *ground.facts,
         ("ground size", f"{np.ptp(grid.x):g} x {np.ptp(grid.y):g} m, {n_x} x {n_y} nodes"),
         ("ground cell", f"{h_x:.4g} x {h_y:.4g} m"),
         ("ground height", f"{grid.z.min():.3f} to {grid.z.max():.3f} m"),

@@ -56,7 +56,7 @@ class Heights(NamedTuple):
         Increasing, uniform axes. [m] or [deg]
     z : ndarray, shape (n_x, n_y)
         Heights at ``(x[i], y[j])``, NaN in holes. [m]
-    told : tuple of (str, str)
+    facts : tuple of (str, str)
         Names and values of facts about the file, for users.
     crs : str
         Its coordinate reference system such as ``"EPSG:32633"``; empty if unknown.
@@ -69,7 +69,7 @@ class Heights(NamedTuple):
     x: Array
     y: Array
     z: Array
-    told: tuple[tuple[str, str], ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
     crs: str = ""
     geographic: bool = False
     placed: bool = True

@@ -49,8 +49,8 @@ def evaluate(text: str, values: Mapping[str, ca.SX]) -> ca.SX:
     text : str
         Numbers, names, ``+ - * / **``, parentheses, ``pi`` and the functions ``sin cos tan asin
         acos atan atan2 sqrt exp log abs``. Angles in radians.
-    values : mapping of str to SX
-        Values of the names. [rad or m]
+    values : mapping of str to SX, shape (1, 1)
+        Values of the names that the formula may contain. [rad or m]
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _parse(text: str) -> ast.expr:
 
 
 def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth: int) -> Any:
-    """Return the value of a node of a formula, with at most ``depth`` nested levels."""
+    """Return the value of a node of a parsed formula; raise ModelError below ``depth`` levels."""
     if depth == 0:
         raise ModelError(
             f"formula {text!r}: expected at most {MAX_DEPTH} nested levels, found more; simplify it"
@@ -96,7 +96,9 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
             return CONSTANTS[name]
         case ast.Name(id=name) if name not in FUNCTIONS:
             raise ModelError(
-                f"formula {text!r}: {name!r} is not known; known: {', '.join(sorted(values))}"
+                f"formula {text!r}: expected one of the names "
+                f"{', '.join(sorted(values)) or '(there are none)'}, found {name!r}; correct the "
+                "formula"
             )
         case ast.UnaryOp(op=op, operand=only) if type(op) in OPERATORS:
             return OPERATORS[type(op)](_evaluate_node(only, text, values, depth - 1))
@@ -112,12 +114,12 @@ def _evaluate_node(node: ast.expr, text: str, values: Mapping[str, ca.SX], depth
 
 
 def _is_number(value: float) -> bool:
-    """Return whether a constant is a finite number of at most `MAX_NUMBER`, and not a bool."""
+    """Return whether a constant is a finite number up to `MAX_NUMBER`; a bool is not."""
     return not isinstance(value, bool) and abs(value) < math.inf and abs(value) <= MAX_NUMBER
 
 
 def _formula_error(text: str, part: str) -> ModelError:
     return ModelError(
         f"formula {text!r}: expected numbers, coordinates, + - * / **, pi and "
-        f"{', '.join(FUNCTIONS)}, found {part!r}"
+        f"{', '.join(FUNCTIONS)}, found {part!r}; correct the formula"
     )

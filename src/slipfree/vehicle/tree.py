@@ -22,12 +22,12 @@ MAX_WHEELS = 100  # with more, preparing the models takes minutes
 
 @dataclass(frozen=True)
 class Body:
-    """Mass of a part.
+    """Mass and centre of mass of a part of a vehicle.
 
     Attributes
     ----------
     mass : float
-        Mass; may be zero. [kg]
+        Mass, zero or positive. [kg]
     at : tuple of 3 floats
         Centre of mass in the part's frame. [m]
     """
@@ -40,13 +40,15 @@ class Body:
 
     def __post_init__(self) -> None:
         if not 0 <= self.mass < math.inf:
-            raise ModelError(f"body: mass must be zero or positive, found {self.mass} kg")
+            raise ModelError(
+                f"body: mass must be zero or positive, found {self.mass} kg; change it"
+            )
         check_vector("body: its centre of mass", self.at)
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Angle or length of one or more joints.
+    """Coordinate of a vehicle: an angle or length on which the values of joints depend.
 
     Attributes
     ----------
@@ -60,7 +62,8 @@ class Coordinate:
     lower, upper : float
         Lower and upper stop. [rad or m]
     stiffness, rest : float
-        Stiffness of a spring, and the value without spring force. [N m/rad or N/m; rad or m]
+        Stiffness of a spring [N m/rad or N/m], and value of the coordinate at which the spring has
+        no force [rad or m].
     damping : float
         Constant of a viscous damper. [N m s/rad or N s/m]
     bump : float
@@ -88,25 +91,29 @@ class Coordinate:
         if not self.lower < self.upper:
             raise ModelError(
                 f"coordinate {self.name}: the lower stop must be below the upper one, "
-                f"found {self.lower} and {self.upper}"
+                f"found {self.lower} and {self.upper}; change lower or upper"
             )
         for key in ("stiffness", "damping", "bump"):
             value = getattr(self, key)
             if not 0 <= value < math.inf:
                 raise ModelError(
-                    f"coordinate {self.name}: {key} must be zero or positive, found {value}"
+                    f"coordinate {self.name}: {key} must be zero or positive, found {value}; "
+                    "change it"
                 )
         if not self.max_rate > 0:
             raise ModelError(
-                f"coordinate {self.name}: max_rate must be positive, found {self.max_rate}"
+                f"coordinate {self.name}: max_rate must be positive, found {self.max_rate}; "
+                "increase it"
             )
         if self.bump and not (math.isfinite(self.lower) or math.isfinite(self.upper)):
             raise ModelError(
                 f"coordinate {self.name}: bump, the stiffness of the stops, needs a lower or an "
-                "upper stop, found none"
+                "upper stop, found none; give lower or upper, or remove bump"
             )
         if not math.isfinite(self.rest):
-            raise ModelError(f"coordinate {self.name}: rest must be finite, found {self.rest}")
+            raise ModelError(
+                f"coordinate {self.name}: rest must be finite, found {self.rest}; change it"
+            )
         if self.kind == "commanded" and self.is_loaded:
             raise ModelError(
                 f"coordinate {self.name}: a commanded coordinate cannot have a spring, a damper or "
@@ -115,7 +122,7 @@ class Coordinate:
 
     @property
     def is_loaded(self) -> bool:
-        """Whether a spring, a damper or an elastic stop acts on it."""
+        """Whether a spring, a damper or an elastic stop acts on the coordinate."""
         return any((self.stiffness, self.damping, self.bump))
 
     def potential(self, value: ca.SX) -> ca.SX:
@@ -177,11 +184,11 @@ class Joint:
 
     @property
     def coordinates(self) -> frozenset[str]:
-        """Names of the coordinates in its value."""
+        """Names of the coordinates in the formula of the joint's value."""
         return names_in(self.value)
 
     def pose(self, values: Mapping[str, ca.SX]) -> Pose:
-        """Return the pose of the part in its parent's frame at given coordinates."""
+        """Return the pose of the part in its parent's frame, for values of coordinates by name."""
         value = evaluate(self.value, values)
         x, y, z = self.turned
         place = translation(*self.at)
@@ -209,9 +216,10 @@ class Vehicle:
     wheels : tuple of Wheel
         Wheels; at least 3, at most `MAX_WHEELS`.
     body : Body
-        Mass of the platform. A vehicle without mass has kinematics only, no forces.
+        Mass and centre of mass of the platform. A vehicle without mass has kinematics only, no
+        forces.
     notes : tuple of str
-        Remarks on how it was read from a file.
+        Assumptions that were made when the vehicle was read from a file.
 
     Raises
     ------
@@ -265,7 +273,8 @@ class Vehicle:
             )
         if not 3 <= len(self.wheels) <= MAX_WHEELS:
             raise ModelError(
-                f"expected a vehicle with 3 to {MAX_WHEELS} wheels, found {len(self.wheels)}"
+                f"expected a vehicle with 3 to {MAX_WHEELS} wheels, found {len(self.wheels)}; add "
+                "or remove wheels"
             )
         given, needed = len(self.of("suspension")), len(self.wheels) - 3
         if given > needed:
@@ -276,11 +285,11 @@ class Vehicle:
             )
 
     def of(self, kind: Kind) -> tuple[Coordinate, ...]:
-        """Return the coordinates of one kind, in order."""
+        """Return the coordinates of a kind, in the vehicle's order."""
         return tuple(c for c in self.coordinates if c.kind == kind)
 
     def unit(self, name: str) -> Literal["rad", "m"]:
-        """Return the unit of a coordinate, from the joints that use it."""
+        """Return the unit of a coordinate: "rad" if joints rotate with it, "m" if they slide."""
         slides = any(name in j.coordinates and j.motion == "slide" for j in self.joints)
         return "m" if slides else "rad"
 
@@ -296,7 +305,7 @@ class Vehicle:
         return self.mass * GRAVITY
 
     def carriers(self, platform: Pose, values: Mapping[str, ca.SX]) -> tuple[Pose, ...]:
-        """Return the pose of every wheel's carrier, at the wheel's centre.
+        """Return the pose of each wheel's carrier: origin at the centre, x axis along the axle.
 
         Parameters
         ----------
@@ -334,10 +343,11 @@ class Vehicle:
 
 
 def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
-    """Return a vehicle with actuators in passive joints, whose rates become inputs.
+    """Return the vehicle with actuators in passive joints, whose rates become inputs.
 
-    An actuator with rate zero locks its joint. The torque of the actuator is an output. Springs,
-    dampers and elastic stops of these joints are removed.
+    ``names`` are the coordinates of these joints. An actuator with rate zero locks its joint. The
+    torque of the actuator is an output. Springs, dampers and elastic stops of these joints are
+    removed.
 
     Raises
     ------
@@ -349,7 +359,8 @@ def actuated(vehicle: Vehicle, *names: str) -> Vehicle:
         if name not in passive:
             raise ModelError(
                 f"actuated: expected one of the passive coordinates "
-                f"({', '.join(passive) or 'the vehicle has none'}), found {name!r}"
+                f"({', '.join(passive) or 'the vehicle has none'}), found {name!r}; correct the "
+                "name"
             )
     coordinates = tuple(
         replace(c, kind="commanded", stiffness=0.0, damping=0.0, bump=0.0) if c.name in names else c
@@ -362,13 +373,15 @@ def _check_unique(kind: str, names: Iterable[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise ModelError(f"two {kind}s have the name {name!r}: names must be unique")
+            raise ModelError(
+                f"two {kind}s have the name {name!r}: names must be unique; rename one of them"
+            )
         seen.add(name)
 
 
 def _check_known(kind: str, name: str, role: str, wanted: str, known: set[str]) -> None:
     if wanted not in known:
         raise ModelError(
-            f"{kind} {name}: its {role} {wanted!r} is not known; known so far: "
-            + ", ".join(sorted(known))
+            f"{kind} {name}: expected one of {', '.join(sorted(known))} as {role}, found "
+            f"{wanted!r}; correct the name, or define the {role} before the {kind}"
         )

@@ -32,7 +32,7 @@ class Wheel:
     section : Section
         Cross-section, such as ``Torus(0.05, 0.25)``; ``Omni(...)`` for a wheel with free rollers.
     driven : bool
-        Whether the rate is an input; the rate of a free wheel follows from the motion.
+        Whether the wheel's rate is an input; the rate of a free wheel follows from the motion.
     grip : float
         Factor that multiplies the ground's coefficient of friction. [1]
     mass : float
@@ -40,8 +40,8 @@ class Wheel:
     axle : {"x", "y", "z"} or tuple of 3 floats
         Direction of the axle in the parent's frame; it points right if the wheel rolls forward.
     static_depth : float or None
-        Depth below the ground under an equal share of the weight, for vehicles whose wheels cannot
-        all touch a rigid ground; by default 1/50 of the rolling radius. [m]
+        Depth of the wheel in the ground under an equal share of the weight, for vehicles whose
+        wheels cannot all touch a rigid ground; None for 1/50 of the rolling radius. [m]
     """
 
     name: str
@@ -61,18 +61,21 @@ class Wheel:
         if not re.fullmatch(r"[\w-]+", self.name):
             raise ModelError(
                 f"wheel {self.name!r}: expected a name of letters, digits, _ and -, since it is "
-                "part of names in results"
+                "part of names in results; rename the wheel"
             )
         check_vector(f"wheel {self.name}: at", self.at)
         if not 0 < self.grip < math.inf:
-            raise ModelError(f"wheel {self.name}: grip must be positive, found {self.grip}")
+            raise ModelError(
+                f"wheel {self.name}: grip must be positive, found {self.grip}; change it"
+            )
         if self.static_depth is not None and not 0 < self.static_depth < math.inf:
             raise ModelError(
-                f"wheel {self.name}: static_depth must be positive, found {self.static_depth} m"
+                f"wheel {self.name}: static_depth must be positive, found {self.static_depth} m; "
+                "change it"
             )
         if not 0 <= self.mass < math.inf:
             raise ModelError(
-                f"wheel {self.name}: mass must be zero or positive, found {self.mass} kg"
+                f"wheel {self.name}: mass must be zero or positive, found {self.mass} kg; change it"
             )
 
         try:
@@ -95,7 +98,7 @@ class Wheel:
 
     @property
     def depth(self) -> float:
-        """Static depth, given or by default [m]."""
+        """Value of ``static_depth``, or 1/50 of the rolling radius if it is None [m]."""
         return self.radius / 50 if self.static_depth is None else self.static_depth
 
     @cached_property

@@ -67,7 +67,7 @@ Facts = tuple[tuple[str, str], ...]
 
 
 class Frame(NamedTuple):
-    """Coordinates of a map file, ``x0 + kx x`` and ``y0 + ky y``, from those of the ground.
+    """Linear relation between ground and map file: file coordinates ``x0 + kx x, y0 + ky y``.
 
     Attributes
     ----------
@@ -96,15 +96,15 @@ class Map(NamedTuple):
         Coordinate reference system of the file such as ``"EPSG:32633"``; empty if unknown.
     geographic : bool
         Whether the coordinates of the file are longitude and latitude in degrees.
-    told : tuple of (str, str)
-        Facts about the file for summaries: names and texts.
+    facts : tuple of (str, str)
+        Facts about the file for summaries: pairs of name and description.
     """
 
     grid: Grid
     frame: Frame = Frame()
     crs: str = ""
     geographic: bool = False
-    told: Facts = ()
+    facts: Facts = ()
 
     def __repr__(self) -> str:
         return field_overview(self)
@@ -184,13 +184,13 @@ def read_map(
 
 
 def takes_key(ending: str, key: str) -> bool:
-    """Return whether a key applies to map files with an ending; most keys apply to all."""
+    """Return whether a key of a map table applies to files with an ending such as ``".tif"``."""
     endings = _endings_with(key)
     return not endings or ending in endings
 
 
 def _endings_with(key: str) -> tuple[str, ...]:
-    """Return the endings of the formats that list a key."""
+    """Return the file name endings of the formats that use a key."""
     return tuple(each for reader in READERS if key in reader.keys for each in reader.endings)
 
 
@@ -214,7 +214,7 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
     fits = max(abs(found.x[[0, -1]])) <= 360 and max(abs(found.y[[0, -1]])) <= 90
     if local and not (found.geographic or (found.placed and fits and not found.crs)):
         raise DataError(
-            f"geographic: expected a map in degrees, found {found.crs or 'one in metres'} with "
+            f"geographic: expected a map in degrees, found {found.crs or 'a map in metres'} with "
             f"{reach}; remove geographic"
         )
     remedy = (
@@ -239,8 +239,8 @@ def _check_degrees(found: Heights, *, local: bool) -> None:
 def _mapped(
     found: Heights, geographic: Literal["local"] | Frame | None, fill: Literal["linear"] | None
 ) -> Map:
-    """Return a map in metres without holes."""
-    told: Facts = found.told
+    """Return the map in metres; raise DataError for holes that are not filled."""
+    facts: Facts = found.facts
     mask = None
     if fill is None:
         check_whole(found)
@@ -249,14 +249,14 @@ def _mapped(
         unit = "m" if geographic is None else "deg"
         size = " x ".join(f"{each:.6g}" for each in filled.largest)
         words = f"{filled.nodes} nodes in {filled.holes} holes, the largest {size} {unit}, linearly"
-        told += (("ground holes filled", words if filled.nodes else "none found"),)
+        facts += (("ground holes filled", words if filled.nodes else "none found"),)
         mask = np.isnan(found.z) if filled.nodes else None
         found = found._replace(z=filled.z)
     if geographic is None:
-        return Map(Grid(found.x, found.y, found.z, mask), crs=found.crs, told=told)
+        return Map(Grid(found.x, found.y, found.z, mask), crs=found.crs, facts=facts)
     frame = local_frame(found.x, found.y) if geographic == "local" else geographic
     x, y = (found.x - frame.x0) / frame.kx, (found.y - frame.y0) / frame.ky
-    told += (("ground degrees", _degrees_words(found.y, frame)),)
+    facts += (("ground degrees", _degrees_words(found.y, frame)),)
     if (wrong := _stretch(found.y, frame)) > MAX_STRETCH:
         raise DataError(
             "geographic: expected a map with errors of distances along x of at most "
@@ -264,7 +264,7 @@ def _mapped(
             "border; set a window, or reproject it to metres: gdalwarp -t_srs EPSG:326xx in "
             "out.tif (xx: the UTM zone)"
         )
-    return Map(Grid(x, y, found.z, mask), frame, found.crs, geographic=True, told=told)
+    return Map(Grid(x, y, found.z, mask), frame, found.crs, geographic=True, facts=facts)
 
 
 def _degrees_words(latitude: Array, frame: Frame) -> str:
@@ -283,7 +283,7 @@ def _degrees_words(latitude: Array, frame: Frame) -> str:
 
 
 def _stretch(latitude: Array, frame: Frame) -> float:
-    """Return the largest relative error of distances along x, which is that at a border."""
+    """Return the largest relative error of distances along x; it occurs at a border [1]."""
     return float(max(abs(np.cos(np.deg2rad(latitude[[0, -1]])) * frame.kx / frame.ky - 1)))
 
 
@@ -364,8 +364,8 @@ def _read_npz(path: Path, ask: Reading) -> Heights:
     x, y, z = _arrays(path)
     grid = Grid(x, y, np.where(np.isnan(z), 0.0, z))  # checks axes and shapes
     i, j = parts(*axes_of(x, y), ask.window)
-    told = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
-    return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), told)
+    facts = (("ground map", "numpy archive, CRS not given, heights at nodes"),)
+    return Heights(grid.x[i], grid.y[j], np.ascontiguousarray(z[i, j]), facts)
 
 
 def _read_points(path: Path, ask: Reading) -> Heights:
@@ -379,7 +379,7 @@ class MapReader(NamedTuple):
     Attributes
     ----------
     endings : tuple of str
-        Endings of its files, in lower case, with the dot.
+        Endings of the names of such files, in lower case, with the dot.
     read : callable
         ``read(path, reading)`` returns the heights in a file.
     keys : tuple of str
@@ -405,7 +405,10 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
             warnings.simplefilter("ignore", UserWarning)  # of files written by Python 2
             file = np.load(stream, allow_pickle=False)
             if not isinstance(file, np.lib.npyio.NpzFile):
-                raise DataError(f"{path}: expected an archive, found one array; use np.savez")
+                raise DataError(
+                    f"{path}: expected an archive of arrays x, y, z, found a single array; write "
+                    "it with np.savez(path, x=x, y=y, z=z)"
+                )
             largest = max((each.file_size for each in zipfile.ZipFile(path).infolist()), default=0)
             if largest > 8 * MAX_NODES + HEADER:
                 raise DataError(
@@ -428,6 +431,9 @@ def _arrays(path: Path) -> tuple[Array, Array, Array]:
         ) from error
     for name, array in arrays.items():
         if array.dtype.kind not in "iuf":
-            raise DataError(f"{path}: expected numbers in {name}, found {array.dtype}")
+            raise DataError(
+                f"{path}: expected numbers in the array {name!r}, found {array.dtype}; convert it "
+                "to float"
+            )
     x, y, z = (array.astype(np.float64) for array in arrays.values())
     return x, y, z

@@ -42,8 +42,8 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
     columns = _columns(path)
     if (farthest := float(np.abs(columns).max(initial=0.0))) > MAX_COORDINATE:
         raise DataError(
-            f"expected coordinates of at most {MAX_COORDINATE:g} m, found {farthest:g}; "
-            "correct them"
+            f"expected coordinates with absolute values of at most {MAX_COORDINATE:g} m, found "
+            f"{farthest:g}; correct the file"
         )
     points, repeated, apart = _distinct(columns)
     distance = _distance(points[:, :2])
@@ -63,16 +63,16 @@ def read_points(path: Path, spacing: float | None, window: Window | None) -> Hei
         )
     i, j = parts(x, y, window)
     z = _interpolated(points, low, spacing, (i, j))
-    told = (
+    words = (
         f"{len(points)}, a median of {distance:.3g} m apart, for {z.size} nodes {spacing:g} m apart"
     )
     if repeated:
-        told += (
+        words += (
             f"; {repeated} at repeated positions averaged, with height differences of at most "
             f"{apart:.3g} m"
         )
     return Heights(
-        x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"), ("ground points", told))
+        x.nodes(i), y.nodes(j), z, (("ground map", "scattered points"), ("ground points", words))
     )
 
 
@@ -171,7 +171,7 @@ def _distance(places: Array) -> float:
 
 
 def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, slice]) -> Array:
-    """Return heights at nodes, NaN outside the convex hull of the points.
+    """Return heights at nodes, interpolated linearly; NaN outside the convex hull of the points.
 
     Parameters
     ----------
@@ -187,6 +187,7 @@ def _interpolated(points: Array, low: Array, spacing: float, part: tuple[slice, 
     Returns
     -------
     ndarray, shape (n_x, n_y)
+        Heights. [m]
     """
     from scipy.interpolate import LinearNDInterpolator  # imported here: the import takes 0.2 s
     from scipy.spatial import QhullError

@@ -81,9 +81,9 @@ class _Place(NamedTuple):
     Attributes
     ----------
     x, y : Axis
-        Coordinates of the nodes. [m] or [deg]
+        Uniform coordinates of the nodes. [m] or [deg]
     upward : bool
-        Whether the first row is the southernmost.
+        Whether the first row of the raster is the southernmost.
     registration : {"area", "point"}
         Position of the values, as in `Reading`.
     crs : str
@@ -91,7 +91,7 @@ class _Place(NamedTuple):
     geographic : bool
         Whether the coordinates are degrees.
     placed : bool
-        Whether the file contains the coordinates.
+        Whether the file contains the coordinates; otherwise the user gives cell and registration.
     """
 
     x: Axis
@@ -104,7 +104,7 @@ class _Place(NamedTuple):
 
 
 def read_raster(path: Path, ask: Reading) -> Heights:
-    """Return the heights in a raster file, inside the window if there is one.
+    """Return the heights in a raster file, only inside ``ask.window`` if it is not None.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def read_raster(path: Path, ask: Reading) -> Heights:
 
 
 def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str = "rb") -> BinaryIO:
-    """Open the raster for GDAL; raise FileNotFoundError for any other file.
+    """Open the raster file for GDAL; raise FileNotFoundError for all other files.
 
     GDAL looks for masks, world files, ``.aux.xml`` and other files beside a raster, which can
     change heights and coordinates, or refer to network addresses.
@@ -153,7 +153,7 @@ def _open_only(path: Path, known: str, opened: ExitStack, name: str, mode: str =
 
 
 def _refuse(expected: str, found: str, remedy: str) -> NoReturn:
-    """Raise DataError with the expected and found contents and a remedy."""
+    """Raise DataError with the descriptions of expected and found content, and a remedy."""
     raise DataError(f"expected {expected}, found {found}; {remedy}")
 
 
@@ -220,7 +220,7 @@ def _check_numbers(path: Path, shape: tuple[int, int], used: range) -> None:
 
 
 def _wrong_word(words: list[bytes]) -> bytes | None:
-    """Return the first word that is not a number; None if all are."""
+    """Return the first word that is not a number; None if all words are numbers."""
     word = b""
     try:
         for word in words:
@@ -246,7 +246,11 @@ def _check_band(file: Any) -> None:
     if kind not in "iuf":
         _refuse("heights that are numbers", file.dtypes[0], TO_GRAY)
     if file.colorinterp[0].name == "palette":
-        _refuse("heights", "numbers of colours in a palette", "use the map it was drawn from")
+        _refuse(
+            "heights",
+            "colours of a palette",
+            "use the elevation model from which the image was drawn",
+        )
     unit = (file.units[0] or "").lower()
     if unit not in METRES:
         _refuse(
@@ -258,7 +262,10 @@ def _check_band(file: Any) -> None:
 
 
 def _place(file: Any, ask: Reading) -> _Place:
-    """Return the positions of the nodes of a raster, from the file or from the user."""
+    """Return the positions of the nodes of a raster.
+
+    They follow from the coordinates in the file, else from ``ask.cell`` and ``ask.registration``.
+    """
     if file.gcps[0]:
         _refuse(
             "a raster on an upright grid",
@@ -272,7 +279,7 @@ def _place(file: Any, ask: Reading) -> _Place:
             _refuse(
                 f"no {name} for a raster that contains coordinates",
                 f"{name} = {value!r}",
-                f"remove {name}, or correct the file by gdal_edit",
+                f"remove {name}, or correct the coordinates in the file with gdal_edit",
             )
     registration = file.tags().get("AREA_OR_POINT", "Area").lower()
     x, y, upward = _axes(file)
@@ -316,7 +323,7 @@ def _axes(file: Any) -> tuple[Axis, Axis, bool]:
 
 
 def _crs(crs: Any) -> tuple[str, bool]:
-    """Return the name of a coordinate reference system, and whether it has degrees."""
+    """Return the name of a coordinate reference system, and whether its unit is the degree."""
     if crs is None:
         return "", False
     wkt, code = crs.to_wkt(), crs.to_epsg()
@@ -368,7 +375,7 @@ def _lengths(crs: Any, place: _Place, part: tuple[slice, slice]) -> tuple[tuple[
 
 
 def _metres(crs: Any, x: float, y: float) -> tuple[float, float]:
-    """Return the length on the ellipsoid of a metre of the map along x and along y [m]."""
+    """Return the lengths on the ellipsoid of one map metre along x and along y at (x, y) [m]."""
     from rasterio.crs import CRS
     from rasterio.warp import transform
 

@@ -50,7 +50,7 @@ KINDS: dict[str | None, type[WithUnit]] = {
 
 
 def parse_unit(value: Any) -> Any:
-    """Return the number in a text such as "30 deg" as a `WithUnit`; other values unchanged."""
+    """Return the number of a text such as "30 deg" in SI units; return other values unchanged."""
     found = TEXT.fullmatch(value) if isinstance(value, str) and len(value) < 100 else None
     if found is None:
         return value
@@ -59,7 +59,7 @@ def parse_unit(value: Any) -> Any:
 
 
 def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
-    """Return a number, as a `WithUnit` if it has a unit, so that `unit_faults` can check it."""
+    """Return a validated number; a `WithUnit`, which `unit_faults` checks, if it has a unit."""
     found = parse_unit(value)
     if isinstance(found, str):
         raise PydanticCustomError("expected", "{words}", {"words": EXAMPLE})
@@ -68,7 +68,7 @@ def _read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
 
 
 def _reader(unit: type[WithUnit]) -> WrapValidator:
-    """Return the validator of numbers without a unit or with the given one."""
+    """Return a validator that accepts numbers, and texts with the given unit."""
     words = f'a number, or text as in "{"5 deg/s" if unit is RateWithUnit else "30 deg"}"'
 
     def read(value: Any, validate: ValidatorFunctionWrapHandler) -> float:
@@ -93,21 +93,21 @@ def unit_faults(
 
     Parameters
     ----------
-    place : tuple
-        Keys of the table.
+    place : tuple of str or int
+        Keys of the table in its file, for the location in messages.
     values : mapping
-        Numbers, ranges, or piecewise constants by name.
+        Numbers, ranges, or piecewise constants by name of the key.
     units : mapping of str to str
         Expected units by name, as in ``rad s-1``; values without an entry are not checked.
     bare : bool
-        Whether a number without a unit beyond a full turn is an error for an angle.
+        Whether an angle of more than a full turn without a unit is an error too.
     """
     for name, value in values.items():
         unit = units.get(name, "")
         for number in _numbers(value) if unit else ():
             if isinstance(number, WithUnit) and number.unit != unit:
                 spelled = unit.replace(" s-", "/s").replace("/s1", "/s")
-                found = f"one in {_spelled(number)}"
+                found = f"a number in {_spelled(number)}; convert it"
                 yield Fault((*place, name), f"a number in {spelled}", found)
                 break
             if bare and unit == "rad" and (words := bare_words(number)):
@@ -116,9 +116,9 @@ def unit_faults(
 
 
 def bare_words(value: float) -> str:
-    """Return the description of the expected value for an angle without a unit beyond a full turn.
+    """Return the expected value, in words, for an angle that is probably given in degrees.
 
-    The result is empty for other values.
+    Such an angle has no unit and exceeds a full turn. The result is empty for other values.
     """
     if isinstance(value, WithUnit) or abs(value) <= FULL_TURN:
         return ""
@@ -126,7 +126,7 @@ def bare_words(value: float) -> str:
 
 
 def in_radians(value: float) -> float:
-    """Return an angle unchanged; raise an error for a bare number beyond a full turn."""
+    """Return an angle unchanged; raise an error if it has no unit and exceeds a full turn."""
     if words := bare_words(value):
         raise PydanticCustomError("expected", "{words}", {"words": words})
     return value
@@ -138,7 +138,7 @@ def _spelled(number: WithUnit) -> str:
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers in a value; none for a formula."""
+    """Yield the numbers in a number, a range or a piecewise constant."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):

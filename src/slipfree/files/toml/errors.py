@@ -14,12 +14,12 @@ from slipfree.files.toml.source_lines import Place, Source
 
 
 class ProblemError(DataError):
-    """Problem file that cannot be used.
+    """Error in a problem file, with one message per invalid value.
 
     Attributes
     ----------
     faults : tuple of str
-        One line per error: location, expected and found.
+        One line per error: location, expected and found value.
     """
 
     def __init__(self, *faults: str) -> None:
@@ -58,7 +58,7 @@ class Fault(NamedTuple):
     Attributes
     ----------
     place : tuple of str or int
-        Keys of the value, and indices of array elements.
+        Location of the value: names of nested keys, and indices of array elements.
     expected, found : str
         Descriptions of the expected and the found value.
     hint : str
@@ -101,7 +101,7 @@ def value_errors(value: Any, place: Place = ()) -> Iterator[Fault]:
 
 
 def validation_fault(schema: type[BaseModel], error: dict[str, Any]) -> Fault:
-    """Convert an error of pydantic to a `Fault`: key, expected and found values."""
+    """Return a validation error of pydantic as a `Fault`: key, expected and found value."""
     place, kind = tuple(error["loc"]), error["type"]
     found = "none" if kind == "missing" else format_value(error["input"])
     if kind == "extra_forbidden":
@@ -134,13 +134,13 @@ def similar_hint(name: str, known: Sequence[str]) -> str:
 
 
 def listed(known: Sequence[str]) -> str:
-    """Return names separated by commas; at most 60 names, then the number of further ones."""
+    """Return names separated by commas: at most 60, then the number of further names."""
     more = len(known) - MAX_LISTED
     return ", ".join(known[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _model(schema: type[BaseModel], place: Place) -> type[BaseModel]:
-    """Return the schema of a table inside a schema."""
+    """Return the schema of the nested table at ``place`` in the schema of a file."""
     model = schema
     for part in place:
         if isinstance(part, int):

@@ -36,7 +36,9 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
             "remove the nesting"
         ) from error
     except ValueError as error:  # an invalid number
-        raise ProblemError(f"{path}: expected numbers, found an invalid one: {error}") from error
+        raise ProblemError(
+            f"{path}: expected valid numbers, found an invalid number: {error}; correct it"
+        ) from error
 
 
 def read_text(path: Path) -> str:
@@ -56,12 +58,13 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise ProblemError(
-            f"{path}:{line}: expected text in UTF-8, found the byte {raw[error.start]:#04x}"
+            f"{path}:{line}: expected text in UTF-8, found the byte {raw[error.start]:#04x}; save "
+            "the file as UTF-8"
         ) from error
 
 
 def _syntax(path: Path, text: str, message: str) -> str:
-    """Return a message of tomllib preceded by file and line."""
+    """Return the message of a syntax error, with file, line and column, from that of tomllib."""
     found = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
     if found is None:
         last = len(text.splitlines()) or 1

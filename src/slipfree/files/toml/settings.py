@@ -17,7 +17,7 @@ BARE = re.compile(r"""[^\s"'\[\]{}=,#]+""")  # a value that needs no quotes
 def replace_values(
     data: dict[str, Any], settings: Sequence[str], option: str = "--set"
 ) -> dict[Place, str]:
-    """Replace values in the tables of a file by settings; the tables are modified.
+    """Replace values in the tables of a file by settings; ``data`` is modified in place.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def replace_values(
     Returns
     -------
     dict of tuple to str
-        Setting by the keys of each value or table that it changed, added or removed.
+        The setting that changed, added or removed a value or table, by the keys of the value.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def replace_values(
 
 
 def _value(text: str) -> Any:
-    """Return the value of a text in TOML or of a bare word; raise ValueError for other text."""
+    """Return the value of a text, which is TOML or a bare word; raise ValueError otherwise."""
     try:
         found = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:

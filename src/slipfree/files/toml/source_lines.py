@@ -62,7 +62,7 @@ class Source:
         return _longest(place, self.settings) is not None
 
     def order(self, place: Place) -> int:
-        """Return the line of a value, for sorting; values set by the command line come last."""
+        """Return the line of a value, as sort key; values of the command line are last."""
         if self.is_set(place):
             return self.text.count("\n") + 2
         return self._line(place)
@@ -73,7 +73,7 @@ class Source:
 
 
 def _longest(place: Place, known: Mapping[Place, object]) -> Place | None:
-    """Return the longest known prefix of a sequence of keys; None if there is none."""
+    """Return the longest prefix of ``place`` in ``known``; None if no prefix is known."""
     parts = (place[:end] for end in range(len(place), 0, -1))
     return next((part for part in parts if part in known), None)
 
@@ -139,7 +139,7 @@ def _resolved(key: tuple[str, ...], counts: Mapping[Place, int]) -> Place:
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield every statement with its first line; a statement may span several lines."""
+    """Yield the first line number and the text of every statement, which may span lines."""
     line, start, depth = 1, 1, 0
     pieces: list[str] = []
     for piece in PIECE.findall(text.replace("\r\n", "\n") + "\n"):

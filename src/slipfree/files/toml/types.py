@@ -46,7 +46,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _number(value: Any) -> float:
-    """Return a number as float; a `WithUnit` unchanged."""
+    """Return a number as float; return a `WithUnit` unchanged."""
     return value if isinstance(value, WithUnit) else float(value)
 
 
@@ -79,7 +79,7 @@ def _time_function(value: Any) -> float | Piecewise | str:
 
 
 def _range(value: Any) -> tuple[float, float]:
-    """Return a range from a number, which is both ends, or from a pair in ascending order."""
+    """Return the range (low, high) of a pair in ascending order, or of a number (low = high)."""
     value = [*map(parse_unit, value)] if isinstance(value, list) else parse_unit(value)
     if _is_number(value):
         return _number(value), _number(value)

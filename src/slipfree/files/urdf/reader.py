@@ -37,7 +37,7 @@ RIGHT = (0.0, -1.0, 0.0)
 
 
 class JointRole(NamedTuple):
-    """Kind of a joint, and further keywords of its `Coordinate`, which URDF does not contain."""
+    """Properties of a joint that URDF does not contain: the kind, and keywords of `Coordinate`."""
 
     kind: Kind | Literal["fixed"]
     keywords: Mapping[str, Any] = {}
@@ -49,13 +49,13 @@ class WheelRole(NamedTuple):
     Attributes
     ----------
     driven : bool or None
-        Whether the wheel is driven; None if the URDF decides.
+        Whether the wheel is driven; None to derive it from the transmissions of the URDF.
     radius : float or None
-        Rolling radius; None for that of the shape in the URDF. [m]
+        Rolling radius; None for the radius of the shape in the URDF. [m]
     tube : float or None
-        Radius of the tube; None for the default of all wheels. [m]
+        Radius of the tube of a torus; None for ``Roles.tube``. [m]
     grip : float
-        Factor on the friction coefficient. [1]
+        Factor that multiplies the ground's coefficient of friction. [1]
     rollers : bool
         Whether the wheel has rollers (omnidirectional wheel).
     """
@@ -77,7 +77,8 @@ class Roles:
         Kinds of the joints; not required for joints with a transmission, a command interface or a
         mimic.
     wheels : mapping of str to WheelRole
-        Properties of wheels by joint; these joints carry wheels even if none is recognised.
+        Properties of wheels by name of their joint. These joints carry wheels even if the URDF has
+        no suitable shape.
     tube : float
         Tube radius of wheels whose link is a cylinder. [m]
     """
@@ -121,7 +122,7 @@ def read_urdf(tree: Tree, roles: Roles = NO_ROLES) -> Draft:
 
 
 class _Reading:
-    """State of the conversion of a tree: coordinates, notes and errors found so far."""
+    """Conversion of a URDF tree to a vehicle, with coordinates, notes and errors found so far."""
 
     def __init__(self, tree: Tree, roles: Roles) -> None:
         self.roles, self.faults = roles, Faults(tree.file)
@@ -177,7 +178,7 @@ class _Reading:
         return _is_about(shape, axis)
 
     def _check_fixed(self) -> None:
-        """Add an error for each role that would move a fixed joint without an axis."""
+        """Add an error for each role of a joint that cannot move: type fixed, without an axis."""
         for joint in self.tree.joints.values():
             role = self.roles.joints.get(joint.name)
             if not joint.moves and role is not None and role.kind != "fixed":
@@ -493,7 +494,7 @@ class _Reading:
         return _vector(-axis)
 
     def _add_notes(self, kept: list[UrdfJoint]) -> None:
-        """Add notes on assumptions about the file."""
+        """Add notes on the assumptions made in the conversion."""
         links = [self.tree.root, *(j.child for j in (*kept, *self.wheels))]
         bare = [link for link in links if self.tree.links[link].mass is None]
         if bare:
@@ -525,7 +526,7 @@ class _Reading:
             )
 
     def _add_shape_notes(self) -> None:
-        """Add notes on the choice of the radius among several shapes."""
+        """Add a note for each wheel whose link has several shapes, with the chosen radius."""
         alike: dict[str, list[str]] = {}
         for joint in self.wheels:
             shapes, chosen = self.tree.links[joint.child].shapes, self._shape(joint)
@@ -591,7 +592,7 @@ def _body(tree: Tree, link: str) -> Body:
 
 
 def _eccentricity(shape: Shape, axis: Vector) -> float:
-    """Return the distance of a shape's centre from an axis through its link's origin [radius]."""
+    """Return the distance of a shape's centre from an axis through its link's origin [radii]."""
     return float(np.linalg.norm(np.cross(shape.at, axis))) / shape.radius
 
 

@@ -26,9 +26,9 @@ class Shape(NamedTuple):
     radius : float
         Radius. [m]
     at : tuple of 3 floats
-        Position of the centre. [m]
+        Position of the centre in the frame of the link. [m]
     turned : tuple of 3 floats
-        Roll, pitch and yaw. [rad]
+        Roll, pitch and yaw of the shape in the frame of the link. [rad]
     """
 
     kind: Literal["cylinder", "sphere"]
@@ -45,7 +45,7 @@ class Link(NamedTuple):
     name : str
         Name of the link.
     mass : float or None
-        Mass; None without an inertial. [kg]
+        Mass; None without an element ``inertial``. [kg]
     center : tuple of 3 floats
         Centre of mass in the frame of the link. [m]
     shapes : tuple of Shape
@@ -62,14 +62,14 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """Value of a joint: ``offset + multiplier value``, with the value of another joint.
+    """Dependence of a joint's value on another joint: ``offset + multiplier * other``.
 
     Attributes
     ----------
     joint : str
         Name of the other joint.
     multiplier, offset : float
-        Coefficients; the offset is in rad or m.
+        Coefficients of the other joint's value. [1, rad or m]
     """
 
     joint: str
@@ -91,13 +91,13 @@ class UrdfJoint(NamedTuple):
     axis : tuple of 3 floats
         Axis in the joint's frame; zero for a fixed joint without axis. [1]
     lower, upper : float
-        Limits, infinite if there are none. [rad or m]
+        Limits of the value; infinite without limits. [rad or m]
     max_rate : float
-        Largest rate, infinite if there is none. [rad/s or m/s]
+        Largest rate; infinite without a limit. [rad/s or m/s]
     mimic : Mimic or None
-        Relation to the joint that this joint follows, if any.
+        Dependence on another joint; None for an independent joint.
     line : int
-        Line of the file.
+        Line of the element in the file.
     """
 
     name: str
@@ -142,7 +142,7 @@ class Tree(NamedTuple):
     actuated: frozenset[str]
 
     def below(self, link: str) -> list[UrdfJoint]:
-        """Return the joints below a link, direct and indirect ones."""
+        """Return all joints below a link: its joints, the joints of their child links, etc."""
         found, known = [], {link}
         for joint in self.joints.values():
             if joint.parent in known:
@@ -165,7 +165,7 @@ class Faults:
         self.found: list[tuple[int, str]] = []
 
     def add(self, line: int, words: str) -> None:
-        """Add an error in a line of the file."""
+        """Add an error with its line of the file and its message."""
         self.found.append((line, words))
 
     @property
@@ -179,7 +179,7 @@ class Faults:
 
 
 def read_tree(data: bytes, file: str) -> Tree:
-    """Return the links and joints of a URDF.
+    """Return the links and joints of a URDF file, checked to form a tree.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def _everything(element: Element) -> Iterator[Element]:
 
 
 def _check_names(robot: Element, tag: str, faults: Faults) -> None:
-    """Add an error for each name that several elements with a tag have."""
+    """Add an error for each name that several elements with the same tag have."""
     lines: dict[str, list[int]] = {}
     for element in robot.all(tag):
         lines.setdefault(element.attributes.get("name", ""), []).append(element.line)
@@ -359,7 +359,7 @@ def _max_rate(element: Element, faults: Faults, who: str) -> float:
 
 
 def _origin(element: Element, faults: Faults, who: str) -> tuple[Vector, Vector]:
-    """Return position [m] and roll, pitch, yaw [rad] of an element's origin; zero without one."""
+    """Return position [m] and roll, pitch, yaw [rad] in ``origin``; zeros without an origin."""
     origin = element.first("origin")
     if origin is None:
         return ORIGIN, ORIGIN
@@ -390,7 +390,11 @@ def _vector(element: Element, key: str, default: Vector, faults: Faults, who: st
 
 
 def _number(element: Element, key: str, default: float | None, faults: Faults, who: str) -> float:
-    """Return a number of an attribute; add an error if it is invalid or required and missing."""
+    """Return the number in an attribute, or ``default`` if the attribute is missing.
+
+    An error is added to ``faults`` if the number is invalid, or if it is missing and ``default`` is
+    None.
+    """
     text = element.attributes.get(key)
     if text is None and default is not None:
         return default

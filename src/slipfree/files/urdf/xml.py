@@ -11,7 +11,7 @@ from slipfree.errors import DataError
 
 @dataclass(frozen=True)
 class Element:
-    """An element of an XML file: its tag, attributes, children and line."""
+    """An element of an XML file: tag, attributes, children and line number."""
 
     tag: str
     attributes: dict[str, str]
@@ -19,11 +19,11 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def all(self, tag: str) -> Iterator[Element]:
-        """Yield the children with a tag."""
+        """Yield the children that have the given tag, in order."""
         return (child for child in self.children if child.tag == tag)
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child with a tag."""
+        """Return the first child that has the given tag; None without such a child."""
         return next(self.all(tag), None)
 
 

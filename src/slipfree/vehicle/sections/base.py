@@ -53,11 +53,12 @@ class Section(ABC):
             value = getattr(self, each.name)
             if isinstance(value, float | int) and not 0 < value < inf:
                 raise ModelError(
-                    f"{type(self).__name__.lower()}: {each.name} must be positive, found {value}"
+                    f"{type(self).__name__.lower()}: {each.name} must be positive and finite, "
+                    f"found {value} m; change it"
                 )
 
     def __str__(self) -> str:
-        """Return the kind of section and its dimensions."""
+        """Return the kind of section and its dimensions [m], as in ``torus r1 0.05, r2 0.25 m``."""
         sizes = ", ".join(f"{each.name} {getattr(self, each.name):g}" for each in fields(self))
         return f"{type(self).__name__.lower()} {sizes} m"
 
@@ -83,14 +84,14 @@ class Section(ABC):
         Parameters
         ----------
         normal : SX, shape (3, 1)
-            Outward unit normal, not along the axle. [1]
+            Outward unit normal, not parallel to the axle. [1]
         axle : SX, shape (3, 1)
-            Unit vector of the axle in the axes of the normal, by default the x axis. [1]
+            Unit vector of the axle in the frame of the normal, by default the x axis. [1]
 
         Returns
         -------
         SX, shape (3, 1)
-            The point, in the axes of the normal. [m]
+            Position of the point relative to the wheel's centre, in the frame of the normal. [m]
         """
         axial, radial, away = components(normal, axle)
         x, rho = self.profile(axial, radial)
@@ -147,7 +148,7 @@ class Section(ABC):
 
         If the edges of the tread do not reach the axle, the mesh is a ring; its inner side mirrors
         the tread at the edge, as in a tube. A section narrower than 0.04 rolling radii is drawn
-        with that width, within its rolling radius.
+        with that width; the rolling radius does not change.
         """
         x, rho = self.outline(np.array([0, np.pi / 2, np.pi]))
         more = max(0.0, MIN_DRAWN_HALF_WIDTH * rho[1] - np.abs(x).max())
@@ -180,7 +181,10 @@ def components(normal: ca.SX, axle: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 @lru_cache(maxsize=64)
 def arc_lengths(section: Section) -> tuple[Array, Array]:
-    """Return angles of the normal, 0 to pi, and arc lengths of the section there [rad, m]."""
+    """Return n angles of the normal from 0 to pi [rad], and arc lengths of the section there [m].
+
+    Both have shape (n,). The arc length is zero at angle zero.
+    """
     u = np.linspace(0, np.pi, ARC_LENGTH_POINTS)
     return u, _lengths(*section.outline(u))
 
@@ -192,7 +196,7 @@ def _lengths(x: Array, rho: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _curve(section: Section, count: int) -> ca.Function:
-    """Return the points of a section as a function of ``count`` angles of the normal."""
+    """Return a CasADi function from ``count`` angles of the normal to points of a section."""
     u = ca.SX.sym("u")
     point = (ca.densify(ca.SX(each)) for each in section.profile(ca.cos(u), ca.sin(u)))
     return ca.Function("profile", [u], [*point]).map(count)

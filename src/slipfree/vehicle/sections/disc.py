@@ -22,5 +22,5 @@ class Disc(Section):
     radius: float
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:  # noqa: ARG002 - an edge
-        """Return the point of the section, the edge for every normal [m]."""
+        """Return the point of the section with a given outward normal: always the edge [m]."""
         return ca.SX(0), ca.SX(self.radius)

@@ -12,19 +12,19 @@ from slipfree.vehicle.sections.base import AXLE, Section
 
 @dataclass(frozen=True)
 class Omni(Section):
-    """Omni wheel: free rollers with a common envelope of the shape of a wheel.
+    """Omni wheel: free rollers whose common envelope has the shape of a wheel.
 
     Attributes
     ----------
     rim : Section
-        Section of the envelope.
+        Cross-section of the envelope of all rollers.
     """
 
     rollers: ClassVar[bool] = True
     rim: Section
 
     def __str__(self) -> str:
-        """Return the rim's kind and dimensions."""
+        """Return the kind and dimensions of the rim, followed by "on rollers"."""
         return f"{self.rim} on rollers"
 
     def profile(self, axial: ca.SX, radial: ca.SX) -> tuple[ca.SX, ca.SX]:

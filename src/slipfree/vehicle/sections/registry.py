@@ -24,7 +24,7 @@ def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
     Parameters
     ----------
     r1, r2 : float
-        Radii of the tube and of the circle of tube centres. [m]
+        Radius of the tube, and radius of the circle of tube centres. [m]
     rollers : bool
         Whether the wheel has free rollers.
 
@@ -35,8 +35,10 @@ def section_of_radii(r1: float, r2: float, *, rollers: bool = False) -> Section:
     """
     for key, radius in (("r1", r1), ("r2", r2)):
         if not 0 <= radius < inf:
-            raise ModelError(f"{key} must be zero or a positive radius, found {radius} m")
+            raise ModelError(
+                f"{key} must be zero or a positive and finite radius, found {radius} m; change it"
+            )
     if r1 + r2 <= 0:
-        raise ModelError(f"r1 + r2 must be positive, found {r1 + r2}")
+        raise ModelError(f"r1 + r2 must be positive, found {r1 + r2} m; increase r1 or r2")
     section = Disc(r2) if r1 == 0 else Sphere(r1) if r2 == 0 else Torus(r1, r2)
     return Omni(section) if rollers else section

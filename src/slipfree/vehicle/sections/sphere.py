@@ -11,7 +11,7 @@ from slipfree.vehicle.sections.base import AXLE, Section
 
 @dataclass(frozen=True)
 class Sphere(Section):
-    """A ball that turns about an axle.
+    """Spherical wheel that rotates about an axle through its centre.
 
     Attributes
     ----------
