@@ -402,7 +402,7 @@ def test_more_geotiffs_refused(tmp_path):
     path = geotiff(tmp_path / "palette.tif", 40 * ROWS, dtype="uint8", photometric="palette")
     with rasterio.open(path, "r+") as file:
         file.write_colormap(1, {0: (1, 2, 3, 255)})
-    with pytest.raises(DataError, match="colours in a palette"):
+    with pytest.raises(DataError, match="colours of a palette"):
         read_grid(path)
     points = [GroundControlPoint(r, c, 10 + c, 20 - r) for r, c in ((0, 0), (0, 9), (9, 0))]
     path = tmp_path / "gcp.tif"
@@ -475,7 +475,7 @@ def test_a_picture_needs_cell_and_registration(tmp_path):
     [
         ("RGB", "one band of heights, found 3 bands; .*gdal_translate -b 1"),
         ("LA", "one band of heights, found 2 bands"),
-        ("P", "numbers of colours in a palette"),
+        ("P", "colours of a palette"),
     ],
 )
 def test_pictures_refused(tmp_path, mode, words):

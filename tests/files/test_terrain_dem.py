@@ -99,7 +99,7 @@ def test_degrees_taken_for_metres_are_refused(tmp_path):
     assert_allclose(found.grid.x, geographic_to_metric(x, y, z).x)
     assert "errors of distances are up to" in dict(found.facts)["ground degrees"]
     np.savez(tmp_path / "map.npz", x=1e3 * x, y=1e3 * y, z=z)
-    with pytest.raises(DataError, match="expected a map in degrees, found one in metres"):
+    with pytest.raises(DataError, match="expected a map in degrees, found a map in metres"):
         read_map(tmp_path / "map.npz", geographic="local")
 
 
@@ -184,7 +184,7 @@ def test_npz_refuses(tmp_path):
     with pytest.raises(DataError, match=r"map.npz: grid: z must have .* \(5, 5\), found \(5, 4\)"):
         read_grid(path)
     np.savez(path, x=x, y=x, z=np.full((5, 5), "a"))
-    with pytest.raises(DataError, match="expected numbers in z, found <U1"):
+    with pytest.raises(DataError, match="expected numbers in the array 'z', found <U1"):
         read_grid(path)
     np.savez(path, x=x, y=x, z=np.full((5, 5), None))
     with pytest.raises(

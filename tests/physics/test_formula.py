@@ -69,5 +69,7 @@ def test_deep_nesting_is_refused():
 
 
 def test_unknown_names_are_listed_with_those_that_are_known():
-    with pytest.raises(ModelError, match=r"formula '2\*stear': 'stear' is not known; known: steer"):
+    with pytest.raises(
+        ModelError, match=r"formula '2\*stear': expected one of the names steer, found 'stear'"
+    ):
         evaluate("2*stear", {"steer": ca.SX(0)})

@@ -28,7 +28,10 @@ from slipfree.vehicle.tree import Vehicle
 
 
 def carriers(vehicle: Vehicle, x: Configuration, position: Dependent) -> tuple[Pose, ...]:
-    """Return the poses of the wheels' carriers, with origins at the wheels' centres."""
+    """Return the poses of the wheels' carriers, with origins at the wheels' centres.
+
+    ``x`` and ``position`` are the coordinates of platform and joints, in local coordinates.
+    """
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch)
     return vehicle.carriers(base, values_of(vehicle, x, position))
 
@@ -42,14 +45,14 @@ def values_of(vehicle: Vehicle, x: Configuration, position: Dependent) -> dict[s
 def level_heights(
     vehicle: Vehicle, terrain: Terrain, x: Configuration, lookups: LookupTable
 ) -> tuple[ca.SX, list[ca.SX]]:
-    """Return the heights of a level platform at which each wheel touches the ground below it.
+    """Return the height of a level platform at which each wheel touches the ground below it.
 
     Returns
     -------
     heights : SX, shape (n_wheels, 1)
-        Heights of the platform's centre, with all suspension coordinates zero. [m]
+        Height of the platform's centre for each wheel, with all suspension coordinates zero. [m]
     centers : list of SX, shape (3, 1)
-        Centres of the wheels relative to the height of the platform's centre. [m]
+        Centres of the wheels in local coordinates, for a platform at height zero. [m]
     """
     level = Dependent(0, 0, 0, tuple(0 for _ in vehicle.of("suspension")), ())
     centers = [carrier.origin for carrier in carriers(vehicle, x, level)]
@@ -74,7 +77,7 @@ def joint_rates(vehicle: Vehicle, rates: Rates, u: Inputs) -> tuple[ca.SX, ...]:
 
 
 def outputs(q: Quantities, forces: ForceOutputs | tuple[()]) -> Outputs:
-    """Return the outputs of a model, with positions in map coordinates."""
+    """Return the outputs of a model as expressions, with positions in map coordinates."""
     o_x, o_y, o_z = q.terrain.origin
     x, position, poses, contacts = q.x, q.position, q.poses, q.contacts
     base = platform(x.x, x.y, position.z, x.heading, position.roll, position.pitch).rotation
@@ -107,7 +110,11 @@ def touch_function(
     contacts: Sequence[ContactFrame],
     lookups: LookupTable,
 ) -> list[ca.Function]:
-    """Return one function per wheel from ``(x, z)`` to its centre, rotation and ground normal."""
+    """Return one function per wheel from ``(x, z)`` to its centre, rotation and ground normal.
+
+    Results are the centre (3, 1) [m], the rotation matrix by columns (9, 1), and the unit normal of
+    the ground (3, 1), in local coordinates.
+    """
     inputs, found = [pack(x), pack(z)], lookups.lookups
     return [
         lookup_function(
@@ -118,7 +125,10 @@ def touch_function(
 
 
 def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tuple[Array, Array]]:
-    """Return typical sizes of ``z``, and offsets of ``x`` and ``z`` to map coordinates."""
+    """Return typical sizes of the unknowns ``z``, and offsets of ``x`` and ``z``.
+
+    Adding the offsets converts ``x`` and ``z`` from local to map coordinates.
+    """
     radius = min(wheel.radius for wheel in vehicle.wheels)
     typical = {"m": radius, "m s-1": radius, "N": vehicle.weight}
     scale = np.array([typical.get(each.unit, 1.0) for each in leaves(labels.z)])
@@ -132,7 +142,7 @@ def sizes(vehicle: Vehicle, terrain: Terrain, labels: Labels) -> tuple[Array, tu
 
 
 def extent(vehicle: Vehicle) -> float:
-    """Return the size of a vehicle, the unit of length of its models [m].
+    """Return the size of a vehicle, which scales the lengths of its models [m].
 
     It is the largest coordinate of a wheel's centre relative to the platform's centre, and at
     least the largest wheel radius.
@@ -144,6 +154,6 @@ def extent(vehicle: Vehicle) -> float:
 
 
 def at_rest(vehicle: Vehicle, labels: Any) -> ca.SX:
-    """Return the initial guess of rates and forces: equal normal forces, all else zero."""
+    """Return the initial guess of rates and forces: equal normal forces, zero otherwise."""
     share = vehicle.weight / len(vehicle.wheels)
     return ca.SX([share if each.name == "force_normal" else 0.0 for each in leaves(labels)])

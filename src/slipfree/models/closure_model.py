@@ -40,7 +40,7 @@ from slipfree.vehicle.tree import Vehicle
 def closure_quantities(
     vehicle: Vehicle, terrain: Terrain, labels: Labels
 ) -> tuple[Algebraic, Quantities]:
-    """Return the algebraic unknowns of a closure model and the quantities that depend on them."""
+    """Return the algebraic unknowns of a closure model and the expressions that contain them."""
     x, z, u = symbols(labels.x), symbols(labels.z), symbols(labels.u)
     poses, lookups = carriers(vehicle, x, z.position), LookupTable()
     contacts = tuple(
@@ -76,7 +76,7 @@ def closure_dae(
     suppress_algebraic: bool = False,
     continuation: Continuation | None = None,
 ) -> Dae:
-    """Return a closure model.
+    """Return the DAE of a closure model from its quantities and the equations of its rates.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def closure_dae(
 
 
 def _closures(q: Quantities) -> ca.SX:
-    """Return the closures of all wheels, relative to the platform's centre.
+    """Return the contact residuals of all wheels, computed relative to the platform's centre.
 
     Subtracting large coordinates first avoids loss of digits.
     """

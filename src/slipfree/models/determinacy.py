@@ -47,7 +47,7 @@ MIN_RELATIVE_SINGULAR_VALUE = 1e-14  # relative singular value that counts as ze
 
 
 def angle_slopes(vehicle: Vehicle, direct: Dae, rows: ca.SX) -> dict[str, ca.SX]:
-    """Return the total derivatives of equations with respect to commanded coordinates, by name.
+    """Return the total derivatives of ``rows`` with respect to commanded coordinates, by name.
 
     They include the change of the pose with the coordinates, and have the shape of ``rows``.
     """
@@ -76,7 +76,7 @@ class SlipColumns:
     angles: dict[str, ca.SX]
 
     def matrix(self, given: Sequence[str], solve_for: str) -> tuple[ca.SX, tuple[str, ...]]:
-        """Return the matrix of the columns of the unknowns, and the names of the unknowns.
+        """Return the square matrix of the unknowns' columns, and the names of the unknowns.
 
         Parameters are those of `inverse_kinematics`.
         """
@@ -150,12 +150,12 @@ class Determinacy:
         return Label("inverse_margin", "1", words)
 
     def margin(self, x: Array, z: Array) -> Array:
-        """Return the margins of states in columns, shape (n,)."""
+        """Return the margins of n states, the columns of ``x`` and ``z``, shape (n,)."""
         matrices = samples_first(self.matrices.map(x.shape[1])(x, z)[0], x.shape[1])
         return np.asarray(np.linalg.svd(matrices, compute_uv=False)[:, -1] - self.least)
 
     def describe(self, x: Array, z: Array) -> str:
-        """Return the given rates that cannot be imposed and the undetermined unknowns, as text."""
+        """Return a message that names the rates that cannot be imposed, the reason and a remedy."""
         matrix, columns = (np.array(part) for part in self.matrices(x, z))
         left, values, right = np.linalg.svd(matrix)
         bound = _dominant_names(left[:, -1] @ columns, self.given)
@@ -175,13 +175,13 @@ class Determinacy:
 
 
 def samples_first(part: ca.DM, count: int) -> Array:
-    """Return the output of a mapped function as an array with the sample as first index."""
+    """Return the output of a mapped function as an array of shape (count, rows, columns)."""
     array = np.array(part)
     return array.reshape(array.shape[0], count, -1).transpose(1, 0, 2)
 
 
 def _dominant_names(vector: Array, names: Sequence[str]) -> list[str]:
-    """Return the names of the large entries, the largest first."""
+    """Return the names of the dominant entries of a vector, the largest first."""
     size = np.abs(vector)
     return [names[k] for k in np.argsort(-size) if size[k] >= MIN_NAMED_SHARE * size.max()]
 
@@ -280,7 +280,7 @@ def input_effects(direct: Dae, model: Dae, given: Sequence[str]) -> ca.Function:
 
 
 def command_sizes(vehicle: Vehicle, given: Sequence[str]) -> list[float]:
-    """Return factors that convert commands to velocities [1 or m]."""
+    """Return a factor for each given rate that converts it to a velocity [1 or m]."""
     return [extent(vehicle) if name == "yaw_rate" else 1.0 for name in given]
 
 

@@ -44,11 +44,16 @@ class Best(NamedTuple):
 
 
 class _Contacts(NamedTuple):
-    """Contact forces as affine functions of the k unknowns ``y``, wheel by wheel.
+    """Contact forces of n samples as affine functions of the k unknown internal forces ``y``.
 
-    The normal forces include the factor of the friction coefficient, so that ``hypot(along,
-    across) <= s normal`` is Coulomb's law at utilisation ``s``. Values have shape (n, m), slopes
-    (n, m, k).
+    Attributes
+    ----------
+    along, across, normal : ndarray, shape (n, m)
+        Forces on m wheels at ``y = 0``. The normal forces are multiplied by the coefficients of
+        friction, so that ``hypot(along, across) <= s normal`` is Coulomb's law at utilisation
+        ``s``. [weight]
+    along_slope, across_slope, normal_slope : ndarray, shape (n, m, k)
+        Derivatives of these forces with respect to ``y``. [1]
     """
 
     along: Array
@@ -64,10 +69,18 @@ class _Contacts(NamedTuple):
 
 
 class _Goal(NamedTuple):
-    """Objective: the level p in ``hypot <= (fixed + factor p) normal + shift p``.
+    """Objective of an optimisation: the level p in a condition on the contact forces.
 
-    ``absolute`` and ``relative`` are tolerances of the least level; the optimisation stops early
-    below the level ``enough``.
+    The condition is ``hypot(along, across) <= (fixed + factor p) normal + shift p``.
+
+    Attributes
+    ----------
+    fixed, factor, shift : float
+        Coefficients of the condition.
+    absolute, relative : float
+        Tolerances of the least level.
+    enough : float
+        Level below which the optimisation stops early.
     """
 
     fixed: float
@@ -81,8 +94,16 @@ class _Goal(NamedTuple):
 class _Newton(NamedTuple):
     """Newton step at a fixed level for n samples.
 
-    ``step`` and ``tangent``, of the central path, have shape (n, k); ``decrement`` and ``gap``, the
-    distance to the least level, have shape (n,).
+    Attributes
+    ----------
+    step : ndarray, shape (n, k)
+        Newton step of the k unknowns.
+    tangent : ndarray, shape (n, k)
+        Derivative of the central path with respect to the level.
+    decrement : ndarray, shape (n,)
+        Newton decrement.
+    gap : ndarray, shape (n,)
+        Estimated distance from the level to the least level.
     """
 
     step: Array
@@ -152,29 +173,36 @@ def _check(matrix: Array, load: Array, friction: Array) -> None:
     if friction.ndim != 2 or 0 in friction.shape:
         raise ModelError(
             "friction: expected shape (samples, wheels) with at least one of each, found "
-            f"{friction.shape}"
+            f"{friction.shape}; reshape the array"
         )
     n, m = friction.shape
     w = matrix.shape[1] if matrix.ndim == 3 else 0
     if w == 0 or matrix.shape != (n, w, 3 * m):
         raise ModelError(
             f"matrix: expected shape ({n}, w, {3 * m}) for w equations of equilibrium, found "
-            f"{matrix.shape}"
+            f"{matrix.shape}; match n samples and {m} wheels of friction"
         )
     if load.shape != (n, w):
-        raise ModelError(f"load: expected shape ({n}, {w}), found {load.shape}")
+        raise ModelError(
+            f"load: expected shape ({n}, {w}), found {load.shape}; match the shape of matrix"
+        )
     for name, values in (("matrix", matrix), ("load", load), ("friction", friction)):
         if not np.isfinite(values).all():
-            raise ModelError(f"{name}: expected finite numbers, found NaN or infinity")
+            raise ModelError(
+                f"{name}: expected finite numbers, found NaN or infinity; remove these samples"
+            )
     if friction.min() <= 0:
-        raise ModelError(f"friction: expected positive numbers, found {friction.min()}")
+        raise ModelError(
+            f"friction: expected positive numbers, found {friction.min()}; for ice give a small "
+            "number"
+        )
 
 
 def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
     """Return the least-norm forces, a basis of the internal forces, and the mask of solvability.
 
-    The basis has as many columns as the largest null space of the batch, at least one; those that
-    a sample does not need are zero.
+    The basis has as many columns as the largest null space of all samples, at least one; columns
+    beyond the null space of a sample are zero.
     """
     size = np.linalg.norm(matrix, axis=2)
     size = np.where(size > 0, size, 1.0)  # scales equations of different units alike
@@ -194,7 +222,7 @@ def _solutions(matrix: Array, load: Array) -> tuple[Array, Array, Mask]:
 
 
 def _contacts(particular: Array, free: Array, friction: Array) -> _Contacts:
-    """Return the forces wheel by wheel, with normal forces times friction, without rounding."""
+    """Return the contact forces as functions of the internal forces, wheel by wheel."""
     n, m = friction.shape
     values, slopes = particular.reshape(n, m, 3), free.reshape(n, m, 3, -1)
     return _Contacts(
@@ -208,7 +236,7 @@ def _contacts(particular: Array, free: Array, friction: Array) -> _Contacts:
 
 
 def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
-    """Return unknowns with positive normal forces, where they exist (phase one)."""
+    """Return unknowns (n, k) with positive normal forces, where these exist (phase one)."""
     none = np.zeros_like(contacts.along)
     flat = np.zeros_like(contacts.along_slope)
     upright = contacts._replace(along=none, across=none, along_slope=flat, across_slope=flat)
@@ -216,12 +244,12 @@ def _feasible_unknowns(contacts: _Contacts, y: Array) -> Array:
 
 
 def _optimal_unknowns(contacts: _Contacts, y: Array) -> Array:
-    """Return the unknowns of least utilisation, from unknowns with positive normal forces."""
+    """Return the unknowns of least utilisation, starting from positive normal forces."""
     return _follow_center(contacts, y, 2.0 * _utilisation(contacts, y) + 1e-3, UTILISATION_GOAL)
 
 
 def _follow_center(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
-    """Return the unknowns at the least level, from strictly feasible unknowns at ``level``.
+    """Return the unknowns at the least level, starting from feasible unknowns at ``level``.
 
     Samples that do not converge are NaN.
     """
@@ -278,9 +306,18 @@ def _newton(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> _Newton
 def _hessian_rows(
     contacts: _Contacts, y: Array, level: Array, goal: _Goal
 ) -> tuple[Array, Array, Array, Array]:
-    """Return rows whose squares sum to the Hessian, derivatives by the level, and 1/a and 1/b.
+    """Return a factor of the Hessian, derivatives by the level, and reciprocals of a and b.
 
-    Shapes are (n, 3 m, k); (n, m) for the radius and (n, m, k) for its slope; (n, 2 m).
+    ``a`` and ``b`` are those of `_newton`.
+
+    Returns
+    -------
+    rows : ndarray, shape (n, 3 m, k)
+        Factor R of the Hessian ``R' R``.
+    radius, slope : ndarray, shape (n, m) and (n, m, k)
+        Derivatives by the level of the friction discs' radii and of the slopes of these radii.
+    inverse : ndarray, shape (n, 2 m)
+        Reciprocals of a, then of b.
     """
     along = contacts.along + _apply(contacts.along_slope, y)
     across = contacts.across + _apply(contacts.across_slope, y)
@@ -306,7 +343,7 @@ def _hessian_rows(
 def _center(
     contacts: _Contacts, y: Array, level: Array, newton: _Newton, goal: _Goal
 ) -> tuple[Array, Array]:
-    """Return the best point along the Newton step, at the same level."""
+    """Return the point of least barrier along the Newton step, and the unchanged level."""
     safe = 1 / (1 + newton.decrement)  # stays inside: the barrier is self-concordant
     steps = np.vstack([np.repeat(STEPS[:, None], len(y), 1), safe])
     barrier = _barrier(contacts, y + steps[..., None] * newton.step, level + 0 * steps, goal)
@@ -317,7 +354,7 @@ def _center(
 def _advance(
     contacts: _Contacts, y: Array, level: Array, newton: _Newton, goal: _Goal
 ) -> tuple[Array, Array]:
-    """Return the Newton step and the lowest feasible level along the central path."""
+    """Return the farthest feasible point along the central path, and its level."""
     falls = -ADVANCES[:, None] * newton.gap
     centre = y + newton.step
 
@@ -337,7 +374,7 @@ def _advance(
 
 
 def _barrier(contacts: _Contacts, y: Array, level: Array, goal: _Goal) -> Array:
-    """Return the barrier at several points (j, n, k) and levels (j, n), ``inf`` outside."""
+    """Return the barrier at points (j, n, k) and levels (j, n), shape (j, n); ``inf`` outside."""
 
     def at(value: Array, slope: Array) -> Array:
         return value + np.swapaxes(slope @ y.transpose(1, 2, 0), 1, 2).swapaxes(0, 1)
@@ -368,5 +405,5 @@ def _normal(contacts: _Contacts, y: Array) -> Array:
 
 
 def _apply(matrices: Array, vectors: Array) -> Array:
-    """Return the product sample by sample, shapes (n, i, j) and (n, j)."""
+    """Return the products of matrices (n, i, j) and vectors (n, j), shape (n, i)."""
     return np.asarray((matrices @ vectors[..., None])[..., 0])

@@ -31,7 +31,7 @@ BEST = Label("utilisation_best", "1", "smallest possible utilisation of the most
 
 
 def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Trajectory:
-    """Return a motion with the column ``utilisation_best``.
+    """Return a motion with the additional column ``utilisation_best``.
 
     If equilibrium does not determine the contact forces, ``utilisation`` is computed for one
     distribution, the load-weighted one. ``utilisation_best`` is the minimum over all distributions
@@ -83,7 +83,7 @@ def best_utilisation(vehicle: Vehicle, terrain: Terrain, run: Trajectory) -> Tra
 
 
 def _equilibrium_terms(parts: Mechanics) -> list[ca.SX]:
-    """Return matrix and load of the equilibrium, over the weight, and the wheels' friction."""
+    """Return the equilibrium's matrix, its load over the weight, and the wheels' friction."""
     return [parts.free.T, parts.load / parts.weight, ca.vertcat(*parts.friction)]
 
 
@@ -123,7 +123,10 @@ def diagnosis(z: Algebraic, q: Quantities) -> Callable[[Array, Array], str]:
 
 
 def _friction_words(factor: float, friction: Array, *, tips: bool) -> str:
-    """Return why no quasi-static equilibrium exists, as text; empty if friction suffices."""
+    """Return the reason why there is no quasi-static equilibrium; empty if friction suffices.
+
+    ``factor`` is the least utilisation, ``friction`` the wheels' coefficients of friction.
+    """
     if tips:
         return "the vehicle tips over"
     if np.isinf(factor):

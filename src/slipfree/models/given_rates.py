@@ -27,7 +27,7 @@ COMMANDS = {
 
 
 class Derived(NamedTuple):
-    """A platform rate that the direct model expresses by its unknowns."""
+    """Platform rate that is not an unknown of the direct model: label and expression."""
 
     label: Label
     expression: ca.SX
@@ -71,7 +71,7 @@ def impose(direct: Dae, given: Sequence[str]) -> Imposed:
 
 
 def derived_rates(direct: Dae) -> dict[str, Derived]:
-    """Return the platform rates that a direct model expresses by its unknowns, by name.
+    """Return platform rates as expressions of a direct model's unknowns, by name.
 
     These are the angular velocity, the velocity in the heading frame and the yaw rate.
     """
@@ -160,15 +160,18 @@ def check_rates(given: Sequence[str]) -> None:
     if isinstance(given, str) or len(given) != 3 or len(set(given)) != 3:
         raise ModelError(
             f"given: expected three different rates of {', '.join(known)}, or some of "
-            f"{', '.join(COMMANDS)}, found {given!r}"
+            f"{', '.join(COMMANDS)}, found {given!r}; change the list"
         )
     for name in given:
         if name not in known:
-            raise ModelError(f"given: {name!r} is not known; known: {', '.join(known)}")
+            raise ModelError(
+                f"given: expected rates of {', '.join(known)}, found {name!r}; correct the name"
+            )
     if set(given) & set(OMEGA) and set(given) & set(EULER):
         raise ModelError(
             f"given: expected components of the angular velocity ({', '.join(OMEGA)}) or Euler "
-            f"rates ({', '.join(EULER)}), not both, found {', '.join(given)}"
+            f"rates ({', '.join(EULER)}), not both, found {', '.join(given)}; replace the rates of "
+            "one kind"
         )
 
 
@@ -176,9 +179,14 @@ def check_commands(vehicle: Vehicle, given: tuple[str, ...], *, exact: bool = Tr
     """Raise ModelError for unknown or repeated commands, or more commands than driven wheels."""
     for name in given:
         if name not in COMMANDS:
-            raise ModelError(f"given: expected some of {', '.join(COMMANDS)}, found {name!r}")
+            raise ModelError(
+                f"given: expected some of {', '.join(COMMANDS)}, found {name!r}; correct the name"
+            )
     if not given or len(set(given)) != len(given):
-        raise ModelError(f"given: expected different rates, found {', '.join(given) or 'none'}")
+        raise ModelError(
+            f"given: expected one or more different rates, found {', '.join(given) or 'none'}; "
+            f"give some of {', '.join(COMMANDS)}, each once"
+        )
     if "right" not in given and all(wheel.rollers for wheel in vehicle.wheels if wheel.driven):
         raise ModelError(
             f"{vehicle.name}: expected a given rate 'right', since all driven wheels have rollers "

@@ -179,7 +179,7 @@ def _are_commands(given: Sequence[str]) -> bool:
 def check_inverse(
     vehicle: Vehicle, given: Sequence[str], solve_for: str, *, exact: bool = True
 ) -> None:
-    """Raise ModelError if given rates or unknowns do not suit a vehicle.
+    """Raise ModelError if inverse kinematics is impossible with these arguments.
 
     Parameters
     ----------
@@ -187,11 +187,16 @@ def check_inverse(
         As in `inverse_kinematics`.
     """
     if solve_for not in ("rates", "angles"):
-        raise ModelError(f"solve_for: expected 'rates' or 'angles', found {solve_for!r}")
+        raise ModelError(
+            f"solve_for: expected 'rates' or 'angles', found {solve_for!r}; choose one of them"
+        )
     if _are_commands(given):
         check_commands(vehicle, tuple(given), exact=exact)
         if solve_for != "angles":
-            raise ModelError(f"solve_for: expected 'angles' with {', '.join(given)}, found 'rates'")
+            raise ModelError(
+                f"solve_for: expected 'angles' with the given rates {', '.join(given)}, found "
+                "'rates'; use 'angles'"
+            )
         return
     check_rates(given)
     count, need = rolling_counts(vehicle)
@@ -240,12 +245,14 @@ def invert(
     vehicle : Vehicle
         The vehicle; see `check_inverse`.
     direct : Dae
-        Its direct model with the `slip_law` of the given rates.
+        Direct model of the vehicle with the `slip_law` of the given rates.
     given, solve_for, exact, least_margin
         As in `inverse_kinematics`.
     """
     if not least_margin >= 0:
-        raise ModelError(f"least_margin: expected zero or a positive number, found {least_margin}")
+        raise ModelError(
+            f"least_margin: expected zero or a positive number, found {least_margin}; increase it"
+        )
     if _are_commands(given):
         return _commanded(vehicle, direct, tuple(given), exact=exact)
     build = _solved_for_angles if solve_for == "angles" else _solved_for_rates
@@ -257,7 +264,7 @@ def invert(
 
 
 def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
-    """Return the model whose unknowns are rates."""
+    """Return the inverse model for three given rates, with steering rates as unknowns."""
     (x, z, u), imposed = variables(direct), impose(direct, given)
     rates = (*imposed.rates, *leaves(u))
     closure, _, forces = blocks(direct)
@@ -277,7 +284,10 @@ def _solved_for_rates(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Da
 
 
 def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> Dae:
-    """Return the model whose unknowns are steering angles; it neglects their rates."""
+    """Return the inverse model for three given rates, with steering angles as unknowns.
+
+    It neglects the slip that the steering rates cause.
+    """
     joints = direct.u.joints
     still = substitute(direct, joints, [ca.SX(0)] * len(joints))
     (x, z, u), imposed = variables(still), impose(still, given)
@@ -300,7 +310,7 @@ def _solved_for_angles(vehicle: Vehicle, direct: Dae, given: Sequence[str]) -> D
 
 
 def _commanded(vehicle: Vehicle, direct: Dae, given: tuple[str, ...], *, exact: bool) -> Dae:
-    """Return the model of any vehicle under commands."""
+    """Return the inverse model of any vehicle for commands of its platform."""
     (x, z, u), imposed = variables(direct), impose(direct, given)
     inputs, plane = imposed.inputs, derived_rates(direct)
     guide = guiding_motion(vehicle, direct, inputs)
@@ -357,8 +367,9 @@ def _least_departure(
 ) -> ca.SX:
     """Return half the squared slip along driven wheels plus half the weighted squared errors.
 
-    The slip is that of the guiding motion. Where wheels cannot point along it, they spin faster
-    than rolling by at most half the root of the weight times the error. [m2/s2]
+    The slip is that of the guiding motion. Where wheels cannot be steered along this motion, they
+    rotate faster than in rolling; the slip is at most ``sqrt(ERROR_WEIGHT) / 2`` times the error.
+    [m2/s2]
     """
     along, wheels = ca.vertcat(*direct.y.slip_along), ca.vertcat(*direct.u.wheels)
     turning = ca.jacobian(along, wheels)

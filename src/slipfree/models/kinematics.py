@@ -30,7 +30,8 @@ def direct_kinematics(
     """Return the kinematic model of a vehicle on a ground for given rates.
 
     Positions follow from closure: every wheel touches the ground, which gives three equations in
-    its two contact coordinates and the pose. Rates follow from the slip law.
+    its two contact coordinates and the pose. If not all wheels can touch a rigid ground, they are
+    pressed into it (`slipfree.models.pressed_model`). Rates follow from the slip law.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def direct_kinematics(
     Raises
     ------
     ModelError
-        If ``slip`` is not a slip law, or does not suit the vehicle.
+        If ``slip`` is not a slip law, or cannot be used with the vehicle.
 
     See Also
     --------
@@ -83,7 +84,7 @@ def direct_kinematics(
 
 
 def check_slip_law(vehicle: Vehicle, slip: SlipLaw) -> None:
-    """Raise ModelError if an argument is not a slip law or does not suit the vehicle."""
+    """Raise ModelError if an argument is not a slip law, or cannot be used with the vehicle."""
     check_law(slip, SlipLaw, "a slip law such as LeastSlip() or Rolling()")
     slip.check(vehicle)
 

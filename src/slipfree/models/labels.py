@@ -37,8 +37,8 @@ def labels_of(vehicle: Vehicle, law: Any = (), *, follow: bool = True) -> Labels
     law : record of Label
         Labels of the unknowns of the slip law or wheel-ground law.
     follow : bool
-        Whether the forces on a vehicle with mass are unknowns that follow from the motion.
-        Otherwise the wheel-ground law gives them, and tangential forces are outputs.
+        Whether the contact forces of a vehicle with mass are unknowns of the model. Otherwise the
+        wheel-ground law gives them, and tangential forces are outputs.
     """
     rates = _rate_labels(vehicle, law)
     x = Configuration(
@@ -126,7 +126,7 @@ def _force_labels(vehicle: Vehicle, rates: Rates) -> tuple[Forces, tuple[Label, 
 
 
 def equilibrium_labels(rates: Rates) -> tuple[Label, ...]:
-    """Return the labels of the equations of equilibrium, one for each rate, over the weight."""
+    """Return the labels of the equilibrium equations, one for each rate, divided by the weight."""
     return tuple(
         Label(
             f"equilibrium_{label.name.removesuffix('_rate')}",

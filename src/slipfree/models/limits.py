@@ -36,7 +36,7 @@ def joint_stops(q: Quantities) -> Iterator[Limit]:
 
 
 def upright(q: Quantities) -> Iterator[Limit]:
-    """Yield the limit of the platform's inclination."""
+    """Yield the limit of the cosine of the platform's inclination."""
     words = "the platform overturns (cosine of its inclination)"
     cosine = ca.cos(q.position.roll) * ca.cos(q.position.pitch)
     yield Limit(Label("upright", "1", words), cosine, MIN_INCLINATION_COSINE, np.inf)
@@ -105,7 +105,7 @@ def tip_over(q: Quantities) -> Iterator[Limit]:
 
 
 def lift_off(q: Quantities) -> Iterator[Limit]:
-    """Yield the limits of the normal forces; wheels without exact closure may lift off."""
+    """Yield the lower limit, zero, of each wheel's normal force; none for pressed wheels."""
     if not (q.vehicle.mass and has_exact_closure(q.vehicle)):
         return
     for wheel, force in zip(q.vehicle.wheels, q.forces.normal, strict=True):
@@ -135,7 +135,10 @@ def limits_of(q: Quantities) -> tuple[Limit, ...]:
 
 
 def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:
-    """Return the distance of a contact to the edge of a domain in map coordinates [m]."""
+    """Return the distance of a contact from the nearest edge of a domain, negative outside [m].
+
+    ``domain`` is in map coordinates, the contact in local coordinates.
+    """
     west, east, south, north = domain
     o_x, o_y, _ = terrain.origin
     u_g, v_g = contact.point[0], contact.point[1]
@@ -146,7 +149,7 @@ def _margin(terrain: Terrain, domain: Domain, contact: ContactFrame) -> ca.SX:
 
 
 def _extent(domain: Domain) -> str:
-    """Return the extent of a domain, as text."""
+    """Return the extent of a domain in x and y, as part of a message."""
     west, east, south, north = domain
     return (
         f"from {west:.2f} to {east:.2f} m in x and from {south:.2f} to {north:.2f} m in y "

@@ -66,8 +66,16 @@ MAX_DRIFT = 1e-3  # largest drift of an assembled vehicle [wheel radii, rad]
 class Assembly(NamedTuple):
     """Differential states: platform, joints, and contact coordinates of every wheel.
 
-    ``joints`` are the commanded and passive coordinates, ``suspension`` the others, both in the
-    vehicle's order. [m, rad]
+    Attributes
+    ----------
+    x, y, z, heading, roll, pitch : scalar
+        Position and attitude of the platform. [m, rad]
+    joints : tuple of scalar
+        Commanded and passive coordinates, in the vehicle's order. [rad or m]
+    suspension : tuple of scalar
+        Suspension coordinates, in the vehicle's order. [rad or m]
+    contacts : tuple of ContactCoordinates
+        Contact coordinates of the wheels.
     """
 
     x: Any
@@ -89,10 +97,11 @@ class Unknowns(NamedTuple):
 
 
 class AssemblyOutputs(NamedTuple):
-    """Outputs along a motion: those of the closure model, and the drift.
+    """Outputs along a motion: those of the closure model, and the drift of each wheel.
 
-    ``drift_position`` and ``drift_rotation`` are the differences between the wheel's pose from its
-    contact coordinates and its pose from the chain of joints. [m, rad]
+    ``drift_position`` [m] and ``drift_rotation`` [rad] are the distance and the angle between the
+    wheel's pose from its contact coordinates and its pose from the chain of joints. The other
+    fields are those of `slipfree.models.records.Outputs`.
     """
 
     contact_z: tuple[Any, ...]
@@ -230,10 +239,12 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
     if rollers:
         raise ModelError(
             "Montana's equations: expected wheels without rollers, found rollers on "
-            f"{', '.join(rollers)}; use the closure model (direct_kinematics)"
+            f"wheels {', '.join(rollers)}; use the closure model (direct_kinematics)"
         )
     if not (np.isfinite(kappa) and kappa >= 0):
-        raise ModelError(f"kappa: expected zero or a positive rate, found {kappa} 1/s")
+        raise ModelError(
+            f"kappa: expected zero or a positive finite rate, found {kappa} 1/s; change it"
+        )
     for wheel in vehicle.wheels:
         if float(wheel.section.tread_radius(ca.SX(0), ca.SX(1))) == 0:
             raise ModelError(
@@ -244,7 +255,7 @@ def _check(vehicle: Vehicle, kappa: float) -> None:
 
 
 def _place(x: Assembly) -> tuple[Configuration, Dependent]:
-    """Return the states of platform and joints in the records of the closure model."""
+    """Return the states of platform and joints as `Configuration` and `Dependent`."""
     position = Dependent(x.z, x.roll, x.pitch, x.suspension, ())
     return Configuration(x.x, x.y, x.heading, x.joints), position
 
@@ -309,14 +320,14 @@ def _rolling(
 
 
 def _of_assembly(shared: Any) -> dict[str, Any]:
-    """Return the outputs, or labels, of the closure model that are outputs here too."""
+    """Return the outputs of the closure model, or their labels, that Montana's model also has."""
     return {
         name: value for name, value in shared._asdict().items() if name in AssemblyOutputs._fields
     }
 
 
 def _drift_limits(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit]:
-    """Yield the limits on the drift."""
+    """Yield the limit of each wheel's drift, in wheel radii or rad."""
     for wheel, roll in zip(vehicle.wheels, rolls, strict=True):
         words = (
             f"wheel {wheel.name} has drifted from its position on the vehicle; start from the "
@@ -327,7 +338,7 @@ def _drift_limits(vehicle: Vehicle, rolls: list[RollingWheel]) -> Iterator[Limit
 
 
 def _assembly_labels(labels: Labels, vehicle: Vehicle) -> Labels:
-    """Return the labels of the closure model, sorted into the records used here."""
+    """Return the labels of Montana's model, from the labels of the closure model."""
     x, z, q, u, y, (_, *equations) = labels
     place = z.position
     contacts = zip(*zip(*place.contacts, strict=True), y.wheel_u, y.wheel_v, y.psi, strict=True)
@@ -365,7 +376,7 @@ class Difference(NamedTuple):
     label : Label
         The quantity, with the wheel of the largest difference if there is a value per wheel.
     size : float
-        Absolute difference; angles modulo 2 pi. [the label's unit]
+        Absolute value of the difference, for angles modulo 2 pi. [the label's unit]
     t : float
         Time of the largest difference. [s]
     """

@@ -44,7 +44,7 @@ def part_poses(vehicle: Vehicle, run: Trajectory) -> FramePoses:
     Raises
     ------
     ModelError
-        If the motion lacks one of these.
+        If the motion lacks the platform's pose or a coordinate.
     """
 
     def parts(place: Pose, values: Mapping[str, ca.SX]) -> Sequence[Pose]:
@@ -77,7 +77,10 @@ def _frame_poses(
     run: Trajectory,
     frames: Callable[[Pose, Mapping[str, ca.SX]], Sequence[Pose]],
 ) -> FramePoses:
-    """Return the poses of frames that depend on the platform's pose and the coordinates."""
+    """Return the poses of frames over a motion.
+
+    ``frames`` returns their poses from the platform's pose and the values of coordinates by name.
+    """
     names = (*POSITION, *(c.name for c in vehicle.coordinates))
     q = ca.SX.sym("q", len(names))
     place, values = ca.vertsplit(q)[:6], dict(zip(names[6:], ca.vertsplit(q)[6:], strict=True))

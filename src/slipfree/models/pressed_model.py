@@ -215,7 +215,7 @@ def pressed_dae(vehicle: Vehicle, terrain: Terrain, slip: SlipLaw, smoothing: fl
 
 
 def loaded(vehicle: Vehicle) -> Vehicle:
-    """Return a vehicle with mass: unit weight at the wheels' centroid if none is given."""
+    """Return a vehicle with mass; if it has none, with unit weight at the wheels' centroid."""
     if vehicle.mass:
         return vehicle
     rest = Pose(ca.SX.eye(3), ca.SX.zeros(3))
@@ -226,13 +226,13 @@ def loaded(vehicle: Vehicle) -> Vehicle:
 
 
 def _place(x: RelaxedState, contacts: tuple[Any, ...]) -> tuple[Configuration, Dependent]:
-    """Return the states in the records of the closure model."""
+    """Return states and contact points as `Configuration` and `Dependent`."""
     position = Dependent(x.z, x.roll, x.pitch, x.suspension, contacts)
     return Configuration(x.x, x.y, x.heading, x.joints), position
 
 
 def _at_surface(contact: ContactFrame, miss: ca.SX) -> ContactFrame:
-    """Return a contact frame with its origin at the wheel's point instead of the ground point."""
+    """Return a contact frame with its point moved by ``-miss``, from the ground to the wheel."""
     return contact._replace(point=contact.point - miss)
 
 
@@ -299,7 +299,7 @@ def _dae(
     pressed: Press,
     equations: tuple[ca.SX, Equations],
 ) -> Dae:
-    """Return the kinematic model with the given labels, symbols and equations."""
+    """Return the DAE of the pressed model with the given labels, symbols and equations."""
     vehicle, terrain, rates = q.vehicle, q.terrain, q.rates
     alignment, law = equations
     (scale, shift), size = sizes(vehicle, terrain, labels), extent(vehicle)
@@ -342,14 +342,14 @@ def _dae(
 
 
 def _first_pose(q: Quantities) -> ca.SX:
-    """Return a level pose in which all wheels are pressed into the ground."""
+    """Return height, attitude and suspension of a level pose that presses all wheels in."""
     heights, _ = level_heights(q.vehicle, q.terrain, q.x, q.lookups)
     lowest = ca.mmin(heights) - max(wheel.depth for wheel in q.vehicle.wheels)
     return ca.vertcat(lowest, ca.SX.zeros(2 + len(q.position.suspension)))
 
 
 def _guess(q: Quantities, labels: Labels) -> ca.SX:
-    """Return the initial guess: contacts below the wheels' centres, no motion."""
+    """Return the initial guess of the unknowns: contacts below the wheels' centres, no motion."""
     below = [pose.origin[:2] for pose in q.poses]
     rest = len(list(leaves(labels.z))) - 2 * len(below)
     return ca.densify(ca.vertcat(*below, ca.SX.zeros(rest)))
@@ -379,7 +379,7 @@ def _labels(vehicle: Vehicle, slip: SlipLaw) -> Labels:
 
 
 def _relaxation_labels(vehicle: Vehicle) -> tuple[Label, ...]:
-    """Return the labels of the relaxation of height, inclination and suspension."""
+    """Return the labels of the relaxation equations of height, inclination and suspension."""
     names = [("z", "1"), ("roll", "m"), ("pitch", "m")]
     names += [
         (c.name, "m" if vehicle.unit(c.name) == "rad" else "1") for c in vehicle.of("suspension")

@@ -96,7 +96,7 @@ def quasi_statics(
 
 
 def _sliding(z: Algebraic, q: Quantities) -> SlidingContacts:
-    """Return the sliding contacts; their slip is a linear function of rates and inputs."""
+    """Return the sliding contacts, whose slip is a linear function of rates and inputs."""
     parts = q.mechanics
     slip = ca.vertsplit(parts.free @ pack(q.rates.motion) + parts.driven @ pack(q.u))
     return SlidingContacts(

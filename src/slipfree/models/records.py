@@ -12,9 +12,10 @@ from slipfree.vehicle.tree import Vehicle
 
 
 class Configuration(NamedTuple):
-    """Differential states: position, heading, and joints that are not suspension.
+    """Differential states in exact contact: position, heading, and joints except suspension.
 
-    ``joints`` are the commanded and the passive coordinates in the vehicle's order. [m, rad]
+    ``x`` and ``y`` are local coordinates [m], ``heading`` is an angle [rad]; ``joints`` are the
+    commanded and the passive coordinates in the vehicle's order [rad or m].
     """
 
     x: Any
@@ -24,7 +25,10 @@ class Configuration(NamedTuple):
 
 
 class RelaxedState(NamedTuple):
-    """Differential states of a vehicle with pressed wheels: all coordinates [m, rad]."""
+    """Differential states of a vehicle with pressed wheels: platform, joints and suspension.
+
+    Lengths are in m, angles in rad; ``joints`` are the commanded and the passive coordinates.
+    """
 
     x: Any
     y: Any
@@ -37,20 +41,23 @@ class RelaxedState(NamedTuple):
 
 
 class PressedContacts(NamedTuple):
-    """Contact points of pressed wheels, the only unknowns of position [m]."""
+    """Contact points of pressed wheels: the unknowns at position level [m]."""
 
     contacts: tuple[ContactPoint, ...]
 
 
 class ContactPoint(NamedTuple):
-    """Ground coordinates of a contact point, ``u_g`` and ``v_g`` [m]."""
+    """Local coordinates of a contact point on the ground, ``u_g`` and ``v_g`` [m]."""
 
     x: Any
     y: Any
 
 
 class Dependent(NamedTuple):
-    """Coordinates that the ground determines for a given configuration [m, rad]."""
+    """Coordinates that contact with the ground determines for a given configuration [m, rad].
+
+    These are height, attitude and suspension of the vehicle, and the contact points of the wheels.
+    """
 
     z: Any
     roll: Any
@@ -79,7 +86,7 @@ class Rates(NamedTuple):
 
     @property
     def motion(self) -> tuple[Any, ...]:
-        """The rates without the law's unknowns."""
+        """Rates of the coordinates and free wheels, without the unknowns of the law."""
         return tuple(self[:-1])
 
 
@@ -97,7 +104,7 @@ class Forces(NamedTuple):
 
     @property
     def column(self) -> ca.SX:
-        """The forces as a column: along, across, normal, wheel by wheel."""
+        """Forces as a column, shape (3 n_wheels, 1): along, across, normal, wheel by wheel [N]."""
         wheels = zip(self.along, self.across, self.normal, strict=True)
         return pack(tuple(wheels))
 
@@ -179,7 +186,8 @@ def state_coordinates(vehicle: Vehicle) -> tuple[str, ...]:
 def is_determinate(vehicle: Vehicle) -> bool:
     """Return whether equilibrium alone determines the contact forces, three per wheel.
 
-    It does not for vehicles with rollers, since such wheels bear no force along their axles.
+    The result is False for vehicles with rollers, since such wheels bear no force along their
+    axles.
     """
     if any(wheel.rollers for wheel in vehicle.wheels):
         return False

@@ -17,7 +17,7 @@ class Rock(NamedTuple):
     t : float
         Time, interpolated between samples. [s]
     before, after : str
-        Names of the wheel with the least load, before and after the change.
+        Name of the wheel with the least load before the change, and after it.
     """
 
     t: float

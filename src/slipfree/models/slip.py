@@ -97,7 +97,7 @@ def measured_slip(vehicle: Vehicle, run: Trajectory) -> Array:
     vehicle : Vehicle
         The vehicle.
     run : Trajectory
-        Motion with at least five equally spaced samples.
+        Motion of the vehicle with at least five equally spaced samples.
 
     Returns
     -------

@@ -161,7 +161,7 @@ def force_outputs(q: Quantities, labels: ForceOutputs | tuple[()]) -> ForceOutpu
 
 
 def _used(along: ca.SX, across: ca.SX, offered: ca.SX) -> ca.SX:
-    """Return the ratio of tangential force to available force; infinite without load.
+    """Return the ratio of tangential force to available friction; infinite without load [1].
 
     The square root is the last operation: limits use the square, since the root has no derivative
     at zero force.

@@ -67,7 +67,10 @@ def steering_effects(
 
 
 def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) -> Guide:
-    """Return the guiding motion: least sideways slip of fixed wheels under given rates."""
+    """Return the guiding motion: least sideways slip of unsteered wheels under given rates.
+
+    ``inputs`` are the given rates.
+    """
     kinds: tuple[Kind, ...] = ("commanded", "passive")
     turned = {
         k
@@ -104,12 +107,12 @@ def guiding_motion(vehicle: Vehicle, direct: Dae, inputs: Sequence[Variable]) ->
 
 
 def _pose_rates(rates: Any) -> tuple[Any, ...]:
-    """Return the rates of pose and suspension, or their labels."""
+    """Return the fields of pose and suspension from `Rates` or its labels."""
     return (*rates[:6], *rates.suspension)
 
 
 def guided(direct: Dae, motion: Sequence[Variable], expressions: Sequence[ca.SX]) -> list[ca.SX]:
-    """Return expressions evaluated for the guiding motion, with wheels and joints at rest."""
+    """Return expressions with the rates of the guiding motion; wheels and joints are at rest."""
     rates = direct.z.rates
     still = pack((direct.u, rates.free, rates.passive))
     found = ca.substitute([*expressions], [still], [ca.SX.zeros(still.shape)])
@@ -163,7 +166,11 @@ def _outside(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
 
 
 def steering_laws(vehicle: Vehicle, errors: Mapping[str, ca.SX]) -> tuple[ca.SX, ...]:
-    """Return the rates of all commanded coordinates [rad/s, m/s]."""
+    """Return the rates of all commanded coordinates [rad/s, m/s].
+
+    Coordinates with an error in ``errors`` are steered towards their targets; the rates of the
+    others are zero.
+    """
     fastest = {
         c.name: c.max_rate if np.isfinite(c.max_rate) else MAX_STEERING_RATE
         for c in vehicle.of("commanded")

@@ -43,7 +43,10 @@ def tip_over_margin(
 
 
 def _is_outer(contacts: Sequence[ContactFrame], i: int, j: int) -> ca.SX:
-    """Return whether all other contacts lie left of a line in plan view, or between its ends."""
+    """Return whether the line from contact i to contact j is an edge of the support polygon.
+
+    All other contacts then lie left of the line in plan view, or on it between its ends.
+    """
     here = contacts[i].point[:2]
     edge = contacts[j].point[:2] - here
     length, outer, aside = ca.sumsqr(edge), ca.SX(1), ca.SX(0)

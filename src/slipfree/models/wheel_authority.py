@@ -50,9 +50,10 @@ def wheel_rates(
     joints: Mapping[str, float] | None = None,
     **given: float,
 ) -> dict[str, float]:
-    """Return the inputs with which the platform has given rates at least slip, at a configuration.
+    """Return the inputs of least slip with which the platform has given rates.
 
-    Of inputs with the same slip, those of least norm are returned.
+    The configuration is the last sample of ``stand``. Of inputs with the same slip, those of least
+    norm are returned.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def wheel_rates(
     joints : mapping of str to float, optional
         Rates of commanded coordinates, by the names of the inputs; others are zero. [rad/s]
     **given : float
-        Some of ``forward``, ``right`` and ``yaw_rate``. [m/s, rad/s]
+        Given rates: some of ``forward``, ``right`` and ``yaw_rate``. [m/s, rad/s]
 
     Returns
     -------

@@ -80,7 +80,7 @@ class Analytic:
         if not (x_min < x_max and y_min < y_max):
             raise ModelError(
                 "terrain: domain must be x_min < x_max, y_min < y_max in metres, "
-                f"found {self.domain}"
+                f"found {self.domain}; correct the order"
             )
         check_formula(self.function, "terrain", "height")
         check_friction(self.mu)
@@ -117,7 +117,7 @@ class Analytic:
         return polynomial_jet(lookups.find(self._taylor, ca.vertcat(x, y), order=4), TAYLOR, x, y)
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the coefficient of friction at a point; 1 if none was given [1]."""
+        """Return the coefficient of friction at a point; 1 for a ground without coefficient [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def elevation(self, x: Array, y: Array) -> Array:
@@ -134,7 +134,7 @@ class Analytic:
 
     @cached_property
     def _taylor(self) -> ca.Function | None:
-        """Lookup function of a height formula that calls functions; otherwise None."""
+        """Lookup function of the height formula if it contains function calls, else None."""
         return taylor_function(self.function)
 
     @cached_property

@@ -43,19 +43,19 @@ class Jet(NamedTuple):
 
 
 def jet_of(height: ca.SX, x: ca.SX, y: ca.SX) -> Jet:
-    """Return a height with its first and second derivatives with respect to two symbols."""
+    """Return a height expression with its first and second derivatives by ``x`` and ``y``."""
     place = ca.vertcat(x, y)
     gradient = ca.gradient(height, place)
     return Jet(height, gradient, ca.jacobian(gradient, place))
 
 
 def polynomial_jet(found: ca.SX, orders: Sequence[tuple[int, int]], x: ca.SX, y: ca.SX) -> Jet:
-    """Return the jet of a polynomial.
+    """Return height, gradient and Hessian at a point of a polynomial given by its derivatives.
 
     Parameters
     ----------
     found : SX, shape (2 + n, 1)
-        Coordinates of the centre of the polynomial, then its n derivatives at the centre.
+        Coordinates of the centre of the polynomial [m], then its n derivatives at the centre.
     orders : sequence of pairs of int
         Orders of these derivatives with respect to x and y.
     x, y : SX, shape (1, 1)
@@ -96,7 +96,7 @@ def taylor_function(formula: Callable[[Any, Any], Any]) -> ca.Function | None:
     Parameters
     ----------
     formula : callable
-        Function of two SX scalars.
+        Function of two SX scalars x and y.
 
     Returns
     -------
@@ -221,7 +221,8 @@ class Grid:
         _check_heights(self.x, self.y, self.z)
         if self.filled is not None and self.filled.shape != self.z.shape:
             raise DataError(
-                f"grid: filled must have the shape of z, {self.z.shape}, found {self.filled.shape}"
+                f"grid: filled must have the shape of z, {self.z.shape}, found "
+                f"{self.filled.shape}; reshape it"
             )
 
     @property
@@ -311,11 +312,14 @@ def _check_axis(name: str, axis: Array) -> None:
         )
     if axis.size < 4:
         raise DataError(
-            f"grid: axis {name} must have at least 4 nodes for a cubic spline, found {axis.size}"
+            f"grid: axis {name} must have at least 4 nodes for a cubic spline, found {axis.size}; "
+            "use a larger or finer grid"
         )
     if not np.isfinite(axis).all():
         node = int(np.argmin(np.isfinite(axis)))
-        raise DataError(f"grid: axis {name} must be finite, found {name}[{node}] = {axis[node]}")
+        raise DataError(
+            f"grid: axis {name} must be finite, found {name}[{node}] = {axis[node]}; correct it"
+        )
     steps = np.diff(axis)
     if (steps < 0).all():
         raise DataError(
@@ -351,9 +355,9 @@ def _check_heights(x: Array, y: Array, z: Array) -> None:
     """Raise DataError for heights that do not match the axes or are not all finite."""
     expected = (x.size, y.size)
     if z.shape != expected:
-        hint = "; rows must run along x: pass z.T" if z.shape == expected[::-1] else ""
+        hint = "rows must run along x: pass z.T" if z.shape == expected[::-1] else "reshape z"
         raise DataError(
-            f"grid: z must have the shape (x.size, y.size) = {expected}, found {z.shape}{hint}"
+            f"grid: z must have the shape (x.size, y.size) = {expected}, found {z.shape}; {hint}"
         )
     if np.abs(z[np.isfinite(z)]).max(initial=0.0) > MAX_HEIGHT:
         raise DataError(

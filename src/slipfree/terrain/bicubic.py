@@ -38,7 +38,7 @@ class Bicubic:
     Attributes
     ----------
     grid : Grid
-        The nodes.
+        Nodes of the spline, and their heights. [m]
     center : tuple of 2 floats or None
         Map coordinates of the local origin, by default the middle of the domain. On a large map,
         an origin near the motion avoids loss of digits. [m]
@@ -92,7 +92,7 @@ class Bicubic:
         check_friction(self.mu)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the fields; an unpickled copy computes the same coefficients again."""
+        """Return the fields for pickling; an unpickled copy computes the coefficients again."""
         return {
             "grid": self.grid,
             "center": self.center,
@@ -132,7 +132,7 @@ class Bicubic:
         return polynomial_jet(lookups.find(cell, ca.vertcat(x, y, key)), CUBIC, x, y)
 
     def friction(self, x: ca.SX, y: ca.SX, lookups: LookupTable) -> ca.SX:
-        """Return the coefficient of friction at a local point; 1 if none was given [1]."""
+        """Return the coefficient of friction at a local point; 1 without a coefficient [1]."""
         return coefficient(self.mu, self._friction_map, self.origin, x, y, lookups)
 
     def elevation(self, x: Array, y: Array) -> Array:
@@ -148,7 +148,7 @@ class Bicubic:
 
     @cached_property
     def _cells(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Index of the node nearest to the local origin, and of the last cell, for x and y."""
+        """Indices along x and y of the node nearest to the local origin, and of the last cell."""
         counts = []
         for axis, at, h in zip(
             (self.grid.x, self.grid.y), self.origin, self.grid.spacing, strict=False
@@ -208,13 +208,13 @@ class Bicubic:
 
     @cached_property
     def _cell(self) -> tuple[ca.Function, float]:
-        """Lookup function with a local point and a key as arguments, and the key."""
+        """Lookup function of a cell with the arguments x, y and key, and the value of the key."""
         if self._kernel is not None:
             return self._kernel.function, self._kernel.key
         return self._interpolated_cell(), 0.0
 
     def _interpolated_cell(self) -> ca.Function:
-        """Return the lookup function of a cell as a CasADi interpolant, instead of `kernel.c`."""
+        """Return the lookup function of a cell without `kernel.c`, as a CasADi interpolant."""
         (i_0, i_last), (j_0, j_last) = self._cells
         x_0, y_0, _ = self.origin
         h_x, h_y = self.grid.spacing
@@ -301,12 +301,13 @@ def _gather_function(table: Array) -> ca.Function:
     Parameters
     ----------
     table : ndarray, shape (n_x + 2, n_y + 2)
-        The entries.
+        Coefficients of the spline. [m]
 
     Returns
     -------
     Function
-        From integers ``[i, j]`` to ``table[i : i + 4, j : j + 4]`` as a column, i fastest.
+        Maps integers ``[i, j]`` to ``table[i : i + 4, j : j + 4]`` as a column of shape (16, 1); i
+        changes fastest.
     """
     columns = np.ascontiguousarray(table.T)
     run = (

@@ -35,7 +35,7 @@ BORDER = 2  # repeated rows of nodes around a map that make it constant outside
 
 
 def check_friction(mu: Friction) -> None:
-    """Check a coefficient of friction.
+    """Raise an error for an invalid coefficient of friction.
 
     Raises
     ------
@@ -75,9 +75,9 @@ def coefficient(
     Parameters
     ----------
     mu : float, callable, Grid or None
-        As checked by `check_friction`.
+        Coefficient of friction, valid by `check_friction`; None for the coefficient 1. [1]
     surface : Terrain or None
-        The surface of a map, in the same local coordinates.
+        Surface of a friction map, in the same local coordinates; None without a map.
     origin : tuple of 3 floats
         Map coordinates of the local origin. [m]
     x, y : SX, shape (1, 1)

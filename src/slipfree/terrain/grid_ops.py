@@ -53,13 +53,13 @@ class Heights(NamedTuple):
     Attributes
     ----------
     x, y : ndarray, shape (n_x,) and (n_y,)
-        Increasing, uniform axes. [m] or [deg]
+        Coordinates of the nodes, increasing and uniform. [m] or [deg]
     z : ndarray, shape (n_x, n_y)
         Heights at ``(x[i], y[j])``, NaN in holes. [m]
     facts : tuple of (str, str)
-        Names and values of facts about the file, for users.
+        Facts about the file for summaries: pairs of name and description.
     crs : str
-        Its coordinate reference system such as ``"EPSG:32633"``; empty if unknown.
+        Coordinate reference system of the file such as ``"EPSG:32633"``; empty if unknown.
     geographic : bool
         Whether x and y are degrees according to the file.
     placed : bool
@@ -81,9 +81,9 @@ class Filled(NamedTuple):
     Attributes
     ----------
     z : ndarray, shape (n_x, n_y)
-        Heights. [m]
+        Heights, those in holes interpolated. [m]
     nodes, holes : int
-        Numbers of filled nodes and of connected holes.
+        Number of filled nodes, and number of connected holes.
     largest : tuple of 2 floats
         Extents along x and y of the hole with the most nodes. [m] or [deg]
     """
@@ -127,15 +127,15 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
         if not (window[0] < window[1] and window[2] < window[3]):
             raise DataError(
                 "window: expected [x_min, x_max, y_min, y_max] with x_min < x_max and "
-                f"y_min < y_max, found {_window_text(window)}; {reach}"
+                f"y_min < y_max, found {_window_text(window)}; correct it: {reach}"
             )
         found = _part(x, *window[:2]), _part(y, *window[2:])
         sizes = [max(part.stop - part.start, 0) for part in found]
         if min(sizes) < 4:
             raise DataError(
                 f"window: expected a part of the map with at least 4 nodes along x and along y, "
-                f"found {sizes[0]} by {sizes[1]} in {_window_text(window)}; {reach}, "
-                f"its nodes are {x.step:.9g} and {y.step:.9g} apart"
+                f"found {sizes[0]} by {sizes[1]} in {_window_text(window)}; enlarge or move it: "
+                f"{reach}, its nodes are {x.step:.9g} and {y.step:.9g} apart"
             )
     nodes = math.prod(part.stop - part.start for part in found)
     if nodes > MAX_NODES:
@@ -148,7 +148,7 @@ def parts(x: Axis, y: Axis, window: Window | None) -> tuple[slice, slice]:
 
 
 def _check_axes(x: Axis, y: Axis) -> None:
-    """Raise DataError for axes with too few nodes or with nodes that rounding would merge."""
+    """Raise DataError for axes with too few nodes, or with a step that is lost by rounding."""
     if min(x.size, y.size) < 4:
         raise DataError(
             f"expected a map of at least 4 nodes along x and along y, found {x.size} by {y.size}; "
@@ -326,7 +326,7 @@ def smoothed(grid: Grid, deviation: float) -> Smoothed:
     if not 0 < deviation <= extent / 8:
         raise ModelError(
             f"smooth: expected a standard deviation above 0 and at most {extent / 8:.4g} m, an "
-            f"eighth of the ground, found {deviation:g} m"
+            f"eighth of the ground, found {deviation:g} m; change it"
         )
     z = averaged(grid.z, grid.spacing, deviation)
     change = z - grid.z
@@ -381,7 +381,8 @@ def disturbed(grid: Grid, rms: float, correlation: float, seed: int) -> Grid:
     """
     if not (rms > 0 and correlation > 0):
         raise ModelError(
-            f"error: expected rms and correlation above 0 m, found {rms:g} m and {correlation:g} m"
+            f"error: expected rms and correlation above 0 m, found {rms:g} m and {correlation:g} "
+            "m; change them, or remove the error"
         )
     rng = np.random.default_rng(seed)
     # variance 2 / correlation**2 of each component: E cos(k d) = exp(-(d / correlation)**2)

@@ -24,7 +24,7 @@ LAYOUT = 2  # version of the arguments of `kernel.c`; libraries of other version
 
 
 class Layout(NamedTuple):
-    """Positions of the cells of a coefficient table.
+    """Positions of the cells that belong to a table of spline coefficients.
 
     Attributes
     ----------
@@ -32,8 +32,10 @@ class Layout(NamedTuple):
         Local coordinates of the node nearest to the local origin. [m]
     spacing : tuple of 2 floats
         Distances between nodes. [m]
-    node, last : tuple of 2 int
-        Indices of that node and of the last cell, along x and y.
+    node : tuple of 2 int
+        Indices of that node along x and y.
+    last : tuple of 2 int
+        Indices of the last cell along x and y.
     """
 
     place: tuple[float, float]
@@ -74,7 +76,7 @@ class Opened(NamedTuple):
 
 
 def register_ground(table: Array, layout: Layout) -> Opened | None:
-    """Register a ground with the compiled evaluator; return None without evaluator or free slot.
+    """Return a ground registered with the compiled evaluator; None without evaluator or free slot.
 
     Parameters
     ----------

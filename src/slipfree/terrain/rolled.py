@@ -46,7 +46,9 @@ class Rolled:
 
 
 def rolled(grid: Grid, radius: float) -> Rolled:
-    """Return a ground on which a wheel of the given radius has one contact point almost everywhere.
+    """Return a ground whose hollows are filled for a wheel of the given radius.
+
+    The wheel then has a single contact point almost everywhere.
 
     The bicubic surface of the grid is sampled on nodes at most ``radius / 8`` apart, closed by a
     ball of radius ``1.5 radius``, and smoothed by a Gaussian of standard deviation
@@ -77,12 +79,15 @@ def rolled(grid: Grid, radius: float) -> Rolled:
     slopes.
     """
     if not (math.isfinite(radius) and radius > 0):
-        raise ModelError(f"rolled: radius must be a positive number of metres, found {radius}")
+        raise ModelError(
+            f"rolled: radius must be a positive number of metres, found {radius}; give the rolling "
+            "radius of the largest wheel"
+        )
     extent = min(float(np.ptp(grid.x)), float(np.ptp(grid.y)))
     if BALL * radius > extent / 2:
         raise ModelError(
             f"rolled: radius must be at most {extent / 2 / BALL:.4g} m, a third of the ground's "
-            f"extent of {extent:.4g} m, found {radius:g} m"
+            f"extent of {extent:.4g} m, found {radius:g} m; use a larger ground or a smaller radius"
         )
     x, y = (_refine_axis(axis, radius / NODES) for axis in (grid.x, grid.y))
     old = Bicubic(grid).elevation(x[:, None], y[None, :])

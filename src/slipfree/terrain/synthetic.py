@@ -22,7 +22,7 @@ SIZE_EXPONENT = 2.0  # the number of craters or rocks above a diameter falls wit
 
 
 class Rock(NamedTuple):
-    """A rock on the ground.
+    """A rock on the ground, round in plan view.
 
     Attributes
     ----------
@@ -107,7 +107,8 @@ def power_law(
         )
     if not (0 < hurst <= 1 and rms >= 0):
         raise ModelError(
-            f"power_law: hurst must lie in (0, 1] and rms be at least 0, found {hurst}, {rms}"
+            "power_law: hurst must lie in (0, 1] and rms be at least 0, found hurst = "
+            f"{hurst}, rms = {rms}; change them"
         )
     rng = np.random.default_rng(seed)
     octave = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
@@ -204,7 +205,9 @@ def place_rocks(grid: Grid, placed: Iterable[Rock]) -> Grid:
     z = np.zeros_like(grid.z)
     for rock in map(Rock._make, placed):
         if not (rock.diameter > 0 and rock.height > 0):
-            raise ModelError(f"rocks: diameter and height must be positive, found {rock}")
+            raise ModelError(
+                f"rocks: diameter and height must be positive, found {rock}; change or remove it"
+            )
 
         def cover(part: Array, s: Array, height: float = rock.height) -> Array:
             return np.maximum(part, height * np.where(s < 1, (1 - s**4) ** 2, 0))
@@ -241,11 +244,14 @@ def ramp(
         has a rounding.
     """
     if not start < end:
-        raise ModelError(f"ramp: expected start < end, found {start:g} m and {end:g} m")
+        raise ModelError(
+            f"ramp: expected start < end, found {start:g} m and {end:g} m; exchange them, or use a "
+            "negative rise for a descent"
+        )
     if not 0 <= rounding <= end - start:
         raise ModelError(
             f"ramp: expected a rounding from 0 to its length of {end - start:g} m, "
-            f"found {rounding:g} m"
+            f"found {rounding:g} m; change rounding"
         )
     if smooth and rounding:
         raise ModelError(
@@ -277,7 +283,7 @@ def _scatter(
     if not (0 < smallest <= largest and count >= 0):
         raise ModelError(
             "craters or rocks: expected count >= 0 and 0 < smallest <= largest diameter, found "
-            f"{count}, {smallest:g} m, {largest:g} m"
+            f"count = {count}, diameters = [{smallest:g}, {largest:g}] m; change them"
         )
     u = np.random.default_rng(seed).random((count, 3))
     x = grid.x[0] + u[:, 0] * np.ptp(grid.x)
