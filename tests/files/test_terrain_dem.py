@@ -77,7 +77,10 @@ def test_maps_too_large_without_a_window(tmp_path):
 @pytest.mark.parametrize(
     ("window", "words"),
     [
-        ((0, 5, 5, 0), r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; the map extends"),
+        (
+            (0, 5, 5, 0),
+            r"x_min < x_max and y_min < y_max, found \[0, 5, 5, 0\]; correct it: the map extends",
+        ),
         ((500, 600, 0, 100), r"at least 4 nodes .* found 0 by 0 .* from 105 to 145 in x"),
         ((105, 125, 205, 235), "at least 4 nodes along x and along y, found 3 by 4"),
         ((106, 144, 0, 1e9), "found 3 by 4"),
@@ -199,7 +202,9 @@ def test_npz_refuses(tmp_path):
             read_grid(path)
     with path.open("wb") as file:
         np.save(file, x)
-    with pytest.raises(DataError, match="expected an archive, found one array"):
+    with pytest.raises(
+        DataError, match="expected an archive of arrays x, y, z, found a single array"
+    ):
         read_grid(path)
 
 

@@ -528,7 +528,7 @@ def test_seven_rigid_wheels_are_too_many():
         (lambda: skid_steer(wheelbase=np.inf), "skid_steer: wheelbase must be a positive length"),
         (lambda: articulated(rear=0.0), "articulated: rear must be a positive length"),
         (lambda: rocky7(steered="all"), "rocky7: steered must be 'front' or 'corners', found 'all"),
-        (lambda: rocky7(r1=0.1), "r2 must be zero or a positive radius"),
+        (lambda: rocky7(r1=0.1), "r2 must be zero or a positive and finite radius"),
     ],
 )
 def test_what_is_no_vehicle_is_refused(build, words):

@@ -252,8 +252,8 @@ def test_rates_may_jump_or_be_formulas_and_the_replay_agrees():
             ("forward", "left"),
             "expected some of forward, right, yaw_rate, found 'left'",
         ),
-        ("skid_steer", ("forward", "forward"), "expected different rates, found forward, forward"),
-        ("skid_steer", (), "expected different rates, found none"),
+        ("skid_steer", ("forward", "forward"), "different rates, found forward, forward"),
+        ("skid_steer", (), "different rates, found none"),
         ("ackermann", ("forward", "right", "yaw_rate"), "at most 2 given rates.*; remove right"),
     ],
 )
