@@ -381,7 +381,7 @@ FAULTS = {
         r"tolerance: expected a number .*, found 0.0",
     ),
     "times": Fault(_set("call", t=np.array([0.0, 2.0, 1.0])), r"t: expected .* ascending times"),
-    "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be zero or a positive radius"),
+    "wheel size": Fault(_set("build", r1=-0.1), r"r1 must be zero or a positive and finite radius"),
     "track": Fault(_set("build", half_track=np.nan), r"half_track must be a positive length"),
     "stops": Fault(
         _set("build", tilt_stop=-0.1),
@@ -389,7 +389,7 @@ FAULTS = {
     ),
     "spacing": Fault(_set("map", shortest=0.1), r"power_law: expected twice the spacing"),
     "no height": Fault(_set("map", gap=True), r"all heights must be finite, .* z\[3, 5\] = nan"),
-    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected zero or a positive rate"),
+    "kappa": Fault(_set("build", kappa=-1.0), r"kappa: expected zero or a positive finite rate"),
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"cannot stand at the start: \w+\[\w+\], .* has a residual of [\d.e+-]+ m": "cannot stand",
