@@ -115,7 +115,7 @@ def test_any_bytes_are_refused(raw: bytes, ending: str, tmp_path: Path) -> None:
         ("a = " + "{a=" * 100_000, "with a few levels"),
         ("a" + ".a" * 100_000 + " = 1", "keys with at most 60 dotted parts"),
         ("\n'a'" + ". 'b'" * 100_000 + " = 1", ":2: expected keys with at most 60 dotted parts"),
-        ("a = 1" + "0" * 10_000, "expected numbers, found an invalid one"),
+        ("a = 1" + "0" * 10_000, "expected valid numbers, found an invalid number"),
         ("x" * 10_000_001, "at most 10 MB, found 10 MB"),
     ],
 )
