@@ -212,7 +212,7 @@ def in_time() -> None:
         inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
         repeated = ""
         if sought:
-            found = drive(dae, begin, inputs, t, sought=["steer"])
+            found = drive(dae, begin, inputs, t, free_states=["steer"])
             back = found.run
             again = replay(direct, back, spline_inputs(direct, found.t, found.unknowns))
             repeated = f", replay within {max(again.difference.values()):.1e} m, rad"

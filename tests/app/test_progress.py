@@ -29,8 +29,8 @@ def test_a_line_when_a_phase_of_a_search_begins() -> None:
     result = CliRunner().invoke(app, PLAN)
     assert result.exit_code == 0
     lines = result.stderr.splitlines()
-    assert re.fullmatch(f"slip left out: {ITERATE}", lines[0])
-    assert re.fullmatch(f"with slip: {ITERATE}", lines[1])
+    assert re.fullmatch(f"without slip cost: {ITERATE}", lines[0])
+    assert re.fullmatch(f"with slip cost: {ITERATE}", lines[1])
     phases = [line.partition(":")[0] for line in lines]
     assert len(phases) == len(set(phases))  # it took no ten seconds
 

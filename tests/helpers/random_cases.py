@@ -370,7 +370,7 @@ FAULTS = {
     ),
     "unknown start": Fault(_set("start", yaw=0.1), r"start: expected x, .*; found the unknown yaw"),
     "unknown guess": Fault(_set("start", guess={"height": 1.0}), r"guess: 'height' is not known"),
-    "input not finite": Fault(_first_input(np.inf), r"input \w+_rate: must be finite"),
+    "input not finite": Fault(_first_input(np.inf), r"input \w+_rate: expected finite numbers"),
     "short input": Fault(_first_input(np.ones(2)), r"input \w+: expected .* found shape \(2,\)"),
     "missing input": Fault(lambda r: r["inputs"].pop(next(iter(r["inputs"]))), r"missing: \w+"),
     "unknown input": Fault(
@@ -393,14 +393,14 @@ FAULTS = {
 }
 CAUSES = {  # what a refusal that nobody planted says, and what it is counted as
     r"cannot stand at the start: \w+\[\w+\], .* has a residual of [\d.e+-]+ m": "cannot stand",
-    r"(start is not valid|residual .*): wheel \w+ leaves the map, .* to its edge\): .* allowed": (
+    r"(found a violation|residual .*): wheel \w+ leaves the map, .* to its edge\): .* allowed": (
         "off the map"
     ),
-    r"start is not valid: the ground under wheel \w+ is more concave": "too concave",
-    r"start is not valid: wheel \w+ touches a second time at \(": "second touch",
-    r"start is not valid: wheel \w+ lies flat": "wheel flat",
-    r"start is not valid: the platform overturns": "overturned",
-    r"start is not valid: joint \w+ \(.*\) reaches its stop: .*, allowed": "at a stop",
+    r"found a violation: the ground under wheel \w+ is more concave": "too concave",
+    r"found a violation: wheel \w+ touches a second time at \(": "second touch",
+    r"found a violation: wheel \w+ lies flat": "wheel flat",
+    r"found a violation: the platform overturns": "overturned",
+    r"found a violation: joint \w+ \(.*\) reaches its stop: .*, allowed": "at a stop",
     r"model is singular here: no equation determines \S+ \(": "singular",
     r"cannot roll without slip: expected \d+ passive .*, found \d": "cannot roll",
     r"wheel \w+: Montana's equations need a tread": "no tread radius",

@@ -141,7 +141,7 @@ def path(scale: float, ground: Ground) -> Trajectory:
     t = np.linspace(0, 6, 61)
     inputs = path_inputs(back, start, x, y, heading)
     return drive(
-        back, start, inputs, t, sought=["steer"], options=SolverOptions(tolerance=TOLERANCE)
+        back, start, inputs, t, free_states=["steer"], options=SolverOptions(tolerance=TOLERANCE)
     ).run
 
 

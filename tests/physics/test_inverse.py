@@ -181,9 +181,7 @@ def test_crossing_stops_the_rate_form_by_name():
         "'steer' (smallest singular value "
     )
     inputs = path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t)
-    with pytest.raises(
-        ModelError, match=r"start is not valid: .* is not determined, since the con"
-    ):
+    with pytest.raises(ModelError, match=r"found a violation: .* is not determined, since the con"):
         simulate(dae, run.part(slice(k, k + 1)), inputs, t)
 
 
@@ -196,7 +194,7 @@ def test_path_passes_where_the_contact_crosses_the_steering_axis():
         begin,
         path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t),
         t,
-        sought=["steer"],
+        free_states=["steer"],
     )
     growth = found.run["steering_growth"]
     assert growth.min() < 0 < growth.max()
@@ -225,7 +223,7 @@ def test_path_on_a_map_crosses_too():
         begin,
         path_inputs(dae, begin, run["x"], run["y"], run["heading"], t=t),
         t,
-        sought=["steer"],
+        free_states=["steer"],
     )
     growth = found.run["steering_growth"]
     assert growth.min() < 0 < growth.max()
@@ -248,7 +246,7 @@ def test_path_by_expressions_of_time():
         begin,
         path_inputs(dae, begin, x, y, heading),
         np.linspace(0, 6, 61),
-        sought=["steer"],
+        free_states=["steer"],
     )
     turned = found.run["heading"]
     assert_allclose(turned, 1.0 + 0.02 * found.run.t, atol=1e-10)
@@ -272,7 +270,7 @@ def test_collocation_of_a_system_with_a_known_slow_solution():
         begin,
         path_inputs(dae, begin, x, y, heading),
         np.linspace(0, 4, 41),
-        sought=["steer"],
+        free_states=["steer"],
     )
     steer = np.arctan(1.5 * rate / 0.135)
     assert_allclose(found.run["steer"], steer, atol=1e-10)
@@ -467,30 +465,30 @@ def test_drives_are_checked():
     dae = inverse_kinematics(three_wheeler(), HILLS, **CROSSING)
     begin, t = settle(direct), np.linspace(0, 1, 11)
     inputs = dae.inputs(**PAPER_MOTION)
-    with pytest.raises(ModelError, match=r"sought: expected some of x, y, .*, found sail"):
-        drive(dae, begin, inputs, t, sought=["sail"])
-    found = drive(dae, begin, inputs, t, sought=["steer"])
-    with pytest.raises(ModelError, match="does not determine the inputs heading_rate, velocity_x"):
+    with pytest.raises(
+        ModelError, match=r"free_states: expected names of states, x, y, .*, found sail"
+    ):
+        drive(dae, begin, inputs, t, free_states=["sail"])
+    found = drive(dae, begin, inputs, t, free_states=["steer"])
+    with pytest.raises(ModelError, match="found none of heading_rate, velocity_x"):
         repeated(dae, found)
     late = dae.inputs(velocity_x=0.0, velocity_y=ca.sqrt(dae.t - 0.5), heading_rate=0.0)
     with pytest.raises(SolverError, match=r"no motion from t = 0 to .* s follows the path"):
-        drive(dae, begin, late, t, sought=["steer"])
+        drive(dae, begin, late, t, free_states=["steer"])
 
 
 def test_path_ends_at_a_limit():
     direct = closure_model(three_wheeler(tilt_stop=0.1), HILLS)
     dae = inverse_kinematics(three_wheeler(tilt_stop=0.1), HILLS, **CROSSING)
     begin, t = settle(direct), np.linspace(0, 4, 41)
-    found = drive(dae, begin, dae.inputs(**PAPER_MOTION), t, sought=["steer"])
+    found = drive(dae, begin, dae.inputs(**PAPER_MOTION), t, free_states=["steer"])
     assert found.run.stop.name in ("tilt_left_stop", "tilt_right_stop")
     assert found.run.t[-1] < 4
     with pytest.raises(ModelError, match="two samples, found one: joint tilt"):
-        drive(dae, begin, dae.inputs(**PAPER_MOTION), t[[0, -1]], sought=["steer"])
+        drive(dae, begin, dae.inputs(**PAPER_MOTION), t[[0, -1]], free_states=["steer"])
     leaning = settle(closure_model(three_wheeler(), HILLS), tilt_left=0.2)
-    with pytest.raises(
-        ModelError, match=r"the start is not valid: joint tilt_left .* reaches its stop"
-    ):
-        drive(dae, leaning, dae.inputs(**PAPER_MOTION), t, sought=["steer"])
+    with pytest.raises(ModelError, match=r"found a violation: joint tilt_left .* reaches its stop"):
+        drive(dae, leaning, dae.inputs(**PAPER_MOTION), t, free_states=["steer"])
 
 
 @pytest.mark.parametrize("solve_for", ["rates", "angles"])

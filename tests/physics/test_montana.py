@@ -384,7 +384,7 @@ def test_a_vehicle_in_pieces_is_refused():
     dae = montana_model(three_wheeler(), GROUNDS["hills"])
     stand = settle(closure_model(three_wheeler(), GROUNDS["hills"]))
     with pytest.raises(
-        ModelError, match="start is not valid: wheel right has drifted from its position"
+        ModelError, match="found a violation: wheel right has drifted from its position"
     ):
         simulate(dae, displaced(stand, x=0.01), dae.inputs(**PAPER_RATES), T)
 

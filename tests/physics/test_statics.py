@@ -453,7 +453,7 @@ def test_the_uphill_wheel_is_free_of_load_where_the_vehicle_tips_over(side):
     assert 0 <= run["force_normal"][0, side] < 1e-9 * WEIGHT
     assert 0 <= run["tip_over_margin"][0] < 1e-9
     with pytest.raises(
-        ModelError, match=r"start is not valid: the vehicle tips over: the line of gravity"
+        ModelError, match=r"found a violation: the vehicle tips over: the line of gravity"
     ):
         stand(three_wheeler(**TALL), slope(np.degrees(TIPPING + 1e-6)), heading=heading)
 

@@ -173,8 +173,8 @@ def test_times_and_places_of_violations_are_those_of_the_mesh():
     assert [name for _, name in found if name in sizes] == list(sizes)
     assert (
         violation_words(found["equation", "x0_motion"])
-        == "equation x0_motion of the vehicle (motion of state 0) has a residual of 0.5 m "
-        "at t = 2 s"
+        == "equation x0_motion of the vehicle (collocation equation of state 0) has a residual "
+        "of 0.5 m at t = 2 s"
     )
     assert (
         violation_words(found["input", "drive_change"])
@@ -217,13 +217,15 @@ def test_equations_without_a_solution_are_said_to_be_so():
     dae = toy(1, lambda _t, _x, z, u: [u + ca.sqrt(-1 - z)])
     asked = task(dae, [0.0], places=[at_end(dae.x.values[0], 0.5)], inputs=(-1, 1))
     program, found, first = attempted(asked)
-    assert "no relaxation of the bounds was found" in explanation(program, found, first).words
+    assert (
+        "although all bounds except those of the start" in explanation(program, found, first).words
+    )
 
 
 def test_who_stops_a_search_does_not_wait_for_another():
     dae = integrator()
     asked = task(dae, [0.0], places=[at_end(dae.x.values[0], 4.0)], inputs=(-1, 1))
-    told = explanation(*attempted(asked, look=lambda _: False)).words
+    told = explanation(*attempted(asked, on_iterate=lambda _: False)).words
     assert told.startswith("the search was stopped (IPOPT: User_Requested_Stop")
     assert "x0 at the goal is" in told
     assert "suffices" not in told
@@ -242,8 +244,8 @@ def test_conflicts_are_named_before_solving():
     asked = replace(asked, accelerations=np.array([[0.5, 1.0]]))
     assert conflicts(asked, None) == [
         "input drive must be at least 1 m and at most -1 m: exchange its bounds",
-        "input drive_change must be 0.5 to 1 1/s2, but an input does not change on the last "
-        "interval: let the bounds include 0",
+        "input drive_change must be 0.5 to 1 1/s2, but all inputs are constant on the last "
+        "interval: change the bounds so that they include 0",
         "x0 of the vehicle must be 0 to 2 m, but the start has -0.5 m: start elsewhere or widen "
         "the limit",
         "fence of the vehicle must be -9 to 5 m, but the way-point at 0.5 has 6 m (what happens "

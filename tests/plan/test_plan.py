@@ -140,12 +140,18 @@ def test_limits_of_the_model_are_added_where_a_plan_would_violate_them():
     [
         ({"goal": {"z_": 1.0}}, "found 'z_'; did you mean"),
         ({"costs": {"slop": 1.0}}, "found 'slop'; the model has"),
-        ({"costs": {"slip": -1.0}}, "a weight of 'slip' of at least 0, found -1"),
+        ({"costs": {"slip": -1.0}}, "costs: expected a weight of 'slip' of at least 0, found -1"),
         ({"cost_limits": {"slop": 1.0}}, "found 'slop'; the model has"),
-        ({"cost_limits": {"effort": 0.0}}, "a positive limit of the cost 'effort', found 0"),
+        (
+            {"cost_limits": {"effort": 0.0}},
+            "cost_limits: expected a positive limit of 'effort', found 0",
+        ),
         ({"duration": 0.0}, "expected a positive duration"),
         ({"limits": {"steer": (1.0, -1.0)}}, "bounds of 'steer' must ascend"),
-        ({"way_points": {1.0: {"x": 0.0}}}, "expected way-points between 0 and 1"),
+        (
+            {"way_points": {1.0: {"x": 0.0}}},
+            "way_points: expected fractions of the duration between 0 and 1",
+        ),
         ({"accelerations": {"x": (0, 1)}}, "expected one of the inputs right_rate, .* found 'x'"),
     ],
 )

@@ -137,7 +137,10 @@ def test_a_search_that_gets_stuck_is_made_again_with_a_wider_filter(model, monke
     monkeypatch.setattr(planning, "solve_program", stuck)
     plan = asked(model)
     assert growths[:2] == [MAX_VIOLATION_GROWTH, planning.OTHER_VIOLATION_GROWTH]
-    assert [stage.words for stage in plan.stages[:2]] == ["slip left out", "slip left out, again"]
+    assert [stage.words for stage in plan.stages[:2]] == [
+        "without slip cost",
+        "without slip cost, again",
+    ]
     assert plan.stages[0].status == "Restoration_Failed"
     assert plan.run.stop is None
 
@@ -150,7 +153,7 @@ def test_intervals_are_halved():
 def test_of_several_starts_the_cheapest_plan_counts(model):
     found = asked(model, guess(model), guess(model, 0.3, 0.05), costs={"effort": 1.0})
     words = [stage.words for stage in found.stages]
-    assert words == ["start 1 of 2, all", "start 2 of 2, all"]
+    assert words == ["guess 1 of 2, all costs", "guess 2 of 2, all costs"]
     single = [
         asked(model, each, costs={"effort": 1.0})
         for each in (guess(model), guess(model, 0.3, 0.05))

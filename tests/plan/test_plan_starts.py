@@ -142,7 +142,7 @@ def test_a_plan_from_several_starts_is_reproducible(model):
 
 
 def test_no_starts_are_refused(model):
-    with pytest.raises(ModelError, match="expected one start or more, found 0"):
+    with pytest.raises(ModelError, match="starts: expected 1 or more, found 0"):
         planned(model, led(model, 1), starts=0)
 
 

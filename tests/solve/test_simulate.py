@@ -185,8 +185,8 @@ def test_inputs_are_checked():
     start = settle(dae)
     for value, words in (
         (np.zeros(7), "one value for each of the 20 intervals, found shape"),
-        (np.nan, "must be finite"),
-        (dae.u.rate * 2, "cannot contain the inputs themselves"),
+        (np.nan, "expected finite numbers"),
+        (dae.u.rate * 2, "found one that contains inputs"),
         (ca.SX.sym("q"), "q is not a symbol of the model"),
         (ca.SX(2, 1), "expected a scalar expression"),
         ("fast", "expected real numbers or SX"),

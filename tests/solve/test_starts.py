@@ -91,9 +91,9 @@ def test_nothing_exchanged_is_a_start_from_all_states():
 @pytest.mark.parametrize(
     ("exchange", "words"),
     [
-        ({"azimuth": "pitch"}, "'azimuth' cannot be exchanged; expected one of x, y, heading"),
-        ({"x": "azimuth"}, "'azimuth' cannot be exchanged; expected one of z, "),
-        ({"x": "slip_along[left]"}, "'slip_along.left.' cannot be exchanged"),
+        ({"azimuth": "pitch"}, "expected one of x, y, heading, .*, found 'azimuth'"),
+        ({"x": "azimuth"}, "expected one of z, .*, found 'azimuth'"),
+        ({"x": "slip_along[left]"}, "found 'slip_along.left.'"),
         ({"x": "z", "y": "z"}, "expected a different unknown in place of each state, found z, z"),
         ({"x": "pitch"}, "expected an unknown in m in place of x, found pitch in rad"),
     ],
@@ -116,11 +116,13 @@ def test_starts_from_a_contact_are_checked():
 
 def test_poses_are_checked():
     dae = closure_model(three_wheeler(), HILLS)
-    with pytest.raises(ModelError, match="settle_nearest: 'azimuth' is not known"):
+    with pytest.raises(
+        ModelError, match=r"settle_nearest: expected names of states .*, found 'azimuth'"
+    ):
         settle_nearest(dae, azimuth=1.0)
-    with pytest.raises(ModelError, match="settle_nearest: z must be finite"):
+    with pytest.raises(ModelError, match="settle_nearest: z: expected a finite value, found nan"):
         settle_nearest(dae, z=np.nan)
-    with pytest.raises(ModelError, match="weight of z must not be negative"):
+    with pytest.raises(ModelError, match="weight of z of at least 0, found -1"):
         settle_nearest(dae, z=2.0, weights={"z": -1.0})
     names = ("x", "y", "z", "heading", "roll", "pitch")
     with pytest.raises(ModelError, match="cannot stand near the given pose"):

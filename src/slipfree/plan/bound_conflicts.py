@@ -1,4 +1,4 @@
-"""Find contradictory bounds of an optimal control problem before its solution."""
+"""Find bounds of an optimal control problem that contradict each other, before its solution."""
 
 from __future__ import annotations
 
@@ -131,8 +131,8 @@ def _input_conflicts(task: PlanTask) -> Iterator[str]:
         low, high = task.accelerations[k]
         if low <= high and not low <= 0 <= high and not task.continuous:
             yield (
-                f"{subject(rate, INPUT)} must be {bounds_words(rate, low, high)}, but an input "
-                "does not change on the last interval: let the bounds include 0"
+                f"{subject(rate, INPUT)} must be {bounds_words(rate, low, high)}, but all inputs "
+                "are constant on the last interval: change the bounds so that they include 0"
             )
 
 
@@ -150,7 +150,10 @@ def _condition_values(task: PlanTask, condition: TimedCondition) -> Array:
 def _value_conflicts(
     task: PlanTask, along: list[_Bounds], role: str, known: Array
 ) -> Iterator[str]:
-    """Yield a sentence for each bound that excludes known states and unknowns, nan if unknown."""
+    """Yield a sentence for each bound that the known states and unknowns violate.
+
+    ``known`` contains their values, nan for values that are not known, shape (n_x + n_z,).
+    """
     x, z, u = task.dae.columns()
     xz = ca.vertcat(x, z)
     unknown = ca.vertcat(task.dae.t, u, xz[np.flatnonzero(np.isnan(known)).tolist()])

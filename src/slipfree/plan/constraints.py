@@ -47,7 +47,7 @@ class Violation(NamedTuple):
 
 
 class ConstraintGroup(NamedTuple):
-    """One constraint of a program: its rows or unknowns at all n points where it is imposed.
+    """One constraint of a program: its rows (constraint functions) or unknowns at all n points.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class ConstraintGroup(NamedTuple):
     intervals : ndarray, shape (n,)
         Index of the mesh interval of each point.
     parts : ndarray, shape (n,)
-        Time of each point as a fraction of the duration.
+        Time of each point as a fraction of the duration, 0 to 1.
     lower, upper : float
         Bounds, in the label's unit and in local coordinates.
     shift : float
@@ -215,7 +215,7 @@ def worst_violations(
 
 
 def bound_of(group: ConstraintGroup, sign: float) -> float:
-    """Return the lower bound of a constraint for a positive sign, otherwise the upper bound."""
+    """Return the lower bound of a constraint if ``sign`` is positive, otherwise the upper bound."""
     return group.lower if sign > 0 else group.upper
 
 
@@ -232,7 +232,10 @@ def size_of(group: ConstraintGroup, values: Array) -> float:
 
 
 def variable_of(task: PlanTask, expression: ca.SX) -> tuple[str, int] | None:
-    """Return record ``"x"`` or ``"z"`` and index of a variable, None for other expressions."""
+    """Return the record, ``"x"`` or ``"z"``, and the index in it of a state or unknown.
+
+    The result is None for an expression that is not a single state or unknown.
+    """
     for record, symbols in (("x", task.dae.x), ("z", task.dae.z)):
         for k, symbol in enumerate(leaves(symbols)):
             if ca.is_equal(expression, symbol):
@@ -252,5 +255,5 @@ def role_of(fraction: float) -> str:
 
 
 def quantity_label(label: Label) -> Label:
-    """Return the label of a limit with the name of its quantity, without the suffix ``_limit``."""
+    """Return the label of a limit without the suffix ``_limit`` of its name."""
     return replace(label, name=label.name.removesuffix("_limit"))

@@ -31,7 +31,7 @@ SIDE_WORDS = {1.0: "at least", -1.0: "at most"}  # lower bounds have sign 1, upp
 
 
 class OpposingBound(NamedTuple):
-    """Bound that was not relaxed and conflicts with the relaxed ones.
+    """Bound that was not relaxed and conflicts with the relaxed bounds.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Relaxation(NamedTuple):
     relaxed : list of Violation
         Largest violation of each relaxed bound, the largest relative violation first.
     opposing : list of OpposingBound
-        Bounds that were not relaxed and conflict with the relaxed ones, the largest share first.
+        Bounds that were not relaxed and conflict with the relaxed bounds, the largest share first.
     success : bool
         Whether the search for the smallest relaxation converged.
     status : str
@@ -138,7 +138,10 @@ def relax(
 def _least_cost(
     elastic: Program, found: Solution, weights: Array, count: int, iterations: int
 ) -> Array:
-    """Return unknowns of least cost with slacks as in ``found``, or its unknowns on failure."""
+    """Return the unknowns of least cost with the slacks of ``found``.
+
+    If the search fails, return the unknowns of ``found``.
+    """
     if not found.success:
         return found.unknowns
     upper = elastic.upper.copy()
@@ -156,7 +159,7 @@ def _least_cost(
 def _opposing_bounds(
     program: Program, soft: list[tuple[ConstraintGroup, float]], found: Solution
 ) -> Iterator[OpposingBound]:
-    """Yield each bound of an elastic program with its share, computed from its multipliers."""
+    """Yield each relaxable bound and the duration, with shares computed from multipliers."""
     counts = [group.where.size for group, _ in soft]
     prices = found.row_multipliers[found.rows.size - sum(counts) :]
     parts = np.split(prices, np.cumsum(counts)[:-1])

@@ -107,8 +107,8 @@ def explanation(program: Program, solution: Solution, first: Array) -> Explanati
 def _relaxation_lines(relaxation: Relaxation) -> list[str]:
     if not relaxation.success:
         return [
-            "no relaxation of the bounds was found, although only the start and the duration were "
-            f"fixed: {ipopt_words(relaxation.status)}; try another initial guess"
+            "no motion was found, although all bounds except those of the start and the duration "
+            f"could be relaxed: {ipopt_words(relaxation.status)}; try another initial guess"
         ]
     if not relaxation.relaxed:
         return [

@@ -44,7 +44,7 @@ class Iterate(NamedTuple):
     cost : float
         Cost, the sum of all weighted terms.
     violation : float
-        Largest violation of the bounds of a row, in the unit of the row.
+        Largest violation of the bounds of a row (constraint function), in the unit of the row.
     unknowns : ndarray, shape (n_w,)
         Unknowns, not scaled.
     """
@@ -98,9 +98,11 @@ class Solution(NamedTuple):
 class _IterateWatcher(ca.Callback):
     """CasADi callback that records the iterate of smallest violation and can stop IPOPT."""
 
-    def __init__(self, program: Program, look: IterateCallback, guard: InterruptGuard) -> None:
+    def __init__(
+        self, program: Program, on_iterate: IterateCallback, guard: InterruptGuard
+    ) -> None:
         ca.Callback.__init__(self)
-        self.program, self.look, self.guard, self.count = program, look, guard, 0
+        self.program, self.on_iterate, self.guard, self.count = program, on_iterate, guard, 0
         self.best: tuple[Iterate, Array] | None = None
         self.sizes = (program.scale.size, program.g_lower.size, program.problem["p"].numel())
         self.construct("watch", {})
@@ -130,7 +132,9 @@ class _IterateWatcher(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[float]:
         """Record and report an iterate; return ``[1.0]`` to stop IPOPT, otherwise ``[0.0]``."""
         try:
-            return [0.0 if self.guard.call(self.look, self._record_iterate(arguments)) else 1.0]
+            return [
+                0.0 if self.guard.call(self.on_iterate, self._record_iterate(arguments)) else 1.0
+            ]
         except BaseException as error:
             self.guard.keep(error)
             return [1.0]
@@ -150,7 +154,7 @@ class _IterateWatcher(ca.Callback):
 
 
 def largest_violation(program: Program, rows: Array) -> float:
-    """Return the largest violation of the bounds of the rows, in the unit of the row."""
+    """Return the largest violation of the bounds of the rows, in the unit of that row."""
     return float(np.maximum(rows - program.g_upper, program.g_lower - rows).max(initial=0.0))
 
 
@@ -161,7 +165,7 @@ def solve_program(
     *,
     warm: Solution | None = None,
     iterations: int = MAX_ITERATIONS,
-    look: IterateCallback | None = None,
+    on_iterate: IterateCallback | None = None,
     growth: float = MAX_VIOLATION_GROWTH,
 ) -> Solution:
     """Return the solution of a nonlinear program.
@@ -176,16 +180,17 @@ def solve_program(
     weights : ndarray, shape (n_costs + 1,)
         Weights of the costs; the last one is the weight of the smoothness.
     first : ndarray, shape (n_w,)
-        Initial guess, not scaled. Its roots are ignored and recomputed from the other unknowns.
+        Initial guess, not scaled. Roots of squared cost terms (see `stage_functions`) are ignored
+        and recomputed from the other unknowns.
     warm : Solution, optional
         Solution whose multipliers are used for a warm start.
     iterations : int
         Maximum number of iterations.
-    look : callable, optional
+    on_iterate : callable, optional
         Function called with every iterate; IPOPT stops if it returns False.
     growth : float
-        Upper bound of the constraint violation over the larger of 1 and the violation of the
-        initial guess (option ``theta_max_fact`` of IPOPT).
+        Upper bound of the constraint violation, divided by the larger of 1 and the violation of
+        the initial guess (option ``theta_max_fact`` of IPOPT).
     """
     given = {
         "x0": completed(program, first) / program.scale,
@@ -202,7 +207,7 @@ def solve_program(
         "theta_max_fact": growth,
     }
     with InterruptGuard() as guard:
-        watch = _IterateWatcher(program, look or (lambda _: True), guard)
+        watch = _IterateWatcher(program, on_iterate or (lambda _: True), guard)
         solver = _ipopt_solver(program, ipopt, {"iteration_callback": watch})
         solution = _to_solution(program, solver(**given), solver.stats())
     if solution.success or solution.status == INFEASIBLE_STATUS or watch.best is None:

@@ -131,8 +131,8 @@ def horizon(
     _check_task(task, {"intervals": intervals, "degree": degree, "iterations": iterations})
     if not 0 < span <= length:
         raise ModelError(
-            f"horizon: expected a window of at most the duration of the plan, {length:g} s, found "
-            f"{span} s"
+            "horizon: span: expected a window of at most the duration of the plan, "
+            f"{length:g} s, found {span} s; use a shorter window"
         )
     own = replace(
         task,
@@ -162,7 +162,7 @@ def horizon(
 def _check_task(task: PlanTask, numbers: dict[str, int]) -> None:
     for name, number in numbers.items():
         if number < 1:
-            raise ModelError(f"horizon: {name}: expected 1 or more, found {number}")
+            raise ModelError(f"horizon: {name}: expected 1 or more, found {number}; increase it")
     dae = task.dae
     asked = (limit.expression for limit in (*task.limits, *dae.limits, *task.conditions[-1].limits))
     costs = (cost.expression for cost in task.costs)
@@ -243,11 +243,12 @@ def replan(window: Horizon, former: Cycle, t: float, x: Array) -> Cycle:
     if x.shape != program.layout.first.shape or not np.isfinite([t, *x]).all():
         raise ModelError(
             f"replan: expected a time and {program.layout.first.size} states, all finite, found "
-            f"t = {t} and {x}"
+            f"t = {t} and {x}; check the measurement"
         )
     if t < former.t - TIME_TOLERANCE:
         raise ModelError(
-            f"replan: expected a time of at least {former.t:g} s (former cycle), found {t:g} s"
+            f"replan: expected a time t of at least {former.t:g} s, the time of the former cycle, "
+            f"found {t:g} s; replan at ascending times"
         )
     span = min(window.span, plan.duration - t)
     if span < MIN_WINDOW_FRACTION * window.span:
@@ -313,7 +314,7 @@ def cycle_inputs(window: Horizon, cycle: Cycle, begin: float, end: float) -> tup
     if not -TIME_TOLERANCE <= first < last:
         raise ModelError(
             f"cycle_inputs: expected two ascending times from {cycle.t:g} to "
-            f"{cycle.t + ends[-1]:g} s, found {begin:g} and {end:g} s"
+            f"{cycle.t + ends[-1]:g} s, found {begin:g} and {end:g} s; use times of the cycle"
         )
     inside = ends[(ends > first + TIME_TOLERANCE) & (ends < last - TIME_TOLERANCE)]
     times = np.concatenate([[first], inside, [last]])
@@ -347,7 +348,7 @@ def _sample_motions(
 
 
 def _join_values(motions: list[tuple[PolynomialMotion, float]], at: Array, read: Any) -> Array:
-    """Return values at times ``at``, each of the first motion that has not ended at that time."""
+    """Return values at times ``at``, read at each time from the first motion not yet ended."""
     values = read(motions[-1][0], _to_fractions(motions[-1], at))
     for motion in reversed(motions[:-1]):
         inside = at <= motion[1] + motion[0].duration
@@ -361,9 +362,9 @@ def _to_fractions(motion: tuple[PolynomialMotion, float], at: Array) -> Array:
 
 
 def _row_bounds(window: Horizon, end: float) -> tuple[Array, Array]:
-    """Return bounds of the rows for a window that ends at a time.
+    """Return bounds of the rows for a window that ends at time ``end``.
 
-    Before the end of the plan, the conditions at the end of the window are the plan's values.
+    If the window ends before the plan, the goal is replaced by the values of the plan at ``end``.
     """
     program, plan = window.program, window.plan
     lower, upper = program.g_lower.copy(), program.g_upper.copy()

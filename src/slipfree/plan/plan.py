@@ -71,12 +71,12 @@ PlanProgress = Callable[[str, Iterate], bool]
 
 
 class SolvedStage(NamedTuple):
-    """Program that was solved during a search.
+    """One of the programs that were solved during a search.
 
     Attributes
     ----------
     words : str
-        Description of the program.
+        Description of the program, such as ``"without slip cost"``.
     iterations : int
         Number of iterations.
     status : str
@@ -130,7 +130,7 @@ class Plan:
     stages : tuple of SolvedStage
         Programs that were solved, in order.
     saved : SavedPlan
-        Unknowns and multipliers from which another search may start.
+        Unknowns and multipliers, for a warm start of another plan.
     optima : tuple of LocalOptimum
         Plans from all initial guesses, this plan first.
     """
@@ -304,7 +304,8 @@ def plan(
 
     Examples
     --------
-    A cart drives to a goal 1 m ahead and 5 cm to the right; the roll rate is a cost of its own.
+    A cart drives to a goal 1 m ahead and 5 cm to the right. The squared roll rate is an additional
+    cost.
 
     >>> import casadi as ca
     >>> import numpy as np
@@ -343,9 +344,9 @@ def plan(
         cost_limits=cost_limits,
         initial_inputs=initial_inputs,
     )
-    for name, number in (("interval", intervals), ("start", starts)):
+    for name, number in (("intervals", intervals), ("starts", starts)):
         if number < 1:
-            raise ModelError(f"plan: expected one {name} or more, found {number}")
+            raise ModelError(f"plan: {name}: expected 1 or more, found {number}; increase it")
     ends = np.union1d(np.linspace(0, 1, intervals + 1), list(way_points or ()))
     mesh = CollocationMesh(ends[np.append(True, np.diff(ends) > 1e-9)], degree)
     if resume is None:
@@ -376,8 +377,8 @@ def _named_guesses(
     """Return names and motions of the given guesses and of further guesses."""
     if not given:
         raise ModelError(
-            "plan: expected at least one motion as initial guess, found none; give one, such as a "
-            "simulated motion"
+            "plan: guess: expected at least one motion as initial guess, found none; give one, "
+            "such as a simulated motion"
         )
     named = [(f"guess {number}", each) for number, each in enumerate(given, 1)]
     missing = max(starts - len(given), 0)
@@ -390,7 +391,7 @@ def _solve_guesses(
     """Solve the program from each guess, and return the solutions, best first."""
     found: list[_SearchState] = []
     for number, (name, guess) in enumerate(guesses, 1):
-        of = f"start {number} of {len(guesses)}, " if len(guesses) > 1 else ""
+        of = f"guess {number} of {len(guesses)}, " if len(guesses) > 1 else ""
         search = _solve_in_stages(program, guess_unknowns(program, guess), of, progress)
         found.append(search._replace(name=name, number=number))
         if search.found.status == STOPPED_STATUS:
@@ -465,13 +466,13 @@ def _solve_in_stages(
     The second search starts from the solution of the first one.
     """
     slips = any(cost.label.name in SLIP_COSTS and cost.weight for cost in program.task.costs)
-    words = f"{of}slip left out" if slips else f"{of}all"
+    words = f"{of}without slip cost" if slips else f"{of}all costs"
     search = _solve_stage(program, first, words, SLIP_STAGES[0] if slips else 1.0, progress)
     for part in SLIP_STAGES[1:] if slips else ():
         if not search.found.success:
             break
         found = search.found
-        more = _solve_stage(program, found.unknowns, f"{of}with slip", part, progress, found)
+        more = _solve_stage(program, found.unknowns, f"{of}with slip cost", part, progress, found)
         stages = search.stages + more.stages
         if (
             not more.found.success
@@ -524,13 +525,18 @@ def _solve_stage(
     progress: PlanProgress | None,
     warm: Solution | None = None,
 ) -> _SearchState:
-    look = None if progress is None else lambda iterate: progress(words, iterate)
+    on_iterate = None if progress is None else lambda iterate: progress(words, iterate)
     weights = _cost_weights(program, part)
-    found = solve_program(program, weights, first, warm=warm, look=look)
+    found = solve_program(program, weights, first, warm=warm, on_iterate=on_iterate)
     stages = [SolvedStage(words, found.iterations, found.status, found.seconds, found.cost)]
     if found.status in STUCK_STATUSES:  # rounding decides whether searches for long plans succeed
         again = solve_program(
-            program, weights, first, warm=warm, look=look, growth=OTHER_VIOLATION_GROWTH
+            program,
+            weights,
+            first,
+            warm=warm,
+            on_iterate=on_iterate,
+            growth=OTHER_VIOLATION_GROWTH,
         )
         words = f"{words}, again"
         stages.append(SolvedStage(words, again.iterations, again.status, again.seconds, again.cost))
@@ -551,9 +557,9 @@ def _cost_weights(program: Program, part: float) -> Array:
 
 
 def _add_limits(search: _SearchState, progress: PlanProgress | None) -> _SearchState:
-    """Solve again with violated limits of the model until the plan violates none.
+    """Add violated limits of the model to the program and solve it, until none is violated.
 
-    Limits are added to the program at most `MAX_LIMIT_ROUNDS` times.
+    The program is solved again at most `MAX_LIMIT_ROUNDS` times.
     """
     for _ in range(MAX_LIMIT_ROUNDS):
         program, found = search.program, search.found
@@ -586,7 +592,7 @@ def _solve_anew(
 
 
 def _warm_guess(program: Program, first: Array) -> Solution:
-    """Return unknowns as a solution for a warm start, with zero multipliers."""
+    """Return a solution with the given unknowns and zero multipliers, for a warm start."""
     rows, bounds = np.zeros(program.g_lower.size), np.zeros(first.size)
     return Solution(first, rows, np.nan, rows, bounds, "", True, 0, {})
 

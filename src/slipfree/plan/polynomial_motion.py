@@ -197,7 +197,7 @@ def nearest_fraction(former: PolynomialMotion, start: Array) -> float:
 
 
 def numeric_system(program: Program) -> Any:
-    """Return the system of the model, for inputs that are numbers."""
+    """Return the model of a program as a `System` under numeric inputs."""
     dae = program.task.dae
     rest = dae.inputs(**{label.full: 0.0 for label in leaves(dae.labels.u)})
     return with_inputs(dae, rest, 0, program.options)

@@ -27,7 +27,8 @@ def duration_of(value: float | Range) -> Range:
     low, high = (value, value) if isinstance(value, int | float) else value
     if not 0 < low <= high < np.inf:
         raise ModelError(
-            f"plan: expected a positive duration or a range (smallest, largest), found {value} s"
+            "plan: duration: expected a positive duration or an ascending range (smallest, "
+            f"largest), found {value} s; use positive numbers"
         )
     return float(low), float(high)
 
@@ -39,7 +40,10 @@ def costs_of(dae: Dae, given: Mapping[str, float] | Sequence[Cost]) -> tuple[Cos
     costs = []
     for name, weight in given.items():
         if not weight >= 0:
-            raise ModelError(f"plan: expected a weight of {name!r} of at least 0, found {weight}")
+            raise ModelError(
+                f"plan: costs: expected a weight of {name!r} of at least 0, found {weight}; "
+                "increase it"
+            )
         costs.append(_cost_term(dae, name)._replace(weight=weight))
     return tuple(costs)
 
@@ -56,7 +60,8 @@ def cost_limits_of(
     for name, highest in given.items():
         if not 0 < highest < np.inf:
             raise ModelError(
-                f"plan: expected a positive limit of the cost {name!r}, found {highest}"
+                f"plan: cost_limits: expected a positive limit of {name!r}, found {highest}; "
+                "increase it or remove the limit"
             )
         if name not in names:
             names.append(name)
@@ -83,7 +88,10 @@ def _cost_term(dae: Dae, name: str) -> Cost:
 
 
 def _driving_power(dae: Dae) -> ca.SX:
-    """Return the sum of the positive drive powers ``p``, ``(p + sqrt(p^2 + e^2) - e) / 2`` each."""
+    """Return the sum of the positive drive powers in W, smooth where a power changes sign.
+
+    A power ``p`` contributes ``(p + sqrt(p^2 + e^2) - e) / 2`` with ``e`` = `BLENDED_POWER`.
+    """
     powers = [
         torque * rate
         for torque, rate in zip(dae.named("drive_torque"), dae.named("wheel_rate"), strict=True)
@@ -156,7 +164,7 @@ def _smooth_limit(limit: Limit) -> Limit:
     return limit._replace(expression=ca.sqrt(limit.expression.dep(0) + tip), lower=low, upper=high)
 
 
-def places_of(
+def timed_conditions(
     dae: Dae,
     goal: Mapping[str, float | Range] | Sequence[Limit],
     way_points: Mapping[float, Mapping[str, float | Range]],
@@ -165,7 +173,8 @@ def places_of(
     for fraction, wanted in sorted(way_points.items()):
         if not 0 < fraction < 1:
             raise ModelError(
-                f"plan: expected way-points between 0 and 1 (start and end), found {fraction}"
+                "plan: way_points: expected fractions of the duration between 0 and 1, found "
+                f"{fraction:g}; give conditions at 1 as the goal"
             )
         yield TimedCondition(fraction, _to_limits(dae, wanted))
     yield TimedCondition(1.0, _to_limits(dae, goal))
@@ -186,7 +195,8 @@ def bounds_of(dae: Dae, given: Mapping[str, Range]) -> Array:
     for name, (low, high) in given.items():
         if name not in names:
             raise ModelError(
-                f"plan: bounds: expected one of the inputs {', '.join(names)}, found {name!r}"
+                f"plan: bounds: expected one of the inputs {', '.join(names)}, found {name!r}; "
+                "correct the name"
             )
         if not low <= high:
             raise ModelError(
@@ -236,14 +246,16 @@ def task_of(
         contradict each other.
     """
     if not goal:
-        raise ModelError("plan: expected a goal (values or ranges by name), found an empty one")
+        raise ModelError(
+            "plan: goal: expected values or ranges by name, found none; give at least one"
+        )
     terms, highest = cost_limits_of(dae, costs_of(dae, costs), cost_limits or {})
     task = PlanTask(
         dae,
         dae.rows("x", start, -1),
         duration_of(duration),
         terms,
-        tuple(places_of(dae, goal, way_points or {})),
+        tuple(timed_conditions(dae, goal, way_points or {})),
         limits_of(dae, limits),
         bounds_of(dae, inputs or {}),
         bounds_of(dae, accelerations or {}),

@@ -158,7 +158,10 @@ def _split_columns(rows: ca.MX) -> Columns:
 
 
 def _evaluate_everywhere(f: ca.Function, each: NlpBlock, arguments: Sequence[ca.MX]) -> list[ca.MX]:
-    """Return each result of a function of a block as a column: entry by entry, for all points."""
+    """Return each result of a function of a block as a column with the values at all points.
+
+    The values of the first entry at all points come first, then those of the second entry.
+    """
     count = len(each.variable_indices)
     if f.is_a("SXFunction") and not f.find_functions():
         # Ten times as fast as CasADi's interpreter called point by point.
@@ -188,7 +191,7 @@ def _all_rows(blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX) -> ca.MX:
 def _cost_and_gradient(
     blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
 ) -> tuple[ca.MX, ca.MX]:
-    """Return the cost and its gradient."""
+    """Return the cost of the program and its gradient with respect to scaled unknowns."""
     cost, values, entries, factors = ca.MX(0), [], [], []
     for each in blocks:
         own, found = _evaluate_everywhere(each.gradient, each, _arguments(each, v, p))
@@ -214,7 +217,7 @@ def _sum_rows(blocks: Sequence[NlpBlock], parts: Sequence[ca.MX]) -> ca.MX:
 def _rows_and_jacobian(
     blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array
 ) -> tuple[ca.MX, ca.MX]:
-    """Return all rows and their Jacobian."""
+    """Return the rows of the program and their Jacobian with respect to scaled unknowns."""
     parts, values, entries, factors = [], [], [], []
     for each in blocks:
         own, found = _evaluate_everywhere(each.jacobian, each, _arguments(each, v, p))
@@ -229,12 +232,15 @@ def _rows_and_jacobian(
 
 
 def _lagrangian_hessian(
-    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array, prices: tuple[ca.MX, ca.MX]
+    blocks: Sequence[NlpBlock], v: ca.MX, p: ca.MX, scale: Array, multipliers: tuple[ca.MX, ca.MX]
 ) -> ca.MX:
-    """Return the upper triangle of the Hessian of the Lagrangian."""
+    """Return the upper triangle of the Hessian of the Lagrangian for scaled unknowns.
+
+    ``multipliers`` are the factor of the cost, and the multipliers of all rows.
+    """
     values, entries, factors = [], [], []
     for each in blocks:
-        given = [*_arguments(each, v, p), prices[0], _gather(prices[1], each.row_indices)]
+        given = [*_arguments(each, v, p), multipliers[0], _gather(multipliers[1], each.row_indices)]
         (found,) = _evaluate_everywhere(each.hessian, each, given)
         row, column = _row_column(each.hessian.sparsity_out(0))
         rows, columns = (
@@ -255,7 +261,7 @@ def _row_column(sparsity: ca.Sparsity) -> tuple[Index, Index]:
 
 
 def _repeat_constants(found: Sequence[Columns], count: int) -> list[ca.MX]:
-    """Return each result as one column, with scalar entries repeated for all points."""
+    """Return each result as one column, with scalar entries repeated ``count`` times."""
     return [
         ca.vertcat(
             ca.MX(0, 1),

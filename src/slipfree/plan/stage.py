@@ -95,7 +95,7 @@ class StageFunctions(NamedTuple):
 
 
 def stage_functions(
-    system: System, costs: Sequence[Cost], limits: Sequence[Limit], asked: Sequence[ca.SX]
+    system: System, costs: Sequence[Cost], limits: Sequence[Limit], conditions: Sequence[ca.SX]
 ) -> StageFunctions:
     """Return the equations, limits and costs at a collocation point.
 
@@ -107,11 +107,11 @@ def stage_functions(
         Terms of the cost.
     limits : sequence of Limit
         Limits that become a row each, without bounds of single states and unknowns.
-    asked : sequence of SX
+    conditions : sequence of SX
         Expressions of all limits, way-points and goal. If one of them or a cost contains dependent
         unknowns of the model, these are unknowns of the plan too.
     """
-    given = [*asked, *(cost.expression for cost in costs)]
+    given = [*conditions, *(cost.expression for cost in costs)]
     dae, blocks = system.dae, _needed_blocks(system, ca.vertcat(ca.SX(0, 1), *given))
     x, z, u = dae.columns()
     z = z[: blocks[-1].span.stop]
@@ -121,7 +121,12 @@ def stage_functions(
     r, equations, paid = _split_costs(costs, ca.vertcat(x, z))
     kept = ca.vertcat(ca.SX(0, 1), *(limit.expression for limit in limits))
     motion = [
-        Label(f"{label.name}_motion", label.unit, f"motion of {label.words}", label.wheel)
+        Label(
+            f"{label.name}_motion",
+            label.unit,
+            f"collocation equation of {label.words}",
+            label.wheel,
+        )
         for label in leaves(dae.labels.x)
     ]
     model = [label for block in dae.labels.alg[: len(blocks)] for label in block]
@@ -142,17 +147,17 @@ def stage_functions(
     )
 
 
-def _needed_blocks(system: System, asked: ca.SX) -> tuple[Block, ...]:
-    """Return the blocks of the motion, with the dependent blocks if expressions need them."""
+def _needed_blocks(system: System, expressions: ca.SX) -> tuple[Block, ...]:
+    """Return the blocks of the motion, and the dependent blocks if expressions contain them."""
     z = system.dae.columns()[1][system.motion_size :]
-    follows = ca.depends_on(asked, z) if z.numel() else False
+    follows = ca.depends_on(expressions, z) if z.numel() else False
     return (*system.blocks, *system.dependent_blocks) if follows else system.blocks
 
 
 def _split_costs(
     costs: Sequence[Cost], motion: ca.SX
 ) -> tuple[ca.SX, list[tuple[Label, ca.SX]], ca.SX]:
-    """Return symbols of roots, their equations with labels of the costs, and costs by roots."""
+    """Return the symbols of roots, their labelled equations, and the costs in terms of roots."""
     roots, equations, paid = ca.SX(0, 1), list[tuple[Label, ca.SX]](), ca.SX(0, 1)
     for cost in costs:
         terms = ca.SX(0)
@@ -176,7 +181,7 @@ def _summands(expression: ca.SX) -> list[ca.SX]:
 
 
 def _squared_term(term: ca.SX, motion: ca.SX) -> ca.SX | None:
-    """Return the argument of a square if it is a formula of states or unknowns, otherwise None."""
+    """Return the argument of a square; None for other terms and for squares of one variable."""
     if term.op() != ca.OP_SQ:
         return None
     inner = term.dep(0)

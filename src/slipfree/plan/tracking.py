@@ -85,7 +85,7 @@ def track_plan(
     if not 0 < period <= duration:
         raise ModelError(
             f"period: expected above 0 and at most {duration:g} s, the duration of the plan, found "
-            f"{period:g} s"
+            f"{period:g} s; choose a period in this range"
         )
     for record in ("x", "u"):
         found, expected = (

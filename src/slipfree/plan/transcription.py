@@ -64,7 +64,7 @@ class PlanTask:
     limits : tuple of Limit
         Limits at all times, in local coordinates.
     inputs : ndarray, shape (n_u, 2)
-        Smallest and largest value of each input.
+        Smallest and largest value of each input, infinite without bounds.
     accelerations : ndarray, shape (n_u, 2)
         Smallest and largest rate of each input, infinite without limit. [1/s2]
     smooth : float
@@ -232,7 +232,9 @@ def transcribe(
         If the degree of the mesh is not 1 to 5.
     """
     if mesh.degree not in ALLOWED_DEGREES:
-        raise ModelError(f"plan: expected a degree of 1 to 5, found {mesh.degree}")
+        raise ModelError(
+            f"plan: expected a degree of 1 to 5, found {mesh.degree}; use one of these degrees"
+        )
     rest = task.dae.inputs(**{label.full: 0.0 for label in leaves(task.dae.labels.u)})
     system = with_inputs(task.dae, rest, 0, options)
     bounds, limits = _split(task, system)
@@ -241,7 +243,7 @@ def transcribe(
         *(limit for condition in task.conditions for limit in condition.limits),
     ]
     point = stage_functions(system, task.costs, limits, [each.expression for each in conditions])
-    layout = _with_roots(positions(mesh, point.sizes, continuous=task.continuous), point)
+    layout = _with_roots(variable_layout(mesh, point.sizes, continuous=task.continuous), point)
     row_blocks = (
         _interval_rows(task, point, mesh, layout),
         *(_condition_rows(task, condition, mesh, layout) for condition in task.conditions),
@@ -291,7 +293,7 @@ def completed(program: Program, unknowns: Array) -> Array:
 
 
 def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLayout) -> ca.Function:
-    """Return the function from the unknowns to the roots: values plus residuals of their rows."""
+    """Return the function that computes the roots: their values plus residuals of their rows."""
     n_x, n_r = layout.first.size, layout.roots.shape[2]
     begin = n_x + layout.unknowns.shape[2]
     rows = points.row_indices[:, begin : begin + n_r].ravel().tolist()
@@ -299,10 +301,10 @@ def _root_function(points: NlpBlock, made: ProgramFunctions, layout: VariableLay
     return ca.Function("roots", [made.w], [made.w[layout.roots.ravel().tolist()] + all_rows[rows]])
 
 
-def positions(
+def variable_layout(
     mesh: CollocationMesh, counts: tuple[int, int, int], *, continuous: bool
 ) -> VariableLayout:
-    """Return the layout without roots for numbers of states, algebraic unknowns and inputs."""
+    """Return the layout, without roots, for given numbers of states, unknowns and inputs."""
     n_x, n_z, n_u = counts
     count, degree = mesh.ends.size - 1, mesh.degree
     block = n_u + degree * (n_x + n_z)

@@ -12,7 +12,7 @@ from slipfree.dae import Dae
 from slipfree.errors import DataError, ModelError
 from slipfree.plan.ipopt import Solution
 from slipfree.plan.polynomial_motion import PolynomialMotion, motion_of
-from slipfree.plan.transcription import CollocationMesh, Program, positions
+from slipfree.plan.transcription import CollocationMesh, Program, variable_layout
 from slipfree.records import Array, field_overview, leaves
 
 ARRAY_PREFIX = "plan_"  # prefix of the names of the arrays in a file
@@ -56,7 +56,7 @@ class SavedPlan(NamedTuple):
         """Motion of the plan, in the local coordinates of its model."""
         degree, n_x, n_z, n_u, continuous = (int(value) for value in self.sizes)
         mesh = CollocationMesh(self.ends, degree)
-        layout = positions(mesh, (n_x, n_z, n_u), continuous=bool(continuous))
+        layout = variable_layout(mesh, (n_x, n_z, n_u), continuous=bool(continuous))
         return PolynomialMotion(mesh, layout, self.unknowns)
 
     @property

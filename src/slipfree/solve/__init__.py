@@ -1,1 +1,1 @@
-"""Solvers: from a DAE to a trajectory."""
+"""Solvers of a DAE: starts, simulation and collocation, with trajectories as results."""

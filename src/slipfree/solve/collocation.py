@@ -27,7 +27,7 @@ from slipfree.solve.radau import RadauBasis, radau_basis
 from slipfree.solve.sampling import Samples, complete_samples, to_trajectory
 from slipfree.solve.simulate import check_times
 from slipfree.solve.system import System, with_inputs
-from slipfree.solve.violations import first_violation
+from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.trajectory import SolverError, Stop, Trajectory
 
 TRIED_DEGREES = (8, 10, 12, 14)  # of an element, tried in this order
@@ -70,7 +70,7 @@ class CollocationScheme:
     ----------
     system : System
         The DAE under its inputs.
-    sought : ndarray of bool, shape (n_x,)
+    free_states : ndarray of bool, shape (n_x,)
         True for the states without an initial value.
     basis : RadauBasis
         Polynomials on an element.
@@ -80,7 +80,7 @@ class CollocationScheme:
     """
 
     system: System
-    sought: Mask
+    free_states: Mask
     basis: RadauBasis
     point: ca.Function
 
@@ -139,7 +139,7 @@ class CollocationScheme:
         return element
 
     def _equations(self, element: CollocationElement) -> tuple[Array, Array]:
-        """Return the residual and the Jacobian of an element, shape (n k,) and (n k, n k).
+        """Return the residual and the Jacobian of an element, shapes (n k,) and (n k, n k).
 
         Equations and unknowns are in the order of ``x``, then ``z``; each component has its values
         at the k points in succession.
@@ -149,7 +149,7 @@ class CollocationScheme:
         t = element.begin + h * self.basis.points
         ode, alg, jac = (np.array(part) for part in self.point(t[None], element.x, element.z))
         slope = element.x @ tied[:, 1:].T + np.outer(element.first, tied[:, 0])
-        slope[self.sought] = element.x[self.sought] @ free.T
+        slope[self.free_states] = element.x[self.free_states] @ free.T
         size = self.system.dae.sizes.x
         residual = np.concatenate([((slope - h * ode) / size[:, None]).ravel(), alg.ravel()])
         jac = jac.reshape(n, k, n)
@@ -157,7 +157,7 @@ class CollocationScheme:
         matrix = np.zeros((n, k, n, k))
         matrix[:, np.arange(k), :, np.arange(k)] = jac.transpose(1, 0, 2)
         for i in range(n_x):
-            matrix[i, :, i, :] += (free if self.sought[i] else tied[:, 1:]) / size[i]
+            matrix[i, :, i, :] += (free if self.free_states[i] else tied[:, 1:]) / size[i]
         return residual, matrix.reshape(n * k, n * k)
 
     def samples(self, elements: Sequence[CollocationElement], t: Array) -> Samples:
@@ -177,7 +177,7 @@ class CollocationScheme:
             at = (t[here] - element.begin) / h
             tied, free = self.basis.values(at, tied=True), self.basis.values(at, tied=False)
             x[:, here] = np.column_stack([element.first, element.x]) @ tied.T
-            x[np.ix_(self.sought, here)] = element.x[self.sought] @ free.T
+            x[np.ix_(self.free_states, here)] = element.x[self.free_states] @ free.T
             z[:, here] = element.z @ free.T
             times = element.begin + h * self.basis.points
             rates = h * np.array(quad(times[None], element.x, element.z, given))
@@ -199,7 +199,7 @@ class CollocationScheme:
         return np.concatenate([[first.begin], *times]), np.hstack([begin, *(e.z for e in elements)])
 
 
-def collocation_schemes(system: System, sought: Mask) -> list[CollocationScheme]:
+def collocation_schemes(system: System, free_states: Mask) -> list[CollocationScheme]:
     """Return the collocation schemes of a DAE, one for each of `TRIED_DEGREES`."""
     t, x, z = (ca.MX.sym(name, system.core.size1_in(k)) for k, name in enumerate("txz"))
     u = ca.DM(system.u[:, 0])
@@ -208,7 +208,7 @@ def collocation_schemes(system: System, sought: Mask) -> list[CollocationScheme]
     slopes = ca.densify(ca.blockcat([[ode_x, ode_z], [alg_x, alg_z]]))
     point = ca.Function("point", [t, x, z], [ode, alg, slopes])
     return [
-        CollocationScheme(system, sought, radau_basis(degree), point.map(degree))
+        CollocationScheme(system, free_states, radau_basis(degree), point.map(degree))
         for degree in TRIED_DEGREES
     ]
 
@@ -238,7 +238,7 @@ def drive(
     inputs: Any,
     t: Array,
     *,
-    sought: Sequence[str],
+    free_states: Sequence[str],
     options: SolverOptions = SolverOptions(),
 ) -> Drive:
     """Return the motion of a model with states that have no initial value.
@@ -253,16 +253,16 @@ def drive(
     dae : Dae
         The model.
     start : Trajectory
-        Trajectory whose last sample is the start; its values of the states in ``sought`` are only
-        an initial guess.
+        Trajectory whose last sample is the start; its values of ``free_states`` are only an
+        initial guess.
     inputs : record
         From ``dae.inputs(...)``: constants, or expressions of time.
     t : ndarray, shape (n,)
         Ascending times of the samples. [s]
-    sought : sequence of str
+    free_states : sequence of str
         States without an initial value.
     options : SolverOptions
-        Options of the solvers; the tolerance applies to the states in ``sought``.
+        Options of the solvers; the tolerance applies to the states in ``free_states``.
 
     Raises
     ------
@@ -272,10 +272,13 @@ def drive(
         If the equations of the collocation have no solution.
     """
     t, names = check_times(t), [label.full for label in leaves(dae.labels.x)]
-    if not set(sought) <= set(names):
-        raise ModelError(f"sought: expected some of {', '.join(names)}, found {', '.join(sought)}")
+    if not set(free_states) <= set(names):
+        raise ModelError(
+            f"free_states: expected names of states, {', '.join(names)}, found "
+            f"{', '.join(free_states)}; correct the names"
+        )
     clock, system = time.process_time(), with_inputs(dae, inputs, 0, options)
-    mask = np.array([name in sought for name in names])
+    mask = np.array([name in free_states for name in names])
     best, elements, error = _refine_elements(system, mask, start, t, options.tolerance)
     samples, report = _correct_pose(system, best.samples(elements, t))
     run = to_trajectory(system, samples, report)
@@ -296,16 +299,19 @@ def drive(
 
 
 def _refine_elements(
-    system: System, sought: Mask, start: Trajectory, t: Array, tolerance: float
+    system: System, free_states: Mask, start: Trajectory, t: Array, tolerance: float
 ) -> tuple[CollocationScheme, list[CollocationElement], float]:
-    """Return the scheme and elements on which two degrees agree best, and their difference."""
+    """Return the scheme and elements for which two degrees agree best, and their difference.
+
+    The difference is the largest difference of the free states, divided by their sizes.
+    """
     x = system.dae.rows("x", start, -1)
     z = _guess_unknowns(system, float(t[0]), x, system.dae.rows("z", start, -1))[
         : system.motion_size
     ]
-    tried = collocation_schemes(system, sought)
+    tried = collocation_schemes(system, free_states)
     best: tuple[CollocationScheme, list[CollocationElement], float] | None = None
-    failure, count, vain = SolverError("no motion follows the path"), 1, 0
+    failure, count, vain = SolverError("no motion follows the path; smooth it"), 1, 0
     while count <= MAX_ELEMENTS and vain < MAX_VAIN_REFINEMENTS:
         ends, vain = np.linspace(t[0], t[-1], count + 1), vain + (best is not None)
         former: tuple[CollocationScheme, list[CollocationElement], Array] | None = None
@@ -316,7 +322,9 @@ def _refine_elements(
             except SolverError as problem:
                 failure = problem
                 break
-            values = each.samples(elements, t).x[sought] / system.dae.sizes.x[sought, None]
+            values = (
+                each.samples(elements, t).x[free_states] / system.dae.sizes.x[free_states, None]
+            )
             if former is not None:
                 error = float(np.abs(values - former[2]).max(initial=0.0))
                 if best is None or error < best[2]:
@@ -365,7 +373,7 @@ def _correct_pose(system: System, samples: Samples) -> tuple[Samples, dict[str, 
 def _cut_before(run: Trajectory, k: int, stop: Stop) -> Trajectory:
     """Return the samples before sample ``k``, which violates a limit, with the stop."""
     if k == 0:
-        raise ModelError(f"the start is not valid: {stop.words}")
+        raise invalid_start(stop.words)
     if k == 1:
         raise ModelError(
             f"t: expected a motion of at least two samples, found one: {stop.words}; start "

@@ -65,7 +65,10 @@ def watch_events(dae: Dae, events: Sequence[Event]) -> tuple[WatchedEvent, ...]:
             )
         names.add(name)
         if not isinstance(expression, ca.SX) or expression.shape != (1, 1):
-            raise ModelError(f"event {name!r}: expected a scalar SX, found {expression!r}")
+            raise ModelError(
+                f"event {name!r}: expected a scalar SX, found {expression!r}; use one expression "
+                "in the symbols of the model"
+            )
         if dae.continuation is not None:
             meant = ca.SX(dae.continuation.values[-1])
             expression = ca.substitute(expression, dae.continuation.symbol, meant)

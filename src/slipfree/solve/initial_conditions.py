@@ -132,8 +132,8 @@ def _newton_step(system: System, block: Block, point: tuple[Any, ...], *, check:
             weakest = labels[int(np.abs(right[-1]).argmax())]
             raise ModelError(
                 f"the model is singular here: no equation determines {weakest.full} "
-                f"({weakest.words}); smallest singular value {values[-1]:.1e}, largest "
-                f"{values[0]:.1e}"
+                f"({weakest.words}): smallest singular value {values[-1]:.1e}, largest "
+                f"{values[0]:.1e}; change the start, the inputs or the vehicle"
             )
     return np.asarray(size * np.linalg.lstsq(jacobian, residual, rcond=1e-12)[0])
 

@@ -45,9 +45,10 @@ class SolverOptions:
         if not MIN_TOLERANCE <= self.tolerance < 1:
             raise ModelError(
                 f"tolerance: expected a number from {MIN_TOLERANCE:g} to below 1, found "
-                f"{self.tolerance}"
+                f"{self.tolerance}; choose a number in this range"
             )
         if self.method is not None and self.method not in get_args(Method):
             raise ModelError(
-                f"method: expected one of {', '.join(get_args(Method))}, found {self.method!r}"
+                f"method: expected one of {', '.join(get_args(Method))}, found {self.method!r}; "
+                "choose one of these or omit the method"
             )

@@ -104,7 +104,7 @@ def replay(
     Raises
     ------
     ModelError
-        If the start is not valid.
+        If the start violates a limit of the model.
     SolverError
         If the integrator fails.
     """
@@ -164,7 +164,8 @@ def spline_inputs(
     names = [label.full for label in leaves(dae.labels.u)]
     if missing := sorted(set(names) - set(values)):
         raise ModelError(
-            f"the motion does not determine the inputs {', '.join(missing)}; add samples of them"
+            "values: expected samples of all inputs of the model, found none of "
+            f"{', '.join(missing)}; add samples of them"
         )
     samples = np.column_stack([values[name] for name in names])
     degree = min(SPLINE_DEGREE, t.size - 1)

@@ -76,7 +76,7 @@ def correct_samples(system: System, samples: Samples) -> tuple[Samples, dict[str
 
 
 def _solve_from_neighbours(system: System, samples: Samples, z: Array, astray: Mask) -> Array:
-    """Return ``z`` after a second attempt at the samples at which Newton's method failed.
+    """Return ``z`` after a second attempt at the samples in ``astray``, where Newton failed.
 
     Their neighbours are the initial guesses. Full Newton steps may cycle where the equations are
     strongly nonlinear, such as friction at small slip. Samples without a solution, for example
@@ -185,7 +185,7 @@ def _split_matrices(side_by_side: Array, n: int) -> Array:
 
 
 def _newton_steps(matrices: Array, right: Array) -> Array:
-    """Return the solutions of linear systems in columns; least squares if one is singular."""
+    """Return the solutions of linear systems as columns; least squares if one is singular."""
     try:
         return np.asarray(np.linalg.solve(matrices, right.T[..., None])[..., 0].T)
     except np.linalg.LinAlgError:
@@ -236,8 +236,8 @@ def _group_by_quantity(
         group = groups.setdefault(label.name, [])
         if label.name in AXIS_NAMES or any(_is_same_column(label, each) for each, _ in group):
             raise ModelError(
-                f"expected different names of all quantities in a result, found {label.name!r} for "
-                "two of them; rename a coordinate"
+                f"expected different names of all quantities in a result, found {label.name!r} "
+                "twice; rename a coordinate of the vehicle or an output"
             )
         group.append((label, values))
     wheels: tuple[str, ...] = ()

@@ -19,7 +19,7 @@ from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.simulate import simulate
 from slipfree.solve.system import with_inputs
-from slipfree.solve.violations import first_violation
+from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.trajectory import SolverError, Trajectory
 
 RELAXATION_TIME = 20.0  # of the states that relax to an equilibrium at a start [s]
@@ -161,18 +161,18 @@ def _relaxation_model(dae: Dae) -> Dae:
     return replace(dae, ode=ode, limits=(), checks=(), rest=ca.SX(0, 1))
 
 
-def _relax(held: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
+def _relax(model: Dae, first: Trajectory, options: SolverOptions) -> Trajectory:
     """Return the motion of a vehicle from a first pose to its equilibrium, with zero inputs."""
-    rest = unpack(held.u, [0.0] * len(list(leaves(held.u))))
+    rest = unpack(model.u, [0.0] * len(list(leaves(model.u))))
     # The equilibrium is a fixed point, which does not depend on the accuracy of the path to it.
     rough = replace(options, tolerance=RELAXATION_TOLERANCE)
-    run = simulate(held, first, rest, np.array([0.0, RELAXATION_TIME]), options=rough)
-    system = with_inputs(held, rest, 0, options)
-    x, z = (held.rows(record, run, -1) for record in "xz")
+    run = simulate(model, first, rest, np.array([0.0, RELAXATION_TIME]), options=rough)
+    system = with_inputs(model, rest, 0, options)
+    x, z = (model.rows(record, run, -1) for record in "xz")
     rates = np.array(system.core(0.0, x, z[: system.motion_size], system.u[:, 0])[0]).ravel()
     rates /= system.dae.sizes.x
     if not np.abs(rates).max() < REST_RATE:
-        name = list(leaves(held.labels.x))[int(np.abs(rates).argmax())].full
+        name = list(leaves(model.labels.x))[int(np.abs(rates).argmax())].full
         raise ModelError(
             f"the vehicle finds no equilibrium at the start: after {RELAXATION_TIME:g} s, expected "
             f"rates of at most {REST_RATE:g} scales per second, found {np.abs(rates).max():.1e} of "
@@ -192,7 +192,7 @@ def _one_sample(dae: Dae, x: Array, first: Array, options: SolverOptions) -> Tra
     run = to_trajectory(system, samples, report)
     violation = first_violation(system, run, samples)
     if violation is not None:
-        raise ModelError(f"the start is not valid: {violation[1].words}")
+        raise invalid_start(violation[1].words)
     return run
 
 
@@ -202,7 +202,10 @@ def first_guess(dae: Dae, x: Array, given: Mapping[str, float]) -> Array:
     names = [label.full for label in leaves(dae.labels.z)]
     for name, value in given.items():
         if name not in names:
-            raise ModelError(f"guess: {name!r} is not known; known: {', '.join(names)}")
+            raise ModelError(
+                f"guess: expected names of unknowns of the model, {', '.join(names)}, found "
+                f"{name!r}; correct the name"
+            )
         index = names.index(name)
         z[index] = value - dae.shift[1][index]
     return z

@@ -26,7 +26,7 @@ from slipfree.solve.options import Method, SolverOptions
 from slipfree.solve.sampling import UNSOLVED_RESIDUAL, Samples, correct_samples, to_trajectory
 from slipfree.solve.stop_diagnosis import diagnose_stop
 from slipfree.solve.system import System, with_inputs
-from slipfree.solve.violations import first_violation
+from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.solver_codes import NO_START, sundials_words
 from slipfree.trajectory import SolverError, Stop, Trajectory, joined
 
@@ -162,7 +162,7 @@ def _method(system: System, method: Method | None) -> Method:
 
 
 def _initial_sample(system: System, start: Trajectory, t: float) -> Samples:
-    """Return the last sample of a trajectory, with unknowns that satisfy the equations."""
+    """Return the last sample of a trajectory at time ``t``, with consistent unknowns."""
     dae = system.dae
     x, z = dae.rows("x", start, -1), dae.rows("z", start, -1)
     z = solve_initial_conditions(system, t, x, z, system.u[:, 0])
@@ -511,7 +511,7 @@ def _cut_at_crossing(
 ) -> Trajectory:
     """Return the motion up to the limit or event that ends it, located between samples."""
     if found.k == 0:
-        raise ModelError(f"the start is not valid: {found.stop.words}")
+        raise invalid_start(found.stop.words)
     kept, tail = run.part(slice(found.k)), _locate_crossing(solver, run, samples, found, stops)
     return joined(kept, tail) if tail.t[0] > kept.t[-1] else replace(kept, stop=tail.stop)
 

@@ -56,13 +56,13 @@ def settle_exchanged(
     for name, known in (*((n, names) for n in exchange), *((n, pose) for n in exchange.values())):
         if name not in known:
             raise ModelError(
-                f"settle_exchanged: {name!r} cannot be exchanged; expected one of "
-                f"{', '.join(known)}"
+                f"settle_exchanged: exchange: expected one of {', '.join(known)}, found {name!r}; "
+                "correct the name"
             )
     if len(set(exchange.values())) < len(exchange):
         raise ModelError(
             "settle_exchanged: expected a different unknown in place of each state, found "
-            f"{', '.join(exchange.values())}"
+            f"{', '.join(exchange.values())}; remove the repeated name"
         )
     i, j = [names.index(name) for name in exchange], [pose.index(n) for n in exchange.values()]
     model = _exchanged_model(dae, i, j)
@@ -84,7 +84,7 @@ def _exchanged_model(dae: Dae, i: Sequence[int], j: Sequence[int]) -> Dae:
         if state.unit != unknown.unit:
             raise ModelError(
                 f"settle_exchanged: expected an unknown in {state.unit} in place of "
-                f"{state.full}, found {unknown.full} in {unknown.unit}"
+                f"{state.full}, found {unknown.full} in {unknown.unit}; exchange other quantities"
             )
         states[a], unknowns[b] = unknowns[b], states[a]
     used_once = replace(dae, checks=())
@@ -196,19 +196,25 @@ def _check_pose(
 ) -> None:
     for name in (*pose, *weights):
         if name not in names:
-            raise ModelError(f"settle_nearest: {name!r} is not known; known: {', '.join(names)}")
+            raise ModelError(
+                f"settle_nearest: expected names of states and pose coordinates, "
+                f"{', '.join(names)}, found {name!r}; correct the name"
+            )
     for name, value in pose.items():
         if not np.isfinite(value):
-            raise ModelError(f"settle_nearest: {name} must be finite, found {value}")
+            raise ModelError(
+                f"settle_nearest: {name}: expected a finite value, found {value}; correct the value"
+            )
     for name, weight in weights.items():
         if not weight >= 0:
             raise ModelError(
-                f"settle_nearest: the weight of {name} must not be negative, found {weight}"
+                f"settle_nearest: weights: expected a weight of {name} of at least 0, found "
+                f"{weight}; increase it"
             )
 
 
 def _least_change(dae: Dae, first: Array, wish: Array, weight: Array) -> Array:
-    """Return the states and pose with the least weighted change that satisfy the first block."""
+    """Return the states and pose nearest to ``wish`` that satisfy the first block of equations."""
     unknowns = ca.vertcat(dae.columns()[0], *leaves(dae.z[0]))
     counts = np.isfinite(weight)
     change = np.where(counts, weight, 0.0)

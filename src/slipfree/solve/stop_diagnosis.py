@@ -69,7 +69,7 @@ def diagnose_stop(system: System, samples: Samples, violation: int | None) -> St
 
 
 def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
-    """Return whether a sample solves the equations; True if Newton's method fails."""
+    """Return whether a sample solves the equations; also True if Newton's method fails."""
     try:
         found = solve_initial_conditions(system, t, x, z, u, continuation=False)
     except ModelError:
@@ -78,9 +78,10 @@ def _is_solved(system: System, t: float, x: Array, z: Array, u: Array) -> bool:
 
 
 def _jump_persists(system: System, t: float, x: Array, z: Array, u: Array, *, least: float) -> bool:
-    """Return whether the unknowns change by ``least`` or more at states reached sooner as well.
+    """Return whether the unknowns jump at the states ``x``, by ``least`` sizes or more.
 
-    A jump has the same size after a shorter time; continuous changes are smaller. A change below
+    ``x`` are states that the motion reaches after a shorter prediction time. A jump is then as
+    large as after the whole time; continuous changes are smaller. A change below
     `MIN_LASTING_JUMP` is not a jump.
     """
     if 2 * least < MIN_LASTING_JUMP:

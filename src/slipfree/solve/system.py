@@ -264,12 +264,13 @@ def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
     x, z, u = dae.columns()
     if law.shape != (1, 1):
         raise ModelError(
-            f"input {label.full}: expected a scalar expression, found shape {law.shape}"
+            f"input {label.full}: expected a scalar expression, found shape {law.shape}; give one "
+            "expression for each input"
         )
     if ca.depends_on(law, u):
         raise ModelError(
-            f"input {label.full}: a law cannot contain the inputs themselves; "
-            "use time, states and unknowns"
+            f"input {label.full}: expected an expression of time, states and unknowns, found one "
+            "that contains inputs; remove or substitute them"
         )
     free = ca.Function(
         "law", [dae.t, x, z, found_column(dae.lookups)], [law], {"allow_free": True}
@@ -284,15 +285,20 @@ def _check_law(dae: Dae, label: Label, law: ca.SX) -> ca.SX:
 
 def _check_numbers(label: Label, value: Any, intervals: int) -> Array:
     if isinstance(value, ca.MX | str) or np.iscomplexobj(value):
-        raise ModelError(f"input {label.full}: expected real numbers or SX, found {value!r}")
+        raise ModelError(
+            f"input {label.full}: expected real numbers or an SX expression, found {value!r}; "
+            "convert it"
+        )
     numbers = np.asarray(value, dtype=float)
     if numbers.ndim > 1 or (numbers.ndim == 1 and numbers.size != intervals):
         raise ModelError(
             f"input {label.full}: expected a number, an expression or one value for each of the "
-            f"{intervals} intervals, found shape {numbers.shape}"
+            f"{intervals} intervals between samples, found shape {numbers.shape}; correct the shape"
         )
     if not np.isfinite(numbers).all():
-        raise ModelError(f"input {label.full}: must be finite, found {numbers}")
+        raise ModelError(
+            f"input {label.full}: expected finite numbers, found {numbers}; correct them"
+        )
     return numbers
 
 

@@ -15,10 +15,10 @@ from slipfree.solve.initial_conditions import solve_initial_conditions
 from slipfree.solve.options import SolverOptions
 from slipfree.solve.sampling import Samples, correct_samples, to_trajectory
 from slipfree.solve.system import Block, System, with_inputs
-from slipfree.solve.violations import first_violation
+from slipfree.solve.violations import first_violation, invalid_start
 from slipfree.trajectory import Trajectory
 
-MAX_EVALUATIONS = 50  # per sought state
+MAX_EVALUATIONS = 50  # per state to find
 TRIM_TOLERANCE = 1e-13  # relative change at which states count as found
 
 
@@ -81,8 +81,8 @@ def trim_states(
     found = {label.name for label in leaves(dae.labels.y)}
     for name in (*(each for each in states if each not in x_names), *(set(least) - found)):
         raise ModelError(
-            f"trim_states: the model has no {name!r}; states are {', '.join(x_names)}; outputs are "
-            f"{', '.join(sorted(found))}"
+            f"trim_states: expected states, {', '.join(x_names)}, or outputs, "
+            f"{', '.join(sorted(found))}, found {name!r}; correct the name"
         )
     where = [x_names.index(name) for name in states]
     system = with_inputs(dae, inputs, 0, options)
@@ -134,5 +134,5 @@ def _consistent_start(system: System, x: Array, z: Array) -> Trajectory:
     run = to_trajectory(system, found, report)
     fault = first_violation(system, run, found)
     if fault is not None:
-        raise ModelError(f"the start is not valid: {fault[1].words}")
+        raise invalid_start(fault[1].words)
     return run

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from slipfree.dae import Limit
+from slipfree.errors import ModelError
 from slipfree.outcome import Outcome
 from slipfree.records import Array, Mask
 from slipfree.solve.initial_conditions import limit_message
@@ -20,6 +21,14 @@ def _limit_message(limit: Limit, value: float, x: Array, z: Array) -> str:
         return words
     label = limit.label
     return limit_message(label.words, value, limit.lower, limit.upper, label.unit)
+
+
+def invalid_start(words: str) -> ModelError:
+    """Return the error of a start that violates a limit, check or equation, from its message."""
+    return ModelError(
+        f"start: expected a sample within the limits of the model, found a violation: {words}; "
+        "choose another start or other inputs"
+    )
 
 
 def first_violation(
@@ -70,8 +79,8 @@ def first_violation(
             ~(values >= 0),
             label.full,
             lambda k, c=check, v=values: (
-                f"{c.label.full}: expected a margin of at least 0, found NaN: "
-                "it could not be computed"
+                f"{c.label.full}: expected a margin of at least 0, found NaN, since its linear "
+                "algebra failed; choose another start or other inputs"
                 if np.isnan(v[k])
                 else c.describe(samples.x[:, k], samples.z[:, k])
             ),

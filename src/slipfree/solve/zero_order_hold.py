@@ -70,7 +70,7 @@ def simulate_sampled(
     if np.abs(np.diff(t) - period).max() > PERIOD_TOLERANCE * period:
         raise ModelError(
             "t: expected evenly spaced times for a sampled controller, found steps from "
-            f"{np.diff(t).min():.9g} to {np.diff(t).max():.9g} s"
+            f"{np.diff(t).min():.9g} to {np.diff(t).max():.9g} s; use one step"
         )
     if dae.guess.numel():
         raise ModelError(
@@ -79,7 +79,9 @@ def simulate_sampled(
             "interval"
         )
     if options.method == "idas":
-        raise ModelError("method: expected 'cvodes' for a sampled controller, found 'idas'")
+        raise ModelError(
+            "method: expected 'cvodes' for a sampled controller, found 'idas'; omit the method"
+        )
     system, law = _split_inputs(dae, inputs, t.size - 1, options)
     clock = time.process_time()
     with InterruptGuard() as guard:
@@ -111,12 +113,12 @@ def _split_inputs(
     if system.u.shape[0] != u.numel():
         raise ModelError(
             "inputs: expected constants or expressions for a sampled controller, found inputs that "
-            "are linear in time"
+            "are linear in time; give them as expressions of dae.t"
         )
     symbols = ca.vertsplit(u)
-    held = ca.vertcat(*(symbols[k] for k, is_law in enumerate(laws) if is_law))
+    computed = ca.vertcat(*(symbols[k] for k, is_law in enumerate(laws) if is_law))
     rules = ca.vertcat(*(given[k] for k, is_law in enumerate(laws) if is_law))
-    if ca.depends_on(ca.SX(rules), ca.SX(held)):
+    if ca.depends_on(ca.SX(rules), ca.SX(computed)):
         raise ModelError(
             "inputs: expected expressions of time, states and numeric inputs, found an expression "
             "that contains an input given by an expression; substitute it"
@@ -125,7 +127,8 @@ def _split_inputs(
     known = [dae.t, x, u, found_column(dae.lookups)]
     if free := ca.Function("law", known, [column], {"allow_free": True}).free_sx():
         raise ModelError(
-            f"inputs: {free[0]} is not a symbol of the model; use the symbols of its Dae"
+            "inputs: expected expressions in the symbols of the model, found the foreign symbol "
+            f"{free[0]}; use dae.t and the fields of dae.x"
         )
     return system, dae.function("law", known[:3], [column])
 
@@ -138,7 +141,10 @@ def _integrate_periods(
     tolerance: float,
     guard: InterruptGuard,
 ) -> tuple[Samples, dict[str, float], str]:
-    """Return the samples up to the first beyond a limit, counts, and the failure, if any."""
+    """Return samples, the counts of the integrator, and the message of its failure or ``""``.
+
+    The samples end with the first sample beyond a limit of the model.
+    """
     dae, n = system.dae, t.size
     integrator = _period_integrator(system, float(t[1] - t[0]), tolerance)
     x, q = np.zeros((dae.ode.numel(), n)), np.zeros((dae.quad.numel(), n))

@@ -182,8 +182,8 @@ def _given_rates(
         return read_commands(problem, spec)
     given = dict(spec.given) if spec.given is not None else dict.fromkeys(PLANAR, 0.0)
     faults = [*_rate_faults(given)]
-    is_sought = points is not None and spec.steering == "angle"
-    if spec.exact is not None and not is_sought:
+    is_solved_for = points is not None and spec.steering == "angle"
+    if spec.exact is not None and not is_solved_for:
         expected = (
             f"the key 'exact' only with given rates {', '.join(COMMANDS)}, or with a path and "
             "steering = 'angle'"
@@ -197,7 +197,7 @@ def _given_rates(
     )
     if points is not None:
         words = f"path of {points.shape[1]} way-points in {points[0, -1]:g} s"
-    if is_sought and not is_determined(vehicle):
+    if is_solved_for and not is_determined(vehicle):
         return dict.fromkeys(COMMANDS, 0.0), words
     return given, f"{words}; the steering {spec.steering} is unknown"
 
@@ -350,8 +350,10 @@ def _forward_inputs(
 
 def _collocate(setup: Setup, options: SolverOptions, watch: Watch) -> tuple[Trajectory, Any]:
     """Return the motion along a path, steering included, and its inputs as functions of time."""
-    sought = [c.name for c in setup.vehicle.of("commanded")]
-    found = drive(setup.dae, setup.start, setup.inputs, setup.t, sought=sought, options=options)
+    steering = [c.name for c in setup.vehicle.of("commanded")]
+    found = drive(
+        setup.dae, setup.start, setup.inputs, setup.t, free_states=steering, options=options
+    )
     statistics = {**found.run.statistics, "tolerance": options.tolerance}
     if watch.time is not None:
         watch.time(float(found.run.t[-1]))
