@@ -207,7 +207,9 @@ def test_straight_ahead_three_rates_are_one_too_many_but_fit():
 
 
 def test_what_wheels_hardly_reach_ends_at_the_start():
-    with pytest.raises(ModelError, match="not valid: platform rate 'right' cannot be imposed"):
+    with pytest.raises(
+        ModelError, match="found a violation: platform rate 'right' cannot be imposed"
+    ):
         poised(CATALOG["skid_steer"], HILLS, {"forward": 0.2, "right": 0.1}, x=0.3, heading=0.7)
 
 

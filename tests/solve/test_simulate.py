@@ -184,7 +184,7 @@ def test_inputs_are_checked():
         dae.inputs(pace=1.0)
     start = settle(dae)
     for value, words in (
-        (np.zeros(7), "one value for each of the 20 intervals, found shape"),
+        (np.zeros(7), "one value for each of the 20 intervals between samples, found shape"),
         (np.nan, "expected finite numbers"),
         (dae.u.rate * 2, "found one that contains inputs"),
         (ca.SX.sym("q"), "q is not a symbol of the model"),
