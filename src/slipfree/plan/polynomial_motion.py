@@ -15,7 +15,7 @@ from slipfree.plan.transcription import (
     Program,
     VariableLayout,
     completed,
-    positions,
+    variable_layout,
 )
 from slipfree.records import Array, field_overview, leaves
 from slipfree.solve.initial_conditions import solve_initial_conditions
@@ -108,7 +108,7 @@ def first_intervals(motion: PolynomialMotion, count: int) -> PolynomialMotion:
     n_u = old.inputs.shape[1]
     own = mesh._replace(ends=mesh.ends[: count + 1] / mesh.ends[count])
     sizes = old.first.size, old.unknowns.shape[2], n_u
-    layout = positions(own, sizes, continuous=motion.continuous)
+    layout = variable_layout(own, sizes, continuous=motion.continuous)
     unknowns = np.zeros(layout.duration + 1)
     unknowns[layout.first] = values[old.first]
     unknowns[layout.states] = values[old.states[:count]]
@@ -129,7 +129,7 @@ def joined_motions(motions: Sequence[PolynomialMotion]) -> PolynomialMotion:
     mesh = CollocationMesh(np.concatenate([[0.0], *ends]) / times[-1], motions[0].mesh.degree)
     first = motions[0].layout
     sizes = first.first.size, first.unknowns.shape[2], first.inputs.shape[1]
-    layout = positions(mesh, sizes, continuous=motions[0].continuous)
+    layout = variable_layout(mesh, sizes, continuous=motions[0].continuous)
     unknowns = np.zeros(layout.duration + 1)
     unknowns[layout.first] = motions[0].unknowns[first.first]
     for where, name in ((layout.states, "states"), (layout.unknowns, "unknowns")):
