@@ -226,7 +226,7 @@ class PlanVerb(DriveVerb):
         """Return the simulated motion of a plan in windows, and the plan as arrays."""
         spec, model = problem.spec, (setup.dae, setup.vehicle, setup.terrain)
         arguments = _plan_arguments(problem, spec, setup.keep_out, model, setup.between)
-        found = long_plan(problem, setup, arguments, resume, progress)
+        found = long_plan(problem, setup, setup.paths[0], arguments, resume, progress)
         attributes = {"plan_windows": windows_words(found)}
         return _described(spec, setup, found, found.replay, attributes)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,14 +15,12 @@ from slipfree.geometry.path import Path
 from slipfree.plan.plan import PlanProgress
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.plan.windows import LongPlan, plan_windows
+from slipfree.problem.build_common import Setup
 from slipfree.problem.build_ground import at
 from slipfree.problem.problem import Problem
 from slipfree.problem.verbs.plan_schema import Plan
 from slipfree.records import Array
 from slipfree.vehicle.tree import Vehicle
-
-if TYPE_CHECKING:
-    from slipfree.problem.verbs.plan import Planning
 
 OVERLAP = 1 / 3  # default length that is planned again [window]
 
@@ -101,7 +99,8 @@ def _overlap(spec: Plan, window: float) -> float:
 
 def long_plan(
     problem: Problem[Plan],
-    setup: Planning,
+    setup: Setup,
+    route: Array,
     arguments: Mapping[str, Any],
     resume: SavedPlan | None,
     progress: PlanProgress,
@@ -110,8 +109,10 @@ def long_plan(
 
     Parameters
     ----------
-    problem, setup : Problem, Planning
+    problem, setup : Problem, Setup
         The problem and its set-up.
+    route : ndarray, shape (n, 2)
+        Points of the route in map coordinates. [m]
     arguments : mapping
         Arguments of `plan` for the problem.
     resume : SavedPlan or None
@@ -119,15 +120,19 @@ def long_plan(
     progress : callable
         As for `plan_windows`.
     """
-    spec = setup.spec
+    spec = problem.spec
     window, speed = spec.plan.window or 0.0, spec.driver.speed if spec.driver else 0.0
-    options = {name: value for name, value in arguments.items() if name != "way_points"}
+    options = {
+        name: value
+        for name, value in arguments.items()
+        if name not in ("way_points", "cost_limits")
+    }
     with at(problem, ("plan",)):
         return plan_windows(
             setup.dae,
             partial(follow, setup.dae, setup.vehicle, speed=speed),
             setup.start,
-            Path(setup.paths[0]),
+            Path(route),
             speed=abs(speed),
             length=window,
             overlap=_overlap(spec, window),
