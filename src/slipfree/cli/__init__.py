@@ -34,6 +34,7 @@ from slipfree.cli.messages import (
 )
 from slipfree.cli.migrate import migrate
 from slipfree.cli.new import new
+from slipfree.cli.pareto import pareto
 from slipfree.cli.report import report
 from slipfree.cli.run import run
 from slipfree.cli.show import show
@@ -96,6 +97,7 @@ COMMANDS = (
     report,
     export,
     sweep,
+    pareto,
     track,
 )
 for command in COMMANDS:

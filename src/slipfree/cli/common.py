@@ -203,7 +203,7 @@ def check_outputs(files: list[Path | None], folder: Path | None, problem: Proble
                 "--figures DIR"
             )
         above = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
-        _check_writable(folder, above)
+        check_writable(folder, above)
 
 
 def check_page(out: Path, files: Sequence[Path]) -> None:
@@ -239,10 +239,11 @@ def check_output(path: Path) -> None:
             f"{path}: expected a folder {path.parent} to write to, found none; create it, or "
             "choose another folder"
         )
-    _check_writable(path, path.parent)
+    check_writable(path, path.parent)
 
 
-def _check_writable(path: Path, folder: Path) -> None:
+def check_writable(path: Path, folder: Path) -> None:
+    """Raise DataError for a path in an existing folder without write permission."""
     if not os.access(folder, os.W_OK):
         raise DataError(
             f"{path}: expected a folder {folder} that may be written to, found one without write "

@@ -37,14 +37,14 @@ def subject(label: Label, role: str) -> str:
 
 def number(label: Label, value: float) -> str:
     """Return a text for a value with the unit of its label, such as ``0.5 rad/s``."""
-    unit = _unit(label.unit)
+    unit = unit_words(label.unit)
     return f"{_digits(value)}{unit and ' '}{unit}"
 
 
 def missed_words(sizes: Mapping[str, float], units: Mapping[str, str]) -> str:
     """Return a list of violations as text, such as ``x at the goal by 3.1e-04 m``."""
     return ", ".join(
-        f"{name} by {size:.1e} {_unit(units[name])}".rstrip() for name, size in sizes.items()
+        f"{name} by {size:.1e} {unit_words(units[name])}".rstrip() for name, size in sizes.items()
     )
 
 
@@ -65,7 +65,7 @@ def bounds_words(label: Label, low: float, high: float) -> str:
     )
 
 
-def _unit(unit: str) -> str:
+def unit_words(unit: str) -> str:
     """Return a unit as a fraction, such as ``"rad/s"`` for ``"rad s-1"``."""
     parts = unit.split()
     over = [part for part in parts if "-" not in part and part != "1"]

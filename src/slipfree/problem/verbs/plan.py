@@ -18,8 +18,9 @@ from slipfree.geometry.path import Path
 from slipfree.models.kinematics import direct_kinematics
 from slipfree.models.quasi_statics import quasi_statics
 from slipfree.outcome import Outcome
+from slipfree.plan.constraints import COST
 from slipfree.plan.ipopt import SOLVED_STATUS, STOPPED_STATUS, Iterate
-from slipfree.plan.messages import missed_words
+from slipfree.plan.messages import DURATION, missed_words
 from slipfree.plan.plan import Plan, PlanProgress, plan
 from slipfree.plan.prices import prices_words
 from slipfree.plan.problem import bounds_of, limits_of, task_of
@@ -214,6 +215,12 @@ class PlanVerb(DriveVerb):
             **_by_stiffness(problem, setup, found),
             **({"plan_starts": table} if table else {}),
         }
+        prices = {
+            f"plan_price_{price.label.name}": price.rate
+            for price in found.prices
+            if price.role in (COST, DURATION)
+        }
+        run = replace(run, statistics={**run.statistics, **prices})
         return _described(spec, setup, found, run, attributes)
 
     def _drive_windows(

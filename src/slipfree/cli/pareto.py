@@ -1,0 +1,124 @@
+"""``slipfree pareto``: front of slip against duration, effort or energy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slipfree.cli.common import (
+    File,
+    Settings,
+    check_place,
+    check_writable,
+    read_problem,
+    reported,
+    tell,
+)
+from slipfree.cli.messages import complain, detail, put, put_file, say
+from slipfree.cli.progress import reporting
+from slipfree.errors import DataError
+from slipfree.regular_files import check_name
+
+if TYPE_CHECKING:
+    from slipfree.plan.pareto import FrontPoint
+
+TABLE, FIGURE = "pareto.csv", "pareto.png"
+
+
+def pareto(
+    file: File,
+    against: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Second objective: duration, effort, energy, or any quantity (squared).",
+        ),
+    ] = "duration",
+    points: Annotated[
+        int, typer.Option(min=2, metavar="N", help="Number of points of the front.")
+    ] = 7,
+    settings: Settings = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Folder of table, plans and figure; default: the problem's name with _pareto.",
+        ),
+    ] = None,
+    processes: Annotated[
+        int,
+        typer.Option("-j", "--processes", min=1, metavar="P", help="Number of processes."),
+    ] = 1,
+    draw: Annotated[bool, typer.Option("--draw/--no-draw", help="Draw the figure.")] = True,
+) -> None:
+    """Plan with the least slip for several durations, efforts or energies.
+
+    Print the Pareto front, and write its table, its figure and the plan of every point.
+    """
+    with reported():
+        from slipfree.files.netcdf import write
+        from slipfree.files.tables import write_rows
+        from slipfree.problem.pareto import plan_front
+        from slipfree.problem.pareto_table import front_facts, front_plot, front_rows, table_lines
+
+        problem = read_problem(file, settings)
+        folder = out or Path(f"{problem.source.path.stem}_pareto")
+        _check_folder(folder, points)
+
+        def keep(number: int, point: FrontPoint) -> None:
+            result, path = point.solution.result, folder / _plan_name(number)
+            folder.mkdir(parents=True, exist_ok=True)
+            write(path, result.trajectory, result.arrays)
+            detail(f"wrote {path}")
+
+        with reporting(None) as reports:
+            front = plan_front(
+                problem,
+                against,
+                points,
+                processes=processes,
+                report=reports.search,
+                keep=keep,
+            )
+        names, rows = front_rows(front)
+        write_rows(folder / TABLE, names, rows)
+        tell(front_facts(front))
+        say("\n".join(["", *table_lines(front)]))
+        put("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
+        written = [folder / TABLE]
+        written += [folder / _plan_name(k) for k, each in enumerate(front.points) if each.is_solved]
+        if draw:
+            from slipfree.show.plots import save
+
+            written += save([front_plot(front)], folder)
+        for path in written:
+            put_file(path)
+        say(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
+        if front.outcome.exit_code:
+            unsolved = sum(not each.is_solved for each in front.points)
+            complain(f"{unsolved} of {len(front.points)} points are not solved")
+            raise typer.Exit(front.outcome.exit_code)
+
+
+def _plan_name(number: int) -> str:
+    return f"point_{number + 1:02}.nc"
+
+
+def _check_folder(folder: Path, count: int) -> None:
+    """Raise DataError if the results cannot be written to a folder, before any computation."""
+    check_name(folder)
+    if folder.is_dir():
+        for name in (TABLE, FIGURE, *(_plan_name(k) for k in range(count))):
+            check_place(folder / name)
+    elif folder.exists():
+        raise DataError(
+            f"{folder}: expected a folder for the results, found a file; choose another folder "
+            "with -o"
+        )
+    else:
+        above = next(each for each in folder.absolute().parents if each.exists())
+        check_writable(folder, above)

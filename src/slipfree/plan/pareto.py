@@ -1,0 +1,196 @@
+"""Pareto fronts of two objectives by the epsilon-constraint method.
+
+The second objective is bounded at several values, and the first objective is minimised for each
+(Haimes, Lasdon and Wismer, IEEE Trans. Systems, Man, and Cybernetics 1, 1971). Unlike weighted
+sums, the method finds the parts of a front that are not convex.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.errors import ModelError
+from slipfree.outcome import Outcome
+from slipfree.records import field_overview
+
+SLACK = 0.01  # smallest bound above the least second objective [second objective]
+MARGIN = 1e-3  # smallest difference of a dominated point [first objective]
+
+
+class FrontPoint(NamedTuple):
+    """Point of a Pareto front: the least first objective for a bound on the second one.
+
+    Attributes
+    ----------
+    bound : float
+        Bound on the second objective.
+    first, second : float
+        Objectives of the solution; NaN without a solution.
+    slope : float
+        Derivative of the first objective with respect to the bound; NaN if unknown.
+    outcome : Outcome
+        ``COMPLETE`` for a verified solution.
+    words : str
+        Reason of another outcome.
+    solution : object
+        Solution, from which others start.
+    is_dominated : bool
+        Whether another point has a smaller first and no larger second objective. The solution is
+        then a local optimum, but not a global one.
+    """
+
+    bound: float
+    first: float = np.nan
+    second: float = np.nan
+    slope: float = np.nan
+    outcome: Outcome = Outcome.INTERRUPTED
+    words: str = ""
+    solution: Any = None
+    is_dominated: bool = False
+
+    def __repr__(self) -> str:
+        return field_overview(self)
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether the point has a verified solution."""
+        return self.outcome is Outcome.COMPLETE
+
+
+class FrontTask(NamedTuple):
+    """Minimisation of the first objective for one point of a front.
+
+    Attributes
+    ----------
+    number : int
+        Index of the point, from 0 at the smallest bound.
+    bound : float
+        Bound on the second objective.
+    start : FrontPoint
+        Solved point as initial guess.
+    """
+
+    number: int
+    bound: float
+    start: FrontPoint
+
+
+def pareto_front(
+    solve: Callable[[Sequence[FrontTask]], Sequence[FrontPoint]],
+    least: FrontPoint,
+    best: FrontPoint,
+    count: int,
+) -> tuple[FrontPoint, ...]:
+    """Return the points of a Pareto front, by increasing bound on the second objective.
+
+    The bounds have equal ratios. Each point is solved from the nearest solved points on both sides,
+    and points that are dominated once more from the dominating point, since a search may end in a
+    local optimum; the best solution is kept.
+
+    Parameters
+    ----------
+    solve : callable
+        ``solve(tasks)`` returns the points of tasks, which are independent of each other.
+    least, best : FrontPoint
+        Solutions of least second objective, and of least first objective. The second one is the
+        last point of the front; the first point has a bound 1 % above the least second objective.
+    count : int
+        Number of points; only ``best`` is returned if its second objective is within this 1 %.
+
+    Returns
+    -------
+    tuple of FrontPoint
+        Solved, dominated and unsolved points.
+
+    Raises
+    ------
+    ModelError
+        If fewer than two points are requested, an objective of ``least`` or ``best`` is not
+        positive, or one of them is not solved.
+    """
+    check_count(count)
+    for name, point in (("second", least), ("first", best)):
+        if not point.is_solved or not point.second > 0:
+            raise ModelError(
+                f"pareto_front: expected a solution of least {name} objective, with a positive "
+                f"second objective, found {point.outcome.title} with {point.second:g}; "
+                f"{point.words}"
+            )
+    lowest = (1 + SLACK) * least.second
+    if lowest >= best.second:
+        return (best,)
+    bounds = np.geomspace(lowest, best.second, count)
+    found = {-1: least, count - 1: best}
+    for batch in _batches(count):
+        tasks = [
+            FrontTask(k, float(bounds[k]), start) for k in batch for start in _neighbours(found, k)
+        ]
+        _keep_better(found, tasks, solve(tasks))
+    points = [found[k] for k in range(count)]
+    dominating = [_dominating(point, points) for point in points]
+    again = [
+        FrontTask(k, point.bound, start)
+        for k, (point, start) in enumerate(zip(points, dominating, strict=True))
+        if start is not None
+    ]
+    _keep_better(found, again, solve(again))
+    points = [found[k] for k in range(count)]
+    return tuple(
+        point._replace(is_dominated=_dominating(point, points) is not None) for point in points
+    )
+
+
+def check_count(count: int) -> None:
+    """Raise ModelError for a front of fewer than two points."""
+    if count < 2:
+        raise ModelError(f"pareto_front: expected two points or more, found {count}")
+
+
+def is_better(point: FrontPoint, other: FrontPoint) -> bool:
+    """Return whether a point replaces another one of the same bound."""
+    if not (point.is_solved and other.is_solved):
+        return point.is_solved
+    return point.first < other.first
+
+
+def _batches(count: int) -> Iterator[list[int]]:
+    """Yield the indices of all points but the last: the first, then middles of known points."""
+    known = [0, count - 1]
+    yield [0]
+    while batch := [(a + b) // 2 for a, b in pairwise(known) if b - a > 1]:
+        yield batch
+        known = sorted([*known, *batch])
+
+
+def _neighbours(found: dict[int, FrontPoint], k: int) -> Iterator[FrontPoint]:
+    """Yield the nearest solved points below and above; the first point starts from below only."""
+    solved = [j for j, point in found.items() if point.is_solved]
+    yield found[max(j for j in solved if j < k)]
+    if k:
+        yield found[min(j for j in solved if j > k)]
+
+
+def _keep_better(
+    found: dict[int, FrontPoint], tasks: Sequence[FrontTask], points: Sequence[FrontPoint]
+) -> None:
+    """Add the points of tasks where they are better than those found before."""
+    for task, point in zip(tasks, points, strict=True):
+        if is_better(point, found.setdefault(task.number, point)):
+            found[task.number] = point
+
+
+def _dominating(point: FrontPoint, points: Sequence[FrontPoint]) -> FrontPoint | None:
+    """Return the best point that dominates a point; None if none does."""
+    better = [
+        each
+        for each in points
+        if each.is_solved
+        and point.is_solved
+        and each.second <= point.second * (1 + MARGIN)
+        and each.first < point.first * (1 - MARGIN)
+    ]
+    return min(better, key=lambda each: each.first, default=None)

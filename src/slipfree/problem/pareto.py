@@ -1,0 +1,421 @@
+"""Pareto front of a planning problem: slip against the duration or a term of the cost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from multiprocessing import parent_process
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slipfree.errors import DataError, ModelError
+from slipfree.files.toml.errors import ProblemError
+from slipfree.outcome import Outcome
+from slipfree.plan.pareto import FrontPoint, FrontTask, check_count, is_better, pareto_front
+from slipfree.plan.problem import costs_of
+from slipfree.plan.warm_start import SavedPlan, from_arrays
+from slipfree.problem.load import load_again
+from slipfree.problem.problem import Problem
+from slipfree.problem.solve import build, run_problem
+from slipfree.problem.verbs.base import Quantity, Result
+from slipfree.problem.verbs.plan_schema import Plan
+from slipfree.problem.verbs.registry import verb_of
+from slipfree.processes import Processes, finish_tasks
+from slipfree.trajectory import SolverError, outcome_words
+
+SLIP, TIME, DURATION, ENERGY = "slip", "time", "duration", "energy"
+USUAL = (DURATION, "effort", ENERGY)  # second objectives of every planning problem
+SHORTEST = 0.01  # smallest duration in the search for the least one [largest duration]
+LineCallback = Callable[[str, str], None]
+T = tuple[str, ...]
+
+
+class FrontPlan(NamedTuple):
+    """Plan of a point of a front.
+
+    Attributes
+    ----------
+    result : Result
+        The plan, simulated and verified.
+    saved : SavedPlan
+        Plan for the warm start of other points.
+    slip : float
+        Slip per wheel and metre of path. [m/m]
+    squared_slip : float
+        Integral of the squared slip of all wheels. [m2/s]
+    duration : float
+        Duration of the plan. [s]
+    """
+
+    result: Result
+    saved: SavedPlan
+    slip: float
+    squared_slip: float
+    duration: float
+
+
+class PlanFront(NamedTuple):
+    """Pareto front of a planning problem.
+
+    The first objective of the points is the integral of the squared slip of all wheels in m2/s,
+    plus the smoothness of the inputs with its weight relative to that of the slip. The solution of
+    each solved point is a `FrontPlan`.
+
+    Attributes
+    ----------
+    against, unit : str
+        Name and unit of the second objective.
+    given, least : FrontPoint
+        Plan of the problem with its own costs, and plan of least second objective.
+    points : tuple of FrontPoint
+        Points by increasing bound on the second objective.
+    """
+
+    against: str
+    unit: str
+    given: FrontPoint
+    least: FrontPoint
+    points: tuple[FrontPoint, ...]
+
+    @property
+    def outcome(self) -> Outcome:
+        """``COMPLETE`` if all points are solved, else the outcome of the first unsolved point."""
+        unsolved = [point.outcome for point in self.points if not point.is_solved]
+        if Outcome.INTERRUPTED in unsolved:
+            return Outcome.INTERRUPTED
+        return next(iter(unsolved), Outcome.COMPLETE)
+
+
+class _PointTask(NamedTuple):
+    """Search for the plan of a point, for a process.
+
+    Attributes
+    ----------
+    path, text, settings : Path, str, tuple of str
+        Problem file, its text, and the settings of the point.
+    against : str
+        Second objective.
+    number, order : int
+        Index of the point in the front, and of the task in its batch.
+    bound : float
+        Bound on the second objective; NaN without one.
+    resume : SavedPlan or None
+        Plan from which the search starts.
+    """
+
+    path: Path
+    text: str
+    settings: tuple[str, ...]
+    against: str
+    number: int
+    order: int
+    bound: float
+    resume: SavedPlan | None
+
+
+def plan_front(
+    problem: Problem[Plan],
+    against: str = DURATION,
+    count: int = 7,
+    *,
+    processes: int = 1,
+    report: LineCallback | None = None,
+    keep: Callable[[int, FrontPoint], None] | None = None,
+) -> PlanFront:
+    """Return the Pareto front of slip against the duration or a term of the cost.
+
+    The duration is fixed, or the integral of the term limited, at each point, and the slip is
+    minimised. Other costs of the problem are left out; its limits, bounds and weight of smoothness
+    remain. The longest duration is that of the problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        Planning problem whose costs include the slip.
+    against : str
+        Second objective: ``"duration"``, or a term of the cost such as ``"effort"``, ``"energy"``
+        or any quantity (squared).
+    count : int
+        Number of points, at least 2.
+    processes : int
+        Number of processes; the result does not depend on it.
+    report : callable, optional
+        Called for every iterate, or several times per second, with the phase of the search and a
+        line of text; may raise KeyboardInterrupt, after which unsolved points are ``INTERRUPTED``.
+    keep : callable, optional
+        Called with the number of a point (from 0) and the point, for each solution of a point that
+        is better than earlier ones.
+
+    Raises
+    ------
+    ProblemError
+        If the problem cannot be built, is not a planning problem, or has no weight of the slip.
+    DataError
+        If the second objective is unknown.
+    ModelError
+        If fewer than two points are requested.
+    SolverError
+        If the plan of the problem, the plan of least slip or that of least second objective is not
+        solved.
+    KeyboardInterrupt
+        If ``report`` raises it before the first point.
+    """
+    check_count(count)
+    unit = _checked(problem, against)
+    begin = partial(_solve_one, problem, against, report)
+    given = begin("plan of the problem", _measured(problem, against), None)
+    least = begin(f"least {against}", _least_settings(problem, against), given)
+    slip = _slip_settings(problem, against)
+    best = begin("least slip", slip, given)
+    other = begin("least slip from the initial guess", slip, None, is_needed=False)
+    best = other if is_better(other, best) else best
+    with closing(_PointSolver(problem, against, count, processes, report, keep)) as solver:
+        points = pareto_front(solver.solve, least, best, count)
+    if keep is not None:
+        keep(len(points) - 1, points[-1])
+    return PlanFront(against, unit, given, least, points)
+
+
+def _checked(problem: Problem[Any], against: str) -> str:
+    """Return the unit of the second objective; raise an error if there is no front."""
+    spec = problem.spec
+    if not isinstance(spec, Plan):
+        where = problem.source.where(("verb",))
+        raise ProblemError(
+            f"{where}: expected 'plan' for slipfree pareto, found {spec.verb!r}; give a planning "
+            "problem"
+        )
+    if not spec.costs.get(SLIP):
+        found = ", ".join(spec.costs) or "none"
+        raise ProblemError(
+            f"{problem.source.where(('costs',))}: expected a weight of the slip, found weights of "
+            f"{found}; add costs.slip, for example --set costs.slip=1e4"
+        )
+    if against == DURATION:
+        return "s"
+    known = f"expected {', '.join(USUAL)} or the name of a quantity of the model"
+    if against in (SLIP, TIME):
+        raise DataError(f"--against {against}: {known}, found {against!r}")
+    try:
+        (cost,) = costs_of(build(problem).dae, {against: 1.0})
+    except ModelError as error:
+        why = str(error).partition("; ")[2]
+        hint = "the energy needs a model with drive torques: give masses" * (against == ENERGY)
+        raise DataError(
+            f"--against {against}: {known}, found {against!r}; {hint or why}"
+        ) from error
+    return cost.unit
+
+
+def _key(table: str, name: str) -> str:
+    return f"{table}.{json.dumps(name)}"
+
+
+def _without(problem: Problem[Plan], *kept: str) -> T:
+    """Return the settings that remove all costs except some."""
+    return tuple(f"{_key('costs', name)}=" for name in problem.spec.costs if name not in kept)
+
+
+def _measured(problem: Problem[Plan], against: str) -> T:
+    """Return the settings by which a plan reports its second objective."""
+    weight = problem.spec.costs.get(against, 0.0)
+    return () if against == DURATION else (f"{_key('costs', against)}={weight!r}",)
+
+
+def _longest(problem: Problem[Plan]) -> tuple[float, float]:
+    """Return the smallest and the largest duration of the plans of a front [s]."""
+    given = problem.spec.plan.duration or problem.spec.time.duration
+    low, high = given if isinstance(given, tuple) else (SHORTEST * given, given)
+    return (low, high) if low < high else (SHORTEST * high, high)
+
+
+def _least_settings(problem: Problem[Plan], against: str) -> T:
+    """Return the settings of the plan of least second objective."""
+    # Smoothness would increase the second objective.
+    smooth = "plan.smooth=0.0"
+    if against == DURATION:
+        low, high = _longest(problem)
+        spans = f"plan.duration=[{low!r}, {high!r}]"
+        return (*_without(problem, TIME), f"costs.{TIME}=1.0", spans, smooth)
+    weight = problem.spec.costs.get(against) or 1.0
+    return (*_without(problem, against), f"{_key('costs', against)}={weight!r}", smooth)
+
+
+def _slip_settings(problem: Problem[Plan], against: str, bound: float | None = None) -> T:
+    """Return the settings of the plan of least slip, with a bound on the second objective."""
+    if against == DURATION:
+        longest = _longest(problem)[1] if bound is None else bound
+        return (*_without(problem, SLIP), f"plan.duration={longest!r}")
+    kept = (*_without(problem, SLIP, against), f"{_key('costs', against)}=0.0")
+    return kept if bound is None else (*kept, f"{_key('cost_limits', against)}={bound!r}")
+
+
+def _solve_one(
+    problem: Problem[Plan],
+    against: str,
+    report: LineCallback | None,
+    name: str,
+    settings: T,
+    start: FrontPoint | None,
+    *,
+    is_needed: bool = True,
+) -> FrontPoint:
+    """Return a point from which a front begins.
+
+    Raises
+    ------
+    SolverError
+        If it is needed and not solved.
+    KeyboardInterrupt
+        If the search was interrupted.
+    """
+    task = _task(problem, against, settings, FrontTask(0, np.nan, start or FrontPoint(np.nan)))
+    _, point = _solve_point(task, _named(name, report))
+    if point.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    if is_needed and not point.is_solved:
+        raise SolverError(f"the front cannot begin: {name}: {point.words}")
+    return point
+
+
+def _named(name: str, report: LineCallback | None) -> LineCallback | None:
+    """Return a callback that adds a name to the phase and the line."""
+    if report is None:
+        return None
+    return lambda phase, line: report(f"{name}, {phase}", f"{name}, {line}")
+
+
+def _task(
+    problem: Problem[Plan], against: str, settings: T, task: FrontTask, index: int = 0
+) -> _PointTask:
+    source, found = problem.source, task.start.solution
+    return _PointTask(
+        source.path,
+        source.text,
+        (*dict.fromkeys(source.settings.values()), *settings),
+        against,
+        task.number,
+        index,
+        task.bound,
+        found and found.saved,
+    )
+
+
+def _solve_point(task: _PointTask, report: LineCallback | None = None) -> tuple[int, FrontPoint]:
+    """Return the index of a task, and its plan or the reason why there is none."""
+    return task.order, _planned(task, report)
+
+
+def _planned(task: _PointTask, report: LineCallback | None) -> FrontPoint:
+    try:
+        problem = load_again(task.path, task.text, task.settings)
+        result = run_problem(problem, None, report, task.resume)
+    except SolverError as error:
+        return FrontPoint(task.bound, outcome=Outcome.SOLVER_FAILURE, words=str(error))
+    except (ModelError, DataError) as error:  # such as limits that contradict the bound
+        return FrontPoint(task.bound, outcome=Outcome.INFEASIBLE, words=str(error))
+    run, spec = result.trajectory, problem.spec
+    # The set-up and the problem's loader do not fit into a pipe; the set-up is rebuilt on request.
+    result = replace(result, setup=None, load=partial(load_again, *task[:3]))
+    costs, verb = run.statistics, verb_of(problem)
+    duration = float(run.t[-1] - run.t[0])
+    if result.outcome is not Outcome.COMPLETE:
+        return FrontPoint(task.bound, outcome=result.outcome, words=outcome_words(run))
+    squared = costs.get("plan_cost_slip", np.nan)
+    weight = spec.costs.get(SLIP, np.nan)
+    smooth = spec.plan.smooth * costs.get("plan_cost_smoothness", 0.0) / weight
+    second = duration if task.against == DURATION else costs[f"plan_cost_{task.against}"]
+    plan = FrontPlan(
+        result,
+        from_arrays(result.arrays, str(task.path)),
+        verb.metrics(run, spec).get("slip_per_path", Quantity(np.nan, "")).value,
+        squared,
+        duration,
+    )
+    return FrontPoint(
+        second if np.isnan(task.bound) else task.bound,
+        squared + smooth,
+        second,
+        costs.get(f"plan_price_{task.against}", 0.0) / weight,
+        result.outcome,
+        solution=plan,
+    )
+
+
+class _PointSolver:
+    """Solver of the points of a front, in this process or in others.
+
+    Ctrl-C ends it: the remaining points are ``INTERRUPTED``.
+    """
+
+    def __init__(
+        self,
+        problem: Problem[Plan],
+        against: str,
+        count: int,
+        processes: int,
+        report: LineCallback | None,
+        keep: Callable[[int, FrontPoint], None] | None,
+    ) -> None:
+        self._problem, self._against, self._count = problem, against, count
+        self._report, self._keep = report, keep
+        self._kept: dict[int, FrontPoint] = {}
+        self._is_interrupted = False
+        is_serial = processes == 1 or parent_process() is not None
+        self._pool = None if is_serial else Processes(processes, _solve_point)
+
+    def solve(self, tasks: Sequence[FrontTask]) -> list[FrontPoint]:
+        """Return the points of tasks."""
+        found: dict[int, FrontPoint] = {}
+        if not self._is_interrupted:
+            try:
+                for index, point in self._points(tasks):
+                    found[index] = point
+                    self._store(tasks[index].number, point)
+            except KeyboardInterrupt:
+                self._is_interrupted = True
+        return [found.get(k, FrontPoint(task.bound)) for k, task in enumerate(tasks)]
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._pool is not None:
+            self._pool.close()
+
+    def _points(self, tasks: Sequence[FrontTask]) -> Iterator[tuple[int, FrontPoint]]:
+        """Yield indices of tasks and their points in the order of completion."""
+        asked = [
+            _task(
+                self._problem,
+                self._against,
+                _slip_settings(self._problem, self._against, task.bound),
+                task,
+                index,
+            )
+            for index, task in enumerate(tasks)
+        ]
+        if self._pool is not None:
+            yield from finish_tasks(asked, self._pool, self._poll)
+            return
+        for task in asked:
+            name = f"point {task.number + 1} of {self._count}"
+            index, point = _solve_point(task, _named(name, self._report))
+            if point.outcome is Outcome.INTERRUPTED:
+                raise KeyboardInterrupt
+            yield index, point
+
+    def _poll(self) -> None:
+        if self._report is not None:
+            solved = len(self._kept) + 1  # and the point of least slip
+            self._report("points", f"{solved} of {self._count} points are solved")
+
+    def _store(self, number: int, point: FrontPoint) -> None:
+        """Pass a solution on if it is better than the former one of its point."""
+        if point.is_solved and is_better(point, self._kept.get(number, FrontPoint(point.bound))):
+            self._kept[number] = point
+            if self._keep is not None:
+                self._keep(number, point)

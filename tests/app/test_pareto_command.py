@@ -1,0 +1,49 @@
+"""``slipfree pareto``: fronts of a small plan, files, and errors."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slipfree.cli import app
+
+HILLS = Path(__file__).parents[2] / "problems" / "plan_rigid_hills.toml"
+SMALL = ("--set", "plan.intervals=8", "--set", "plan.accuracy=0.05", "--set", "costs.slip=1e4")
+
+
+def run(*words):
+    return CliRunner().invoke(app, ["pareto", *map(str, words)])
+
+
+def test_front_against_effort(tmp_path):
+    out = tmp_path / "front"
+    done = run(HILLS, "--against", "effort", "--points", 3, *SMALL, "-o", out)
+    assert done.exit_code == 0, done.output
+    with (out / "pareto.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    efforts, slips = ([float(row[name]) for row in rows] for name in ("effort", "squared_slip"))
+    assert all(np.diff(efforts) > 0)
+    assert all(np.diff(slips) < 0)
+    assert {row["outcome"] for row in rows} == {"complete"}
+    assert (out / "pareto.png").is_file()
+    names = [f"point_{k:02}.nc" for k in (1, 2, 3)]
+    assert all((out / name).is_file() for name in names)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--against", "nothing"], "expected duration, effort, energy or the name of a quantity"),
+        (["--set", "costs.slip="], "expected a weight of the slip, found weights of effort"),
+        (["--points", "1"], "Invalid value for '--points'"),
+    ],
+)
+def test_errors_name_remedies(tmp_path, words, told):
+    done = run(HILLS, *words, "-o", tmp_path / "front")
+    assert done.exit_code == 2
+    assert told in " ".join(done.stderr.split())
+    assert not (tmp_path / "front").exists()
