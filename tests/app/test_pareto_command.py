@@ -34,6 +34,29 @@ def test_front_against_effort(tmp_path):
     assert all((out / name).is_file() for name in names)
 
 
+def test_front_against_duration_has_the_slopes_of_its_secants(tmp_path):
+    out = tmp_path / "front"
+    settings = (*SMALL, "--set", "time.duration=8", "--set", "inputs.right_rate=1.1")
+    done = run(HILLS, "--points", 3, *settings, "--set", "inputs.left_rate=1.1", "-o", out)
+    assert done.exit_code == 0, done.output
+    with (out / "pareto.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    squared, share, second, slope = (
+        np.array([float(row[name]) for row in rows])
+        for name in ("squared_slip", "smoothness_share", "duration", "slope")
+    )
+    first = squared / (1 - share)
+    secants = np.diff(first) / np.diff(second)
+    assert all(np.diff(first) < 0)
+    assert all((slope[:-1] < secants) & (secants < slope[1:]))  # a convex front
+
+
+def test_other_problems_are_refused(tmp_path):
+    done = run(HILLS.with_name("rigid_hills.toml"), "-o", tmp_path / "front")
+    assert done.exit_code == 2
+    assert "expected 'plan' for slipfree pareto, found 'direct'" in " ".join(done.stderr.split())
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

@@ -10,13 +10,13 @@ import typer
 from slipfree.cli.common import (
     File,
     Settings,
-    check_place,
+    check_output,
     check_writable,
+    print_facts,
     read_problem,
     reported,
-    tell,
 )
-from slipfree.cli.messages import complain, detail, put, put_file, say
+from slipfree.cli.messages import add_json, add_json_file, detail, print_error, print_line
 from slipfree.cli.progress import reporting
 from slipfree.errors import DataError
 from slipfree.regular_files import check_name
@@ -86,9 +86,9 @@ def pareto(
             )
         names, rows = front_rows(front)
         write_rows(folder / TABLE, names, rows)
-        tell(front_facts(front))
-        say("\n".join(["", *table_lines(front)]))
-        put("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
+        print_facts(front_facts(front))
+        print_line("\n".join(["", *table_lines(front)]))
+        add_json("points", lambda: [dict(zip(names, row, strict=True)) for row in rows])
         written = [folder / TABLE]
         written += [folder / _plan_name(k) for k, each in enumerate(front.points) if each.is_solved]
         if draw:
@@ -96,11 +96,11 @@ def pareto(
 
             written += save([front_plot(front)], folder)
         for path in written:
-            put_file(path)
-        say(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
+            add_json_file(path)
+        print_line(f"wrote table, plans{' and figure' if draw else ''} in {folder}")
         if front.outcome.exit_code:
             unsolved = sum(not each.is_solved for each in front.points)
-            complain(f"{unsolved} of {len(front.points)} points are not solved")
+            print_error(f"{unsolved} of {len(front.points)} points are not solved")
             raise typer.Exit(front.outcome.exit_code)
 
 
@@ -113,7 +113,7 @@ def _check_folder(folder: Path, count: int) -> None:
     check_name(folder)
     if folder.is_dir():
         for name in (TABLE, FIGURE, *(_plan_name(k) for k in range(count))):
-            check_place(folder / name)
+            check_output(folder / name)
     elif folder.exists():
         raise DataError(
             f"{folder}: expected a folder for the results, found a file; choose another folder "
