@@ -22,7 +22,7 @@ from slipfree.files import netcdf
 from slipfree.models.poses import part_poses, wheel_poses
 from slipfree.models.slip import measured_slip
 from slipfree.outcome import Outcome
-from slipfree.plan.transcription import CollocationMesh, positions
+from slipfree.plan.transcription import CollocationMesh, variable_layout
 from slipfree.plan.warm_start import SavedPlan
 from slipfree.problem.result import shown
 from slipfree.problem.verbs.plan import poses_of_plan
@@ -357,7 +357,7 @@ def test_a_plan_is_drawn_beside_its_simulation(file: Path) -> None:
     states = ["x", "y", "heading", "tilt_right", "tilt_left", "steer"]
     unknowns = ["z", "roll", "pitch"]
     mesh = CollocationMesh(np.linspace(0, 1, 11), 3)
-    layout = positions(mesh, (6, 9, 1), continuous=False)
+    layout = variable_layout(mesh, (6, 9, 1), continuous=False)
     values = np.zeros(layout.duration + 1)
     values[layout.duration] = 1.0
     at = mesh.nodes[1:].reshape(10, 3)

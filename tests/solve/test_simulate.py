@@ -189,8 +189,8 @@ def test_inputs_are_checked():
         (dae.u.rate * 2, "found one that contains inputs"),
         (ca.SX.sym("q"), "q is not a symbol of the model"),
         (ca.SX(2, 1), "expected a scalar expression"),
-        ("fast", "expected real numbers or SX"),
-        (1j, "expected real numbers or SX"),
+        ("fast", "expected real numbers or an SX expression"),
+        (1j, "expected real numbers or an SX expression"),
     ):
         with pytest.raises(ModelError, match=words):
             simulate(dae, start, dae.inputs(speed=value), T)
